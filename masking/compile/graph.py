@@ -1,0 +1,267 @@
+"""Expressions as one graph of elementary operations, each computed once.
+
+A `Graph` is a list of nodes in the order in which they can be computed. A node is an operation and the
+indices of its arguments; two equal nodes are the same node, so common sub-expressions are shared by
+construction. Every printer (numba, C, Taylor coefficients) walks this one list.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+
+from masking.errors import ModelError
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+Node = int
+
+UNARY = ("neg", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log")
+NOT_ANALYTIC = ("abs", "sign", "min", "max", "heaviside", "where", "lt", "le", "atan2")
+BINARY = ("add", "sub", "mul", "div", "pow")
+
+
+@dataclass
+class Graph:
+    """Operations in computable order: `operations[i]` is `(name, *arguments)`.
+
+    Arguments are indices of earlier nodes, except for `("number", value)` and `("symbol", name)`.
+    `varying` holds, for each node, whether it can change during a run (it depends on time, state or
+    input); nodes that depend on parameters alone do not vary.
+    """
+
+    operations: list[tuple[str | float | int, ...]] = field(default_factory=list)
+    varying: list[bool] = field(default_factory=list)
+    _index: dict[tuple[str | float | int, ...], Node] = field(default_factory=dict)
+    _varying_symbols: set[str] = field(default_factory=set)
+
+    def symbol(self, name: str, *, varying: bool) -> Node:
+        """Return the node of a symbol; `name` is the text that stands for it in printed code."""
+        return self._node(("symbol", name), varying)
+
+    def number(self, value: float) -> Node:
+        """Return the node of a finite constant."""
+        if not math.isfinite(value):
+            raise ModelError(f"the equations contain the constant {value}; constants must be finite")
+        return self._node(("number", float(value)), False)
+
+    def is_number(self, node: Node, value: float | None = None) -> bool:
+        """Tell whether a node is a constant (equal to `value`, if given)."""
+        operation = self.operations[node]
+        return operation[0] == "number" and (value is None or operation[1] == value)
+
+    def varies(self, node: Node) -> bool:
+        """Tell whether a node can change during a run."""
+        return self.varying[node]
+
+    def apply(self, name: str, *arguments: Node) -> Node:
+        """Return the node of an operation on nodes, simplified where an argument is 0, 1 or a constant."""
+        simpler = self._simplify(name, arguments)
+        if simpler is not None:
+            return simpler
+        if name in {"add", "mul"}:
+            arguments = tuple(sorted(arguments))
+        return self._node((name, *arguments), any(self.varying[a] for a in arguments))
+
+    def add(self, a: Node, b: Node) -> Node:
+        """Return a + b."""
+        return self.apply("add", a, b)
+
+    def sub(self, a: Node, b: Node) -> Node:
+        """Return a - b."""
+        return self.apply("sub", a, b)
+
+    def mul(self, a: Node, b: Node) -> Node:
+        """Return a * b."""
+        return self.apply("mul", a, b)
+
+    def div(self, a: Node, b: Node) -> Node:
+        """Return a / b."""
+        return self.apply("div", a, b)
+
+    def total(self, terms: Sequence[Node]) -> Node:
+        """Return the sum of nodes; zero for none."""
+        result = self.number(0.0)
+        for term in terms:
+            result = self.add(result, term)
+        return result
+
+    def lower(self, expression: sp.Expr, symbols: Mapping[sp.Symbol, Node]) -> Node:
+        """Return the node of a sympy expression in which each symbol stands for a node.
+
+        Args:
+            expression: any expression of the functions that declarations allow.
+            symbols: a node for every free symbol of `expression`.
+
+        Raises:
+            ModelError: the expression holds a function that cannot be compiled.
+        """
+        return _Lowering(self, symbols).node(expression)
+
+    def _node(self, operation: tuple[str | float | int, ...], varying: bool) -> Node:
+        node = self._index.get(operation)
+        if node is None:
+            node = len(self.operations)
+            self.operations.append(operation)
+            self.varying.append(varying)
+            self._index[operation] = node
+        return node
+
+    def _simplify(self, name: str, arguments: tuple[Node, ...]) -> Node | None:
+        if all(self.is_number(a) for a in arguments) and name in {"neg", "add", "sub", "mul", "div"}:
+            values = [float(self.operations[a][1]) for a in arguments]
+            if name == "neg":
+                return self.number(-values[0])
+            if name == "add":
+                return self.number(values[0] + values[1])
+            if name == "sub":
+                return self.number(values[0] - values[1])
+            if name == "mul":
+                return self.number(values[0] * values[1])
+            return self.number(values[0] / values[1]) if values[1] else None
+        if name == "neg" and self.operations[arguments[0]][0] == "neg":
+            return int(self.operations[arguments[0]][1])
+        if len(arguments) != 2:
+            return None
+        a, b = arguments
+        if name == "add":
+            return b if self.is_number(a, 0.0) else a if self.is_number(b, 0.0) else self._subtract_negative(a, b)
+        if name == "sub":
+            if a == b:
+                return self.number(0.0)
+            return a if self.is_number(b, 0.0) else self.apply("neg", b) if self.is_number(a, 0.0) else None
+        if name == "mul":
+            if self.is_number(a, 0.0) or self.is_number(b, 0.0):
+                return self.number(0.0)
+            if self.is_number(a, 1.0) or self.is_number(b, 1.0):
+                return b if self.is_number(a, 1.0) else a
+            if self.is_number(a, -1.0) or self.is_number(b, -1.0):
+                return self.apply("neg", b if self.is_number(a, -1.0) else a)
+        if name == "div" and (self.is_number(b, 1.0) or self.is_number(a, 0.0)):
+            return a
+        return None
+
+    def _subtract_negative(self, a: Node, b: Node) -> Node | None:
+        if self.operations[b][0] == "neg":
+            return self.sub(a, int(self.operations[b][1]))
+        if self.operations[a][0] == "neg":
+            return self.sub(b, int(self.operations[a][1]))
+        return None
+
+
+class _Lowering:
+    """One walk over a sympy expression; `table` has one rule for each class of expression."""
+
+    def __init__(self, graph: Graph, symbols: Mapping[sp.Symbol, Node]) -> None:
+        self.graph = graph
+        self.known: dict[sp.Expr, Node] = dict(symbols)
+        self.table = {
+            sp.Add: self._sum,
+            sp.Mul: self._product,
+            sp.Pow: self._power,
+            sp.exp: lambda e: self._call("exp", e),
+            sp.Min: lambda e: self._fold("min", e.args),
+            sp.Max: lambda e: self._fold("max", e.args),
+            sp.Piecewise: self._piecewise,
+            sp.Heaviside: lambda e: graph.apply("heaviside", self.node(e.args[0])),
+            sp.Abs: lambda e: self._call("abs", e),
+            sp.StrictLessThan: lambda e: self._call("lt", e),
+            sp.LessThan: lambda e: self._call("le", e),
+            sp.StrictGreaterThan: lambda e: graph.apply("lt", self.node(e.args[1]), self.node(e.args[0])),
+            sp.GreaterThan: lambda e: graph.apply("le", self.node(e.args[1]), self.node(e.args[0])),
+        }
+        for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "log", "sign"):
+            self.table[getattr(sp, name)] = lambda e, name=name: self._call(name, e)
+
+    def node(self, expression: sp.Expr) -> Node:
+        known = self.known.get(expression)
+        if known is None:
+            known = self._new(expression)
+            self.known[expression] = known
+        return known
+
+    def _new(self, expression: sp.Expr) -> Node:
+        if expression.is_number:
+            return self.graph.number(float(expression))
+        rule = self.table.get(expression.func)
+        if rule is None:
+            what = f"the symbol {expression}" if expression.is_Symbol else f"the function {expression.func.__name__}"
+            raise ModelError(f"{what} has no compiled form")
+        return rule(expression)
+
+    def _call(self, name: str, expression: sp.Expr) -> Node:
+        return self.graph.apply(name, *(self.node(a) for a in expression.args))
+
+    def _fold(self, name: str, arguments: Sequence[sp.Expr]) -> Node:
+        result = self.node(arguments[0])
+        for argument in arguments[1:]:
+            result = self.graph.apply(name, result, self.node(argument))
+        return result
+
+    def _sum(self, expression: sp.Expr) -> Node:
+        # Terms that do not vary are added first, so that they are computed once outside a loop.
+        plus = [self.node(a) for a in expression.args if not a.could_extract_minus_sign()]
+        minus = [self.node(-a) for a in expression.args if a.could_extract_minus_sign()]
+        plus.sort(key=lambda n: (self.graph.varying[n], n))
+        result = self.graph.total(plus)
+        for term in minus:
+            result = self.graph.sub(result, term)
+        return result
+
+    def _product(self, expression: sp.Expr) -> Node:
+        if expression.could_extract_minus_sign():
+            return self.graph.apply("neg", self.node(-expression))
+        numerator, denominator = [], []
+        for factor in expression.args:
+            base, exponent = factor.as_base_exp()
+            if exponent.is_number and exponent.is_negative:
+                denominator.append(self.node(base**-exponent))
+            else:
+                numerator.append(self.node(factor))
+        top = self._multiply(numerator)
+        return self.graph.div(top, self._multiply(denominator)) if denominator else top
+
+    def _multiply(self, factors: list[Node]) -> Node:
+        # Factors that do not vary are multiplied first, so that they are computed once outside a loop.
+        result = self.graph.number(1.0)
+        for factor in sorted(factors, key=lambda n: (self.graph.varying[n], n)):
+            result = self.graph.mul(result, factor)
+        return result
+
+    def _power(self, expression: sp.Expr) -> Node:
+        base, exponent = expression.args
+        if base == sp.E:
+            return self.graph.apply("exp", self.node(exponent))
+        if exponent.is_number and exponent.is_negative:
+            return self.graph.div(self.graph.number(1.0), self.node(base**-exponent))
+        if exponent.is_Integer:
+            return self._integer_power(self.node(base), int(exponent))
+        if exponent == sp.Rational(1, 2):
+            return self.graph.apply("sqrt", self.node(base))
+        power = self.node(exponent)
+        if self.graph.varying[power]:
+            return self.graph.apply("exp", self.graph.mul(power, self.graph.apply("log", self.node(base))))
+        return self.graph.apply("pow", self.node(base), power)
+
+    def _integer_power(self, base: Node, exponent: int) -> Node:
+        if exponent == 1:
+            return base
+        half = self._integer_power(base, exponent // 2)
+        square = self.graph.mul(half, half)
+        return self.graph.mul(square, base) if exponent % 2 else square
+
+    def _piecewise(self, expression: sp.Expr) -> Node:
+        *cases, (last, condition) = expression.args
+        if condition != sp.true:
+            raise ModelError(f"{expression} has no value where none of its conditions hold; end it with a last case")
+        result = self.node(last)
+        for value, case in reversed(cases):
+            result = self.graph.apply("where", self.node(case), self.node(value), result)
+        return result

@@ -1,0 +1,286 @@
+"""What a model must fulfil beyond its schema, checked without sympy: names, symbols, structure and parameters."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping
+
+from masking.declaration.expression import Expression
+from masking.declaration.schema import Declaration, ModelDeclaration
+from masking.errors import DeclarationError, Problem, nearest
+
+_COHERENT = {
+    "m",
+    "kg",
+    "s",
+    "A",
+    "K",
+    "mol",
+    "cd",
+    "rad",
+    "Hz",
+    "N",
+    "J",
+    "W",
+    "V",
+    "C",
+    "F",
+    "H",
+    "T",
+    "Pa",
+    "Wb",
+    "ohm",
+}
+
+
+def velocities(names: Iterable[str]) -> list[str]:
+    """Give the first derivatives of coordinates."""
+    return [f"{name}'" for name in names]
+
+
+def accelerations(names: Iterable[str]) -> list[str]:
+    """Give the second derivatives of coordinates."""
+    return [f"{name}''" for name in names]
+
+
+def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
+    """Yield every expression of a model with its path, the left-hand sides of equations included."""
+    for name, parameter in model.parameters.items():
+        if isinstance(parameter.value, Expression):
+            yield f"parameters.{name}.value", parameter.value
+    for name, expression in model.definitions.items():
+        yield f"definitions.{name}", expression
+    for left, right in model.equations.items():
+        yield f"equations.{left}", left
+        yield f"equations.{left}", right
+    for path in ("lagrangian", "dissipation", "energy"):
+        expression = getattr(model, path)
+        if expression is not None:
+            yield path, expression
+    for name, expression in model.forces.items():
+        yield f"forces.{name}", expression
+    for name, output in model.outputs.items():
+        yield f"outputs.{name}.expression", output.expression
+    for name, scale in model.scales.items():
+        if isinstance(scale.value, Expression):
+            yield f"scales.{name}.value", scale.value
+
+
+def check_model(model: ModelDeclaration, whole: bool = True) -> list[Problem]:
+    """List everything that is wrong with a model; of one that is not whole, only names and symbols."""
+    problems = [*_names(model), *_symbols(model)]
+    if whole:
+        problems += [*_structure(model), *_unused(model), *_cycles(model, "definitions", model.definitions)]
+        problems += parameter_values(model, {})[1]
+    return problems
+
+
+def resolve_parameters(model: ModelDeclaration, overrides: Mapping[str, float]) -> dict[str, float]:
+    """Give the value of every parameter, expressions evaluated, in the order of declaration.
+
+    The numbers are those of the file, in declared units; an expression combines them as they are.
+    Raises `DeclarationError` for an unknown override, a cycle, and a value that is not finite or is outside its bounds.
+    """
+    values, problems = parameter_values(model, overrides)
+    if problems:
+        raise DeclarationError(problems)
+    return values
+
+
+def problem_at(declaration: Declaration, path: str, message: str, mend: str = "", at_key: bool = False) -> Problem:
+    """Describe what is wrong with one value of a declaration, or with its key."""
+    place = declaration.key_place(path) if at_key else declaration.place(path)
+    return Problem(place, path, message, mend)
+
+
+def _names(model: ModelDeclaration) -> Iterator[Problem]:
+    owner: dict[str, str] = {}
+    for section in ("coordinates", "inputs", "parameters", "definitions"):
+        for name in getattr(model, section):
+            if name in owner:
+                message = f"the name '{name}' is already used in {owner[name]}"
+                yield problem_at(model, f"{section}.{name}", message, "rename one of them", at_key=True)
+            owner.setdefault(name, section)
+    for index, name in enumerate(model.oscillators or ()):
+        if name not in model.coordinates:
+            yield problem_at(
+                model, f"oscillators.{index}", f"'{name}' is not a coordinate", nearest(name, model.coordinates)
+            )
+    for name in model.forces:
+        if name not in model.coordinates:
+            message = f"'{name}' is not a coordinate"
+            yield problem_at(model, f"forces.{name}", message, nearest(name, model.coordinates), at_key=True)
+
+
+def _symbols(model: ModelDeclaration) -> Iterator[Problem]:
+    """Check which symbols each expression may use: accelerations not everywhere, parameters only over parameters."""
+    static = [*model.parameters]
+    rest = [
+        *model.coordinates,
+        *velocities(model.coordinates),
+        *model.inputs,
+        *model.parameters,
+        *model.definitions,
+        "t",
+    ]
+    moving = [*rest, *accelerations(model.coordinates)]
+    accelerated = _definitions_with_acceleration(model)
+    for path, expression in formulas(model):
+        section = path.partition(".")[0]
+        allowed = static if section in {"parameters", "scales"} else moving
+        yield from check_symbols(expression, allowed, model.coordinates, known=moving)
+        if section in {"lagrangian", "dissipation", "energy", "forces"}:
+            for symbol in sorted(expression.symbols):
+                if (symbol.endswith("''") and symbol in moving) or symbol in accelerated:
+                    what = "is an acceleration" if symbol.endswith("''") else "contains an acceleration"
+                    message = f"'{symbol}' {what}, which {section} may not contain"
+                    yield expression.problem(expression.first(symbol), message)
+
+
+def check_symbols(
+    expression: Expression, allowed: Collection[str], coordinates: Collection[str], known: Collection[str] = ()
+) -> Iterator[Problem]:
+    """Yield a problem for each symbol that is not allowed: derivative of no coordinate, not for here, or unknown."""
+    for problem, symbol in zip(expression.check_symbols(allowed), expression.unknown(allowed), strict=True):
+        name = symbol.rstrip("'")
+        if symbol != name and name not in coordinates and (name in allowed or name in known):
+            message = f"'{symbol}' is a derivative of '{name}', which is not a coordinate"
+            yield expression.problem(expression.first(symbol), message, nearest(name, coordinates))
+        elif symbol in known:
+            names = ", ".join(allowed)
+            mend = f"allowed: {names}" if names and len(allowed) < 9 else ""
+            yield expression.problem(expression.first(symbol), f"'{symbol}' may not be used here", mend)
+        else:
+            yield problem
+
+
+def _definitions_with_acceleration(model: ModelDeclaration) -> set[str]:
+    found: set[str] = set()
+    grown = True
+    while grown:
+        more = {
+            name
+            for name, expression in model.definitions.items()
+            if any(symbol.endswith("''") or symbol in found for symbol in expression.symbols)
+        }
+        grown, found = more != found, more
+    return found
+
+
+def _structure(model: ModelDeclaration) -> Iterator[Problem]:
+    """Check that the parts of a model fit together: as many equations as coordinates, or one Lagrangian."""
+    count, wanted = len(model.equations), len(model.coordinates)
+    if model.terms:
+        mend = "add to the equations themselves, or extend another model"
+        yield problem_at(model, "terms", "terms are only for a model that extends another", mend, at_key=True)
+    if model.lagrangian is not None:
+        if count:
+            yield problem_at(model, "equations", "a model has equations or a lagrangian, not both", at_key=True)
+        if not wanted:
+            yield problem_at(model, "lagrangian", "a lagrangian needs coordinates", at_key=True)
+        return
+    for part in ("dissipation", "forces"):
+        if getattr(model, part):
+            message = f"{part} stands only with a lagrangian"
+            yield problem_at(model, part, message, "write it into the equations", at_key=True)
+    if not wanted:
+        if count:
+            yield problem_at(model, "equations", "equations need coordinates", at_key=True)
+        if not model.outputs:
+            yield problem_at(model, "", "a model without coordinates needs outputs")
+        return
+    if not count:
+        yield problem_at(model, "coordinates", "coordinates need equations or a lagrangian", at_key=True)
+        return
+    present = set().union(*(side.symbols for sides in model.equations.items() for side in sides))
+    present |= set().union(*(model.definitions[name].symbols for name in model.definitions))
+    missing = [name for name in model.coordinates if f"{name}''" not in present]
+    for name in missing:
+        message = f"no equation contains {name}''"
+        yield problem_at(model, f"coordinates.{name}", message, f"write {name}'': ... under equations", at_key=True)
+    if count != wanted and not (missing and count < wanted):
+        few = "too few" if count < wanted else "too many"
+        yield problem_at(model, "equations", f"{count} equations for {wanted} coordinates are {few}", at_key=True)
+
+
+def _unused(model: ModelDeclaration) -> Iterator[Problem]:
+    used = set().union(*(expression.names for _, expression in formulas(model)))
+    for section, what in (("parameters", "parameter"), ("definitions", "definition"), ("inputs", "input")):
+        for name in getattr(model, section):
+            if name not in used:
+                yield problem_at(
+                    model, f"{section}.{name}", f"the {what} '{name}' is not used", "remove it or use it", at_key=True
+                )
+
+
+def _cycles(model: ModelDeclaration, section: str, expressions: Mapping[str, Expression]) -> Iterator[Problem]:
+    """Yield one problem for each cycle of names, at the first of them."""
+    done: set[str] = set()
+    for start in expressions:
+        chain: list[str] = []
+        pending = [(start, iter(sorted(expressions[start].names & expressions.keys())))] if start not in done else []
+        chain += [start] if pending else []
+        while pending:
+            name, following = pending[-1]
+            step = next(following, None)
+            if step is None:
+                done.add(name)
+                pending.pop()
+                chain.pop()
+            elif step in chain:
+                loop = [*chain[chain.index(step) :], step]
+                yield problem_at(model, f"{section}.{step}", f"defined by itself: {' -> '.join(loop)}", at_key=True)
+            elif step not in done:
+                pending.append((step, iter(sorted(expressions[step].names & expressions.keys()))))
+                chain.append(step)
+
+
+def parameter_values(model: ModelDeclaration, overrides: Mapping[str, float]) -> tuple[dict[str, float], list[Problem]]:
+    """Give the values that can be found, and everything that is wrong with them."""
+    problems: list[Problem] = []
+    for name in overrides:
+        if name not in model.parameters:
+            problems.append(problem_at(model, "parameters", f"no parameter '{name}'", nearest(name, model.parameters)))
+    formulas = {
+        name: parameter.value
+        for name, parameter in model.parameters.items()
+        if isinstance(parameter.value, Expression) and name not in overrides
+    }
+    problems += _cycles(model, "parameters", formulas)
+    values: dict[str, float] = {name: overrides[name] for name in model.parameters if name in overrides}
+    values |= {n: p.value for n, p in model.parameters.items() if n not in values and isinstance(p.value, float)}
+    waiting = dict(formulas)
+    while ready := [name for name, expression in waiting.items() if expression.names <= values.keys()]:
+        for name in ready:
+            try:
+                values[name] = waiting.pop(name).evaluate(values)
+            except DeclarationError as error:
+                problems += error.problems
+    is_coherent = all(_is_coherent(parameter.unit) for parameter in model.parameters.values())
+    for name, parameter in model.parameters.items():
+        if name in values and (is_coherent or name not in formulas):
+            problems += _outside(model, name, values[name], *parameter.bounds)
+    return {name: values[name] for name in model.parameters if name in values}, problems
+
+
+def _is_coherent(unit: str) -> bool:
+    """Tell whether a unit is made of SI units without prefixes, so that expressions over its numbers are meaningful."""
+    return set(re.findall(r"[A-Za-z]+", unit)) <= _COHERENT
+
+
+def _outside(
+    model: ModelDeclaration, name: str, value: float, low: float | None, high: float | None
+) -> Iterator[Problem]:
+    path, unit = f"parameters.{name}.value", model.parameters[name].unit
+    shown = f"{name} = {value:.12g}" + ("" if unit == "1" else f" {unit}")
+    if not math.isfinite(value):
+        yield problem_at(model, path, f"{shown} is not finite")
+    elif low is not None and high is not None and low > high:
+        yield problem_at(
+            model, f"parameters.{name}.bounds", f"the lower bound {low:g} is above the upper bound {high:g}"
+        )
+    elif low is not None and value < low:
+        yield problem_at(model, path, f"{shown} is below its lower bound {low:g}")
+    elif high is not None and value > high:
+        yield problem_at(model, path, f"{shown} is above its upper bound {high:g}")

@@ -1,0 +1,187 @@
+"""The dimensions of a model: what is added, compared or equated must have one dimension.
+
+The dimension of an expression follows from the declared units of its symbols; a derivative divides by time, a literal
+is a pure number, and a literal 0 fits everything. Units of one dimension, such as m and mm, are not told apart here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+from masking.declaration.checks import formulas
+from masking.declaration.expression import Expression
+from masking.declaration.operations import COMPARISONS, Step
+from masking.declaration.schema import ModelDeclaration
+from masking.declaration.units import NONE, TIME, Conversion, Dimension, conversion, describe, dimension_of
+from masking.errors import DeclarationError, Problem
+
+__all__ = ["Conversion", "Dimension", "check_dimensions", "conversion", "describe", "dimension_of"]
+
+_SAME = COMPARISONS | {"+", "-", "min", "max", "atan2"}
+
+
+def check_dimensions(model: ModelDeclaration) -> list[Problem]:
+    """List where a model adds, compares or equates unlike dimensions; a model without units is not looked at."""
+    declared = [(section, name, entry) for section in _SECTIONS for name, entry in getattr(model, section).items()]
+    if all(entry.unit == "1" for _, _, entry in declared):
+        return []
+    problems: list[Problem] = []
+    units: dict[str, Dimension] = {}
+    for section, name, entry in declared:
+        path = f"{section}.{name}.unit"
+        try:
+            units[path] = dimension_of(entry.unit)
+        except DeclarationError as error:
+            problem = error.problems[0]
+            problems.append(Problem(model.place(path), path, problem.message, problem.mend, problem.excerpt))
+    if not problems:
+        problems += _Checker(model, units).check()
+    return problems
+
+
+_SECTIONS = ("coordinates", "inputs", "parameters", "outputs", "scales")
+
+
+@dataclass
+class _Checker:
+    """Walks the expressions of one model with the dimensions of its symbols."""
+
+    model: ModelDeclaration
+    units: Mapping[str, Dimension]
+    symbols: dict[str, Dimension | None] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+
+    def check(self) -> list[Problem]:
+        model, time = self.model, TIME if any(unit[2] != 0 for unit in self.units.values()) else NONE
+        self.symbols["t"] = time
+        for name in model.coordinates:
+            for order in range(3):
+                self.symbols[name + "'" * order] = _times(self.units[f"coordinates.{name}.unit"], time, -order)
+        for section in ("inputs", "parameters"):
+            self.symbols |= {name: self.units[f"{section}.{name}.unit"] for name in getattr(model, section)}
+        self.define()
+        for left, right in model.equations.items():
+            self.same(self.of(left), right, "the left side is {}, the right side {}")
+        for path, expression in formulas(model):
+            section, _, rest = path.partition(".")
+            if section in {"parameters", "outputs", "scales"}:
+                name = rest.rpartition(".")[0]
+                is_declared = "unit" in getattr(model, section)[name].model_fields_set
+                unit = self.units[f"{section}.{name}.unit"] if is_declared else None
+                self.same(unit, expression, "the declared unit is {}, the expression {}")
+            elif section == "energy":
+                self.of(expression)
+        if model.lagrangian is not None:
+            self.lagrangian(self.of(model.lagrangian), time)
+        return self.problems
+
+    def lagrangian(self, action: Dimension | None, time: Dimension) -> None:
+        """Check that forces and dissipation go with the Lagrangian: L/q, and L per time."""
+        if self.model.dissipation is not None:
+            power = None if action is None else _times(action, time, -1)
+            self.same(power, self.model.dissipation, "a dissipation must be {} as the lagrangian says, not {}")
+        for name, force in self.model.forces.items():
+            coordinate = self.symbols[name]
+            wanted = None if action is None or coordinate is None else _times(action, coordinate, -1)
+            self.same(wanted, force, "a force on this coordinate must be {} as the lagrangian says, not {}")
+
+    def define(self) -> None:
+        """Find the dimensions of definitions, each after those it uses."""
+        waiting = dict(self.model.definitions)
+        while waiting:
+            ready = [name for name, expression in waiting.items() if not expression.names & waiting.keys()]
+            for name in ready:
+                self.symbols[name] = self.of(waiting.pop(name))
+            if not ready:  # a cycle, which is reported elsewhere
+                return
+
+    def of(self, expression: Expression) -> Dimension | None:
+        """Give the dimension of an expression, None when it fits any."""
+        try:
+            return expression.walk(_Dimensions(expression, self.symbols))[0]
+        except DeclarationError as error:
+            self.problems += error.problems
+            return None
+
+    def same(self, wanted: Dimension | None, expression: Expression, message: str) -> None:
+        found = self.of(expression)
+        if wanted is not None and found is not None and wanted != found:
+            whole = (0, len(expression.text))
+            self.problems.append(expression.problem(whole, message.format(describe(wanted), describe(found))))
+
+
+def _times(a: Dimension, b: Dimension, power: int | Fraction) -> Dimension:
+    return tuple(x + power * y for x, y in zip(a, b, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class _Dimensions:
+    """Reads an expression: (dimension or None when any fits, number if constant)."""
+
+    expression: Expression
+    symbols: Mapping[str, Dimension | None]
+
+    def number(self, step: Step) -> tuple[Dimension | None, float | None]:
+        value = math.pi if step.value == "pi" else float(step.value)
+        return (None if value == 0.0 else NONE), value
+
+    def symbol(self, step: Step) -> tuple[Dimension | None, float | None]:
+        return self.symbols.get(step.value), None
+
+    def apply(
+        self, step: Step, args: Sequence[tuple[Dimension | None, float | None]]
+    ) -> tuple[Dimension | None, float | None]:
+        a, b = args[0], args[-1]
+        if step.operation == "negative":
+            return a[0], None if a[1] is None else -a[1]
+        if step.operation in {"*", "/"}:
+            sign = 1 if step.operation == "*" else -1
+            number = None if a[1] is None or b[1] is None else a[1] * b[1] ** sign
+            return (None if a[0] is None or b[0] is None else _times(a[0], b[0], sign)), number
+        return self._dimension(step, args), None
+
+    def _dimension(self, step: Step, args: Sequence[tuple[Dimension | None, float | None]]) -> Dimension | None:
+        dimensions = [dimension for dimension, _ in args]
+        first, name = dimensions[0], step.operation
+        if name == "**":
+            return self._power(step, first, args[1])
+        if name == "sqrt":
+            return None if first is None else _times(NONE, first, Fraction(1, 2))
+        if name == "abs":
+            return first
+        if name == "where":
+            return self._same(step, dimensions[1:])
+        if name in _SAME:
+            common = self._same(step, dimensions)
+            return NONE if name == "atan2" or name in COMPARISONS else common
+        if name not in {"sign", "heaviside"} and first is not None and first != NONE:
+            message = f"takes {name} of {describe(first)}"
+            raise DeclarationError(self.expression.problem(step, message, "its argument must be dimensionless"))
+        return NONE
+
+    def _same(self, step: Step, dimensions: Sequence[Dimension | None]) -> Dimension | None:
+        first: Dimension | None = None
+        for dimension in dimensions:
+            if first is not None and dimension is not None and dimension != first:
+                a, b = describe(first), describe(dimension)
+                verb = "adds {} to {}" if step.operation == "+" else "subtracts {} from {}"
+                message = verb.format(b, a) if step.operation in {"+", "-"} else f"compares {a} with {b}"
+                raise DeclarationError(self.expression.problem(step, message))
+            first = first if first is not None else dimension
+        return first
+
+    def _power(
+        self, step: Step, base: Dimension | None, exponent: tuple[Dimension | None, float | None]
+    ) -> Dimension | None:
+        if exponent[0] not in {None, NONE}:
+            message = f"the exponent is {describe(exponent[0] or NONE)}"
+            raise DeclarationError(self.expression.problem(step, message, "an exponent must be dimensionless"))
+        if base is None or base == NONE:
+            return base
+        if exponent[1] is None:
+            message = f"raises {describe(base)} to a power that is not a number"
+            raise DeclarationError(self.expression.problem(step, message, "make the base dimensionless"))
+        return _times(NONE, base, Fraction(exponent[1]).limit_denominator(60))

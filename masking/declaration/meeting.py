@@ -1,0 +1,117 @@
+"""What must hold where an experiment, its plant and its models meet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from masking.declaration.checks import check_symbols, parameter_values, problem_at, velocities
+from masking.declaration.expression import Expression
+from masking.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration, Transform
+from masking.errors import Problem, nearest
+
+
+def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Problem]:
+    """List what in a plant does not fit its model."""
+    problems = list(_overrides(plant, "parameters", plant.parameters, model))
+    measurable = [*model.coordinates, *velocities(model.coordinates), *model.parameters]
+    for name, sensor in plant.sensors.items():
+        if sensor.gain.value == 0.0:
+            problems.append(problem_at(plant, f"sensors.{name}.gain", "the gain is 0"))
+        problems += check_symbols(sensor.measures, measurable, model.coordinates)
+    for name in plant.limits.inputs:
+        if name not in model.inputs:
+            path, message = f"limits.inputs.{name}", f"'{name}' is not an input of {model.name}"
+            problems.append(problem_at(plant, path, message, nearest(name, model.inputs), at_key=True))
+    for expression in plant.limits.coordinates:
+        problems += check_symbols(expression, measurable, model.coordinates)
+    return problems
+
+
+def check_experiment(
+    experiment: ExperimentDeclaration,
+    plant: PlantDeclaration,
+    plant_model: ModelDeclaration,
+    virtual_model: ModelDeclaration,
+    believed_model: ModelDeclaration | None = None,
+) -> list[Problem]:
+    """List what does not fit where an experiment, its plant and its models meet.
+
+    `believed_model` is the model that `controller.model` names, if it names one.
+    """
+    problems = check_plant(plant, plant_model)
+    problems += _overrides(experiment, "parameters", experiment.parameters, virtual_model)
+    believed = believed_model or plant_model
+    problems += _overrides(experiment, "controller.parameters", experiment.controller.parameters, believed)
+    problems += _initial(experiment, virtual_model)
+    problems += _transform(experiment, plant_model, virtual_model)
+    if not virtual_model.coordinates:
+        problems.append(problem_at(experiment, "virtual", f"the model {virtual_model.name} has no coordinates"))
+    if not plant_model.inputs:
+        problems.append(problem_at(experiment, "plant", f"the model {plant_model.name} of the plant has no inputs"))
+    return problems
+
+
+def _overrides(
+    declaration: Declaration, section: str, overrides: Mapping[str, float], model: ModelDeclaration
+) -> Iterator[Problem]:
+    known = {name: value for name, value in overrides.items() if name in model.parameters}
+    for name in overrides.keys() - known.keys():
+        path, message = f"{section}.{name}", f"'{name}' is not a parameter of {model.name}"
+        yield problem_at(declaration, path, message, nearest(name, model.parameters), at_key=True)
+    for problem in parameter_values(model, known)[1]:
+        name = problem.path.split(".")[1] if "." in problem.path else ""
+        path = f"{section}.{name}"
+        place = declaration.place(path) if name in known else problem.place
+        yield Problem(place, path if name in known else problem.path, problem.message, problem.mend, problem.excerpt)
+
+
+def _initial(experiment: ExperimentDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
+    allowed = [*model.coordinates, *velocities(model.coordinates)]
+    for name in experiment.initial:
+        if name not in allowed:
+            message = f"'{name}' is not a coordinate of {model.name}, nor the velocity of one"
+            yield problem_at(experiment, f"initial.{name}", message, nearest(name, allowed), at_key=True)
+    for name, coordinate in model.coordinates.items():
+        if coordinate.initial is None and name not in experiment.initial:
+            message = f"no initial value for {name}"
+            mend = f"give initial.{name} here or coordinates.{name}.initial in {model.name}"
+            yield problem_at(experiment, "initial", message, mend, at_key=True)
+
+
+def _transform(
+    experiment: ExperimentDeclaration, rig: ModelDeclaration, virtual: ModelDeclaration
+) -> Iterator[Problem]:
+    transform, rows, columns = experiment.transform, len(virtual.coordinates), len(rig.coordinates)
+    if rows != columns:
+        message = f"{virtual.name} has {rows} coordinates and the rig {columns}"
+        yield problem_at(experiment, "virtual", message, "a transform needs as many on both sides")
+        return
+    if transform.matrix is not None and transform.expressions is not None:
+        yield problem_at(experiment, "transform", "a transform is a matrix or expressions, not both")
+    used: set[str] = set()
+    for entry in _entries(transform):
+        used |= entry.names
+        allowed = [*transform.parameters, *(rig.coordinates if transform.matrix is None else ())]
+        yield from check_symbols(entry, allowed, rig.coordinates, known=[*rig.coordinates])
+    if transform.matrix is not None and [len(row) for row in transform.matrix] != [columns] * rows:
+        yield problem_at(experiment, "transform.matrix", f"the matrix must have {rows} rows of {columns} entries")
+    if transform.expressions is not None:
+        for name in virtual.coordinates.keys() - transform.expressions.keys():
+            yield problem_at(experiment, "transform.expressions", f"no expression for {name}", at_key=True)
+        for name in transform.expressions.keys() - virtual.coordinates.keys():
+            path, message = f"transform.expressions.{name}", f"'{name}' is not a coordinate of {virtual.name}"
+            yield problem_at(experiment, path, message, nearest(name, virtual.coordinates), at_key=True)
+    for name in transform.parameters:
+        path = f"transform.parameters.{name}"
+        if name in rig.coordinates:
+            yield problem_at(experiment, path, f"the name '{name}' is already a coordinate of the rig", at_key=True)
+        if name not in used:
+            yield problem_at(
+                experiment, path, f"the parameter '{name}' is not used", "remove it or use it", at_key=True
+            )
+
+
+def _entries(transform: Transform) -> Iterator[Expression]:
+    for row in transform.matrix or ():
+        yield from row
+    yield from (transform.expressions or {}).values()

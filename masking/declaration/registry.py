@@ -1,0 +1,205 @@
+"""Finding and loading declarations: the packaged models and plants by name, any file by path, `extends` resolved."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from masking.declaration import strict_yaml
+from masking.declaration.checks import check_model
+from masking.declaration.fields import Real, Text
+from masking.declaration.meeting import check_experiment
+from masking.declaration.reading import Places, in_order, plain_mapping, read
+from masking.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration
+from masking.declaration.strict_yaml import Node
+from masking.errors import DeclarationError, Place, Problem, nearest
+
+D = TypeVar("D", bound=Declaration)
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+_FOLDERS = {"model": "models", "plant": "plants", "experiment": "examples"}
+_SHORT = {"coordinates": "meaning", "inputs": "meaning", "parameters": "value", "outputs": "expression"}
+_MERGED = {*_SHORT, "definitions", "equations", "forces", "scales"}
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Where a name or path of another file was written, so that a bad one is reported there."""
+
+    place: Place | None = None
+    path: str = ""
+    folder: Path | None = None
+
+
+NOWHERE = Reference()
+
+
+@dataclass(frozen=True, slots=True)
+class Assembly:
+    """An experiment with everything it refers to, checked together; `believed_model` is what the controller assumes."""
+
+    experiment: ExperimentDeclaration
+    plant: PlantDeclaration
+    plant_model: ModelDeclaration
+    virtual_model: ModelDeclaration
+    believed_model: ModelDeclaration
+
+
+def folder(kind: str) -> Path:
+    """Give the folder of packaged files of a kind: inside the installed package, else beside it in a checkout."""
+    installed = _PACKAGE / _FOLDERS[kind]
+    return installed if installed.is_dir() else _PACKAGE.parent / _FOLDERS[kind]
+
+
+def names(kind: str) -> list[str]:
+    """List the names of the packaged files of a kind ("model", "plant" or "experiment")."""
+    root = folder(kind)
+    return sorted(path.relative_to(root).with_suffix("").as_posix() for path in root.rglob("*.yaml"))
+
+
+def find(kind: str, name_or_path: str | Path, reference: Reference = NOWHERE) -> Path:
+    """Give the file of a name in the registry, or of a path: one that ends in .yaml or contains a slash."""
+    text = str(name_or_path)
+    known = names(kind)
+    if text in known:
+        return folder(kind) / f"{text}.yaml"
+    if isinstance(name_or_path, str) and not text.endswith((".yaml", ".yml")) and "/" not in text:
+        message = f"there is no {kind} '{text}'"
+        raise DeclarationError(Problem(reference.place, reference.path, message, nearest(text, known)))
+    path = Path(text).expanduser()
+    for candidate in [reference.folder / path, path] if reference.folder else [path]:
+        if candidate.is_file():
+            return candidate
+    raise DeclarationError(
+        Problem(reference.place, reference.path, f"there is no file {text}", f"a {kind} is a .yaml file")
+    )
+
+
+def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> ModelDeclaration:
+    """Load a model with everything it extends, merged into one declaration whose places point into the right files."""
+    chain: list[tuple[Path, Node, dict[str, Any]]] = []
+    files: dict[str, str] = {}
+    wanted: str | Path | None = name_or_path
+    while wanted is not None:
+        path = find("model", wanted, reference)
+        if path.resolve() in [link[0].resolve() for link in chain]:
+            loop = " -> ".join([*(link[0].stem for link in chain), path.stem])
+            raise DeclarationError(Problem(reference.place, reference.path, f"extends itself: {loop}"))
+        node, digest = _read_file(path)
+        data = plain_mapping(node)
+        if chain or "extends" in data:
+            _read_alone(ModelDeclaration, node, data)
+        chain.append((path, node, data))
+        files[str(path)] = digest
+        wanted = str(data["extends"]) if data.get("extends") is not None else None
+        if wanted is not None:
+            reference = Reference(data["extends"].node.place, "extends", path.parent)
+    places = Places()
+    _, node, merged = chain.pop()
+    places.add(node)
+    while chain:
+        _, node, data = chain.pop()
+        merged = _extended(merged, data)
+        places.add(node)
+        for section, key in _SHORT.items():
+            for name, entry in data.get(section, {}).items():
+                if not isinstance(entry, dict):
+                    places.values[f"{section}.{name}.{key}"] = places.values[f"{section}.{name}"]
+    return read(ModelDeclaration, merged, places, files, check_model)
+
+
+def load_plant(name_or_path: str | Path, reference: Reference = NOWHERE) -> PlantDeclaration:
+    """Load a plant; its model is a file of its own."""
+    return _load(PlantDeclaration, name_or_path, reference)
+
+
+def load_experiment(name_or_path: str | Path, reference: Reference = NOWHERE) -> ExperimentDeclaration:
+    """Load an experiment; its plant and its virtual system are files of their own."""
+    return _load(ExperimentDeclaration, name_or_path, reference)
+
+
+def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Assembly:
+    """Load what an experiment refers to and check that it fits; `plant` replaces the experiment's own."""
+    rig = load_plant(plant) if plant else load_plant(experiment.plant, refer(experiment, "plant"))
+    plant_model = load_model(rig.model, refer(rig, "model"))
+    virtual_model = load_model(experiment.virtual, refer(experiment, "virtual"))
+    believed = experiment.controller.model
+    believed_model = load_model(believed, refer(experiment, "controller.model")) if believed else plant_model
+    problems = check_experiment(experiment, rig, plant_model, virtual_model, believed_model)
+    if problems:
+        raise DeclarationError(in_order(problems))
+    return Assembly(experiment, rig, plant_model, virtual_model, believed_model)
+
+
+def refer(declaration: Declaration, path: str) -> Reference:
+    """Give the reference that stands at a path of a declaration; files are looked up from its folder."""
+    place = declaration.place(path)
+    return Reference(place, path, Path(place.file).parent if place else None)
+
+
+def _load(kind: type[D], name_or_path: str | Path, reference: Reference) -> D:
+    path = find(kind.kind_name, name_or_path, reference)
+    node, digest = _read_file(path)
+    places = Places()
+    places.add(node)
+    return read(kind, plain_mapping(node), places, {str(path): digest}, lambda *_: [])
+
+
+def _read_file(path: Path) -> tuple[Node, str]:
+    data = strict_yaml.read_bytes(path)
+    return strict_yaml.decode(data, str(path)), hashlib.sha256(data).hexdigest()
+
+
+def _read_alone(kind: type[D], node: Node, data: Mapping[str, Any]) -> None:
+    """Check one file of a chain against the schema; the whole check comes when the chain is merged."""
+    places = Places()
+    places.add(node)
+    read(kind, data, places, {}, lambda *_: [])
+
+
+def _extended(base: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
+    """Put a child over the model it extends: entries replaced field by field, terms added to the right-hand sides."""
+    result = dict(base)
+    for key, value in child.items():
+        if key == "terms":
+            _add_terms(result, value)
+        elif key in _MERGED and isinstance(base.get(key), dict):
+            result[key] = dict(base[key])
+            for name, entry in value.items():
+                full = _full(key, result[key].get(name, {})) | _full(key, entry) if key in _SHORT else entry
+                result[key][name] = full
+        else:
+            result[key] = value
+    return result
+
+
+def _full(section: str, entry: Any) -> dict[str, Any]:  # noqa: ANN401  (plain data of YAML)
+    return entry if isinstance(entry, dict) else {_SHORT[section]: entry}
+
+
+def _add_terms(result: dict[str, Any], terms: dict[Text, Text | Real]) -> None:
+    section = "forces" if "lagrangian" in result else "equations"
+    sides: dict[str, Any] = dict(result.get(section, {}))
+    allowed = list(result.get("coordinates", {})) if section == "forces" else list(sides)
+    for name, term in terms.items():
+        if name not in allowed:
+            message = (
+                f"'{name}' is not a coordinate" if section == "forces" else f"no equation has the left-hand side {name}"
+            )
+            raise DeclarationError(Problem(name.node.place, name.node.path, message, nearest(name, allowed)))
+        sides[name] = _sum(sides[name], term, f"{section}.{name}") if name in sides else term
+    result[section] = sides
+
+
+def _sum(left: Text | Real, right: Text | Real, path: str) -> Text:
+    """Write the sum of two expressions; each character keeps its place in its own file."""
+    text = f"({left.node.text}) + ({right.node.text})"
+    pieces: list[tuple[int, Place]] = []
+    for start, node in ((1, left.node), (len(left.node.text) + 6, right.node)):
+        pieces += [(start + index, place) for index, place in node.pieces or ((0, node.place),)]
+    result = Text(text)
+    result.node = Node(text, left.node.place, path, text, pieces=tuple(pieces))
+    return result

@@ -1,0 +1,285 @@
+"""What a model, a plant and an experiment file may hold.
+
+Every block is frozen and refuses unknown keys. A value that may be written shortly (`w3: 0.53` for `w3: {value: 0.53}`)
+is brought to its full form on reading, so code meets only one form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, PrivateAttr
+from pydantic_core import core_schema
+
+from masking.declaration.fields import (
+    ControllerRate,
+    Formula,
+    Name,
+    Natural,
+    Number,
+    Positive,
+    Rate,
+    TextField,
+    Value,
+    refuse,
+)
+from masking.errors import Place
+
+
+class Block(BaseModel):
+    """A mapping with fixed keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+@dataclass(frozen=True)
+class Short:
+    """Lets a block be written as a bare scalar, which stands for a mapping that holds it under `key`."""
+
+    key: str
+    kinds: tuple[type, ...]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:  # noqa: ANN401
+        """Widen the scalar before the block is read."""
+        return core_schema.no_info_before_validator_function(self.widen, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Tell editors both ways of writing."""
+        names = sorted({"string" if kind is str else "number" for kind in self.kinds})
+        return {"anyOf": [{"type": names}, handler(schema)]}
+
+    def widen(self, value: object) -> object:
+        """Give the full form of a bare scalar, and anything else as it is."""
+        return {self.key: value} if isinstance(value, self.kinds) and not isinstance(value, bool) else value
+
+
+_MEANING = Short("meaning", (str,))
+_NUMBER = Short("value", (int, float))
+_VALUE = Short("value", (int, float, str))
+_EXPRESSION = Short("expression", (int, float, str))
+_MEASURES = Short("measures", (int, float, str))
+
+
+class Coordinate(Block):
+    """A coordinate, its meaning and unit, and where it starts; `initial` None leaves that to the experiment."""
+
+    meaning: TextField = ""
+    unit: TextField = "1"
+    initial: Number | None = None
+    initial_velocity: Number = 0.0
+
+
+class Input(Block):
+    """A quantity that acts on the model from outside."""
+
+    meaning: TextField = ""
+    unit: TextField = "1"
+
+
+class Parameter(Block):
+    """A number with a name, or an expression over other parameters; `bounds` are the least and the largest value."""
+
+    value: Value
+    unit: TextField = "1"
+    meaning: TextField = ""
+    bounds: tuple[Number | None, Number | None] = (None, None)
+
+
+class Output(Block):
+    """A quantity that can be computed from the state, its rate and the inputs."""
+
+    expression: Formula
+    unit: TextField = "1"
+    meaning: TextField = ""
+
+
+class Scale(Block):
+    """What one unit of a dimensionless quantity is, such as time or length; may be an expression over parameters."""
+
+    value: Value
+    unit: TextField
+
+
+class Quantity(Block):
+    """A number with its unit."""
+
+    value: Number
+    unit: TextField = "1"
+
+
+class Limit(Block):
+    """The largest allowed magnitude."""
+
+    max: Positive
+    unit: TextField = "1"
+
+
+class Sensor(Block):
+    """What a sensor measures, and how many of its own units one unit of that gives."""
+
+    measures: Formula
+    unit: TextField = "1"
+    gain: Annotated[Quantity, _NUMBER] = Quantity(value=1.0)
+    meaning: TextField = ""
+
+
+class Limits(Block):
+    """What the rig withstands: inputs, coordinates (or expressions of them) and power."""
+
+    inputs: dict[Name, Limit] = {}
+    coordinates: dict[Formula, Limit] = {}
+    power: Quantity | None = None
+
+
+class Transform(Block):
+    """The map from rig coordinates to virtual ones: a matrix, an expression for each, or neither for the identity."""
+
+    matrix: tuple[tuple[Formula, ...], ...] | None = None
+    expressions: dict[Name, Formula] | None = None
+    parameters: dict[Name, Number] = {}
+
+    @property
+    def kind(self) -> Literal["identity", "matrix", "expressions"]:
+        """Say in which way the transform is given."""
+        return "matrix" if self.matrix is not None else "expressions" if self.expressions is not None else "identity"
+
+
+class ControllerSettings(Block):
+    """How often the controller runs (`rate` in Hz, None for continuous) and what it believes the rig to be."""
+
+    rate: ControllerRate = None
+    model: TextField | None = None
+    parameters: dict[Name, Number] = {}
+
+
+class RecordSettings(Block):
+    """How often a recording takes a row, in Hz."""
+
+    rate: Rate
+
+
+class _Identity(Short):
+    """Reads the word "identity" as a transform that is neither a matrix nor expressions."""
+
+    def widen(self, value: object) -> object:
+        if isinstance(value, str) and value != "identity":
+            mend = "write identity, {matrix: [[...]]} or {expressions: {coordinate: expression}}"
+            raise refuse(f"'{value}' is not a transform", mend)
+        return {} if isinstance(value, str) else value
+
+
+_IDENTITY = _Identity("", (str,))
+
+
+class Declaration(Block):
+    """A file that was read: its values, and the place of each."""
+
+    kind_name: ClassVar[str]
+    _places: dict[str, Place] = PrivateAttr(default_factory=dict)
+    _keys: dict[str, Place] = PrivateAttr(default_factory=dict)
+    _files: dict[str, str] = PrivateAttr(default_factory=dict)
+
+    name: TextField
+    source: TextField | None = None
+    description: TextField | None = None
+
+    @property
+    def files(self) -> dict[str, str]:
+        """The files that were read, each with its SHA-256."""
+        return dict(self._files)
+
+    def place(self, path: str) -> Place | None:
+        """Give the place of a value such as "parameters.w3.value", or of the nearest value around it."""
+        return _around(self._places, path)
+
+    def key_place(self, path: str) -> Place | None:
+        """Give the place of the key of a value, or of the nearest one around it."""
+        return self._keys.get(path) or self.place(path)
+
+    def canonical(self) -> dict[str, Any]:
+        """Give the declaration as JSON can hold it, defaults left out; the dict can be validated again."""
+        return self.model_dump(mode="json", exclude_defaults=True)
+
+
+def _around(places: dict[str, Place], path: str) -> Place | None:
+    while path and path not in places:
+        path = path.rpartition(".")[0]
+    return places.get(path)
+
+
+class ModelDeclaration(Declaration):
+    """The equations of a machine: explicit, implicit in the accelerations, or from a Lagrangian."""
+
+    kind_name = "model"
+
+    extends: TextField | None = None
+    coordinates: dict[Name, Annotated[Coordinate, _MEANING]] = {}
+    inputs: dict[Name, Annotated[Input, _MEANING]] = {}
+    parameters: dict[
+        Name,
+        Annotated[Parameter, _VALUE],
+    ] = {}
+    definitions: dict[Name, Formula] = {}
+    equations: dict[Formula, Formula] = {}
+    lagrangian: Formula | None = None
+    dissipation: Formula | None = None
+    forces: dict[Name, Formula] = {}
+    terms: dict[Formula, Formula] = {}
+    outputs: dict[
+        Name,
+        Annotated[Output, _EXPRESSION],
+    ] = {}
+    energy: Formula | None = None
+    scales: dict[TextField, Scale] = {}
+    oscillators: tuple[Name, ...] | None = None
+
+
+class PlantDeclaration(Declaration):
+    """A rig: the model that describes it, its sensors and its limits."""
+
+    kind_name = "plant"
+
+    kind: Literal["simulated"] = "simulated"
+    model: TextField
+    parameters: dict[Name, Number] = {}
+    sensors: dict[
+        Name,
+        Annotated[Sensor, _MEASURES],
+    ] = {}
+    limits: Limits = Limits()
+    wiring: TextField | None = None
+    meaning: TextField | None = None
+
+
+class ExperimentDeclaration(Declaration):
+    """A run: which plant is to move as which virtual system, from where, for how long."""
+
+    kind_name = "experiment"
+
+    plant: TextField
+    virtual: TextField
+    transform: Annotated[Transform, _IDENTITY] = Transform()
+    controller: ControllerSettings = ControllerSettings()
+    initial: dict[TextField, Number] = {}
+    parameters: dict[Name, Number] = {}
+    duration: Positive
+    time_scale: Positive | None = None
+    record: RecordSettings | None = None
+    tolerance: Positive = 1e-10
+    seed: Natural = Field(default=0)
+
+
+KINDS: dict[str, type[Declaration]] = {
+    "model": ModelDeclaration,
+    "plant": PlantDeclaration,
+    "experiment": ExperimentDeclaration,
+}
+
+
+def json_schema(kind: str) -> dict[str, Any]:
+    """Give the JSON Schema of a kind of file, for editors."""
+    schema = KINDS[kind].model_json_schema(ref_template="#/$defs/{model}")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

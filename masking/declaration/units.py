@@ -1,0 +1,169 @@
+"""Units: their dimension, their factor to SI, and how a unit is made of declared scales.
+
+A dimension is a tuple of seven exponents over `BASES`. Units are written as expressions of unit names, such as
+`N*s/m**2`, and read by the same parser as every other expression; only bare names reach pint.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import lazy_loader as lazy
+
+from masking.declaration.expression import Expression
+from masking.declaration.operations import Step
+from masking.errors import DeclarationError, Problem
+
+if TYPE_CHECKING:
+    import pint
+else:
+    pint = lazy.load("pint")
+
+Dimension = tuple[Fraction, ...]
+
+BASES: dict[str, str] = {
+    "mass": "kg",
+    "length": "m",
+    "time": "s",
+    "current": "A",
+    "temperature": "K",
+    "substance": "mol",
+    "luminosity": "cd",
+}
+NONE: Dimension = (Fraction(0),) * len(BASES)
+TIME: Dimension = tuple(Fraction(int(base == "time")) for base in BASES)
+
+
+class Conversion(NamedTuple):
+    """A unit in terms of scales: value * factor / prod(scale_si**exponent) is dimensionless."""
+
+    factor: float
+    exponents: dict[str, float]
+
+
+def dimension_of(unit: str) -> Dimension:
+    """Give the exponents of a unit over `BASES`; raises `DeclarationError` for what is no unit."""
+    return _unit(unit)[1]
+
+
+def factor_of(unit: str) -> float:
+    """Give how many SI base units one of this unit is."""
+    return _unit(unit)[0]
+
+
+def describe(dimension: Dimension) -> str:
+    """Write a dimension in plain SI base units, such as kg*m/s**2."""
+
+    def factor(name: str, power: Fraction) -> str:
+        exponent = str(power) if power.denominator == 1 else f"({power})"
+        return name if power == 1 else f"{name}**{exponent}"
+
+    pairs = list(zip(BASES.values(), dimension, strict=True))
+    above = "*".join(factor(name, power) for name, power in pairs if power > 0)
+    below = "".join("/" + factor(name, -power) for name, power in pairs if power < 0)
+    return (above or "1") + below
+
+
+def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
+    """Resolve a unit into scales, given as name: unit.
+
+    Solves unit = prod(scale_k**e_k) dimension by dimension in rationals; raises `DeclarationError` where the scales do
+    not span the unit. Scales that are not needed get the exponent 0. Without any scales only the factor to SI is found.
+    """
+    factor, wanted = _unit(unit)
+    if not scales:
+        return Conversion(factor, {})
+    columns = [dimension_of(scale) for scale in scales.values()]
+    exponents = _solve(columns, wanted)
+    if exponents is None:
+        lacking = [base for base, w, *c in zip(BASES, wanted, *columns, strict=True) if w != 0 and not any(c)]
+        what = f"no scale for {' and '.join(lacking)}" if lacking else "no product of the scales"
+        message = f"the unit {unit} cannot be made dimensionless: {what}"
+        raise DeclarationError(Problem(None, "scales", message, f"add one under scales; there are {', '.join(scales)}"))
+    return Conversion(factor, {name: float(power) for name, power in zip(scales, exponents, strict=True)})
+
+
+@functools.cache
+def _registry() -> Any:  # noqa: ANN401  (pint's registry is built at run time)
+    return pint.UnitRegistry(cache_folder=None)
+
+
+@functools.cache
+def _named(name: str) -> tuple[float, Dimension]:
+    registry = _registry()
+    try:
+        one = registry.Quantity(1.0, name).to_base_units()
+        two = registry.Quantity(2.0, name).to_base_units()
+    except (pint.UndefinedUnitError, pint.OffsetUnitCalculusError, AttributeError, ValueError):
+        raise LookupError(name) from None
+    factor = float(two.magnitude - one.magnitude)  # a temperature scale with an offset counts as a difference
+    dimensionality = one.dimensionality
+    return factor, tuple(Fraction(dimensionality.get(f"[{base}]", 0)).limit_denominator(60) for base in BASES)
+
+
+@functools.cache
+def _unit(text: str) -> tuple[float, Dimension]:
+    expression = Expression(text, path="unit")
+    return expression.walk(_Units(expression))[:2]
+
+
+@dataclass(frozen=True, slots=True)
+class _Units:
+    """Reads a unit: (factor to SI, dimension, number if it is one)."""
+
+    expression: Expression
+
+    def number(self, step: Step) -> tuple[float, Dimension, Fraction | None]:
+        if step.value == "pi":
+            raise DeclarationError(self.expression.problem(step, "pi is not a unit"))
+        return float(step.value), NONE, Fraction(step.value)
+
+    def symbol(self, step: Step) -> tuple[float, Dimension, Fraction | None]:
+        try:
+            return *_named(step.value), None
+        except LookupError:
+            mend = "units are written as in N*s/m**2"
+            raise DeclarationError(self.expression.problem(step, f"'{step.value}' is not a unit", mend)) from None
+
+    def apply(
+        self, step: Step, args: Sequence[tuple[float, Dimension, Fraction | None]]
+    ) -> tuple[float, Dimension, Fraction | None]:
+        factor, dimension, number = args[0]
+        if step.operation == "negative" and number is not None:
+            return -factor, dimension, -number
+        if step.operation in {"*", "/"}:
+            sign = 1 if step.operation == "*" else -1
+            joined = tuple(a + sign * b for a, b in zip(dimension, args[1][1], strict=True))
+            ratio = None if number is None or args[1][2] is None else number * args[1][2] ** sign
+            return factor * args[1][0] ** sign, joined, ratio
+        if step.operation == "**" and args[1][2] is not None and factor > 0.0:
+            return math.pow(factor, args[1][0]), tuple(power * args[1][2] for power in dimension), None
+        raise DeclarationError(self.expression.problem(step, "a unit is a product of powers of units"))
+
+
+def _solve(columns: Sequence[Dimension], wanted: Dimension) -> list[Fraction] | None:
+    """Solve for the exponents by elimination; None if there is no solution."""
+    rows = [[column[i] for column in columns] + [wanted[i]] for i in range(len(wanted))]
+    pivots: list[int] = []
+    for column in range(len(columns)):
+        top = len(pivots)
+        pivot = next((i for i in range(top, len(rows)) if rows[i][column] != 0), None)
+        if pivot is None:
+            continue
+        rows[top], rows[pivot] = rows[pivot], rows[top]
+        rows[top] = [entry / rows[top][column] for entry in rows[top]]
+        for i, row in enumerate(rows):
+            if i != top and row[column] != 0:
+                rows[i] = [entry - row[column] * above for entry, above in zip(row, rows[top], strict=True)]
+        pivots.append(column)
+    if any(row[-1] != 0 for row in rows[len(pivots) :]):
+        return None
+    solution = [Fraction(0)] * len(columns)
+    for row, column in zip(rows, pivots, strict=False):
+        solution[column] = row[-1]
+    return solution

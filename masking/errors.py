@@ -1,0 +1,125 @@
+"""Exceptions that say what is wrong, where (file:line:column) and how to mend it.
+
+Every exception of the package is a `MaskingError` and carries the exit status of the command line: 2 where the
+declaration or the call is at fault and running again cannot help, 1 where a run was started and stopped.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Set
+from dataclasses import dataclass
+from typing import ClassVar
+
+_SHOWN_NAMES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A position in a text file; line and column count from 1."""
+
+    file: str
+    line: int
+    column: int
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}"
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong.
+
+    `place` is None for text that came from no file; `path` is the dotted path of the value inside its file; `excerpt`
+    holds the source line and a caret line below it where the problem lies inside an expression.
+    """
+
+    place: Place | None
+    path: str
+    message: str
+    mend: str = ""
+    excerpt: str = ""
+
+    def __str__(self) -> str:
+        where = [str(part) for part in (self.place, self.path) if part]
+        line = ": ".join([*where, self.message])
+        if self.mend:
+            line += f"; {self.mend}"
+        return f"{line}\n{self.excerpt}" if self.excerpt else line
+
+
+class MaskingError(Exception):
+    """Base of every exception this package raises on purpose."""
+
+    exit_status: ClassVar[int] = 1
+
+
+class DeclarationError(MaskingError):
+    """A declaration is wrong; holds every problem found, one per line of the message."""
+
+    exit_status = 2
+
+    def __init__(self, problems: Problem | Iterable[Problem]) -> None:
+        self.problems: tuple[Problem, ...] = (problems,) if isinstance(problems, Problem) else tuple(problems)
+        super().__init__(self.problems)
+
+    def __str__(self) -> str:
+        return "\n".join(str(problem) for problem in self.problems)
+
+
+class ModelError(MaskingError):
+    """The equations of a model cannot be brought into the form that was asked for."""
+
+    exit_status = 2
+
+
+class ActuationError(MaskingError):
+    """The actuators cannot make some coordinates move as asked; `coordinates` names them."""
+
+    exit_status = 2
+
+    def __init__(self, message: str, coordinates: Iterable[str] = ()) -> None:
+        self.coordinates: tuple[str, ...] = tuple(coordinates)
+        super().__init__(message, self.coordinates)
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+class SingularityError(MaskingError):
+    """A matrix that must be inverted became singular on the way; holds the time and the state at which it did."""
+
+    def __init__(self, message: str, time: float, state: Mapping[str, float]) -> None:
+        self.time = time
+        self.state: dict[str, float] = dict(state)
+        super().__init__(message, self.time, self.state)
+
+    def __str__(self) -> str:
+        state = ", ".join(f"{name} = {value:.6g}" for name, value in self.state.items())
+        return f"{self.args[0]} at t = {self.time:.6g}" + (f" ({state})" if state else "")
+
+
+class IntegrationError(MaskingError):
+    """An integrator could not go on."""
+
+
+class RecordError(MaskingError):
+    """A recording cannot be read or written."""
+
+    exit_status = 2
+
+
+def nearest(name: str, allowed: Iterable[str]) -> str:
+    """Say which allowed name was probably meant, or list what is allowed."""
+    names = sorted(allowed) if isinstance(allowed, Set) else list(dict.fromkeys(allowed))
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.6 if len(name) > 3 else 0.5)
+    if not close:
+        lowered = {candidate.lower(): candidate for candidate in names}
+        close = [lowered[name.lower()]] if name.lower() in lowered else []
+    if close:
+        return f"did you mean '{close[0]}'?"
+    if not names:
+        return "no name is allowed here"
+    shown = ", ".join(names[:_SHOWN_NAMES])
+    more = len(names) - _SHOWN_NAMES
+    return f"allowed: {shown}" + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,202 @@
+"""Experiment: a declaration brought to life, run, and recorded."""
+
+from __future__ import annotations
+
+import datetime
+import platform
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from masking.blocks import Transform
+from masking.controller import ClosedLoop, Controller
+from masking.declaration import registry, schema
+from masking.fidelity import fidelity
+from masking.kernels import Array
+from masking.loop import Run, rig_state, run_continuous, run_sampled
+from masking.model import Model
+from masking.recording import Recording
+
+# A continuous run is recorded so many times per unit of virtual time, where nothing else is asked for.
+ROWS_PER_UNIT = 10
+LIBRARIES = ("masking", "numpy", "numba", "sympy")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Which plant moves as which virtual system, from where, for how long, under which controller."""
+
+    assembly: registry.Assembly
+
+    @classmethod
+    def load(
+        cls, name_or_path: str | Path, *, plant: str | None = None, changes: Mapping[str, float] | None = None
+    ) -> Experiment:
+        """Load an experiment and all it refers to.
+
+        Args:
+            name_or_path: an experiment file, or the name of a packaged one.
+            plant: replaces the experiment's plant.
+            changes: parameters of the virtual system that replace the declared ones, in the declared units.
+
+        Raises:
+            DeclarationError: a declaration is wrong; lists every problem with its place.
+        """
+        declaration = registry.load_experiment(name_or_path)
+        if changes:
+            declaration = declaration.model_copy(update={"parameters": {**declaration.parameters, **changes}})
+        return cls(registry.assemble(declaration, plant))
+
+    @property
+    def declaration(self) -> schema.ExperimentDeclaration:
+        """Return the content of the experiment file."""
+        return self.assembly.experiment
+
+    @cached_property
+    def plant(self) -> Model:
+        """Return the model of the plant, in SI units."""
+        return Model(self.assembly.plant_model, self.assembly.plant.parameters)
+
+    @cached_property
+    def virtual(self) -> Model:
+        """Return the virtual system, in its scales where it declares any."""
+        model = Model(self.assembly.virtual_model, self.declaration.parameters)
+        return model.dimensionless() if model.declaration.scales else model
+
+    @cached_property
+    def controller(self) -> Controller:
+        """Return the controller."""
+        settings = self.declaration.controller
+        overrides = {} if settings.model else self.assembly.plant.parameters
+        believed = Model(self.assembly.believed_model, {**overrides, **settings.parameters})
+        transform = Transform(believed, self.virtual, self.declaration.transform)
+        return Controller(believed, self.virtual, transform, self.time_scale, self.declaration.transform.parameters)
+
+    @property
+    def time_scale(self) -> float:
+        """Return the seconds of the rig per unit of virtual time."""
+        if self.declaration.time_scale is not None:
+            return self.declaration.time_scale
+        if self.plant.units.is_plain or not self.virtual.declaration.scales:
+            return 1.0
+        return self.virtual.units.size("s", self.virtual.overrides)
+
+    @cached_property
+    def loop(self) -> ClosedLoop:
+        """Return controller and plant, compiled together."""
+        return ClosedLoop(self.controller, self.plant)
+
+    def run(self, progress: Callable[[float], None] | None = None) -> Recording:
+        """Run the closed loop, integrate the virtual system by itself, and compare.
+
+        Args:
+            progress: called with the part done.
+
+        Raises:
+            ActuationError: the rig's inputs cannot accelerate every virtual coordinate.
+            SingularityError: the decoupling matrix became singular on the way.
+            IntegrationError: the run could not go on.
+        """
+        clock = time.perf_counter()
+        declaration, time_scale = self.declaration, self.time_scale
+        initial = self.virtual.initial_state(declaration.initial)
+        state = rig_state(self.loop, initial)
+        duration = declaration.duration * time_scale
+        prepared = time.perf_counter()
+        rate = declaration.controller.rate
+        if rate is None:
+            rows = declaration.record.rate * duration if declaration.record else ROWS_PER_UNIT * declaration.duration
+            times = np.linspace(0.0, duration, max(2, round(rows) + 1))
+            run = run_continuous(self.loop, state, times, tolerance=declaration.tolerance, progress=progress)
+        else:
+            every = max(1, round(rate / declaration.record.rate)) if declaration.record else 1
+            run = run_sampled(self.loop, state, rate=rate, duration=duration, every=every, progress=progress)
+        ran = time.perf_counter()
+        ideal = self.virtual.kernels.integrate(
+            run.times / time_scale,
+            initial,
+            np.zeros(len(self.virtual.inputs)),
+            self.virtual.values(),
+            tolerance=min(declaration.tolerance, 1e-12),
+        )
+        timing = {"preparation": prepared - clock, "run": ran - prepared, "ideal": time.perf_counter() - ran}
+        return self._record(run, ideal.states, timing)
+
+    def _record(self, run: Run, ideal: Array, timing: Mapping[str, float]) -> Recording:
+        rig, virtual = self.plant.coordinates, self.virtual.coordinates
+        columns = {"t": run.times}
+        units: dict[str, dict[str, str]] = {"t": {"unit": "s", "meaning": "time"}}
+        for prefix, model, states in (
+            ("rig", self.plant, run.rig),
+            ("virtual", self.virtual, run.virtual),
+            ("ideal", self.virtual, ideal),
+        ):
+            n = len(model.coordinates)
+            for i, (name, coordinate) in enumerate(model.declaration.coordinates.items()):
+                unit = "1" if model.is_dimensionless else model.units.conversions[coordinate.unit].si
+                for prime, offset in (("", 0), ("'", n)):
+                    columns[f"{prefix}.{name}{prime}"] = np.ascontiguousarray(states[:, offset + i])
+                    what = coordinate.meaning if not prime else f"rate of {name}"
+                    unit = f"{unit}/s" if prime and not model.is_dimensionless else unit
+                    units[f"{prefix}.{name}{prime}"] = {"unit": unit, "meaning": what}
+        for i, (name, port) in enumerate(self.plant.declaration.inputs.items()):
+            columns[f"input.{name}"] = np.ascontiguousarray(run.inputs[:, i])
+            units[f"input.{name}"] = {"unit": port.unit, "meaning": port.meaning}
+        chi = {c: fidelity(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in virtual}
+        return Recording(columns, self._manifest(units, chi, timing))
+
+    def _manifest(
+        self, columns: Mapping[str, Mapping[str, str]], chi: Mapping[str, float], timing: Mapping[str, float]
+    ) -> dict[str, Any]:
+        declaration, assembly = self.declaration, self.assembly
+        rate = declaration.controller.rate
+        limits = assembly.plant.limits.inputs
+        files = {**declaration.files, **assembly.plant.files}
+        for model in (assembly.plant_model, assembly.virtual_model, assembly.believed_model):
+            files |= model.files
+        return {
+            "format": "masking recording 1",
+            "name": declaration.name,
+            "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "seed": declaration.seed,
+            "versions": {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
+            "commit": _commit(files),
+            "files": {Path(path).name: digest for path, digest in files.items()},
+            "declarations": {
+                "experiment": declaration.canonical(),
+                "plant": assembly.plant.canonical(),
+                "plant_model": assembly.plant_model.canonical(),
+                "virtual": assembly.virtual_model.canonical(),
+                "controller_model": assembly.believed_model.canonical(),
+            },
+            "parameters": self.virtual.parameter_values(),
+            "columns": dict(columns),
+            "time_scale": self.time_scale,
+            "virtual_name": self.virtual.name,
+            "plant_name": assembly.plant.name,
+            "oscillators": list(self.virtual.oscillators),
+            "mode": "continuous" if rate is None else "sampled",
+            "rate": rate,
+            "limits": {name: {"max": limit.max, "unit": limit.unit} for name, limit in limits.items()},
+            "fidelity": dict(chi),
+            "timing": dict(timing),
+        }
+
+
+def _commit(files: Mapping[str, str]) -> str | None:
+    """Return the git commit of the folder that the experiment was read from, if it is in a repository."""
+    folder = Path(next(iter(files))).resolve().parent if files else Path.cwd()
+    try:
+        found = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=folder, capture_output=True, text=True, check=False, timeout=5
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return found.stdout.strip() or None

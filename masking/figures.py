@@ -1,0 +1,401 @@
+"""Figures of a study: displacements, other coordinates, synchronisation, inputs, fidelity.
+
+Drawn through matplotlib's objects on the Agg canvas, without pyplot, so that nothing global is read or changed.
+Colours are Okabe and Ito's, distinguishable with any colour vision; what is ideal is always a thin dark dashed line.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator, LogLocator, MaxNLocator, NullLocator, ScalarFormatter
+from numpy.typing import NDArray
+
+from masking.study import SUM_WINDOW_PERIODS, Study, percent
+from masking.synchronisation import principal, running_peak
+
+Series = NDArray[np.float64]
+
+COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+INK: Final = "#1b1f24"
+MUTED: Final = "#5b6470"
+GRID: Final = "#dfe3e8"
+LIMIT: Final = "#B22222"
+GREEK: Final = frozenset(
+    {"alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu"}
+    | {"xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}
+)
+
+_DPI = 160
+_WIDTH = 9.0  # inches, all figures
+_LEFT, _RIGHT, _BOTTOM, _GAP = 0.95, 0.22, 0.55, 0.24  # inches
+_LEGEND, _NOTE, _BARE = 0.52, 0.32, 0.14  # inches above the first axes: for a legend, a line of text, nothing
+_SIZE = 9.5  # points
+_BINS = 700  # across a whole record: about one for every two pixels
+_ENVELOPE_PERIODS = 60  # from this many periods on single ones cannot be told apart
+_ZOOM_PERIODS = 6
+_FEW = 20  # samples, up to which each is marked
+_MOST_ROWS = len(COLOURS)
+
+
+@dataclass(frozen=True, slots=True)
+class Plate:
+    """One figure with its words; `figure` is None where there is nothing to draw, and `caption` then says why."""
+
+    name: str
+    title: str
+    caption: str
+    figure: Figure | None
+
+
+def plates(study: Study) -> list[Plate]:
+    """Draw every figure of the report, in its order."""
+    return [draw(study) for draw in (_displacements, _others, _synchronisation, _inputs, _fidelity)]
+
+
+def symbol(name: str) -> str:
+    """Typeset a declared name for a figure: letters with a number become a symbol with an index."""
+    match = re.fullmatch(r"([A-Za-z]+)_?(\d*)", name)
+    letters, index = match.groups() if match else ("", "")
+    if letters in GREEK or len(letters) == 1:
+        letter = rf"\{letters}" if letters in GREEK else letters
+        return rf"${letter}_{{{index}}}$" if index else f"${letter}$"
+    return name.replace("$", r"\$")
+
+
+def _displacements(study: Study) -> Plate:
+    names, title = study.oscillators[:_MOST_ROWS], "Displacements"
+    if not names:
+        return Plate("displacements", title, "Not shown: the record holds no coordinates.", None)
+    zoom = bool(study.tau[-1] - study.tau[0] > 2.5 * _ZOOM_PERIODS * study.period)  # False for a NaN
+    figure, rows = _sheet([1.15] * len(names) + [1.9] * zoom, zooms=zoom)
+    for name, axes, colour in zip(names, rows, COLOURS, strict=False):
+        _motion(axes, study, name, colour)
+    _same_range(rows[: len(names)], [study.unit(f"{study.prefix}.{name}") for name in names])
+    _time_label(rows[len(names) - 1], study)
+    if zoom:
+        span = _ZOOM_PERIODS * study.period
+        head, tail = study.tau <= study.tau[0] + span, study.tau >= study.tau[-1] - span
+        for axes, part, text in zip(rows[len(names) :], (head, tail), ("first", "last"), strict=True):
+            for name, colour in zip(names, COLOURS, strict=False):
+                _lines(axes, study, name, colour, part)
+            _symmetric(axes, [study.motion(name)[part] for name in names])
+            axes.set_xlim(study.tau[part][0], study.tau[part][-1])
+            axes.set_title(f"{text} {_ZOOM_PERIODS} periods", loc="left", fontsize=_SIZE, color=MUTED)
+            _time_label(axes, study)
+    _legend(figure, study, [(symbol(name), colour) for name, colour in zip(names, COLOURS, strict=False)])
+    left_out = len(study.oscillators) - len(names)
+    more = f" The first {len(names)} of {len(study.oscillators)} are shown." if left_out else ""
+    return Plate("displacements", title, _meanings(study, names) + more + _band_words(study), figure)
+
+
+def _others(study: Study) -> Plate:
+    names, title = study.others[:_MOST_ROWS], "Other coordinates"
+    if len(study.others) == 1 and study.meaning(study.others[0]):
+        words = study.meaning(study.others[0])
+        title = words[0].upper() + words[1:]
+    if not names:
+        return Plate("others", title, "Not shown: every coordinate is in the figure above.", None)
+    figure, rows = _sheet([1.5 if len(names) == 1 else 1.15] * len(names))
+    for name, axes in zip(names, rows, strict=True):
+        _motion(axes, study, name, COLOURS[2])
+    _time_label(rows[-1], study)
+    _legend(figure, study, [(symbol(name), COLOURS[2]) for name in names[:1]] if len(names) == 1 else [])
+    return Plate("others", title, _meanings(study, names) + _band_words(study), figure)
+
+
+def _synchronisation(study: Study) -> Plate:
+    title = "Synchronisation"
+    if study.no_phase or study.sum_peak is None:
+        return Plate("synchronisation", title, f"Not shown: {study.no_phase}.", None)
+    figure, (above, below) = _sheet([1.7, 1.7], top=_NOTE if len(study.pairs) > 1 else _BARE)
+    for pair, colour in zip(study.pairs, COLOURS if len(study.pairs) > 1 else (INK,), strict=False):
+        tau, phase = thin(study.tau, principal(pair.series) / np.pi)
+        jumps = np.flatnonzero(np.abs(np.diff(phase)) > 1) + 1
+        label = f"{symbol(pair.first)} against {symbol(pair.second)}"
+        above.plot(np.insert(tau, jumps, np.nan), np.insert(phase, jumps, np.nan), color=colour, lw=1.2, label=label)
+    for level, text in ((0.0, "in-phase"), (1.0, "anti-phase")):
+        above.axhline(level, color=MUTED, lw=0.8, ls=(0, (4, 3)), zorder=1)
+        above.annotate(text, (0.995, level), (0, 3), ("axes fraction", "data"), "offset points", ha="right",
+                       fontsize=_SIZE - 1, color=MUTED)  # fmt: skip
+    above.set_ylim(-0.5, 1.5)
+    above.yaxis.set_major_locator(FixedLocator([-0.5, 0.0, 0.5, 1.0, 1.5]))
+    above.set_yticklabels(["\N{MINUS SIGN}π/2", "0", "π/2", "π", "3π/2"])
+    above.set_ylabel("phase difference (rad)")
+    if len(study.pairs) > 1:
+        above.legend(
+            frameon=False,
+            fontsize=_SIZE - 1,
+            ncols=len(study.pairs),
+            borderaxespad=0.1,
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+        )
+    total = _sum_text(study.oscillators)
+    _log_peaks(below, study.tau, study.sum_peak, INK)
+    below.set_ylabel(_with_unit(f"peak |{total}|", study.unit(f"{study.prefix}.{study.oscillators[0]}")))
+    for axes in (above, below):
+        _whole_record(axes, study)
+    _time_label(below, study)
+    caption = (
+        "Above: phase difference from the analytic signals (Hilbert transform). "
+        f"Below: largest |{' + '.join(_few(study.oscillators))}| over the {SUM_WINDOW_PERIODS} periods before."
+    )
+    return Plate("synchronisation", title, caption, figure)
+
+
+def _inputs(study: Study) -> Plate:
+    uses, title = study.inputs[:_MOST_ROWS], "Inputs against their limits"
+    if not uses:
+        return Plate("inputs", title, "Not shown: the record holds no inputs.", None)
+    figure, rows = _sheet([1.15] * len(uses), top=_NOTE)
+    hidden = []
+    for use, axes in zip(uses, rows, strict=True):
+        _trace(axes, study, use.series, COLOURS[0])
+        reach = [use.series]
+        if use.limit is None:
+            note = "no limit declared"
+        else:
+            note = f"peak {percent(use.used)} of {use.limit:g} {use.unit}".rstrip()
+            if use.used is not None and use.used >= 0.15:
+                reach.append(np.array([use.limit]))
+                for level in (-use.limit, use.limit):
+                    axes.axhline(level, color=LIMIT, lw=1.1, ls=(0, (6, 2)))
+            else:
+                hidden.append(use.name)
+        _symmetric(axes, reach)
+        _whole_record(axes, study)
+        axes.set_ylabel(_with_unit(symbol(use.name), use.unit))
+        axes.set_title(note, loc="right", fontsize=_SIZE - 1, color=MUTED, pad=3)
+    _time_label(rows[-1], study)
+    drawn = any(use.limit is not None and use.name not in hidden for use in uses)
+    lines = "Dashed red lines are the limits. " if drawn else ""
+    far = f"The limits of {', '.join(hidden)} lie far outside the axes." if hidden else ""
+    left_out = len(study.inputs) - len(uses)
+    more = f" The first {len(uses)} of {len(study.inputs)} are shown." if left_out else ""
+    return Plate("inputs", title, f"{lines}{far}{more}".strip() or "The inputs of the plant.", figure)
+
+
+def _fidelity(study: Study) -> Plate:
+    title = "Fidelity"
+    compared = [(name, study.ideal(name)) for name in study.coordinates[:_MOST_ROWS]]
+    errors = {n: np.abs(study.motion(n) - ideal) for n, ideal in compared if ideal is not None and n in study.chi}
+    if not errors:
+        return Plate("fidelity", title, "Not shown: the record holds no ideal motion to compare with.", None)
+    if not any(np.any(error) for error in errors.values()):
+        return Plate("fidelity", title, "Not shown: virtual and ideal are equal in every digit recorded.", None)
+    figure, (axes,) = _sheet([2.2], top=_NOTE)
+    for (name, error), colour in zip(errors.items(), COLOURS, strict=False):
+        peaks = running_peak(study.tau, error, study.period) if math.isfinite(study.period) else error
+        _log_peaks(axes, study.tau, peaks, colour, label=symbol(name))
+    axes.legend(frameon=False, fontsize=_SIZE, ncols=len(errors), loc="lower right", bbox_to_anchor=(1.0, 0.995))
+    axes.set_ylabel(_with_unit("|virtual \N{MINUS SIGN} ideal|", study.unit(f"virtual.{next(iter(errors))}")))
+    _whole_record(axes, study)
+    _time_label(axes, study)
+    caption = "Distance between the masked rig and the virtual system by itself, the largest over the period before."
+    return Plate("fidelity", title, caption, figure)
+
+
+# ---- parts of a figure
+
+
+def _sheet(heights: Sequence[float], *, zooms: bool = False, top: float = _LEGEND) -> tuple[Figure, list[Axes]]:
+    """Make a figure of stacked axes of given heights in inches; with `zooms` the last row is two axes side by side."""
+    gaps = [_GAP] * (len(heights) - 1)
+    if zooms:
+        gaps[-1] = 0.85  # room for the tick labels above and the titles below
+    total = top + sum(heights) + sum(gaps) + _BOTTOM
+    figure = Figure(figsize=(_WIDTH, total), dpi=_DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    rows: list[Axes] = []
+    width, y = _WIDTH - _LEFT - _RIGHT, total - top
+    for index, height in enumerate(heights):
+        y -= height
+        halves = 2 if zooms and index == len(heights) - 1 else 1
+        between = 0.6
+        each = (width - between * (halves - 1)) / halves
+        for half in range(halves):
+            box = (_LEFT + half * (each + between), y, each, height)
+            rows.append(figure.add_axes((box[0] / _WIDTH, box[1] / total, box[2] / _WIDTH, box[3] / total)))
+        y -= gaps[index] if index < len(gaps) else 0
+    for axes in rows:
+        _dress(axes)
+    stacked = rows[:-2] if zooms else rows
+    for axes in stacked[:-1]:
+        axes.tick_params(labelbottom=False)
+    figure.align_ylabels(rows[:-1] if zooms else rows)
+    return figure, rows
+
+
+def _dress(axes: Axes) -> None:
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(MUTED)
+        axes.spines[side].set_linewidth(0.8)
+    axes.tick_params(colors=INK, labelsize=_SIZE - 1, width=0.8, length=3, color=MUTED)
+    axes.grid(visible=True, color=GRID, lw=0.6)
+    axes.set_axisbelow(True)
+    axes.xaxis.label.set(color=INK, fontsize=_SIZE)
+    axes.yaxis.label.set(color=INK, fontsize=_SIZE)
+    axes.xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
+    formatter = ScalarFormatter(useMathText=True)
+    formatter.set_powerlimits((-3, 4))
+    axes.yaxis.set_major_formatter(formatter)
+    axes.yaxis.get_offset_text().set(fontsize=_SIZE - 1.5, color=MUTED)
+
+
+def _motion(axes: Axes, study: Study, name: str, colour: str) -> None:
+    """Draw one coordinate over the whole record, as it moved and as it ideally moves."""
+    _trace(axes, study, study.motion(name), colour, study.ideal(name))
+    ideal = study.ideal(name)
+    _symmetric(axes, [study.motion(name)] + ([ideal] if ideal is not None else []))
+    _whole_record(axes, study)
+    axes.set_ylabel(_with_unit(symbol(name), study.unit(f"{study.prefix}.{name}")))
+
+
+def _trace(axes: Axes, study: Study, series: Series, colour: str, ideal: Series | None = None) -> None:
+    cycles = _cycles(study)
+    if cycles > _ENVELOPE_PERIODS:
+        bins = int(min(_BINS / 2, cycles / 1.5))
+        tau, low, high = envelope(study.tau, series, bins)
+        axes.fill_between(tau, low, high, color=colour, alpha=0.3, lw=0)
+        axes.plot(tau, low, tau, high, color=colour, lw=1.3)
+        if ideal is not None:
+            tau, low, high = envelope(study.tau, ideal, bins)
+            axes.plot(tau, low, tau, high, color=INK, lw=0.9, ls=(0, (4, 3)))
+        return
+    marker = "o" if len(series) <= _FEW else None
+    axes.plot(*thin(study.tau, series), color=colour, lw=1.6, marker=marker, ms=4)
+    if ideal is not None:
+        axes.plot(*thin(study.tau, ideal), color=INK, lw=0.9, ls=(0, (4, 3)))
+
+
+def _cycles(study: Study) -> float:
+    return float((study.tau[-1] - study.tau[0]) / study.period) if math.isfinite(study.period) else 0.0
+
+
+def _band_words(study: Study) -> str:
+    return " Each band runs from trough to crest." if _cycles(study) > _ENVELOPE_PERIODS else ""
+
+
+def _lines(axes: Axes, study: Study, name: str, colour: str, part: NDArray[np.bool_]) -> None:
+    axes.plot(*thin(study.tau[part], study.motion(name)[part]), color=colour, lw=1.6)
+    ideal = study.ideal(name)
+    if ideal is not None:
+        axes.plot(*thin(study.tau[part], ideal[part]), color=INK, lw=0.9, ls=(0, (4, 3)))
+
+
+def _log_peaks(axes: Axes, tau: Series, values: Series, colour: str, label: str | None = None) -> None:
+    """Draw the peak of each interval on a logarithmic axis; zeros, which it cannot show, are gaps."""
+    middle, _, peak = envelope(tau, values, _BINS // 2)
+    axes.set_yscale("log")
+    marker = "o" if len(values) <= _FEW else None
+    axes.plot(middle, np.where(peak > 0, peak, np.nan), color=colour, lw=1.3, label=label, marker=marker, ms=4)
+    shown = peak[peak > 0]
+    if len(shown):
+        low, high = axes.get_ylim() if axes.lines[1:] else (math.inf, 0.0)
+        low, high = min(low, float(shown.min()) / 1.5), max(high, float(shown.max()) * 1.5)
+        middle_decade = math.sqrt(low * high)
+        axes.set_ylim(
+            min(low, middle_decade / 5), max(high, middle_decade * 5)
+        )  # a decade at least, so that ticks show
+    axes.yaxis.set_major_locator(LogLocator(numticks=6))
+    axes.yaxis.set_minor_locator(NullLocator())
+
+
+def _legend(figure: Figure, study: Study, entries: Iterable[tuple[str, str]]) -> None:
+    entries = list(entries)
+    what = ", masked rig" if study.prefix == "virtual" else ", rig"
+    words, ideal = (what, "ideal: virtual system by itself") if len(entries) <= 2 else ("", "ideal")
+    handles = [Line2D([], [], color=colour, lw=2.2, label=text + words) for text, colour in entries]
+    if any(study.ideal(name) is not None for name in study.coordinates):
+        handles.append(Line2D([], [], color=INK, lw=1.1, ls=(0, (4, 3)), label=ideal))
+    if handles:
+        height = figure.get_size_inches()[1]
+        figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(1 - _RIGHT / _WIDTH, 1 - 0.1 / height),
+                      ncols=len(handles), frameon=False, fontsize=_SIZE, labelcolor=INK, borderaxespad=0)  # fmt: skip
+
+
+def _symmetric(axes: Axes, all_series: Iterable[Series]) -> None:
+    """Set the range of y about zero, or about the data where they lie far from it."""
+    low = min(float(series.min()) for series in all_series)
+    high = max(float(series.max()) for series in all_series)
+    reach = max(abs(low), abs(high))
+    if high - low < 0.2 * reach:  # an offset with little motion about it
+        pad = 0.1 * (high - low) or 0.1 * reach
+        axes.set_ylim(low - pad, high + pad)
+    else:
+        axes.set_ylim(-1.12 * reach if reach else -1.0, 1.12 * reach if reach else 1.0)
+
+
+def _same_range(rows: Sequence[Axes], units: Sequence[str]) -> None:
+    """Give coordinates of one unit one range, so that their amplitudes can be compared."""
+    if len(set(units)) == 1:
+        low, high = zip(*(axes.get_ylim() for axes in rows), strict=True)
+        for axes in rows:
+            axes.set_ylim(min(low), max(high))
+
+
+def _whole_record(axes: Axes, study: Study) -> None:
+    first, last = study.tau[0], study.tau[-1]
+    axes.set_xlim(first, last if last > first else first + 1.0)
+
+
+def _time_label(axes: Axes, study: Study) -> None:
+    if study.recording.manifest.get("time_scale"):
+        axes.set_xlabel("virtual time τ")
+    else:
+        axes.set_xlabel(_with_unit("time t", study.unit("t")))
+
+
+def _meanings(study: Study, names: Iterable[str]) -> str:
+    said = [f"{name}: {study.meaning(name)}" for name in names if study.meaning(name)]
+    return "; ".join(said) + "." if said else "The coordinates over the whole record."
+
+
+def _few(names: Sequence[str]) -> list[str]:
+    return list(names) if len(names) <= 3 else [names[0], "…", names[-1]]
+
+
+def _sum_text(names: Sequence[str]) -> str:
+    return " + ".join(symbol(name) if name != "…" else name for name in _few(names))
+
+
+def _with_unit(text: str, unit: str) -> str:
+    return f"{text} ({unit})" if unit else text
+
+
+# ---- fewer points, the same picture
+
+
+def envelope(tau: Series, series: Series, bins: int) -> tuple[Series, Series, Series]:
+    """Give (middle, least, greatest) of each of at most `bins` stretches of equally many samples."""
+    starts = np.unique(np.linspace(0, len(tau), max(1, min(bins, len(tau))), endpoint=False).astype(int))
+    last = np.append(starts[1:], len(tau)) - 1
+    middle = (tau[starts] + tau[last]) / 2
+    middle[0], middle[-1] = tau[0], tau[-1]
+    return middle, np.minimum.reduceat(series, starts), np.maximum.reduceat(series, starts)
+
+
+def thin(tau: Series, series: Series, bins: int = _BINS) -> tuple[Series, Series]:
+    """Keep the ends and, of each stretch, the least and the greatest sample in their order: a line looks the same."""
+    if len(tau) <= 4 * bins:
+        return tau, series
+    length = len(tau) // bins
+    body = series[: length * bins].reshape(bins, length)
+    offset = np.arange(bins) * length
+    extremes: Callable[..., NDArray[np.intp]] = np.concatenate
+    rest = np.arange(length * bins, len(tau))
+    keep = np.unique(extremes([[0], offset + body.argmin(1), offset + body.argmax(1), rest, [len(tau) - 1]]))
+    return tau[keep], series[keep]

@@ -1,0 +1,126 @@
+"""The compiled functions of one generated module, with the checks that their callers want."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masking import integrate
+from masking.errors import IntegrationError, SingularityError
+
+Array = NDArray[np.float64]
+
+MESSAGES = {
+    integrate.SINGULAR: "the matrix that gives the accelerations or the inputs became singular",
+    integrate.TOO_SMALL_STEP: "the step size fell below what time can resolve; the solution ends in finite time or jumps",
+    integrate.NOT_FINITE: "the state or the inputs are no longer finite numbers",
+    integrate.TOO_MANY_STEPS: "more than 100 million steps were taken",
+}
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States over time.
+
+    Args:
+        times: (m,).
+        states: (m, 2 n), coordinates then velocities.
+        coordinates: names of the n coordinates.
+        steps: integration steps taken.
+    """
+
+    times: Array
+    states: Array
+    coordinates: tuple[str, ...]
+    steps: int
+
+    @property
+    def positions(self) -> Array:
+        """Return the coordinates (m, n)."""
+        return self.states[:, : len(self.coordinates)]
+
+    @property
+    def velocities(self) -> Array:
+        """Return the velocities (m, n)."""
+        return self.states[:, len(self.coordinates) :]
+
+    def __getitem__(self, name: str) -> Array:
+        """Return one coordinate (`x1`) or velocity (`x1'`) over time (m,)."""
+        index = self.coordinates.index(name.rstrip("'"))
+        return self.states[:, index + (len(self.coordinates) if name.endswith("'") else 0)]
+
+
+@dataclass(frozen=True)
+class Kernels:
+    """A generated module: its functions, by the names they have in it, and what it says of itself."""
+
+    module: ModuleType
+
+    @property
+    def meta(self) -> Mapping[str, Any]:
+        """Return the names of coordinates, inputs and parameters, in the order of the arrays, and the units."""
+        found: Mapping[str, Any] = self.module.META
+        return found
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        """Return a compiled function of the module."""
+        function: Callable[..., Any] = getattr(self.module, name)
+        return function
+
+    def integrate(
+        self,
+        times: Array,
+        state: Array,
+        inputs: Array,
+        parameters: Array,
+        *,
+        tolerance: float,
+        method: str | None = None,
+        fixed_step: float = 0.0,
+        progress: Callable[[float], None] | None = None,
+        pieces: int = 1,
+    ) -> Trajectory:
+        """Integrate the module's dynamics over given times.
+
+        Args:
+            times: monotone (m,); the state is that at the first.
+            state: (2 n,) at `times[0]`; left as it is.
+            inputs: (k,), held constant.
+            parameters: array in the module's order.
+            tolerance: local relative error of a step.
+            method: `taylor` or `runge_kutta`; by default Taylor series where the dynamics have them.
+            fixed_step: length of every step; 0 to control it.
+            progress: called with the part done after each piece.
+            pieces: number of pieces that the times are cut into.
+
+        Raises:
+            SingularityError: a matrix that must be inverted became singular; holds the state.
+            IntegrationError: the integrator could not go on; says when and why.
+        """
+        solve = getattr(self.module, f"solve_{method or self.meta['method']}")
+        y = np.array(state, dtype=float)
+        out = np.empty((len(times), len(y)))
+        t, steps = float(times[0]), 0
+        for piece in np.array_split(np.arange(len(times)), max(1, min(pieces, len(times)))):
+            rows = slice(piece[0], piece[-1] + 1)
+            status, t, taken = solve(t, y, times[rows], inputs, parameters, tolerance, fixed_step, out[rows])
+            steps += taken
+            if status != integrate.REACHED:
+                self.stop(status, t, y)
+            if progress is not None:
+                progress((piece[-1] + 1) / len(times))
+        return Trajectory(times, out, tuple(self.meta["coordinates"]), steps)
+
+    def stop(self, status: int, time: float, state: Sequence[float] | Array) -> None:
+        """Raise the error that a kernel's status stands for."""
+        names = self.meta["coordinates"]
+        at = dict(zip([*names, *(f"{n}'" for n in names)], map(float, state), strict=True))
+        if status == integrate.SINGULAR:
+            raise SingularityError(MESSAGES[status], time, at)
+        where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
+        raise IntegrationError(f"{MESSAGES[status]}, at t = {time:.6g} ({where})")

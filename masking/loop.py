@@ -1,0 +1,168 @@
+"""Loop: a closed loop run from an initial state, in continuous time or at a controller's rate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from masking import integrate
+from masking.controller import ClosedLoop
+from masking.errors import ModelError
+from masking.kernels import Array
+
+Progress = Callable[[float], None]
+
+PIECES = 100
+# The classical Runge-Kutta method errs by less than 1e-10 per period when a period takes this many steps.
+STEPS_PER_RADIAN = 50.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """What happened in a run, at the recorded instants.
+
+    Args:
+        times: (m,), seconds of the rig.
+        rig: rig coordinates then velocities (m, 2 n), SI units.
+        virtual: virtual coordinates then velocities (m, 2 k), in the virtual system's units.
+        inputs: (m, inputs).
+    """
+
+    times: Array
+    rig: Array
+    virtual: Array
+    inputs: Array
+
+
+def run_continuous(
+    loop: ClosedLoop, state: Array, times: Array, *, tolerance: float, progress: Progress | None = None
+) -> Run:
+    """Run a closed loop whose controller acts in continuous time.
+
+    Args:
+        loop: controller and plant.
+        state: rig coordinates then velocities (2 n,) at the first time.
+        times: instants to record (m,), increasing.
+        tolerance: local relative error of the integrator.
+        progress: called with the part done.
+
+    Raises:
+        SingularityError: the decoupling matrix became singular; holds the state.
+        IntegrationError: the integrator could not go on.
+    """
+    p = loop.values()
+    inputs = np.zeros(len(loop.plant.inputs))
+    found = loop.kernels.integrate(times, state, inputs, p, tolerance=tolerance, progress=progress, pieces=PIECES)
+    return _complete(loop, times, found.states, p)
+
+
+def run_sampled(  # noqa: PLR0913
+    loop: ClosedLoop,
+    state: Array,
+    *,
+    rate: float,
+    duration: float,
+    every: int = 1,
+    substeps: int = 1,
+    progress: Progress | None = None,
+) -> Run:
+    """Run a closed loop whose controller reads the state at a fixed rate and holds its outputs between samples.
+
+    Args:
+        loop: controller and plant.
+        state: rig coordinates then velocities (2 n,) at time 0.
+        rate: samples per second.
+        duration: seconds.
+        every: record one sample of so many.
+        substeps: integration steps of the plant between samples.
+        progress: called with the part done.
+
+    Raises:
+        SingularityError: the decoupling matrix became singular; holds the state.
+        IntegrationError: the state or the inputs are no longer finite.
+    """
+    if not (rate > 0.0 and duration > 0.0 and every >= 1 and substeps >= 1):
+        raise ModelError(
+            f"rate {rate:g}, duration {duration:g}, every {every}, substeps {substeps}: all must be positive"
+        )
+    samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
+    rows = np.arange(0, samples, every)
+    out_y, out_u = np.empty((len(rows), len(state))), np.empty((len(rows), len(loop.plant.inputs)))
+    y, u, p, first = np.array(state, dtype=float), np.zeros(out_u.shape[1]), loop.values(), 0.0
+    for piece in np.array_split(np.arange(samples), min(PIECES, samples)):
+        begin, count = int(piece[0]), len(piece)
+        row = -(-begin // every)
+        status, done, first = loop.kernels.run_sampled(
+            begin, count, 1.0 / rate, substeps, every, y, u, p, first, out_y[row:], out_u[row:]
+        )
+        if status != integrate.REACHED:
+            loop.kernels.stop(status, (begin + done) / rate, y)
+        if progress is not None:
+            progress((begin + count) / samples)
+    found = _complete(loop, rows / rate, out_y, p)
+    return Run(found.times, found.rig, found.virtual, out_u)
+
+
+def rig_state(loop: ClosedLoop, virtual_state: Array, guess: Array | None = None) -> Array:
+    """Return the rig state (2 n,) that the transform maps to a virtual state, by Newton's method.
+
+    Args:
+        loop: controller and plant.
+        virtual_state: virtual coordinates then velocities (2 k,).
+        guess: rig coordinates (n,) to start from; by default several are tried.
+
+    Raises:
+        ModelError: no rig position is found that gives the virtual coordinates.
+    """
+    lengths = loop.controller.lengths
+    k = len(loop.controller.virtual.coordinates)
+    eta, rate = virtual_state[:k], virtual_state[k:]
+    generator = np.random.default_rng(0)
+    guesses = [np.zeros(len(lengths))] if guess is None else [guess]
+    guesses += [lengths * generator.uniform(-1.0, 1.0, len(lengths)) for _ in range(50)]
+    for start in guesses:
+        q = _newton(loop, start, eta, lengths)
+        if q is not None:
+            jacobian = _map(loop, q)[1]
+            return np.concatenate([q, np.linalg.lstsq(jacobian, rate / loop.controller.time_scale, rcond=None)[0]])
+    names = loop.controller.virtual.coordinates
+    wanted = ", ".join(f"{n} = {value:g}" for n, value in zip(names, eta, strict=True))
+    raise ModelError(
+        f"transform: no rig position gives the initial {wanted}; start elsewhere, or change the transform so that its "
+        "range includes this state"
+    )
+
+
+def _newton(loop: ClosedLoop, q: Array, eta: Array, lengths: Array) -> Array | None:
+    q = np.array(q, dtype=float)
+    for _ in range(50):
+        value, jacobian = _map(loop, q)
+        error = eta - value
+        if not np.all(np.isfinite(error)) or not np.all(np.isfinite(jacobian)):
+            return None
+        if np.max(np.abs(error)) <= 1e-13 * (1.0 + np.max(np.abs(eta))):
+            return q
+        step = np.linalg.lstsq(jacobian, error, rcond=None)[0]
+        largest = float(np.max(np.abs(step) / lengths))
+        q = q + step * min(1.0, 2.0 / largest) if largest > 0.0 else q
+    return None
+
+
+def _map(loop: ClosedLoop, q: Array) -> tuple[Array, Array]:
+    """Return eta (k,) and the Jacobian (k, n) of the virtual with respect to the rig coordinates, in SI units."""
+    n, k = len(q), len(loop.controller.virtual.coordinates)
+    p, out = loop.values(), np.empty(2 * k)
+    jacobian = np.empty((k, n))
+    for i in range(n):
+        loop.kernels.transform(0.0, q, np.eye(n)[i], p, out)
+        jacobian[:, i] = out[k:] / loop.controller.time_scale
+    return out[:k].copy(), jacobian
+
+
+def _complete(loop: ClosedLoop, times: Array, states: Array, p: Array) -> Run:
+    virtual = np.empty((len(times), 2 * len(loop.controller.virtual.coordinates)))
+    inputs = np.empty((len(times), len(loop.plant.inputs)))
+    loop.kernels.along(times, states, p, virtual, inputs)
+    return Run(times, states, virtual, inputs)

@@ -1,0 +1,85 @@
+"""A table of numbers in a parquet file: written whole or not at all, read without pandas.
+
+This module alone touches pyarrow, so that whoever only handles a recording in memory does not pay for loading it.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from masking.errors import RecordError
+
+MANIFEST_KEY = b"masking.manifest"
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """Give a stream whose bytes become the file `path` once all are on disk; after an error `path` is untouched."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.partial")
+    try:
+        with partial.open("wb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        partial.replace(path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+    if os.name == "posix":  # the new name itself must survive a power cut too
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def write(stream: BinaryIO, columns: Mapping[str, NDArray[np.float64]], manifest: bytes) -> None:
+    """Write equally long, contiguous float64 columns and the manifest text as one zstd-compressed parquet table."""
+    # From buffers: pa.array() would look whether its argument is a pandas object and import pandas for that (0.4 s).
+    arrays = [pa.Array.from_buffers(pa.float64(), len(c), [None, pa.py_buffer(c)]) for c in columns.values()]
+    schema = pa.schema([(name, pa.float64()) for name in columns], metadata={MANIFEST_KEY: manifest})
+    # Dictionaries do not pay for real numbers: measured 11 times the time and 1.3 times the size.
+    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), stream, compression="zstd", use_dictionary=False)
+
+
+def read(path: Path) -> tuple[dict[str, NDArray[np.float64]], bytes | None]:
+    """Read every column of a parquet file as float64 (a null becomes NaN), and the manifest text if there is one."""
+    try:
+        with pq.ParquetFile(path) as file:
+            table = file.read()
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError) as error:
+        message = f"{path}: not a recording: it cannot be read as parquet ({str(error).splitlines()[0]})"
+        raise RecordError(message) from error
+    names: list[str] = table.column_names
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise RecordError(f"{path}: column '{repeated[0]}' appears more than once")
+    columns = {name: _numbers(path, name, column) for name, column in zip(names, table.columns, strict=True)}
+    return columns, (table.schema.metadata or {}).get(MANIFEST_KEY)
+
+
+def _numbers(path: Path, name: str, column: pa.ChunkedArray) -> NDArray[np.float64]:
+    kind = column.type
+    if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+        raise RecordError(f"{path}: column '{name}' holds {kind}, not numbers")
+    if kind != pa.float64():
+        column = column.cast(pa.float64())
+    if column.null_count:
+        column = column.fill_null(float("nan"))
+    # From buffers for the reason given in `write`.
+    parts = [
+        np.frombuffer(chunk.buffers()[1], np.float64, len(chunk), 8 * chunk.offset)
+        for chunk in column.chunks
+        if len(chunk)
+    ]
+    return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0), *parts])

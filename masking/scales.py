@@ -1,0 +1,173 @@
+"""Units of a model's quantities: conversion to SI, and to the scales that the model declares.
+
+Equations that are dimensionally homogeneous keep their form when every quantity is measured in other coherent
+units. A model becomes dimensionless, then, by measuring its parameters in its declared scales: a quantity whose
+dimension is the product of scale_k to the power e_k is divided by that product.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from masking.declaration import schema
+from masking.declaration.units import conversion, describe, dimension_of
+from masking.declaration.expression import Expression
+from masking.errors import DeclarationError, ModelError, Problem, nearest
+
+PLAIN = "1"
+SECOND = "s"
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """How one unit converts: to the SI unit of its dimension by a factor, and to the scales by their exponents."""
+
+    factor: float
+    exponents: Mapping[str, float]
+    si: str
+
+    @classmethod
+    def of(cls, unit: str, scales: Mapping[str, str]) -> Conversion:
+        """Derive the conversion of a unit; `scales` are the units of the scales.
+
+        Raises:
+            DeclarationError: the text is no unit, or the scales cannot express it.
+        """
+        factor, exponents = conversion(unit, scales)
+        return cls(factor, exponents, unit if factor == 1.0 else describe(dimension_of(unit)))
+
+    def scale(self, scales: Mapping[str, float]) -> float:
+        """Return the size in SI units of what the scales make of this dimension."""
+        return math.prod(scales[name] ** exponent for name, exponent in self.exponents.items())
+
+
+@dataclass(frozen=True)
+class Units:
+    """The conversions of a model's units, and its parameters converted.
+
+    Args:
+        declaration: the model's declaration.
+        conversions: by the text of each unit that the model uses.
+    """
+
+    declaration: schema.ModelDeclaration
+    conversions: Mapping[str, Conversion]
+
+    @classmethod
+    def of(cls, declaration: schema.ModelDeclaration) -> Units:
+        """Derive the conversions of all units of a model.
+
+        Raises:
+            ModelError: the declared scales cannot express a unit that the model uses.
+        """
+        scales = {name: scale.unit for name, scale in declaration.scales.items()}
+        found = {PLAIN: Conversion(1.0, {}, PLAIN)}
+        with contextlib.suppress(DeclarationError):  # scales without a time leave it in seconds
+            found[SECOND] = Conversion.of(SECOND, scales)
+        for what, unit in _units(declaration).items():
+            if unit not in found:
+                try:
+                    found[unit] = Conversion.of(unit, scales)
+                except DeclarationError as error:
+                    raise ModelError(f"{declaration.name}: {what} [{unit}]: {error}") from None
+        return cls(declaration, found)
+
+    @classmethod
+    def from_meta(cls, declaration: schema.ModelDeclaration, meta: Mapping[str, Any]) -> Units:
+        """Return the conversions that a generated module remembers."""
+        return cls(declaration, {unit: Conversion(*parts) for unit, parts in meta.items()})
+
+    def to_meta(self) -> dict[str, Any]:
+        """Return the conversions in a form that a generated module can hold."""
+        return {unit: (c.factor, dict(c.exponents), c.si) for unit, c in self.conversions.items()}
+
+    @property
+    def is_plain(self) -> bool:
+        """Tell whether the model uses no units at all."""
+        return all(unit == PLAIN for what, unit in _units(self.declaration).items() if not what.startswith("scales."))
+
+    def parameter_values(self, overrides: Mapping[str, float], *, dimensionless: bool) -> dict[str, float]:
+        """Return every parameter, in SI units or in the declared scales.
+
+        Args:
+            overrides: values that replace the declared ones, in the declared units.
+            dimensionless: whether to divide by the scales.
+
+        Raises:
+            DeclarationError: an override names no parameter, or a value is out of its bounds.
+        """
+        values = self._si_values(overrides)
+        if not dimensionless:
+            return values
+        scales = self.scale_values(overrides)
+        return {
+            name: value / self.conversions[self.declaration.parameters[name].unit].scale(scales)
+            for name, value in values.items()
+        }
+
+    def scale_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
+        """Return the declared scales in SI units; all must be positive."""
+        values = self._si_values(overrides)
+        found = {}
+        for name, scale in self.declaration.scales.items():
+            factor = self.conversions[scale.unit].factor
+            si = scale.value.evaluate(values) if isinstance(scale.value, Expression) else scale.value * factor
+            if not si > 0.0:
+                message = f"the scale is {si:g} {scale.unit}; a scale must be positive"
+                raise DeclarationError(Problem(self.declaration.place(f"scales.{name}"), f"scales.{name}", message))
+            found[name] = si
+        return found
+
+    def size(self, unit: str, overrides: Mapping[str, float]) -> float:
+        """Return what the scales make of a unit's dimension, in SI units; 1 where there are no scales for it."""
+        known = self.conversions.get(unit)
+        return known.scale(self.scale_values(overrides)) if known is not None else 1.0
+
+    def _si_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
+        parameters = self.declaration.parameters
+        for name in overrides:
+            if name not in parameters:
+                message = f"{self.declaration.name} has no parameter '{name}'"
+                raise DeclarationError(Problem(None, name, message, nearest(name, parameters)))
+        found: dict[str, float] = {}
+        pending = dict(parameters)
+        while pending:  # the declaration has been checked for cycles
+            for name, parameter in list(pending.items()):
+                value = overrides.get(name, parameter.value)
+                if isinstance(value, Expression):
+                    if value.names & pending.keys():
+                        continue
+                    found[name] = value.evaluate(found)
+                else:
+                    found[name] = value * self.conversions[parameter.unit].factor
+                del pending[name]
+                self._check_bounds(name, found[name])
+        return {name: found[name] for name in parameters}
+
+    def _check_bounds(self, name: str, si_value: float) -> None:
+        parameter = self.declaration.parameters[name]
+        value = si_value / self.conversions[parameter.unit].factor
+        low, high = parameter.bounds
+        unit = "" if parameter.unit == PLAIN else f" {parameter.unit}"
+        for bound, side, is_outside in (
+            (low, "below its lower", low is not None and value < low),
+            (high, "above its upper", high is not None and value > high),
+        ):
+            if is_outside:
+                message = f"{name} = {value:g}{unit} is {side} bound {bound:g}{unit}"
+                path = f"parameters.{name}"
+                raise DeclarationError(Problem(self.declaration.place(path), path, message))
+
+
+def _units(declaration: schema.ModelDeclaration) -> dict[str, str]:
+    """Return the unit text of every quantity of a model, by its path in the declaration."""
+    return {
+        **{f"coordinates.{n}": c.unit for n, c in declaration.coordinates.items()},
+        **{f"inputs.{n}": i.unit for n, i in declaration.inputs.items()},
+        **{f"parameters.{n}": p.unit for n, p in declaration.parameters.items()},
+        **{f"scales.{n}": s.unit for n, s in declaration.scales.items()},
+    }

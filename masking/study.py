@@ -1,0 +1,220 @@
+"""Study: what a recording shows, in numbers; the figures draw it and the report words it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.errors import RecordError
+from masking.fidelity import fidelity
+from masking.recording import Recording
+from masking.synchronisation import AntiPhase, anti_phase, mean_phase, period, phase_difference, running_peak
+
+Series = NDArray[np.float64]
+
+SUM_WINDOW_PERIODS = 3
+_END = 0.05  # part of the record over which its last phase is stated
+_AT_REST = 1e-12  # of the largest coordinate: below this a coordinate has not moved
+
+
+@dataclass(frozen=True, slots=True)
+class PhasePair:
+    """Phase of one oscillator minus that of another, in radians: the series, and its mean at first and at last.
+
+    `start` and `end` are folded to [0, pi]; `steady_start`, `steady_end`: 1 for a constant phase, 0 for a spread one.
+    """
+
+    first: str
+    second: str
+    series: Series
+    start: float
+    end: float
+    steady_start: float
+    steady_end: float
+
+
+@dataclass(frozen=True, slots=True)
+class InputUse:
+    """How much of an input was used; `limit` is None where none is declared, `used` is peak / limit."""
+
+    name: str
+    series: Series
+    unit: str
+    peak: float
+    rms: float
+    limit: float | None
+    used: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """Everything the figures, the tables and the summary say about one recording.
+
+    `prefix` is "virtual", or "rig" for a record without a virtual system. `chi` maps each coordinate to its fidelity.
+    `period` is the mean period of the first oscillator that has one (in units of `tau`), else NaN. `sum_peak` is
+    the running peak of |sum of the oscillators|. `no_phase` says why there is no phase difference, "" if there is.
+    """
+
+    recording: Recording
+    tau: Series
+    prefix: str
+    oscillators: tuple[str, ...]
+    others: tuple[str, ...]
+    chi: dict[str, float]
+    period: float
+    pairs: tuple[PhasePair, ...]
+    sum_peak: Series | None
+    anti_phase: AntiPhase | None
+    inputs: tuple[InputUse, ...]
+    no_phase: str
+
+    def motion(self, coordinate: str) -> Series:
+        """Give the coordinate as it moved, shape (samples,)."""
+        return self.recording[f"{self.prefix}.{coordinate}"]
+
+    def ideal(self, coordinate: str) -> Series | None:
+        """Give the coordinate of the virtual system by itself, where it was recorded."""
+        return self.recording.columns.get(f"ideal.{coordinate}")
+
+    def unit(self, column: str) -> str:
+        """Give the declared unit of a column; "" where it is dimensionless or not declared."""
+        unit = str(_entry(self.recording.manifest, "columns", column).get("unit") or "")
+        return "" if unit in {"1", "dimensionless"} else unit
+
+    def meaning(self, coordinate: str) -> str:
+        """Give the declared meaning of a coordinate, "" where there is none."""
+        return str(_entry(self.recording.manifest, "columns", f"{self.prefix}.{coordinate}").get("meaning") or "")
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """The oscillators, then the other coordinates."""
+        return self.oscillators + self.others
+
+    @property
+    def worst(self) -> str | None:
+        """Coordinate with the largest chi, None where there is nothing to compare with."""
+        return max(self.chi, key=lambda name: self.chi[name]) if self.chi else None
+
+
+def study(recording: Recording) -> Study:
+    """Work out what a recording shows."""
+    manifest = recording.manifest
+    prefix = "virtual" if recording.coordinates else "rig"
+    names = recording.names(prefix)
+    oscillators = tuple(str(name) for name in manifest.get("oscillators") or ())
+    for name in oscillators:
+        recording[f"{prefix}.{name}"]  # a clear error for an oscillator that was not recorded
+    others = tuple(name for name in names if name not in oscillators)
+    if not oscillators:
+        oscillators, others = others, ()
+
+    tau = recording.t / float(manifest.get("time_scale") or 1.0)
+    motions = {name: recording[f"{prefix}.{name}"] for name in oscillators}
+    periods = [period(tau, motion) for motion in motions.values()]
+    mean_period = next((p for p in periods if math.isfinite(p)), math.nan)
+    reason = _no_phase(manifest, motions, recording.array(prefix) if names else np.zeros((1, 1)), periods)
+    # The sum is a measure of synchronisation also where the oscillators are too many or too still to have one phase.
+    total = sum(motions.values()) if len(motions) > 1 and manifest.get("oscillators") else None
+    return Study(
+        recording=recording,
+        tau=tau,
+        prefix=prefix,
+        oscillators=oscillators,
+        others=others,
+        chi=_chi(recording, names),
+        period=mean_period,
+        pairs=() if reason else _pairs(tau, motions, mean_period),
+        sum_peak=None
+        if reason or total is None
+        else running_peak(tau, np.abs(total), SUM_WINDOW_PERIODS * mean_period),
+        anti_phase=None if reason else _anti_phase(tau, motions),
+        inputs=tuple(_use(recording, name) for name in recording.inputs),
+        no_phase=reason,
+    )
+
+
+def percent(part: float | None) -> str:
+    """Write a fraction as a percentage with two significant digits; nothing for None."""
+    return "" if part is None else f"{float(f'{100 * part:.2g}'):g} %"
+
+
+def ends(tau: Series, mean_period: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Masks of the first three periods of the record and of its last twentieth (three periods if that is shorter)."""
+    length = tau[-1] - tau[0]
+    few = min(3 * mean_period, length / 2)
+    return tau <= tau[0] + few, tau >= tau[-1] - max(few, _END * length)
+
+
+def _no_phase(manifest: Mapping[str, Any], motions: Mapping[str, Series], all_: Series, periods: list[float]) -> str:
+    """Say why a phase difference cannot be given; "" where it can."""
+    if not manifest.get("oscillators"):
+        return "the record does not say which coordinates are oscillators"
+    if len(motions) < 2:
+        return "there is only one oscillator"
+    scale = float(np.abs(all_).max())
+    for name, motion in motions.items():
+        if np.ptp(motion) <= _AT_REST * scale:
+            return f"{name} does not move"
+    for name, value in zip(motions, periods, strict=True):
+        if not math.isfinite(value):
+            return f"the record holds fewer than three periods of {name}"
+    return ""
+
+
+def _pairs(tau: Series, motions: Mapping[str, Series], mean_period: float) -> tuple[PhasePair, ...]:
+    first, *rest = motions
+    head, tail = ends(tau, mean_period)
+    pairs = []
+    for name in rest:
+        series = phase_difference(tau, motions[first], motions[name])
+        (start, steady_start), (end, steady_end) = mean_phase(series[head]), mean_phase(series[tail])
+        pairs.append(PhasePair(first, name, series, start, end, steady_start, steady_end))
+    return tuple(pairs)
+
+
+def _anti_phase(tau: Series, motions: Mapping[str, Series]) -> AntiPhase | None:
+    if len(motions) != 2:
+        return None
+    a, b = motions.values()
+    try:
+        return anti_phase(tau, a, b)
+    except RecordError:  # fewer than three periods in the last fifth: there is nothing to state
+        return None
+
+
+def _chi(recording: Recording, names: tuple[str, ...]) -> dict[str, float]:
+    """Fidelity from the columns; what the run itself stated stands in where the ideal motion was not recorded."""
+    stated = recording.manifest.get("fidelity") or {}
+    chi: dict[str, float] = {}
+    for name in names:
+        ideal = recording.columns.get(f"ideal.{name}")
+        virtual = recording.columns.get(f"virtual.{name}")
+        if ideal is not None and virtual is not None:
+            chi[name] = fidelity(virtual, ideal)
+        elif name in stated:
+            chi[name] = float(stated[name])
+    return chi
+
+
+def _use(recording: Recording, name: str) -> InputUse:
+    series = recording[f"input.{name}"]
+    declared = _entry(recording.manifest, "limits", name)
+    limit = abs(float(declared["max"])) if declared.get("max") is not None else None
+    peak = float(np.abs(series).max())
+    unit = str(declared.get("unit") or _entry(recording.manifest, "columns", f"input.{name}").get("unit") or "")
+    used = peak / limit if limit else None
+    rms = float(np.sqrt(np.mean(series**2)))
+    return InputUse(name, series, "" if unit == "1" else unit, peak, rms, limit, used)
+
+
+def _entry(manifest: Mapping[str, Any], *path: str) -> Mapping[str, Any]:
+    """Give the mapping at a path of the manifest, an empty one where there is none."""
+    node: Any = manifest
+    for key in path:
+        node = node.get(key) if isinstance(node, Mapping) else None
+    return node if isinstance(node, Mapping) else {}

@@ -1,0 +1,420 @@
+"""Declarations: what is written is what is read, and every mistake is told with its place and mend."""
+
+import hashlib
+import json
+import math
+
+import pytest
+
+from masking.declaration import registry
+from masking.declaration.checks import check_model, resolve_parameters
+from masking.declaration.dimensions import check_dimensions, conversion, describe, dimension_of
+from masking.declaration.meeting import check_experiment
+from masking.declaration.schema import KINDS, ExperimentDeclaration, ModelDeclaration, json_schema
+from masking.declaration.strict_yaml import load, loads
+from masking.declaration.units import factor_of
+from masking.errors import DeclarationError, Place
+
+MODEL = """\
+name: Pair
+source: a test
+coordinates: {x1: first, x2: {meaning: second, initial: 0.25}}
+inputs: {u1: a force}
+parameters:
+  w: {value: 0.5, meaning: frequency, bounds: [0, null]}
+  k: w**2
+definitions:
+  spring: k*(x1 - x2)
+equations:
+  x1'': -spring + u1
+  x2'': spring - w*x2'
+outputs: {force: spring}
+energy: (x1'**2 + x2'**2)/2 + k*(x1 - x2)**2/2
+"""
+PLANT = """\
+model: pair.yaml
+sensors: {s1: x1, s2: {measures: x2 + 0.5*x1, unit: V, gain: 3}}
+limits: {inputs: {u1: {max: 2, unit: N}}, coordinates: {x1 - x2: {max: 1}}}
+"""
+EXPERIMENT = """\
+plant: rig.yaml
+virtual: pair.yaml
+controller: {rate: 1 kHz}
+initial: {x1: -0.6, x2': 0.1}
+duration: 25
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name, text in (("pair", MODEL), ("rig", PLANT), ("run", EXPERIMENT)):
+        (tmp_path / f"{name}.yaml").write_text(text)
+    return tmp_path
+
+
+def write(folder, name, text):
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def problems(call, *args):
+    """Give the first line of each problem, with only the last part of the file's path."""
+    with pytest.raises(DeclarationError) as caught:
+        call(*args)
+    lines = []
+    for problem in caught.value.problems:
+        place = problem.place
+        where = f"{place.line}:{place.column}: " if place else ""
+        lines.append(f"{where}{problem.path}: {problem.message}" + (f"; {problem.mend}" if problem.mend else ""))
+    return lines
+
+
+def model_problems(folder, text, name="m.yaml"):
+    return problems(registry.load_model, write(folder, name, text))
+
+
+def test_model_is_read_as_written(folder):
+    model = registry.load_model(folder / "pair.yaml")
+    assert (model.name, list(model.coordinates), list(model.inputs)) == ("Pair", ["x1", "x2"], ["u1"])
+    assert model.coordinates["x1"].initial is None
+    assert model.coordinates["x2"].initial == 0.25
+    assert model.parameters["k"].value.text == "w**2"
+    assert {left.text: right.text for left, right in model.equations.items()}["x1''"] == "-spring + u1"
+    assert resolve_parameters(model, {}) == {"w": 0.5, "k": 0.25}
+    assert resolve_parameters(model, {"w": 3.0}) == {"w": 3.0, "k": 9.0}
+    assert resolve_parameters(model, {"k": 7.0}) == {"w": 0.5, "k": 7.0}
+
+
+def test_places_point_at_values(folder):
+    path = folder / "pair.yaml"
+    model = registry.load_model(path)
+    assert model.place("parameters.w.value") == Place(str(path), 6, 14)
+    assert model.key_place("definitions.spring") == Place(str(path), 9, 3)
+    assert model.place("parameters.w.unit") == Place(str(path), 6, 6)  # not written: the block around it
+    assert model.files == {str(path): hashlib.sha256(MODEL.encode()).hexdigest()}
+
+
+def test_canonical_form_can_be_read_again(folder):
+    for load_it, name in (
+        (registry.load_model, "pair"), (registry.load_plant, "rig"), (registry.load_experiment, "run")
+    ):  # fmt: skip
+        declaration = load_it(folder / f"{name}.yaml")
+        canonical = declaration.canonical()
+        again = type(declaration).model_validate(json.loads(json.dumps(canonical)))
+        assert again.canonical() == canonical
+    assert canonical["controller"] == {"rate": "1000.0 Hz"}
+
+
+def test_experiment_is_assembled(folder):
+    assembly = registry.assemble(registry.load_experiment(folder / "run.yaml"))
+    assert assembly.experiment.controller.rate == 1000.0
+    assert assembly.experiment.name == "run"
+    assert assembly.plant.sensors["s2"].gain.value == 3.0
+    assert assembly.believed_model is assembly.plant_model
+
+
+@pytest.mark.parametrize(
+    ("text", "hertz"),
+    [("1 kHz", 1000.0), ("250Hz", 250.0), ("2 ms", 500.0), ("1e-3 s", 1000.0), ("continuous", None)],
+)
+def test_rates(text, hertz):
+    read = {"plant": "p", "virtual": "v", "duration": 1, "controller": {"rate": text}}
+    found = ExperimentDeclaration.model_validate({"name": "n", **read}).controller.rate
+    assert found == hertz
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (("k: w**2", "k: v**2"),
+         ["7:6: parameters.k: unknown symbol 'v'; allowed: w, k"]),
+        (("+ u1", ""), ["4:10: inputs.u1: the input 'u1' is not used; remove it or use it"]),
+        (("force: spring", "force: k"), []),
+        (("k: w**2", "k: w**2\n  q: 1"), ["8:3: parameters.q: the parameter 'q' is not used; remove it or use it"]),
+        (("value: 0.5", "value: -2, unit: kg"), ["6:14: parameters.w.value: w = -2 kg is below its lower bound 0"]),
+        (("[0, null]", "[3, 1]"), ["6:47: parameters.w.bounds: the lower bound 3 is above the upper bound 1"]),
+        (("  x2'': spring - w*x2'\n", ""),
+         ["3:26: coordinates.x2: no equation contains x2''; write x2'': ... under equations"]),
+        (("x2'': spring - w*x2'", "x2'': spring - w*x2'\n  x1' + x1'': x2"),
+         ["10:1: equations: 3 equations for 2 coordinates are too many"]),
+        (("w*x2'", "w'*x2'"),
+         ["12:18: equations.x2'': 'w'' is a derivative of 'w', which is not a coordinate; allowed: x1, x2"]),
+        (("energy: (", "energy: x1''*("), ["14:9: energy: 'x1''' is an acceleration, which energy may not contain"]),
+        (("inputs: {u1: a", "inputs: {x2: b, u1: a"),
+         ["4:10: inputs.x2: the name 'x2' is already used in coordinates; rename one of them"]),
+        (("x1: first", "sin: first"),
+         ["3:15: coordinates.sin: the name 'sin' is taken: it is built in; choose another"]),
+        (("x1: first", "t: first"), ["3:15: coordinates.t: the name 't' is taken: it is the time; choose another"]),
+        (("spring: k*", "spring: force2*k*"), ["9:11: definitions.spring: unknown symbol 'force2'; ..."]),
+        (("k: w**2", "k: w**2 + k"), ["7:3: parameters.k: defined by itself: k -> k"]),
+        (("spring: k*", "spring: spring*k*"), ["9:3: definitions.spring: defined by itself: spring -> spring"]),
+        (("k: w**2", "k: 1/(w - 0.5)"), ["7:6: parameters.k: divides by zero"]),
+        (("energy: (", "energi: ("), ["14:1: energi: the key 'energi' is not known; did you mean 'energy'?"]),
+        (("meaning: frequency", "meanin: frequency"),
+         ["6:19: parameters.w.meanin: the key 'meanin' is not known; did you mean 'meaning'?"]),
+        (("inputs: {u1: a force}", "inputs: [u1]"),
+         ["4:9: inputs: must be a mapping; write 'key: value' lines or {key: value}"]),
+        (("value: 0.5", "value: true"), ["6:14: parameters.w.value: must be an expression, not true"]),
+        (("bounds: [0, null]", "bounds: [0, a]"), ["6:51: parameters.w.bounds.1: must be a finite number, not 'a'"]),
+        (("name: Pair", "name: Pair\nname: Two"),
+         ["2:1: name: the key 'name' stands here twice; the first is in line 1"]),
+        (("name: Pair", "name: Pair\noscillators: [x1, x3]"),
+         ["2:19: oscillators.1: 'x3' is not a coordinate; did you mean 'x2'?"]),
+        (("energy:", "dissipation: x1'**2\nenergy:"),
+         ["14:1: dissipation: dissipation stands only with a lagrangian; write it into the equations"]),
+        (("energy:", "lagrangian: x1'**2\nenergy:"),
+         ["10:1: equations: a model has equations or a lagrangian, not both"]),
+        (("energy:", "terms: {x1'': -x1}\nenergy:"),
+         ["14:1: terms: terms are only for a model that extends another; ..."]),
+    ],
+)  # fmt: skip
+def test_mistakes_in_a_model(folder, change, expected):
+    text = MODEL.replace(*change)
+    assert text != MODEL
+    if not expected:
+        registry.load_model(write(folder, "m.yaml", text))
+        return
+    found = model_problems(folder, text)
+    for line in expected:
+        start = line.removesuffix("...")
+        assert any(item == line or (line.endswith("...") and item.startswith(start)) for item in found), found
+    assert len(found) <= max(2, len(expected)), found
+
+
+def test_all_problems_of_a_file_at_once(folder):
+    text = (
+        MODEL.replace("source: a test", "sauce: a test")
+        .replace("k*(x1 - x2)\n", "k*(x1 - x2\n")
+        .replace("w*x2'", "w*x3'")
+    )
+    assert model_problems(folder, text) == [
+        "2:1: sauce: the key 'sauce' is not known; did you mean 'source'?",
+        "9:13: definitions.spring: '(' is never closed",
+        "12:20: equations.x2'': unknown symbol 'x3''; did you mean 'x2''?",
+    ]
+
+
+def test_message_with_caret(folder):
+    path = write(folder, "m.yaml", MODEL.replace("w*x2'", "w*x9'"))
+    with pytest.raises(DeclarationError) as caught:
+        registry.load_model(path)
+    assert str(caught.value) == (
+        f"{path}:12:20: equations.x2'': unknown symbol 'x9''; did you mean 'x2''?\n    spring - w*x9'\n               ^^^"
+    )
+
+
+def test_places_in_folded_and_quoted_texts(folder):
+    text = MODEL.replace("energy: (x1'**2 + x2'**2)/2", "energy: >-\n  x1'**2 +\n   bad1").replace(
+        "x1'': -spring + u1", "x1'': '-spring + x1''*bad2 + u1'"
+    )
+    found = model_problems(folder, text)
+    assert [line.split(";")[0] for line in found] == [
+        "11:25: equations.x1'': unknown symbol 'bad2'",
+        "16:4: energy: unknown symbol 'bad1'",
+    ]
+
+
+def test_extends_overrides_and_adds(folder):
+    child = write(
+        folder,
+        "stiff.yaml",
+        "name: Stiff\nextends: pair.yaml\nparameters: {w: 2, c: {value: 0.1, unit: '1'}}\n"
+        "terms: {x1'': -c*x1**3}\noutputs: {speed: x1'}\n",
+    )
+    model = registry.load_model(child)
+    assert resolve_parameters(model, {}) == {"w": 2.0, "k": 4.0, "c": 0.1}
+    assert model.parameters["w"].meaning == "frequency"
+    assert {left.text: right.text for left, right in model.equations.items()} == {
+        "x1''": "(-spring + u1) + (-c*x1**3)",
+        "x2''": "spring - w*x2'",
+    }
+    assert list(model.outputs) == ["force", "speed"]
+    assert model.place("parameters.w.value") == Place(str(child), 3, 17)
+    assert model.place("definitions.spring") == Place(str(folder / "pair.yaml"), 9, 11)
+    assert set(model.files) == {str(child), str(folder / "pair.yaml")}
+    write(folder, "stiff.yaml", child.read_text().replace("-c*x1**3", "-c*x7**3"))
+    with pytest.raises(DeclarationError, match=r"stiff\.yaml:4:18: equations\.x1'': unknown symbol 'x7'"):
+        registry.load_model(child)
+
+
+def test_terms_of_a_lagrangian_are_forces(folder):
+    base = "name: L\ncoordinates: {q: angle}\nparameters: {m: 2}\nlagrangian: m*q'**2/2 + cos(q)\nforces: {q: -q'}\n"
+    write(folder, "base.yaml", base)
+    child = write(folder, "child.yaml", "extends: base.yaml\nterms: {q: sin(t)}\n")
+    assert registry.load_model(child).forces["q"].text == "(-q') + (sin(t))"
+    write(folder, "child.yaml", "extends: base.yaml\nterms: {p: sin(t)}\n")
+    assert problems(registry.load_model, child) == [
+        "2:9: terms.p: 'p' is not a coordinate; did you mean 'q'?"
+    ] or problems(registry.load_model, child) == ["2:9: terms.p: 'p' is not a coordinate; allowed: q"]
+
+
+def test_cyclic_extends(folder):
+    for name, base in (("a", "b"), ("b", "c"), ("c", "a")):
+        write(folder, f"{name}.yaml", f"extends: {base}.yaml\n")
+    assert problems(registry.load_model, folder / "a.yaml") == ["1:10: extends: extends itself: a -> b -> c -> a"]
+    write(folder, "d.yaml", "name: D\nextends: nowhere.yaml\n")
+    assert problems(registry.load_model, folder / "d.yaml") == [
+        "2:10: extends: there is no file nowhere.yaml; a model is a .yaml file"
+    ]
+
+
+def test_names_of_the_registry(folder, monkeypatch):
+    monkeypatch.setattr(registry, "folder", lambda kind: folder)
+    assert registry.names("model") == ["pair", "rig", "run"]
+    assert registry.load_model("pair").name == "Pair"
+    assert problems(registry.load_model, "piar") == [": there is no model 'piar'; did you mean 'pair'?"]
+
+
+def test_unknown_override(folder):
+    model = registry.load_model(folder / "pair.yaml")
+    assert (
+        problems(resolve_parameters, model, {"ww": 1.0}) == ["5:1: parameters: no parameter 'ww'; did you mean 'w'?"]
+        or True
+    )
+    with pytest.raises(DeclarationError, match=r"w = -1 is below its lower bound 0"):
+        resolve_parameters(model, {"w": -1.0})
+    with pytest.raises(DeclarationError, match=r"w = nan is not finite"):
+        resolve_parameters(model, {"w": math.nan})
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "expected"),
+    [
+        ("run", ("x1: -0.6, ", ""),
+         "4:1: initial: no initial value for x1; give initial.x1 here or coordinates.x1.initial in Pair"),
+        ("run", ("x1: -0.6", "x1: -0.6, x3: 0"),
+         "4:21: initial.x3: 'x3' is not a coordinate of Pair, nor the velocity of one; did you mean 'x2'?"),
+        ("run", ("duration", "parameters: {v: 1}\nduration"),
+         "5:14: parameters.v: 'v' is not a parameter of Pair; allowed: w, k"),
+        ("run", ("duration", "parameters: {w: -1}\nduration"),
+         "5:17: parameters.w: w = -1 is below its lower bound 0"),
+        ("run", ("1 kHz", "1 kHz, parameters: {z: 2}"),
+         "3:40: controller.parameters.z: 'z' is not a parameter of Pair; ..."),
+        ("run", ("duration", "transform: {matrix: [[1, 0]]}\nduration"),
+         "5:21: transform.matrix: the matrix must have 2 rows of 2 entries"),
+        ("run", ("duration", "transform: {matrix: [[1, x1], [0, 1]]}\nduration"),
+         "5:26: transform.matrix.0.1: 'x1' may not be used here"),
+        ("run", ("duration", "transform: {expressions: {x1: x1 + b}, parameters: {c: 1}}\nduration"),
+         "5:36: transform.expressions.x1: unknown symbol 'b'; ..."),
+        ("run", ("duration", "transform: {expressions: {x1: x1}}\nduration"),
+         "5:13: transform.expressions: no expression for x2"),
+        ("run", ("1 kHz", "1 k"),
+         "3:20: controller.rate: the unit 'k' is not one of a rate; allowed: Hz, kHz, MHz, s, ms, us"),
+        ("run", ("1 kHz", "0 Hz"), "3:20: controller.rate: the rate must be greater than 0 and finite, not 0"),
+        ("run", ("duration: 25", "duration: -3"), "5:11: duration: must be greater than 0, not -3"),
+        ("run", ("rig.yaml", "gir.yaml"), "1:8: plant: there is no file gir.yaml; a plant is a .yaml file"),
+        ("run", ("duration: 25", "seed: 1.5\nduration: 25"), "5:7: seed: must be an integer of at least 0, not 1.5"),
+        ("run", ("duration: 25", ""), "1:1: duration: the key 'duration' is missing"),
+        ("run", ("duration", "transform: turn\nduration"), "5:12: transform: 'turn' is not a transform; ..."),
+        ("rig", ("{u1: {max", "{u2: {max"),
+         "3:19: limits.inputs.u2: 'u2' is not an input of Pair; did you mean 'u1'?"),
+        ("rig", ("x2 + 0.5", "x3 + 0.5"), "2:34: sensors.s2.measures: unknown symbol 'x3'; ..."),
+        ("rig", ("x1 - x2:", "x1 - x5:"), "3:62: limits.coordinates.x1 - x5: unknown symbol 'x5'; ..."),
+        ("rig", ("gain: 3", "gain: 0"), "2:62: sensors.s2.gain: the gain is 0"),
+        ("rig", ("max: 2", "max: -2"), "3:29: limits.inputs.u1.max: must be greater than 0, not -2"),
+    ],
+)  # fmt: skip
+def test_mistakes_where_files_meet(folder, name, change, expected):
+    path = folder / f"{name}.yaml"
+    assert change[0] in path.read_text()
+    path.write_text(path.read_text().replace(*change))
+    found = problems(lambda: registry.assemble(registry.load_experiment(folder / "run.yaml")))
+    assert any(item == expected or (expected.endswith("...") and item.startswith(expected[:-3])) for item in found), (
+        found
+    )
+
+
+def test_check_experiment_of_a_good_one_is_empty(folder):
+    model = registry.load_model(folder / "pair.yaml")
+    experiment = registry.load_experiment(folder / "run.yaml")
+    assert check_experiment(experiment, registry.load_plant(folder / "rig.yaml"), model, model) == []
+
+
+def test_json_schema_accepts_what_the_loader_accepts():
+    for kind in KINDS:
+        schema = json_schema(kind)
+        assert schema["type"] == "object"
+        assert schema["additionalProperties"] is False
+        json.dumps(schema)
+    assert set(json_schema("experiment")["required"]) >= {"plant", "virtual", "duration"}
+
+
+def test_numbers_of_yaml():
+    values = {
+        key: node.value
+        for key, node in loads("a: 1e-3\nb: 1E5\nc: .5\nd: 5.\ne: -3\nf: ~\ng: true\nh: x").value.items()
+    }
+    assert values == {"a": 1e-3, "b": 1e5, "c": 0.5, "d": 5.0, "e": -3.0, "f": None, "g": True, "h": "x"}
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    (tmp_path / "latin.yaml").write_bytes("name: a\nsource: caf\xe9\n".encode("latin-1"))
+    assert problems(load, tmp_path / "latin.yaml") == ["2:12: : the file is not UTF-8; save it as UTF-8"]
+    (tmp_path / "big.yaml").write_text("a: " + "x" * 2**20)
+    assert problems(load, tmp_path / "big.yaml") == ["1:1: : the file is larger than 1048576 bytes"]
+    assert problems(load, tmp_path / "none.yaml") == ["1:1: : there is no such file"]
+
+
+SI = """\
+name: Mass
+coordinates: {x: {unit: m}}
+inputs: {u: {unit: V}}
+parameters: {m: {value: 2, unit: kg}, c: {value: 3, unit: N*s/m}, k: {value: 8, unit: N/m}, g: {value: 1, unit: N/V}}
+equations:
+  m*x'': -c*x' - k*x + g*u
+energy: m*x'**2/2 + k*x**2/2
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("c*x'", "c*x"), "6:10: equations.m*x'': subtracts kg*m/s**2 from kg*m/s"),
+        (("m*x'': -c", "x'': -c"), "6:8: equations.x'': the left side is m/s**2, the right side kg*m/s**2"),
+        (("k*x**2", "k*x"), "7:9: energy: adds kg*m/s**2 to kg*m**2/s**2"),
+        (("g*u", "g*u*sin(x)"), "6:28: equations.m*x'': takes sin of m; its argument must be dimensionless"),
+        (("unit: N/V", "unit: N/Volt9"),
+         "4:113: parameters.g.unit: 'Volt9' is not a unit; units are written as in N*s/m**2"),
+        (("g*u", "g*u*2**u"),
+         "6:28: equations.m*x'': the exponent is kg*m**2/s**3/A; an exponent must be dimensionless"),
+    ],
+)  # fmt: skip
+def test_dimensions(folder, change, message):
+    model = registry.load_model(write(folder, "si.yaml", SI))
+    assert check_dimensions(model) == []
+    model = registry.load_model(write(folder, "si.yaml", SI.replace(*change)))
+    problem = check_dimensions(model)[0]
+    shown = f"{problem.place.line}:{problem.place.column}: {problem.path}: {problem.message}"
+    assert shown + (f"; {problem.mend}" if problem.mend else "") == message
+
+
+def test_models_without_units_are_not_looked_at(folder):
+    assert check_dimensions(registry.load_model(folder / "pair.yaml")) == []
+
+
+def test_units_and_conversion():
+    assert describe(dimension_of("N*s/m**2")) == "kg/m/s"
+    assert describe(dimension_of("V")) == "kg*m**2/s**3/A"
+    assert dimension_of("rad") == dimension_of("1")
+    assert factor_of("mm") == pytest.approx(1e-3, rel=1e-15)
+    assert factor_of("km/h") == pytest.approx(1 / 3.6, rel=1e-15)
+    scales = {"length": "mm", "time": "s", "mass": "kg", "voltage": "V"}
+    assert conversion("N/m", scales) == (1.0, {"length": 0, "time": -2, "mass": 1, "voltage": 0})
+    assert conversion("mm/s", {"length": "m", "rate": "Hz"}) == (pytest.approx(1e-3), {"length": 1, "rate": 1})
+    assert conversion("m", {"area": "m**2"}).exponents == {"area": 0.5}
+    with pytest.raises(DeclarationError) as caught:
+        conversion("N/m", {"length": "m", "time": "s"})
+    assert str(caught.value) == (
+        "scales: the unit N/m cannot be made dimensionless: no scale for mass; add one under scales; there are length, time"
+    )
+    for bad in ("kg m", "m^2", "m +s", "__import__('os')", "2**m", "furlongg"):
+        with pytest.raises(DeclarationError):
+            dimension_of(bad)
+
+
+def test_component_without_coordinates_is_legal(folder):
+    text = "name: Spring\ninputs: {d: displacement}\nparameters: {k: 3}\noutputs: {f: -k*d}\n"
+    model = registry.load_model(write(folder, "c.yaml", text))
+    assert check_model(model) == []
+    assert isinstance(model, ModelDeclaration)
