@@ -19,7 +19,8 @@ import numpy as np
 from masking.compile.graph import Graph, Node
 from masking.errors import ActuationError, ModelError
 from masking.linear import solve
-from masking.model import Model, ModelGraph
+from masking.lowering import LoweredEquations
+from masking.model import Model
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -56,7 +57,7 @@ class Transform:
     @cached_property
     def expressions(self) -> sp.ImmutableMatrix:
         """Return eta = T(q) as a column (k, 1) in the rig's coordinate symbols."""
-        q = self.rig.symbols.q
+        q = self.rig.equations.symbols.q
         if self.declaration.kind == "identity":
             if len(q) != len(self.virtual.coordinates):
                 raise ModelError(
@@ -73,20 +74,26 @@ class Transform:
     @cached_property
     def jacobian(self) -> sp.ImmutableMatrix:
         """Return J = dT/dq (k, n)."""
-        return sp.ImmutableMatrix(self.expressions.jacobian(self.rig.symbols.q))
+        return sp.ImmutableMatrix(self.expressions.jacobian(self.rig.equations.symbols.q))
 
     @cached_property
     def bias(self) -> sp.ImmutableMatrix:
         """Return (dJ/dt) v (k, 1), the virtual acceleration at zero rig acceleration."""
-        s = self.rig.symbols
+        s = self.rig.equations.symbols
         rows = []
         for row in self.jacobian.tolist():
-            rows.append(sum(sp.diff(j, q) * vq * v for j, v in zip(row, s.v, strict=True) for q, vq in zip(s.q, s.v, strict=True)))
+            rows.append(
+                sum(
+                    sp.diff(j, q) * vq * v
+                    for j, v in zip(row, s.v, strict=True)
+                    for q, vq in zip(s.q, s.v, strict=True)
+                )
+            )
         return sp.ImmutableMatrix(rows)
 
     def lower(self, graph: Graph, q: Sequence[Node], v: Sequence[Node], p: Sequence[Node]) -> MappedCoordinates:
         """Lower eta, its rate, J and (dJ/dt) v for given nodes of rig coordinates, velocities and parameters."""
-        s = self.rig.symbols
+        s = self.rig.equations.symbols
         known = dict(zip((*s.q, *s.v, *self.parameter_symbols), (*q, *v, *p), strict=True))
         jacobian = [[graph.lower(e, known) for e in row] for row in self.jacobian.tolist()]
         return MappedCoordinates(
@@ -117,10 +124,10 @@ class DesiredDynamics:
         self, graph: Graph, time: Node, eta: Sequence[Node], rate: Sequence[Node], p: Sequence[Node]
     ) -> list[Node]:
         """Lower eta'' = F(tau, eta, eta'), with the virtual system's inputs at zero."""
-        s = self.virtual.symbols
+        s = self.virtual.equations.symbols
         u = [graph.number(0.0)] * len(s.u)
         known = dict(zip((s.t, *s.q, *s.v, *s.u, *s.p), (time, *eta, *rate, *u, *p), strict=True))
-        return ModelGraph.of(self.virtual, graph, known=known).accelerations
+        return LoweredEquations.of(self.virtual.equations, graph, known=known).accelerations
 
 
 @dataclass(frozen=True)
@@ -140,13 +147,13 @@ class Cancellation:
         Raises:
             ModelError: an acceleration is not affine in the inputs.
         """
-        s = self.model.symbols
+        s = self.model.equations.symbols
         known = dict(zip((s.t, *s.q, *s.v, *s.p), (time, *q, *v, *p), strict=True))
-        mass = [[graph.lower(e, known) for e in row] for row in self.model.mass.tolist()]
-        free = self.model.force.subs(dict.fromkeys(s.u, 0))
+        mass = [[graph.lower(e, known) for e in row] for row in self.model.equations.mass.tolist()]
+        free = self.model.equations.force.subs(dict.fromkeys(s.u, 0))
         right = [
             [graph.lower(f, known), *(graph.lower(e, known) for e in row)]
-            for f, row in zip(free, self.model.input_force.tolist(), strict=True)
+            for f, row in zip(free, self.model.equations.input_force.tolist(), strict=True)
         ]
         solution, health = solve(graph, mass, right)
         return [row[0] for row in solution], [row[1:] for row in solution], health
@@ -181,7 +188,7 @@ def check_actuation(model: Model, transform: Transform) -> None:
     Raises:
         ActuationError: names the virtual coordinates that cannot be masked.
     """
-    s = model.symbols
+    s = model.equations.symbols
     generator = np.random.default_rng(0)
     symbols = (s.t, *s.q, *s.v, *s.p, *transform.parameter_symbols)
     point = dict(zip(symbols, generator.uniform(0.5, 1.5, len(symbols)), strict=True))
@@ -189,7 +196,7 @@ def check_actuation(model: Model, transform: Transform) -> None:
     def number(matrix: sp.Matrix) -> np.ndarray:
         return np.array(matrix.subs(point).evalf().tolist(), dtype=float).reshape(matrix.shape)
 
-    gain = np.linalg.solve(number(model.mass), number(model.input_force))
+    gain = np.linalg.solve(number(model.equations.mass), number(model.equations.input_force))
     decoupling = number(transform.jacobian) @ gain
     reachable = decoupling @ np.linalg.pinv(decoupling) if decoupling.size else np.zeros((len(decoupling),) * 2)
     names = transform.virtual.coordinates

@@ -14,17 +14,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
+import lazy_loader as lazy
 import numpy as np
 
 from masking.blocks import Cancellation, DesiredDynamics, Transform, check_actuation, decouple
 from masking.compile import store
 from masking.compile.graph import Graph, Node
-from masking.compile.source import LARGEST_TAYLOR_COST, TAYLOR_ORDER, Module
-from masking.compile.taylor import cost, is_analytic
+from masking.compile.source import Module
 from masking.errors import ModelError
 from masking.kernels import Array, Kernels
-from masking.model import SOLVE_RUNGE_KUTTA, SOLVE_TAYLOR, Model, ModelGraph
+from masking.lowering import SOLVE_RUNGE_KUTTA, LoweredEquations
+from masking.model import Model
+
+if TYPE_CHECKING:
+    import control
+else:
+    control = lazy.load("control")
 
 
 @dataclass(frozen=True)
@@ -182,8 +189,45 @@ class ClosedLoop:
         Raises:
             ActuationError: the inputs cannot accelerate every virtual coordinate.
         """
-        made_from = {"controller": self.controller.structure(), "plant": self.plant.structure()}
-        return Kernels(store.load(store.key(made_from), self._source))
+        return Kernels(store.load(self._key, self._source))
+
+    @property
+    def is_compiled(self) -> bool:
+        """Tell whether the loop is in the cache on disk."""
+        return store.path(self._key).exists()
+
+    @property
+    def _key(self) -> str:
+        return store.key({"controller": self.controller.structure(), "plant": self.plant.structure()})
+
+    def to_control(self) -> control.NonlinearIOSystem:
+        """Return the closed loop as a nonlinear input/output system of python-control.
+
+        It has no inputs; its states are the rig's coordinates and velocities in SI units, its outputs the virtual
+        coordinates, in the virtual system's units, and the rig's inputs.
+        """
+        kernels, n, p = self.kernels, len(self.plant.coordinates), self.values()
+        k, m = len(self.controller.virtual.coordinates), len(self.plant.inputs)
+
+        def update(t: float, x: Array, u: Array, params: Mapping[str, float]) -> Array:
+            rate = np.empty(2 * n)
+            kernels.derivative(float(t), np.array(x, float), np.zeros(m), p, rate)
+            return rate
+
+        def output(t: float, x: Array, u: Array, params: Mapping[str, float]) -> Array:
+            state, virtual, inputs = np.array([x], float), np.empty((1, 2 * k)), np.empty((1, m))
+            kernels.along(np.array([t], float), state, p, virtual, inputs)
+            return np.concatenate([virtual[0, :k], inputs[0]])
+
+        names = self.plant.coordinates
+        return control.nlsys(
+            update,
+            output,
+            inputs=0,
+            states=[*names, *(f"{c}'" for c in names)],
+            outputs=[*(f"virtual.{c}" for c in self.controller.virtual.coordinates), *self.plant.inputs],
+            name=f"{self.plant.name} as {self.controller.virtual.name}",
+        )
 
     def _source(self) -> str:
         check_actuation(self.controller.model, self.controller.transform)
@@ -194,7 +238,7 @@ def _module(loop: ClosedLoop) -> Module:
     """Return the generated module of a closed loop."""
     controller, n = loop.controller, len(loop.plant.coordinates)
     graph = Graph()
-    s = loop.plant.symbols
+    s = loop.plant.equations.symbols
     rig = RigSymbols(
         graph.symbol("t", varying=True),
         [graph.symbol(f"q_{c}", varying=True) for c in loop.plant.coordinates],
@@ -202,24 +246,25 @@ def _module(loop: ClosedLoop) -> Module:
     )
     law = ControlLaw.of(controller, graph, rig)
     known = dict(zip((s.t, *s.q, *s.v), (rig.t, *rig.q, *rig.v), strict=True))
-    driven = ModelGraph.of(loop.plant, graph, known={**known, **dict(zip(s.u, law.inputs, strict=True))})
-    plant = ModelGraph.of(loop.plant, graph, known=known)
+    driven = LoweredEquations.of(
+        loop.plant.equations, graph, known={**known, **dict(zip(s.u, law.inputs, strict=True))}
+    )
+    plant = LoweredEquations.of(loop.plant.equations, graph, known=known)
 
     p = _ControllerParameters.of(controller, graph)
     split = {**p.loads(graph), **plant.loads("q[{i}]", "v[{i}]", offset=p.count)}
     split |= {f"v_{c}": f"v[{i}]" for i, c in enumerate(loop.plant.coordinates)}
     joined = split | {f"q_{c}": f"y[{i}]" for i, c in enumerate(loop.plant.coordinates)}
     joined |= {f"v_{c}": f"y[{n + i}]" for i, c in enumerate(loop.plant.coordinates)}
-    states = [*rig.q, *rig.v]
     derivatives = [*rig.v, *driven.accelerations]
     health = graph.mul(law.health, driven.health)
-    use_taylor = is_analytic(graph, [*derivatives, health]) and cost(graph, derivatives) <= LARGEST_TAYLOR_COST
     meta = {
         "kind": "closed loop",
         "coordinates": list(loop.plant.coordinates),
         "inputs": list(loop.plant.inputs),
         "virtual": list(controller.virtual.coordinates),
-        "method": "taylor" if use_taylor else "runge_kutta",
+        # The virtual system by itself is integrated by Taylor series: two methods that agree check each other.
+        "method": "runge_kutta",
     }
     title = f"{loop.plant.name}, masked as {controller.virtual.name}"
     module = Module(title, meta)
@@ -236,9 +281,6 @@ def _module(loop: ClosedLoop) -> Module:
     add("step(t, q, v, u, p)", "u", law.inputs, law.health)
     add("plant_derivative(t, y, u, p, dy)", "dy", [*rig.v, *plant.accelerations], plant.health)
     add("derivative(t, y, u, p, dy)", "dy", derivatives, health)
-    if use_taylor:
-        module.add_coefficients(graph, states, derivatives, rig.t, health, joined)
-        module.add_text(SOLVE_TAYLOR.format(order=TAYLOR_ORDER, size=2 * n))
     module.add_text(SOLVE_RUNGE_KUTTA.format(size=2 * n))
     module.add_text(RUN.format(size=2 * n))
     return module

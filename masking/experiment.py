@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from masking.blocks import Transform
+from masking.blocks import Transform, check_actuation
 from masking.controller import ClosedLoop, Controller
 from masking.declaration import registry, schema
 from masking.fidelity import fidelity
@@ -93,6 +93,28 @@ class Experiment:
         """Return controller and plant, compiled together."""
         return ClosedLoop(self.controller, self.plant)
 
+    @property
+    def stem(self) -> str:
+        """Return the name of the experiment's file, without its ending."""
+        return Path(next(iter(self.declaration.files), self.declaration.name)).stem
+
+    @property
+    def is_compiled(self) -> bool:
+        """Tell whether the closed loop has been compiled before and is kept on disk."""
+        return self.loop.is_compiled
+
+    def validate(self) -> None:
+        """Refuse what can be refused without running.
+
+        Raises:
+            MaskingError: a model is wrong, the rig's inputs cannot accelerate every virtual coordinate, or no rig
+                position gives the initial state.
+        """
+        for model in (self.plant, self.controller.model, self.virtual):
+            model.validate()
+        check_actuation(self.controller.model, self.controller.transform)
+        self.virtual.initial_state(self.declaration.initial)
+
     def run(self, progress: Callable[[float], None] | None = None) -> Recording:
         """Run the closed loop, integrate the virtual system by itself, and compare.
 
@@ -130,7 +152,7 @@ class Experiment:
         return self._record(run, ideal.states, timing)
 
     def _record(self, run: Run, ideal: Array, timing: Mapping[str, float]) -> Recording:
-        rig, virtual = self.plant.coordinates, self.virtual.coordinates
+        virtual = self.virtual.coordinates
         columns = {"t": run.times}
         units: dict[str, dict[str, str]] = {"t": {"unit": "s", "meaning": "time"}}
         for prefix, model, states in (

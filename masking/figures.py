@@ -69,7 +69,7 @@ def symbol(name: str) -> str:
     if letters in GREEK or len(letters) == 1:
         letter = rf"\{letters}" if letters in GREEK else letters
         return rf"${letter}_{{{index}}}$" if index else f"${letter}$"
-    return name.replace("$", r"\$")
+    return rf"$\mathit{{{letters}}}_{{{index}}}$" if index else name.replace("$", r"\$")
 
 
 def _displacements(study: Study) -> Plate:

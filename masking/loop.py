@@ -58,7 +58,7 @@ def run_continuous(
     return _complete(loop, times, found.states, p)
 
 
-def run_sampled(  # noqa: PLR0913
+def run_sampled(
     loop: ClosedLoop,
     state: Array,
     *,

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from masking.declaration import schema
-from masking.declaration.units import conversion, describe, dimension_of
 from masking.declaration.expression import Expression
+from masking.declaration.units import conversion, describe, dimension_of
 from masking.errors import DeclarationError, ModelError, Problem, nearest
 
 PLAIN = "1"
@@ -42,7 +42,7 @@ class Conversion:
 
     def scale(self, scales: Mapping[str, float]) -> float:
         """Return the size in SI units of what the scales make of this dimension."""
-        return math.prod(scales[name] ** exponent for name, exponent in self.exponents.items())
+        return math.prod(float(scales[name] ** exponent) for name, exponent in self.exponents.items())
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,7 @@ class Units:
         values = self._si_values(overrides)
         found = {}
         for name, scale in self.declaration.scales.items():
-            factor = self.conversions[scale.unit].factor
-            si = scale.value.evaluate(values) if isinstance(scale.value, Expression) else scale.value * factor
+            si = self._si(scale.value, scale.unit, values)
             if not si > 0.0:
                 message = f"the scale is {si:g} {scale.unit}; a scale must be positive"
                 raise DeclarationError(Problem(self.declaration.place(f"scales.{name}"), f"scales.{name}", message))
@@ -138,15 +137,19 @@ class Units:
         while pending:  # the declaration has been checked for cycles
             for name, parameter in list(pending.items()):
                 value = overrides.get(name, parameter.value)
-                if isinstance(value, Expression):
-                    if value.names & pending.keys():
-                        continue
-                    found[name] = value.evaluate(found)
-                else:
-                    found[name] = value * self.conversions[parameter.unit].factor
+                if isinstance(value, Expression) and value.names & pending.keys():
+                    continue
+                found[name] = self._si(value, parameter.unit, found)
                 del pending[name]
                 self._check_bounds(name, found[name])
         return {name: found[name] for name in parameters}
+
+    def _si(self, value: float | Expression, unit: str, values: Mapping[str, float]) -> float:
+        """Return a declared value in SI units; an expression of parameters is one of their SI values."""
+        if isinstance(value, Expression):
+            computed = value.evaluate(values)
+            return computed if value.names else computed * self.conversions[unit].factor
+        return value * self.conversions[unit].factor
 
     def _check_bounds(self, name: str, si_value: float) -> None:
         parameter = self.declaration.parameters[name]

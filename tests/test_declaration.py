@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from masking.declaration import registry
+from masking.declaration import catalogue, registry
 from masking.declaration.checks import check_model, resolve_parameters
 from masking.declaration.dimensions import check_dimensions, conversion, describe, dimension_of
 from masking.declaration.meeting import check_experiment
@@ -200,18 +200,19 @@ def test_message_with_caret(folder):
     with pytest.raises(DeclarationError) as caught:
         registry.load_model(path)
     assert str(caught.value) == (
-        f"{path}:12:20: equations.x2'': unknown symbol 'x9''; did you mean 'x2''?\n    spring - w*x9'\n               ^^^"
+        f"{path}:12:20: equations.x2'': unknown symbol 'x9''; did you mean 'x2''?\n"
+        "    spring - w*x9'\n               ^^^"
     )
 
 
 def test_places_in_folded_and_quoted_texts(folder):
-    text = MODEL.replace("energy: (x1'**2 + x2'**2)/2", "energy: >-\n  x1'**2 +\n   bad1").replace(
+    text = MODEL.replace("energy: (x1'**2 + x2'**2)/2", "energy: >-\n  x1'**2 +\n  bad1").replace(
         "x1'': -spring + u1", "x1'': '-spring + x1''*bad2 + u1'"
     )
     found = model_problems(folder, text)
     assert [line.split(";")[0] for line in found] == [
         "11:25: equations.x1'': unknown symbol 'bad2'",
-        "16:4: energy: unknown symbol 'bad1'",
+        "16:3: energy: unknown symbol 'bad1'",
     ]
 
 
@@ -260,7 +261,7 @@ def test_cyclic_extends(folder):
 
 
 def test_names_of_the_registry(folder, monkeypatch):
-    monkeypatch.setattr(registry, "folder", lambda kind: folder)
+    monkeypatch.setattr(catalogue, "folder", lambda kind: folder)
     assert registry.names("model") == ["pair", "rig", "run"]
     assert registry.load_model("pair").name == "Pair"
     assert problems(registry.load_model, "piar") == [": there is no model 'piar'; did you mean 'pair'?"]
@@ -389,6 +390,18 @@ def test_dimensions(folder, change, message):
     assert shown + (f"; {problem.mend}" if problem.mend else "") == message
 
 
+def test_scales_of_a_dimensionless_model_give_no_time_a_unit(folder):
+    text = MODEL + "scales: {time: {value: 1/18.3, unit: s}, length: {value: 5, unit: mm}}\n"
+    assert check_dimensions(registry.load_model(write(folder, "scaled.yaml", text))) == []
+
+
+@pytest.mark.parametrize("name", registry.names("model"))
+def test_packaged_models_are_sound(name):
+    model = registry.load_model(name)
+    assert check_dimensions(model) == []
+    assert ModelDeclaration.model_validate(model.canonical()).canonical() == model.canonical()
+
+
 def test_models_without_units_are_not_looked_at(folder):
     assert check_dimensions(registry.load_model(folder / "pair.yaml")) == []
 
@@ -406,7 +419,8 @@ def test_units_and_conversion():
     with pytest.raises(DeclarationError) as caught:
         conversion("N/m", {"length": "m", "time": "s"})
     assert str(caught.value) == (
-        "scales: the unit N/m cannot be made dimensionless: no scale for mass; add one under scales; there are length, time"
+        "scales: the unit N/m cannot be made dimensionless: no scale for mass; "
+        "add one under scales; there are length, time"
     )
     for bad in ("kg m", "m^2", "m +s", "__import__('os')", "2**m", "furlongg"):
         with pytest.raises(DeclarationError):

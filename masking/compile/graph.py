@@ -8,9 +8,11 @@ construction. Every printer (numba, C, Taylor coefficients) walks this one list.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 
@@ -114,46 +116,55 @@ class Graph:
             self._index[operation] = node
         return node
 
+    def inner(self, node: Node) -> Node:
+        """Return the argument of an operation on one argument."""
+        return int(self.operations[node][1])
+
+    def is_negative(self, node: Node) -> bool:
+        """Tell whether a node is the negative of another."""
+        return self.operations[node][0] == "neg"
+
     def _simplify(self, name: str, arguments: tuple[Node, ...]) -> Node | None:
-        if all(self.is_number(a) for a in arguments) and name in {"neg", "add", "sub", "mul", "div"}:
+        if name in FOLDED and all(self.is_number(a) for a in arguments):
             values = [float(self.operations[a][1]) for a in arguments]
-            if name == "neg":
-                return self.number(-values[0])
-            if name == "add":
-                return self.number(values[0] + values[1])
-            if name == "sub":
-                return self.number(values[0] - values[1])
-            if name == "mul":
-                return self.number(values[0] * values[1])
-            return self.number(values[0] / values[1]) if values[1] else None
-        if name == "neg" and self.operations[arguments[0]][0] == "neg":
-            return int(self.operations[arguments[0]][1])
-        if len(arguments) != 2:
-            return None
-        a, b = arguments
-        if name == "add":
-            return b if self.is_number(a, 0.0) else a if self.is_number(b, 0.0) else self._subtract_negative(a, b)
-        if name == "sub":
-            if a == b:
-                return self.number(0.0)
-            return a if self.is_number(b, 0.0) else self.apply("neg", b) if self.is_number(a, 0.0) else None
-        if name == "mul":
-            if self.is_number(a, 0.0) or self.is_number(b, 0.0):
-                return self.number(0.0)
-            if self.is_number(a, 1.0) or self.is_number(b, 1.0):
-                return b if self.is_number(a, 1.0) else a
-            if self.is_number(a, -1.0) or self.is_number(b, -1.0):
-                return self.apply("neg", b if self.is_number(a, -1.0) else a)
-        if name == "div" and (self.is_number(b, 1.0) or self.is_number(a, 0.0)):
-            return a
+            return None if name == "div" and values[1] == 0.0 else self.number(FOLDED[name](*values))
+        for holds, simpler in RULES.get(name, ()):
+            if holds(self, *arguments):
+                return simpler(self, *arguments)
         return None
 
-    def _subtract_negative(self, a: Node, b: Node) -> Node | None:
-        if self.operations[b][0] == "neg":
-            return self.sub(a, int(self.operations[b][1]))
-        if self.operations[a][0] == "neg":
-            return self.sub(b, int(self.operations[a][1]))
-        return None
+
+# Operations on constants that are done at once.
+FOLDED: dict[str, Callable[..., float]] = {
+    "neg": operator.neg,
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+}
+# What an operation is where something holds of its arguments; the first that holds counts.
+RULES: dict[str, tuple[tuple[Callable[..., bool], Callable[..., Node]], ...]] = {
+    "neg": ((lambda g, a: g.is_negative(a), lambda g, a: g.inner(a)),),  # -(-a) = a
+    "add": (
+        (lambda g, a, b: g.is_number(a, 0.0), lambda g, a, b: b),  # 0 + b = b
+        (lambda g, a, b: g.is_number(b, 0.0), lambda g, a, b: a),  # a + 0 = a
+        (lambda g, a, b: g.is_negative(b), lambda g, a, b: g.sub(a, g.inner(b))),  # a + -b = a - b
+        (lambda g, a, b: g.is_negative(a), lambda g, a, b: g.sub(b, g.inner(a))),  # -a + b = b - a
+    ),
+    "sub": (
+        (lambda g, a, b: a == b, lambda g, a, b: g.number(0.0)),  # a - a = 0
+        (lambda g, a, b: g.is_number(b, 0.0), lambda g, a, b: a),  # a - 0 = a
+        (lambda g, a, b: g.is_number(a, 0.0), lambda g, a, b: g.apply("neg", b)),  # 0 - b = -b
+    ),
+    "mul": (
+        (lambda g, a, b: g.is_number(a, 0.0) or g.is_number(b, 0.0), lambda g, a, b: g.number(0.0)),  # 0 b = a 0 = 0
+        (lambda g, a, b: g.is_number(a, 1.0), lambda g, a, b: b),  # 1 b = b
+        (lambda g, a, b: g.is_number(b, 1.0), lambda g, a, b: a),  # a 1 = a
+        (lambda g, a, b: g.is_number(a, -1.0), lambda g, a, b: g.apply("neg", b)),  # -1 b = -b
+        (lambda g, a, b: g.is_number(b, -1.0), lambda g, a, b: g.apply("neg", a)),  # a -1 = -a
+    ),
+    "div": ((lambda g, a, b: g.is_number(b, 1.0) or g.is_number(a, 0.0), lambda g, a, b: a),),  # a / 1 = a, 0 / b = 0
+}
 
 
 class _Lowering:
@@ -162,7 +173,7 @@ class _Lowering:
     def __init__(self, graph: Graph, symbols: Mapping[sp.Symbol, Node]) -> None:
         self.graph = graph
         self.known: dict[sp.Expr, Node] = dict(symbols)
-        self.table = {
+        self.table: dict[Any, Callable[[sp.Expr], Node]] = {
             sp.Add: self._sum,
             sp.Mul: self._product,
             sp.Pow: self._power,
@@ -178,7 +189,7 @@ class _Lowering:
             sp.GreaterThan: lambda e: graph.apply("le", self.node(e.args[1]), self.node(e.args[0])),
         }
         for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "log", "sign"):
-            self.table[getattr(sp, name)] = lambda e, name=name: self._call(name, e)
+            self.table[getattr(sp, name)] = partial(self._call, name)
 
     def node(self, expression: sp.Expr) -> Node:
         known = self.known.get(expression)

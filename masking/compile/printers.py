@@ -136,7 +136,7 @@ class _Statements:
             right = level if name == "add" else level + 1
             return f"{self._at_least(texts[0], level)} {sign} {self._at_least(texts[1], right)}", level
         template = self.language.templates[str(name)]
-        inner = [self._at_least(t, ATOM) for t in texts] if not template[-1] == ")" else [t for t, _ in texts]
+        inner = [self._at_least(t, ATOM) for t in texts] if template[-1] != ")" else [t for t, _ in texts]
         if name in {"lt", "le", "where", "heaviside", "sign"}:
             inner = [self._at_least(t, ATOM) for t in texts]
         return template.format(*inner), UNARY

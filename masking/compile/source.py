@@ -76,6 +76,7 @@ class Module:
         graph: Graph,
         states: Sequence[Node],
         derivatives: Sequence[Node],
+        *,
         time: Node,
         health: Node,
         loads: Mapping[str, str],
@@ -101,7 +102,9 @@ class Module:
         self.functions.append(text.strip().replace("@compiled", DECORATOR))
 
     def _function(self, signature: str, body: Sequence[str]) -> None:
-        self.functions.append("\n".join([DECORATOR, f"def {signature}:", *(f"    {line}" for line in body or ["pass"])]))
+        self.functions.append(
+            "\n".join([DECORATOR, f"def {signature}:", *(f"    {line}" for line in body or ["pass"])])
+        )
 
 
 def _loads(graph: Graph, nodes: Sequence[Node], loads: Mapping[str, str]) -> list[str]:

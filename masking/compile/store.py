@@ -38,17 +38,22 @@ def key(made_from: Mapping[str, object]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
+def path(name: str) -> Path:
+    """Return where the generated module of a key is kept."""
+    return directory() / f"masking_generated_{name}.py"
+
+
 def load(name: str, build: Callable[[], str]) -> ModuleType:
     """Return the generated module of a key; `build` writes its source if it is not on disk yet."""
-    full_name = f"masking_generated_{name}"
+    full_name = path(name).stem
     if full_name in sys.modules:
         return sys.modules[full_name]
-    path = directory() / f"{full_name}.py"
-    if not path.exists():
-        _write(path, build())
-    specification = importlib.util.spec_from_file_location(full_name, path)
+    file = path(name)
+    if not file.exists():
+        _write(file, build())
+    specification = importlib.util.spec_from_file_location(full_name, file)
     if specification is None or specification.loader is None:
-        raise ImportError(f"cannot import the generated module {path}")
+        raise ImportError(f"cannot import the generated module {file}")
     module = importlib.util.module_from_spec(specification)
     sys.modules[full_name] = module  # numba looks functions up by the name of their module
     try:
@@ -59,13 +64,13 @@ def load(name: str, build: Callable[[], str]) -> ModuleType:
     return module
 
 
-def _write(path: Path, text: str) -> None:
+def _write(target: Path, text: str) -> None:
     """Write a file whole or not at all; the first of several processes wins, so that machine code stays valid."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8") as file:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile("w", dir=target.parent, suffix=".tmp", delete=False, encoding="utf-8") as file:
         file.write(text)
     try:
-        os.link(file.name, path)
+        os.link(file.name, target)
     except FileExistsError:
         pass
     finally:

@@ -9,7 +9,7 @@ Taylor methods, Experimental Mathematics 14(1), section 2 (recurrences) and 3.2 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from masking.compile.graph import NOT_ANALYTIC, Graph, Node
 from masking.compile.printers import needed, number, statements
@@ -69,7 +69,7 @@ class _Series:
         self.varying = [n for n in order if graph.varying[n]]
         self.constant: dict[Node, str] = {}
         self.companion = self._companions()
-        self.rules = {
+        self.rules: dict[str, Callable[..., str]] = {
             "neg": lambda n, k, a: f"-{self.at(a, k)}",
             "add": self._add,
             "sub": self._sub,
@@ -85,8 +85,8 @@ class _Series:
             "cosh": lambda n, k, a: self._integral(k, [(a, self.companion[n])]),
             "tan": lambda n, k, a: self._integral(k, [(a, self.companion[n])]),
             "tanh": lambda n, k, a: self._integral(k, [(a, self.companion[n])]),
-            "atan": lambda n, k, a: self._inverse(n, k, a),
-            "asin": lambda n, k, a: self._inverse(n, k, a),
+            "atan": self._inverse,
+            "asin": self._inverse,
             "acos": lambda n, k, a: self._inverse(n, k, a, sign="-"),
         }
 
@@ -94,7 +94,9 @@ class _Series:
         """Return, for each sin, cos, ... of the graph, the node (or the name) of the series that goes with it."""
         by_operation = {self.graph.operations[n]: n for n in self.varying}
         return {
-            n: by_operation.get((COMPANION.get(str(self.graph.operations[n][0]), ""), *self.graph.operations[n][1:]), f"b{n}")
+            n: by_operation.get(
+                (COMPANION.get(str(self.graph.operations[n][0]), ""), *self.graph.operations[n][1:]), f"b{n}"
+            )
             for n in self.varying
         }
 
@@ -215,9 +217,9 @@ class _Series:
 
     def _pow(self, node: Node, k: int, a: Node, b: Node) -> str:
         # c = a^b with constant b: c_k = sum_(0<=i<k) (k b - i (b + 1)) a_(k-i) c_i / (k a_0)
-        exponent = self.constant[b]
+        power = self.constant[b]
         terms = [
-            f"({float(k)!r} * {exponent} - {float(i)!r} * ({exponent} + 1.0)) * {self.at(a, k - i)} * {self.at(node, i)}"
+            f"({float(k)!r} * {power} - {float(i)!r} * ({power} + 1.0)) * {self.at(a, k - i)} * {self.at(node, i)}"
             for i in range(k)
         ]
         return f"({self._sum_of(terms)}) / ({float(k)!r} * {self.at(a, 0)})"

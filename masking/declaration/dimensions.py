@@ -26,7 +26,7 @@ _SAME = COMPARISONS | {"+", "-", "min", "max", "atan2"}
 def check_dimensions(model: ModelDeclaration) -> list[Problem]:
     """List where a model adds, compares or equates unlike dimensions; a model without units is not looked at."""
     declared = [(section, name, entry) for section in _SECTIONS for name, entry in getattr(model, section).items()]
-    if all(entry.unit == "1" for _, _, entry in declared):
+    if all(entry.unit == "1" for section, _, entry in declared if section != "scales"):
         return []
     problems: list[Problem] = []
     units: dict[str, Dimension] = {}
@@ -55,7 +55,7 @@ class _Checker:
     problems: list[Problem] = field(default_factory=list)
 
     def check(self) -> list[Problem]:
-        model, time = self.model, TIME if any(unit[2] != 0 for unit in self.units.values()) else NONE
+        model, time = self.model, TIME if self.has_time() else NONE
         self.symbols["t"] = time
         for name in model.coordinates:
             for order in range(3):
@@ -70,6 +70,8 @@ class _Checker:
             if section in {"parameters", "outputs", "scales"}:
                 name = rest.rpartition(".")[0]
                 is_declared = "unit" in getattr(model, section)[name].model_fields_set
+                if section == "scales" and not expression.symbols:
+                    continue  # a number, in the scale's unit
                 unit = self.units[f"{section}.{name}.unit"] if is_declared else None
                 self.same(unit, expression, "the declared unit is {}, the expression {}")
             elif section == "energy":
@@ -77,6 +79,11 @@ class _Checker:
         if model.lagrangian is not None:
             self.lagrangian(self.of(model.lagrangian), time)
         return self.problems
+
+    def has_time(self) -> bool:
+        """Tell whether time has a unit here: whether any unit but those of the scales involves it."""
+        position = TIME.index(1)
+        return any(unit[position] != 0 for path, unit in self.units.items() if not path.startswith("scales."))
 
     def lagrangian(self, action: Dimension | None, time: Dimension) -> None:
         """Check that forces and dissipation go with the Lagrangian: L/q, and L per time."""

@@ -1,4 +1,4 @@
-"""Finding and loading declarations: the packaged models and plants by name, any file by path, `extends` resolved."""
+"""Loading declarations: the packaged models and plants by name, any file by path, `extends` resolved."""
 
 from __future__ import annotations
 
@@ -9,32 +9,33 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from masking.declaration import strict_yaml
+from masking.declaration.catalogue import NOWHERE, Reference, find, folder, names
 from masking.declaration.checks import check_model
 from masking.declaration.fields import Real, Text
-from masking.declaration.meeting import check_experiment
+from masking.declaration.meeting import check_experiment, check_plant
 from masking.declaration.reading import Places, in_order, plain_mapping, read
 from masking.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration
 from masking.declaration.strict_yaml import Node
 from masking.errors import DeclarationError, Place, Problem, nearest
 
+__all__ = [
+    "NOWHERE",
+    "Assembly",
+    "Reference",
+    "assemble",
+    "find",
+    "folder",
+    "load_experiment",
+    "load_model",
+    "load_plant",
+    "names",
+    "refer",
+]
+
 D = TypeVar("D", bound=Declaration)
 
-_PACKAGE = Path(__file__).resolve().parents[1]
-_FOLDERS = {"model": "models", "plant": "plants", "experiment": "examples"}
 _SHORT = {"coordinates": "meaning", "inputs": "meaning", "parameters": "value", "outputs": "expression"}
 _MERGED = {*_SHORT, "definitions", "equations", "forces", "scales"}
-
-
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """Where a name or path of another file was written, so that a bad one is reported there."""
-
-    place: Place | None = None
-    path: str = ""
-    folder: Path | None = None
-
-
-NOWHERE = Reference()
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,36 +47,6 @@ class Assembly:
     plant_model: ModelDeclaration
     virtual_model: ModelDeclaration
     believed_model: ModelDeclaration
-
-
-def folder(kind: str) -> Path:
-    """Give the folder of packaged files of a kind: inside the installed package, else beside it in a checkout."""
-    installed = _PACKAGE / _FOLDERS[kind]
-    return installed if installed.is_dir() else _PACKAGE.parent / _FOLDERS[kind]
-
-
-def names(kind: str) -> list[str]:
-    """List the names of the packaged files of a kind ("model", "plant" or "experiment")."""
-    root = folder(kind)
-    return sorted(path.relative_to(root).with_suffix("").as_posix() for path in root.rglob("*.yaml"))
-
-
-def find(kind: str, name_or_path: str | Path, reference: Reference = NOWHERE) -> Path:
-    """Give the file of a name in the registry, or of a path: one that ends in .yaml or contains a slash."""
-    text = str(name_or_path)
-    known = names(kind)
-    if text in known:
-        return folder(kind) / f"{text}.yaml"
-    if isinstance(name_or_path, str) and not text.endswith((".yaml", ".yml")) and "/" not in text:
-        message = f"there is no {kind} '{text}'"
-        raise DeclarationError(Problem(reference.place, reference.path, message, nearest(text, known)))
-    path = Path(text).expanduser()
-    for candidate in [reference.folder / path, path] if reference.folder else [path]:
-        if candidate.is_file():
-            return candidate
-    raise DeclarationError(
-        Problem(reference.place, reference.path, f"there is no file {text}", f"a {kind} is a .yaml file")
-    )
 
 
 def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> ModelDeclaration:
@@ -114,6 +85,15 @@ def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> Mode
 def load_plant(name_or_path: str | Path, reference: Reference = NOWHERE) -> PlantDeclaration:
     """Load a plant; its model is a file of its own."""
     return _load(PlantDeclaration, name_or_path, reference)
+
+
+def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
+    """Load a plant and check it against the model that it names."""
+    plant = load_plant(name_or_path)
+    problems = check_plant(plant, load_model(plant.model, refer(plant, "model")))
+    if problems:
+        raise DeclarationError(in_order(problems))
+    return plant
 
 
 def load_experiment(name_or_path: str | Path, reference: Reference = NOWHERE) -> ExperimentDeclaration:

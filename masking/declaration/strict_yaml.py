@@ -174,7 +174,7 @@ class _Builder:
             self.problems.append(Problem(Place(self.file, 1, 1), "", f"nested deeper than {DEEPEST_NESTING}"))
         if self.problems:
             raise DeclarationError(self.problems)
-        if self.root is None:
+        if self.root is None or (self.root.value is None and not self.root.text):
             raise DeclarationError(Problem(Place(self.file, 1, 1), "", "the file is empty"))
         return self.root
 

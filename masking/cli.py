@@ -1,0 +1,155 @@
+"""The command line: one sub-command for each verb, each a few lines over `masking.verbs`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+
+from masking import verbs
+from masking.errors import DeclarationError, MaskingError, Problem
+
+if TYPE_CHECKING:
+    from masking import experiment, reporting
+
+    import tqdm
+else:
+    experiment = lazy.load("masking.experiment", suppress_warning=True)
+    reporting = lazy.load("masking.reporting", suppress_warning=True)
+    tqdm = lazy.load("tqdm")
+
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to mend first."""
+    chosen = _parser().parse_args(arguments)
+    try:
+        status: int = chosen.verb(chosen)
+    except MaskingError as error:
+        print(f"masking: {error}" if not isinstance(error, DeclarationError) else error, file=sys.stderr)
+        return error.exit_status
+    except KeyboardInterrupt:
+        print("masking: interrupted; nothing was saved", file=sys.stderr)
+        return INTERRUPTED
+    return status
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="masking", description="Make an actuated rig move as if it were another machine."
+    )
+    found = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
+
+    def add(verb: Callable[[argparse.Namespace], int], name: str, text: str) -> argparse.ArgumentParser:
+        sub = found.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        sub.add_argument("--json", action="store_true", help="print JSON")
+        sub.set_defaults(verb=verb)
+        return sub
+
+    add(_list, "list", "list the models, plants and experiments that are there")
+    show = add(_show, "show", "show a model, a plant or an experiment: equations, parameters, blocks")
+    show.add_argument("name", metavar="NAME", help="a name that 'masking list' shows, or a YAML file")
+    check = add(_check, "check", "check declarations and say where each problem is")
+    check.add_argument("files", metavar="FILE", nargs="+", help="YAML files or names")
+    schema = add(_schema, "schema", "print the JSON Schema of a kind of declaration, for editors")
+    schema.add_argument("kind", choices=verbs.KINDS)
+    run = add(_run, "run", "run an experiment, save its recording and write its report")
+    run.add_argument("experiment", metavar="EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
+    run.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="change a virtual parameter")
+    run.add_argument("--plant", metavar="PLANT", help="run on another plant: a name or a YAML file")
+    run.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT)")
+    report = add(_report, "report", "write the report of a recording")
+    report.add_argument("record", metavar="RECORD", help="the folder of a recording")
+    report.add_argument("--out", metavar="DIR", help="where to write (default: beside the recording)")
+    return parser
+
+
+def _list(chosen: argparse.Namespace) -> int:
+    entries = verbs.list()
+    if chosen.json:
+        print(verbs.as_json(entries))
+        return 0
+    width = max(len(entry.name) for entry in entries)
+    for kind in verbs.KINDS:
+        print(f"{kind}s")
+        for entry in entries:
+            if entry.kind == kind:
+                print(f"  {entry.name:{width}}  {entry.title}")
+    return 0
+
+
+def _show(chosen: argparse.Namespace) -> int:
+    description = verbs.show(chosen.name)
+    print(description.to_json() if chosen.json else description)
+    return 0
+
+
+def _check(chosen: argparse.Namespace) -> int:
+    results = verbs.check(*chosen.files)
+    if chosen.json:
+        print(verbs.as_json(results))
+    else:
+        for result in results:
+            print("\n".join(result.problems) or f"{result.file}: a sound {result.kind}")
+    return 2 if any(result.problems for result in results) else 0
+
+
+def _schema(chosen: argparse.Namespace) -> int:
+    print(json.dumps(verbs.schema(chosen.kind), indent=2))
+    return 0
+
+
+def _run(chosen: argparse.Namespace) -> int:
+    changes = dict(_change(text) for text in chosen.set)
+    made = experiment.Experiment.load(chosen.experiment, plant=chosen.plant, changes=changes)
+    out = chosen.out or f"results/{made.stem}"
+    if not made.is_compiled:
+        print("compiling; this takes some ten seconds, once for each system", file=sys.stderr)
+    with tqdm.tqdm(
+        total=1.0, desc="running", delay=1.0, leave=False, bar_format="{desc} {percentage:3.0f}% {bar}"
+    ) as bar:
+        recording = made.run(lambda part: bar.update(part - bar.n))
+    recording.save(out)
+    written = reporting.report(recording, out)
+    if chosen.json:
+        print(
+            json.dumps(
+                {"fidelity": recording.manifest["fidelity"], "recording": str(out), "report": str(written.path)},
+                indent=2,
+            )
+        )
+    else:
+        print(written.summary)
+        print(f"report: {written.path}")
+    return 0
+
+
+def _report(chosen: argparse.Namespace) -> int:
+    written = verbs.report(chosen.record, chosen.out)
+    if chosen.json:
+        print(json.dumps({"report": str(written.path), "figures": [str(f) for f in written.figures]}, indent=2))
+    else:
+        print(written.summary)
+        print(f"report: {written.path}")
+    return 0
+
+
+def _change(text: str) -> tuple[str, float]:
+    """Read one NAME=VALUE of the command line."""
+    name, equals, value = text.partition("=")
+    try:
+        if not equals:
+            raise ValueError(text)
+        return name.strip(), float(value)
+    except ValueError:
+        message = f"'{text}' is not a change of a parameter"
+        raise DeclarationError(Problem(None, "--set", message, "write it as in --set w3=0.6")) from None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

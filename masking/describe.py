@@ -1,0 +1,142 @@
+"""Descriptions for people: what a model, a plant or an experiment is, typeset for a terminal or as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
+
+from masking.declaration import schema
+from masking.experiment import Experiment
+from masking.model import Model
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+
+@dataclass(frozen=True)
+class Description:
+    """A text for the terminal, and the same content for programs."""
+
+    text: str
+    content: dict[str, Any]
+
+    def __str__(self) -> str:
+        return self.text
+
+    def to_json(self) -> str:
+        """Return the content as JSON."""
+        return json.dumps(self.content, indent=2, ensure_ascii=False)
+
+
+def model(subject: Model) -> Description:
+    """Describe a model: coordinates, inputs, equations, parameters, scales."""
+    d, e = subject.declaration, subject.equations
+    lines = _head(d)
+    lines += _table("coordinates", [(n, c.unit, c.meaning) for n, c in d.coordinates.items()])
+    lines += _table("inputs", [(n, i.unit, i.meaning) for n, i in d.inputs.items()])
+    lines += _table("outputs", [(n, o.unit, o.meaning or o.expression.text) for n, o in d.outputs.items()])
+    equations = dict(zip([s.name for s in e.symbols.a], e.accelerations, strict=True))
+    lines += ["equations", *(line for name, value in equations.items() for line in _equation(name, value)), ""]
+    if e.energy is not None:
+        lines += ["energy", *_equation("E", e.energy), ""]
+    values = subject.parameter_values()
+    scaled = subject.dimensionless().parameter_values() if d.scales and not subject.units.is_plain else {}
+    rows = []
+    for name, p in d.parameters.items():
+        factor = subject.units.conversions[p.unit].factor
+        in_scales = f"{scaled[name]:.6g}" if name in scaled else ""
+        rows.append((name, f"{values[name] / factor:.6g}", "" if p.unit == "1" else p.unit, in_scales, p.meaning))
+    lines += _table("parameters" + (" (value, unit, in the scales)" if scaled else ""), rows)
+    scales = subject.units.scale_values(subject.overrides)
+    lines += _table(
+        "scales", [(n, f"{scales[n]:.6g}", subject.units.conversions[s.unit].si) for n, s in d.scales.items()]
+    )
+    content = {
+        **d.canonical(),
+        "accelerations": {name: {"text": str(x), "latex": sp.latex(x)} for name, x in equations.items()},
+        "values": values,
+        "dimensionless": scaled,
+    }
+    return Description("\n".join(lines).rstrip(), content)
+
+
+def plant(declaration: schema.PlantDeclaration) -> Description:
+    """Describe a plant: its model, sensors and limits."""
+    d = declaration
+    lines = _head(d)
+    lines += [f"kind: {d.kind}", f"model: {d.model}", ""]
+    lines += _table(
+        "sensors", [(n, s.measures.text, f"{s.gain.value:g} {s.gain.unit}", s.meaning) for n, s in d.sensors.items()]
+    )
+    limits = [(n, f"{x.max:g}", x.unit) for n, x in d.limits.inputs.items()]
+    limits += [(x.text, f"{y.max:g}", y.unit) for x, y in d.limits.coordinates.items()]
+    if d.limits.power is not None:
+        limits.append(("power", f"{d.limits.power.value:g}", d.limits.power.unit))
+    return Description("\n".join([*lines, *_table("limits", limits)]).rstrip(), d.canonical())
+
+
+def experiment(subject: Experiment) -> Description:
+    """Describe an experiment: what moves as what, and the blocks T, D, L and G of its control law."""
+    d, controller = subject.declaration, subject.controller
+    rig, virtual, transform = controller.model, controller.virtual, controller.transform
+    e = rig.equations
+    rate = "in continuous time" if d.controller.rate is None else f"at {d.controller.rate:g} Hz"
+    unit_time = f"{subject.time_scale:.6g} s per unit of virtual time"
+    lines = _head(d)
+    lines += [
+        f"{subject.assembly.plant.name} as {virtual.name}, {rate}, {d.duration:g} units of virtual time",
+        unit_time,
+        "",
+    ]
+    still = dict.fromkeys(e.symbols.u, 0)
+    free = [a.subs(still) for a in e.accelerations]
+    gain = sp.Matrix(e.accelerations).jacobian(e.symbols.u)
+    blocks = {
+        "T: virtual coordinates": dict(zip(virtual.coordinates, transform.expressions, strict=True)),
+        "D: wanted accelerations": dict(
+            zip([f"{c}''" for c in virtual.coordinates], virtual.equations.accelerations, strict=True)
+        ),
+        "L: cancelled accelerations": dict(zip([f"{c}''" for c in rig.coordinates], free, strict=True)),
+        "G: acceleration per input, inverted": {
+            f"d{c}''/d{u}": gain[i, j]
+            for i, c in enumerate(rig.coordinates)
+            for j, u in enumerate(rig.inputs)
+            if gain[i, j] != 0
+        },
+    }
+    for title, equations in blocks.items():
+        lines += [title, *(line for name, value in equations.items() for line in _equation(name, value)), ""]
+    content = {
+        **d.canonical(),
+        "time_scale": subject.time_scale,
+        "blocks": {title[0]: {n: str(x) for n, x in equations.items()} for title, equations in blocks.items()},
+    }
+    return Description("\n".join(lines).rstrip(), content)
+
+
+def _head(declaration: schema.Declaration) -> list[str]:
+    lines = [declaration.name]
+    lines += [declaration.description] if declaration.description else []
+    lines += [f"source: {declaration.source}"] if declaration.source else []
+    return [*lines, ""]
+
+
+def _table(title: str, rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return a titled table with aligned columns; nothing where there are no rows."""
+    if not rows:
+        return []
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = ["  " + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return [title, *lines, ""]
+
+
+def _equation(name: str, value: sp.Expr) -> list[str]:
+    """Return an equation as typeset lines."""
+    equation = sp.Eq(sp.Symbol(name), value, evaluate=False)
+    return ["  " + line for line in sp.pretty(equation, use_unicode=True, wrap_line=False).splitlines()]

@@ -1,0 +1,183 @@
+"""The verbs of the command line as functions: list, show, check, schema, run, report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
+
+from masking.declaration import catalogue, strict_yaml
+from masking.errors import DeclarationError, MaskingError, Problem, nearest
+
+if TYPE_CHECKING:
+    from masking import describe, experiment, model, recording, reporting
+    from masking.declaration import registry
+    from masking.declaration import schema as schemas
+else:  # each verb loads only what it needs
+    describe = lazy.load("masking.describe", suppress_warning=True)
+    experiment = lazy.load("masking.experiment", suppress_warning=True)
+    model = lazy.load("masking.model", suppress_warning=True)
+    recording = lazy.load("masking.recording", suppress_warning=True)
+    registry = lazy.load("masking.declaration.registry", suppress_warning=True)
+    reporting = lazy.load("masking.reporting", suppress_warning=True)
+    schemas = lazy.load("masking.declaration.schema", suppress_warning=True)
+
+KINDS = ("model", "plant", "experiment")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A packaged declaration: its kind, the name to call it by, and what it is."""
+
+    kind: str
+    name: str
+    title: str
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A file that was looked at, and all that is wrong with it."""
+
+    file: str
+    kind: str
+    problems: tuple[str, ...]
+
+
+def list() -> tuple[Entry, ...]:  # noqa: A001  (the verb's name)
+    """Return the packaged models, plants and experiments."""
+    entries = []
+    for kind in KINDS:
+        for name in catalogue.names(kind):
+            content = strict_yaml.load(catalogue.find(kind, name)).value
+            title = content.get("name") if isinstance(content, dict) else None
+            entries.append(Entry(kind, name, str(title.value) if title is not None else name))
+    return tuple(entries)
+
+
+def show(name_or_path: str | Path) -> describe.Description:
+    """Describe a model, a plant or an experiment: equations, parameters, blocks.
+
+    Args:
+        name_or_path: a packaged name (models first, then plants, then experiments), or a file.
+
+    Raises:
+        DeclarationError: there is no such declaration, or it is wrong.
+    """
+    kind = kind_of(name_or_path)
+    if kind == "model":
+        return describe.model(model.load_model(name_or_path))
+    if kind == "plant":
+        return describe.plant(registry.load_plant(name_or_path))
+    return describe.experiment(experiment.Experiment.load(name_or_path))
+
+
+def check(*files: str | Path) -> tuple[Checked, ...]:
+    """Check declarations whole: spelling, schema, symbols, units, equations, and that an experiment can be masked.
+
+    Args:
+        files: files or packaged names.
+
+    Returns:
+        one result for each file, with every problem found; none are raised.
+    """
+    return tuple(_check(file) for file in files)
+
+
+def schema(kind: str) -> dict[str, Any]:
+    """Return the JSON Schema of a kind of declaration, for editors.
+
+    Args:
+        kind: model, plant or experiment.
+
+    Raises:
+        DeclarationError: there is no such kind.
+    """
+    if kind not in KINDS:
+        raise DeclarationError(Problem(None, "", f"there is no kind of declaration '{kind}'", nearest(kind, KINDS)))
+    return schemas.json_schema(kind)
+
+
+def run(  # noqa: PLR0913
+    name_or_path: str | Path,
+    *,
+    changes: Mapping[str, float] | None = None,
+    plant: str | None = None,
+    out: str | Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> recording.Recording:
+    """Run an experiment: the plant under the controller, and the virtual system by itself beside it.
+
+    Args:
+        name_or_path: an experiment file, or the name of a packaged experiment.
+        changes: parameters of the virtual system that replace the declared ones.
+        plant: a plant that replaces the declared one.
+        out: folder to save the recording and its report in; nothing is saved where none is given.
+        progress: called with the part done.
+
+    Raises:
+        MaskingError: a declaration is wrong, the rig cannot be masked as asked, or the run could not go on.
+    """
+    made = experiment.Experiment.load(name_or_path, plant=plant, changes=changes).run(progress)
+    if out is not None:
+        made.save(Path(out))
+        reporting.report(made, out)
+    return made
+
+
+def report(record: str | Path, out: str | Path | None = None) -> reporting.Report:
+    """Write the report of a recording: one HTML page and its figures.
+
+    Args:
+        record: the folder of a recording, or its parquet file.
+        out: folder of the report; by default the recording's own.
+
+    Raises:
+        RecordError: there is no recording, or the report cannot be written.
+    """
+    path = Path(record)
+    folder = Path(out) if out is not None else path if path.is_dir() else path.parent
+    return reporting.report(recording.Recording.load(path), folder)
+
+
+def kind_of(name_or_path: str | Path) -> str:
+    """Tell whether a name or file is a model, a plant or an experiment, by its name or by its keys."""
+    text = str(name_or_path)
+    for kind in KINDS:
+        if text in catalogue.names(kind):
+            return kind
+    if not text.endswith((".yaml", ".yml")) and "/" not in text:
+        names = [name for kind in KINDS for name in catalogue.names(kind)]
+        mend = nearest(text, names)
+        raise DeclarationError(Problem(None, "", f"there is no model, plant or experiment '{text}'", mend))
+    node = strict_yaml.load(catalogue.find("experiment", text))
+    keys = set(node.value) if isinstance(node.value, dict) else set()
+    if "virtual" in keys or "duration" in keys:
+        return "experiment"
+    return "plant" if keys & {"model", "kind", "sensors", "limits"} else "model"
+
+
+def as_json(value: object) -> str:
+    """Write entries, checks or descriptions as JSON."""
+    items: Any = [asdict(v) for v in value] if isinstance(value, Sequence) else value
+    return json.dumps(items, indent=2, ensure_ascii=False, default=str)
+
+
+def _check(file: str | Path) -> Checked:
+    kind = "file"
+    try:
+        kind = kind_of(file)
+        if kind == "model":
+            model.load_model(file).validate()
+        elif kind == "plant":
+            registry.check_plant_file(file)
+        else:
+            experiment.Experiment.load(file).validate()
+    except DeclarationError as error:
+        return Checked(str(file), kind, tuple(str(problem) for problem in error.problems))
+    except MaskingError as error:
+        return Checked(str(file), kind, (f"{file}: {error}",))
+    return Checked(str(file), kind, ())
