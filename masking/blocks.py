@@ -58,18 +58,20 @@ class Transform:
     def expressions(self) -> sp.ImmutableMatrix:
         """Return eta = T(q) as a column (k, 1) in the rig's coordinate symbols."""
         q = self.rig.equations.symbols.q
-        if self.declaration.kind == "identity":
+        matrix, expressions = self.declaration.matrix, self.declaration.expressions
+        if matrix is None and expressions is None:
             if len(q) != len(self.virtual.coordinates):
                 raise ModelError(
-                    f"transform: identity needs as many virtual coordinates as rig coordinates; {self.virtual.name} has "
-                    f"{len(self.virtual.coordinates)}, {self.rig.name} has {len(q)}; declare a matrix or expressions"
+                    "transform: identity needs as many virtual coordinates as rig coordinates; "
+                    f"{self.virtual.name} has {len(self.virtual.coordinates)}, {self.rig.name} has {len(q)}; "
+                    "declare a matrix or expressions"
                 )
             return sp.ImmutableMatrix(q)
         known = {s.name: s for s in (*q, *self.parameter_symbols)}
-        if self.declaration.kind == "matrix":
-            matrix = sp.Matrix([[e.to_sympy(known) for e in row] for row in self.declaration.matrix])
-            return sp.ImmutableMatrix(matrix * sp.Matrix(q))
-        return sp.ImmutableMatrix([self.declaration.expressions[c].to_sympy(known) for c in self.virtual.coordinates])
+        if expressions is not None:
+            return sp.ImmutableMatrix([expressions[c].to_sympy(known) for c in self.virtual.coordinates])
+        rows = [[e.to_sympy(known) for e in row] for row in matrix or ()]
+        return sp.ImmutableMatrix(sp.Matrix(rows) * sp.Matrix(q))
 
     @cached_property
     def jacobian(self) -> sp.ImmutableMatrix:

@@ -14,9 +14,9 @@ from masking import verbs
 from masking.errors import DeclarationError, MaskingError, Problem
 
 if TYPE_CHECKING:
-    from masking import experiment, reporting
-
     import tqdm
+
+    from masking import experiment, reporting
 else:
     experiment = lazy.load("masking.experiment", suppress_warning=True)
     reporting = lazy.load("masking.reporting", suppress_warning=True)
@@ -113,7 +113,11 @@ def _run(chosen: argparse.Namespace) -> int:
     with tqdm.tqdm(
         total=1.0, desc="running", delay=1.0, leave=False, bar_format="{desc} {percentage:3.0f}% {bar}"
     ) as bar:
-        recording = made.run(lambda part: bar.update(part - bar.n))
+
+        def progress(part: float) -> None:
+            bar.update(part - bar.n)
+
+        recording = made.run(progress)
     recording.save(out)
     written = reporting.report(recording, out)
     if chosen.json:

@@ -157,6 +157,32 @@ def _dot(graph: Graph, a: list[Node], b: list[Node]) -> Node:
 
 
 @dataclass(frozen=True)
+class Blocks:
+    """What the blocks of a control law give at one state.
+
+    Args:
+        T: virtual coordinates (k,), in the virtual system's units.
+        rate: their rates (k,), per unit of virtual time.
+        D: the virtual accelerations that are wanted there (k,) (6.2).
+        L: inputs that cancel the rig's own dynamics (m,), in the inputs' units (6.1).
+        drive: G T^-1[D], inputs that drive the wanted dynamics (m,).
+        G: inputs per rig acceleration (m, n) (6.3).
+    """
+
+    T: Array
+    rate: Array
+    D: Array
+    L: Array
+    drive: Array
+    G: Array
+
+    @property
+    def u(self) -> Array:
+        """Return the inputs (m,): L + G T^-1[D]."""
+        return self.L + self.drive
+
+
+@dataclass(frozen=True)
 class ClosedLoop:
     """A controller and the model of the plant that it drives, compiled together.
 
@@ -199,6 +225,32 @@ class ClosedLoop:
     @property
     def _key(self) -> str:
         return store.key({"controller": self.controller.structure(), "plant": self.plant.structure()})
+
+    def evaluate(self, t: float, q: Array, v: Array) -> Blocks:
+        """Return what each block gives at one state of the rig.
+
+        Args:
+            t: time of the rig, s.
+            q: rig coordinates (n,), SI units.
+            v: rig velocities (n,), SI units.
+        """
+        k, n, m = len(self.controller.virtual.coordinates), len(self.plant.coordinates), len(self.plant.inputs)
+        p, kernels = self.values(), self.kernels
+
+        def block(name: str, size: int) -> Array:
+            out = np.empty(size)
+            getattr(kernels, name)(float(t), np.asarray(q, float), np.asarray(v, float), p, out)
+            return out
+
+        mapped = block("transform", 2 * k)
+        return Blocks(
+            T=mapped[:k],
+            rate=mapped[k:],
+            D=block("desired", k),
+            L=block("cancel", m),
+            drive=block("drive", m),
+            G=np.linalg.pinv(block("input_matrix", n * m).reshape(n, m)),
+        )
 
     def to_control(self) -> control.NonlinearIOSystem:
         """Return the closed loop as a nonlinear input/output system of python-control.

@@ -42,7 +42,8 @@ def model(subject: Model) -> Description:
     lines += _table("inputs", [(n, i.unit, i.meaning) for n, i in d.inputs.items()])
     lines += _table("outputs", [(n, o.unit, o.meaning or o.expression.text) for n, o in d.outputs.items()])
     equations = dict(zip([s.name for s in e.symbols.a], e.accelerations, strict=True))
-    lines += ["equations", *(line for name, value in equations.items() for line in _equation(name, value)), ""]
+    sides = zip(e.mass * sp.Matrix(e.symbols.a), e.force, strict=True)
+    lines += ["equations", *(line for left, right in sides for line in _equation(left, right)), ""]
     if e.energy is not None:
         lines += ["energy", *_equation("E", e.energy), ""]
     values = subject.parameter_values()
@@ -136,7 +137,7 @@ def _table(title: str, rows: Sequence[Sequence[str]]) -> list[str]:
     return [title, *lines, ""]
 
 
-def _equation(name: str, value: sp.Expr) -> list[str]:
+def _equation(left: str | sp.Expr, right: sp.Expr) -> list[str]:
     """Return an equation as typeset lines."""
-    equation = sp.Eq(sp.Symbol(name), value, evaluate=False)
+    equation = sp.Eq(sp.Symbol(left) if isinstance(left, str) else left, right, evaluate=False)
     return ["  " + line for line in sp.pretty(equation, use_unicode=True, wrap_line=False).splitlines()]

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 MESSAGES = {
     integrate.SINGULAR: "the matrix that gives the accelerations or the inputs became singular",
-    integrate.TOO_SMALL_STEP: "the step size fell below what time can resolve: the solution ends in finite time or jumps",
+    integrate.TOO_SMALL_STEP: "the step fell below what time can resolve: the solution ends in finite time or jumps",
     integrate.NOT_FINITE: "the state or the inputs are no longer finite numbers",
     integrate.TOO_MANY_STEPS: "more than 100 million steps were taken",
 }

@@ -47,7 +47,7 @@ class Checked:
     problems: tuple[str, ...]
 
 
-def list() -> tuple[Entry, ...]:  # noqa: A001  (the verb's name)
+def list() -> tuple[Entry, ...]:
     """Return the packaged models, plants and experiments."""
     entries = []
     for kind in KINDS:
@@ -101,7 +101,7 @@ def schema(kind: str) -> dict[str, Any]:
     return schemas.json_schema(kind)
 
 
-def run(  # noqa: PLR0913
+def run(
     name_or_path: str | Path,
     *,
     changes: Mapping[str, float] | None = None,
