@@ -249,7 +249,7 @@ class ClosedLoop:
             D=block("desired", k),
             L=block("cancel", m),
             drive=block("drive", m),
-            G=np.linalg.pinv(block("input_matrix", n * m).reshape(n, m)),
+            G=np.asarray(np.linalg.pinv(block("input_matrix", n * m).reshape(n, m)), dtype=np.float64),
         )
 
     def to_control(self) -> control.NonlinearIOSystem:
@@ -277,7 +277,7 @@ class ClosedLoop:
             output,
             inputs=0,
             states=[*names, *(f"{c}'" for c in names)],
-            outputs=[*(f"virtual.{c}" for c in self.controller.virtual.coordinates), *self.plant.inputs],
+            outputs=[*self.controller.virtual.coordinates, *self.plant.inputs],
             name=f"{self.plant.name} as {self.controller.virtual.name}",
         )
 

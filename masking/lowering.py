@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from masking.compile.graph import Graph, Node
 from masking.compile.source import LARGEST_TAYLOR_COST, TAYLOR_ORDER, Module
-from masking.compile.taylor import cost, is_analytic
+from masking.compile.taylor import cost, degree, is_analytic
 from masking.equations import Equations
 from masking.linear import solve
 from masking.scales import Units
@@ -88,8 +88,12 @@ def module(equations: Equations) -> Module:
     time = lowered.symbols[equations.symbols.t]
     states = [lowered.symbols[x] for x in (*equations.symbols.q, *equations.symbols.v)]
     derivatives = [*states[n:], *lowered.accelerations]
-    analytic = is_analytic(graph, [*derivatives, lowered.health])
-    use_taylor = n > 0 and analytic and cost(graph, derivatives) <= LARGEST_TAYLOR_COST
+    use_taylor = (
+        n > 0
+        and is_analytic(graph, [*derivatives, lowered.health])
+        and cost(graph, derivatives) <= LARGEST_TAYLOR_COST
+        and degree(graph, derivatives) < TAYLOR_ORDER
+    )
     energy = equations.energy
     outputs = {name: equations.symbolic(output.expression) for name, output in equations.declaration.outputs.items()}
     meta = {

@@ -156,13 +156,15 @@ class Units:
         value = si_value / self.conversions[parameter.unit].factor
         low, high = parameter.bounds
         unit = "" if parameter.unit == PLAIN else f" {parameter.unit}"
+        path = f"parameters.{name}"
+        if not math.isfinite(value):
+            raise DeclarationError(Problem(self.declaration.place(path), path, f"{name} = {value:g} is not finite"))
         for bound, side, is_outside in (
             (low, "below its lower", low is not None and value < low),
             (high, "above its upper", high is not None and value > high),
         ):
             if is_outside:
                 message = f"{name} = {value:g}{unit} is {side} bound {bound:g}{unit}"
-                path = f"parameters.{name}"
                 raise DeclarationError(Problem(self.declaration.place(path), path, message))
 
 

@@ -177,6 +177,7 @@ class _Lowering:
             sp.Add: self._sum,
             sp.Mul: self._product,
             sp.Pow: self._power,
+            sp.cot: lambda e: graph.div(graph.number(1.0), graph.apply("tan", self.node(e.args[0]))),
             sp.exp: lambda e: self._call("exp", e),
             sp.Min: lambda e: self._fold("min", e.args),
             sp.Max: lambda e: self._fold("max", e.args),
@@ -200,12 +201,18 @@ class _Lowering:
 
     def _new(self, expression: sp.Expr) -> Node:
         if expression.is_number:
-            return self.graph.number(float(expression))
+            return self._number(expression)
         rule = self.table.get(expression.func)
         if rule is None:
             what = f"the symbol {expression}" if expression.is_Symbol else f"the function {expression.func.__name__}"
             raise ModelError(f"{what} has no compiled form")
         return rule(expression)
+
+    def _number(self, expression: sp.Expr) -> Node:
+        try:
+            return self.graph.number(float(expression))
+        except TypeError:
+            raise ModelError(f"the equations contain the constant {expression}; constants must be real") from None
 
     def _call(self, name: str, expression: sp.Expr) -> Node:
         return self.graph.apply(name, *(self.node(a) for a in expression.args))

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from masking.compile.graph import NOT_ANALYTIC, Graph, Node
-from masking.compile.printers import needed, number, statements
+from masking.compile.printers import arguments, needed, number, statements
 
 # Operations whose recurrence needs a companion series: sin with cos, sinh with cosh, tanh and tan with 1 -+ y^2.
 COMPANION = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}
@@ -20,8 +20,29 @@ LINEAR = {"neg", "add", "sub"}
 
 
 def is_analytic(graph: Graph, nodes: Sequence[Node]) -> bool:
-    """Tell whether every varying part of `nodes` has a Taylor series (no sign, abs, min, max, where ...)."""
-    return not any(graph.operations[n][0] in NOT_ANALYTIC and graph.varying[n] for n in needed(graph, nodes))
+    """Tell whether every varying part of `nodes` has a Taylor series (no sign, abs, min, max, where ...).
+
+    A power whose exponent is a parameter counts as one that has none: its recurrence divides by the base, which may
+    pass through zero where the parameter is an integer.
+    """
+
+    def is_open(node: Node) -> bool:
+        name, *rest = graph.operations[node]
+        return name in NOT_ANALYTIC or (name == "pow" and not graph.is_number(int(rest[1])))
+
+    return not any(graph.varying[n] and is_open(n) for n in needed(graph, nodes))
+
+
+def degree(graph: Graph, nodes: Sequence[Node]) -> int:
+    """Return the largest number of varying factors in a product of `nodes`.
+
+    Near zero a product of d factors shows in the series of a state from order d + 1 only.
+    """
+    found: dict[Node, int] = {}
+    for node in needed(graph, nodes):
+        degrees = [found[a] for a in arguments(graph, node)] or [1]
+        found[node] = (sum(degrees) if graph.operations[node][0] == "mul" else max(degrees)) * graph.varying[node]
+    return max((found[n] for n in nodes), default=0)
 
 
 def cost(graph: Graph, nodes: Sequence[Node]) -> int:
@@ -169,9 +190,8 @@ class _Series:
 
     def _next(self, node: Node, k: int) -> list[str]:
         name, *rest = self.graph.operations[node]
-        arguments = [int(r) for r in rest]
-        lines = [f"a{node}_{k} = {self.rules[str(name)](node, k, *arguments)}"]
-        a = arguments[0]
+        lines = [f"a{node}_{k} = {self.rules[str(name)](node, k, *map(int, rest))}"]
+        a = int(rest[0])
         if name in COMPANION and not isinstance(self.companion[node], str):
             return lines
         if name in {"sin", "cos"}:

@@ -89,8 +89,7 @@ def rows() -> Iterator[Row]:
         source = Path(folder) / "loop.c"
         source.write_text(c_source(loop), encoding="utf-8")
         runs = {"masking": Ours(loop, start)} | {
-            name: Theirs(compiled(gcc, flags, source, i), loop, start)
-            for i, (name, flags) in enumerate(FLAGS.items())
+            name: Theirs(compiled(gcc, flags, source, i), loop, start) for i, (name, flags) in enumerate(FLAGS.items())
         }
         seconds = interleaved(runs, ROUNDS)
         nanoseconds = {name: min(s) / SAMPLES * 1e9 for name, s in seconds.items()}
@@ -102,7 +101,7 @@ def rows() -> Iterator[Row]:
                 f"{nanoseconds['masking']:.4g} ns",
                 f"{nanoseconds[name]:.4g} ns",
                 nanoseconds["masking"] / nanoseconds[name],
-                1.1,
+                at_most=1.1,
                 note=f"per sample, shortest of {ROUNDS} runs of {SAMPLES} samples; states differ by {difference:.1e}",
             )
             yield row if difference <= LARGEST_DIFFERENCE else missing(row.what, f"states differ by {difference:.1e}")
@@ -183,12 +182,12 @@ def c_source(loop: ClosedLoop) -> str:
     return LOOP.format(size=2 * n, half=n, functions="\n\n".join(functions))
 
 
-def function(
-    signature: str, graph: Graph, results: list[tuple[str, Node]], loads: dict[str, str], health: Node
-) -> str:
+def function(signature: str, graph: Graph, results: list[tuple[str, Node]], loads: dict[str, str], health: Node) -> str:
     """Print one function, which returns its health."""
     pairs = [*results, ("const double health", health)]
-    used = {str(graph.operations[i][1]) for i in needed(graph, [i for _, i in pairs]) if graph.operations[i][0] == "symbol"}
+    used = {
+        str(graph.operations[i][1]) for i in needed(graph, [i for _, i in pairs]) if graph.operations[i][0] == "symbol"
+    }
     reads = [f"const double {name} = {text};" for name, text in loads.items() if name in used and name != text]
     lines = [*reads, *statements(graph, pairs, C), "return health;"]
     return "\n".join([f"static inline double {signature}", "{", *(f"    {line}" for line in lines), "}"])

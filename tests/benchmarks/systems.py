@@ -56,7 +56,7 @@ def duffing_plain(p: Values) -> Callable[[float, Array], Array]:
     """Write (7.5)-(7.7) as one would for scipy."""
     w1, w2, w3, th1, th2, mu1, mu2, z3 = (p[n] for n in ("w1", "w2", "w3", "th1", "th2", "mu1", "mu2", "z3"))
 
-    def rhs(t: float, y: Array) -> Array:  # noqa: ARG001
+    def rhs(t: float, y: Array) -> Array:
         x1, x2, x3, v1, v2, v3 = y
         f1 = w1**2 * (x1 - x3) + th1 * (x1 - x3) ** 3
         f2 = w2**2 * (x2 - x3) + th2 * (x2 - x3) ** 3
@@ -69,7 +69,7 @@ def huygens_plain(p: Values) -> Callable[[float, Array], Array]:
     """Write (9.10), the equations solved for the accelerations, as one would for scipy."""
     w1, w2, om, z, mu1, mu2 = (p[n] for n in ("w1", "w2", "Om", "z", "mu1", "mu2"))
 
-    def rhs(t: float, y: Array) -> Array:  # noqa: ARG001
+    def rhs(t: float, y: Array) -> Array:
         th1, th2, x, v1, v2, v = y
         s1, c1, s2, c2 = sin(th1), cos(th1), sin(th2), cos(th2)
         top = mu1 / 3 * s1 * (c1 + v1**2 / w1**2) + mu2 / 3 * s2 * (c2 + v2**2 / w2**2) - om**2 * x - 2 * z * om * v

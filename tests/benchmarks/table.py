@@ -29,13 +29,13 @@ class Row:
     note: str = ""
 
 
-def judged(what: str, ours: str, theirs: str, ratio: float, at_least: float, note: str = "") -> Row:
+def judged(what: str, ours: str, theirs: str, ratio: float, *, at_least: float, note: str = "") -> Row:
     """Give a row that aims at a ratio of at least so much."""
     verdict = "reached" if ratio >= at_least else "short"
     return Row(what, ours, theirs, ratio, "x", f">= {at_least:g} x", verdict, note)
 
 
-def limited(what: str, ours: str, theirs: str, value: float, at_most: float, unit: str = "x", note: str = "") -> Row:
+def limited(what: str, ours: str, theirs: str, value: float, *, at_most: float, unit: str = "x", note: str = "") -> Row:
     """Give a row that aims at a ratio or a time of at most so much."""
     verdict = "reached" if value <= at_most else "short"
     return Row(what, ours, theirs, value, unit, f"<= {at_most:g} {unit}", verdict, note)

@@ -1,0 +1,137 @@
+"""How long a user waits: for the first compile, and for every later start from the cache."""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from tests.benchmarks.table import Row, limited, told
+
+ROUNDS = 11
+TOP = Path(__file__).resolve().parents[2]
+# The verb as the installed script calls it; what the report takes, its imports too, is written to a file.
+RUN = """
+import json, sys, time, types
+from pathlib import Path
+from masking import cli
+def report(*arguments, **settings):
+    begin = time.perf_counter()
+    from masking import reporting
+    found = reporting.report(*arguments, **settings)
+    Path(sys.argv[-1], "seconds.json").write_text(json.dumps(time.perf_counter() - begin))
+    return found
+cli.reporting = types.SimpleNamespace(report=report)
+sys.exit(cli.main())
+"""
+# The parts of a first start, each measured where it happens.
+COLD = """
+import json, sys, time
+clock = [time.perf_counter()]
+from masking.experiment import Experiment
+def lap(): clock.append(time.perf_counter()); return clock[-1] - clock[-2]
+parts = {"import": lap()}
+experiment = Experiment.load("examples/duffing.yaml")
+experiment.plant.kernels, experiment.virtual.kernels, experiment.loop.kernels
+parts["equations to source"] = lap()
+experiment.run()
+first = lap()
+experiment.run()
+parts["machine code"] = first - lap()
+modules = {m.kernels.module for m in (experiment.virtual, experiment.plant, experiment.loop)}
+functions = {f"{m.META['kind']}: {n}": f for m in modules for n, f in vars(m).items() if hasattr(f, "get_metadata")}
+timers = {}
+for name, function in functions.items():
+    for metadata in function.get_metadata().values():
+        for passes in (metadata.get("pipeline_times") or {}).values():
+            timers[name] = timers.get(name, 0.0) + sum(t.init + t.run + t.finalize for t in passes.values())
+print(json.dumps({"parts": parts, "functions": timers}))
+"""
+
+
+def rows() -> Iterator[Row]:
+    """Measure a first start, then later ones, in a cache folder of their own."""
+    with tempfile.TemporaryDirectory() as cache, tempfile.TemporaryDirectory() as out:
+        yield cold(cache)
+        yield listing(cache)
+        yield from warm(cache, Path(out))
+
+
+def cold(cache: str) -> Row:
+    """Measure the first run of the Duffing experiment on an empty cache."""
+    begin = time.perf_counter()
+    printed = json.loads(process([sys.executable, "-c", COLD], cache))
+    wall = time.perf_counter() - begin
+    parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in printed["parts"].items())
+    slowest = sorted(printed["functions"].items(), key=lambda item: -item[1])[:6]
+    functions = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in slowest)
+    return told("first start: duffing and its closed loop", f"{wall:.3g} s", note=f"{parts}; compiled: {functions}")
+
+
+def listing(cache: str) -> Row:
+    """Measure `masking list`, the whole process."""
+    seconds = timed([*script(), "list"], cache)
+    return limited(
+        "start: masking list", f"{min(seconds):.3g} s", "", min(seconds), at_most=0.3, unit="s", note=spread(seconds)
+    )
+
+
+def warm(cache: str, out: Path) -> Iterator[Row]:
+    """Measure `masking run` from the cache: the whole, and what is neither simulation nor report."""
+    arguments = ["run", "examples/duffing.yaml", "--out", str(out)]
+    walls = timed([*script(), *arguments], cache)
+    overheads, reports = [], []
+    for _ in range(ROUNDS):
+        begin = time.perf_counter()
+        process([sys.executable, "-c", RUN, *arguments], cache)
+        wall = time.perf_counter() - begin
+        timing = json.loads((out / "manifest.json").read_text(encoding="utf-8"))["timing"]
+        reports.append(float(json.loads((out / "seconds.json").read_text(encoding="utf-8"))))
+        overheads.append(wall - timing["run"] - timing["ideal"] - reports[-1])
+    yield told("start: masking run, all of it", f"{min(walls):.3g} s", note=spread(walls))
+    yield limited(
+        "start: masking run, overhead",
+        f"{min(overheads):.3g} s",
+        "",
+        min(overheads),
+        at_most=0.8,
+        unit="s",
+        note=f"without simulation and report ({min(reports):.3g} s); {spread(overheads)}",
+    )
+
+
+def spread(seconds: Sequence[float]) -> str:
+    """Say how much a time varied."""
+    return f"shortest of {len(seconds)}, median {statistics.median(seconds):.3g} s"
+
+
+def script() -> list[str]:
+    """Give the installed command, else the module that it calls."""
+    found = Path(sys.executable).with_name("masking")
+    return [str(found)] if found.exists() else [sys.executable, "-m", "masking.cli"]
+
+
+def timed(command: Sequence[str], cache: str) -> list[float]:
+    """Time a process many times."""
+    process(command, cache)
+    seconds = []
+    for _ in range(ROUNDS):
+        begin = time.perf_counter()
+        process(command, cache)
+        seconds.append(time.perf_counter() - begin)
+    return seconds
+
+
+def process(command: Sequence[str], cache: str) -> str:
+    """Run a process in the repository and give what it prints."""
+    environment = {**os.environ, "MASKING_CACHE": cache}
+    done = subprocess.run(command, cwd=TOP, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}: {done.stderr[-2000:]}")
+    return done.stdout

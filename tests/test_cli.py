@@ -1,0 +1,184 @@
+"""The command line: each verb, its JSON, its exit status, its messages."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+import masking
+from masking import cli
+from masking.declaration import catalogue
+
+SHORT = """\
+name: short
+plant: ideal
+virtual: duffing
+controller: {rate: continuous}
+duration: 20
+"""
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    path = tmp_path / "short.yaml"
+    path.write_text(SHORT, encoding="utf-8")
+    return path
+
+
+def run(capsys, *arguments: object) -> tuple[int, str, str]:
+    status = cli.main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_list_names_every_packaged_file(capsys):
+    status, out, _ = run(capsys, "list", "--json")
+    entries = json.loads(out)
+    assert status == 0
+    for kind in ("model", "plant", "experiment"):
+        assert [e["name"] for e in entries if e["kind"] == kind] == catalogue.names(kind)
+    assert {"duffing", "huygens", "setup", "discs"} <= {e["name"] for e in entries}
+
+
+def test_list_loads_no_heavy_package():
+    code = (
+        "import sys; from masking import cli; cli.main(['list']);"
+        "sys.exit(any(m in sys.modules for m in ('numpy.linalg', 'sympy.core', 'numba.core', 'pydantic.main')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
+
+
+def test_show_gives_table_4_2_beside_table_b_1(capsys):
+    status, out, _ = run(capsys, "show", "setup", "--json")
+    content = json.loads(out)
+    assert status == 0
+    assert content["values"]["w1"] == 12.5521  # Table B.1
+    assert content["dimensionless"]["w1"] == pytest.approx(0.9443, abs=5e-5)  # Table 4.2
+    assert "latex" in content["accelerations"]["x1''"]
+
+
+def test_show_typesets_equations_and_parameters(capsys):
+    status, out, _ = run(capsys, "show", "duffing")
+    assert status == 0
+    assert "coupled Duffing oscillators" in out
+    assert "x1'' = " in out
+    assert "cubic stiffness of oscillator 1" in out
+
+
+def test_show_of_an_experiment_has_the_four_blocks(capsys, short):
+    status, out, _ = run(capsys, "show", short)
+    assert status == 0
+    for letter in "TDLG":
+        assert f"\n{letter}: " in out
+    blocks = json.loads(run(capsys, "show", short, "--json")[1])["blocks"]
+    assert blocks["T"] == {"x1": "x1", "x2": "x2", "x3": "x3"}
+    assert blocks["G"]["dx3''/du3"] == "c3"
+
+
+def test_show_of_a_plant(capsys):
+    status, out, _ = run(capsys, "show", "ideal")
+    assert status == 0
+    assert "200 V/m" in out
+    assert "power" in out
+
+
+def test_check_passes_everything_that_is_packaged(capsys):
+    names = [name for kind in ("model", "plant", "experiment") for name in catalogue.names(kind)]
+    status, out, _ = run(capsys, "check", *names)
+    assert status == 0, out
+    assert out.count("a sound") == len(names)
+
+
+def test_check_tells_all_problems_with_their_places(capsys, tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text(
+        "name: bad\ncoordinates: {x: {unit: m}}\nparameters:\n  k: {value: 1, unit: N/m}\n  m: {value: -1, unit: kg, "
+        "bounds: [0, null]}\nequations:\n  m*x'': -k*y - 2*x'\n",
+        encoding="utf-8",
+    )
+    status, out, _ = run(capsys, "check", path)
+    assert status == 2
+    assert f"{path}:5:" in out
+    assert "m = -1 kg is below its lower bound 0" in out
+    assert f"{path}:7:13: " in out
+    assert "'y'" in out
+
+
+def test_check_tells_wrong_dimensions(capsys, tmp_path):
+    path = tmp_path / "units.yaml"
+    path.write_text(
+        "name: units\ncoordinates: {x: {unit: m}}\nparameters:\n  w: {value: 1, unit: rad/s}\n"
+        "equations:\n  x'': -w*x\n",
+        encoding="utf-8",
+    )
+    status, out, _ = run(capsys, "check", path)
+    assert status == 2
+    assert "m/s**2" in out
+    assert "m/s" in out
+
+
+@pytest.mark.parametrize("kind", ["model", "plant", "experiment"])
+def test_schema_describes_the_packaged_files(capsys, kind):
+    status, out, _ = run(capsys, "schema", kind)
+    properties = json.loads(out)["properties"]
+    assert status == 0
+    for name in catalogue.names(kind):
+        keys = set(yaml.safe_load(catalogue.find(kind, name).read_text(encoding="utf-8")))
+        assert keys <= set(properties)
+
+
+def test_run_saves_a_recording_and_a_report(capsys, short, tmp_path):
+    out = tmp_path / "out"
+    status, printed, _ = run(capsys, "run", short, "--out", out)
+    assert status == 0
+    assert "The ideal rig moved as coupled Duffing oscillators" in printed
+    assert {"recording.parquet", "manifest.json", "report.html"} <= {p.name for p in out.iterdir()}
+    recording = masking.Recording.load(out)
+    assert max(recording.manifest["fidelity"].values()) < 1e-6
+    (out / "report.html").unlink()
+    status, printed, _ = run(capsys, "report", out, "--json")
+    assert status == 0
+    assert Path(json.loads(printed)["report"]).is_file()
+
+
+def test_set_changes_a_parameter_of_the_virtual_system(capsys, short, tmp_path):
+    status, printed, _ = run(capsys, "run", short, "--set", "w3=0.6", "--out", tmp_path / "out", "--json")
+    assert status == 0
+    assert max(json.loads(printed)["fidelity"].values()) < 1e-6
+    assert masking.Recording.load(tmp_path / "out").manifest["parameters"]["w3"] == 0.6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "duffin"], "there is no experiment 'duffin'; did you mean 'duffing'?"),
+        (["run", "duffing", "--set", "w3"], "'w3' is not a change of a parameter; write it as in --set w3=0.6"),
+        (["run", "duffing", "--set", "w9=1"], "'w9' is not a parameter of coupled Duffing oscillators; did you mean"),
+        (["run", "duffing", "--plant", "idea"], "there is no plant 'idea'; did you mean 'ideal'?"),
+        (["show", "huigens"], "there is no model, plant or experiment 'huigens'; did you mean 'huygens'?"),
+        (["report", "nowhere"], "nowhere"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_line_with_status_2(capsys, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(capsys, *arguments)
+    assert status == 2
+    assert out == ""
+    assert said in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_verb_is_refused(capsys):
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["dance"])
+    assert caught.value.code == 2
+    assert "dance" in capsys.readouterr().err
+
+
+def test_the_wheel_carries_models_plants_and_examples():
+    text = (Path(__file__).parent.parent / "pyproject.toml").read_text(encoding="utf-8")
+    for folder in ("models", "plants", "examples"):
+        assert f'"{folder}" = "masking/{folder}"' in text
