@@ -215,12 +215,12 @@ class ClosedLoop:
         Raises:
             ActuationError: the inputs cannot accelerate every virtual coordinate.
         """
-        return Kernels(store.load(self._key, self._source))
+        return Kernels(store.load(self._key, self._build))
 
     @property
     def is_compiled(self) -> bool:
         """Tell whether the loop is in the cache on disk."""
-        return store.path(self._key).exists()
+        return store.exists(self._key)
 
     @property
     def _key(self) -> str:
@@ -281,9 +281,9 @@ class ClosedLoop:
             name=f"{self.plant.name} as {self.controller.virtual.name}",
         )
 
-    def _source(self) -> str:
+    def _build(self) -> Module:
         check_actuation(self.controller.model, self.controller.transform)
-        return _module(self).text()
+        return _module(self)
 
 
 def _module(loop: ClosedLoop) -> Module:
@@ -333,20 +333,21 @@ def _module(loop: ClosedLoop) -> Module:
     add("step(t, q, v, u, p)", "u", law.inputs, law.health)
     add("plant_derivative(t, y, u, p, dy)", "dy", [*rig.v, *plant.accelerations], plant.health)
     add("derivative(t, y, u, p, dy)", "dy", derivatives, health)
-    module.add_text(SOLVE_RUNGE_KUTTA.format(size=2 * n))
-    module.add_text(RUN.format(size=2 * n))
+    module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=2 * n), "idi", (24, 2 * n))
+    module.add_kernel(RUN_SAMPLED.format(size=2 * n), "iid", (5, 2 * n))
+    module.add_kernel(ALONG, "")
     return module
 
 
-RUN = """
+RUN_SAMPLED = """
 _sampled = integrate.sampled(step, plant_derivative, {size})
 
 
 @compiled
-def run_sampled(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u):
-    return _sampled(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u)
-
-
+def run_sampled(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work):
+    return _sampled(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work)
+"""
+ALONG = """
 @compiled
 def along(times, states, p, virtual, inputs):
     n = states.shape[1] // 2

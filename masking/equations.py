@@ -193,7 +193,7 @@ class _Symbolic:
         return sp.nsimplify(value)
 
     def is_number(self, x: sp.Expr, value: float | None = None) -> bool:
-        return bool(x.is_number and (value is None or x == value))
+        return bool(x.is_number and (value is None or x == sp.nsimplify(value)))  # sympy holds 0 and 0.0 apart
 
     def varies(self, x: sp.Expr) -> bool:
         return bool(x.free_symbols & self.varying)

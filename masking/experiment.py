@@ -134,8 +134,9 @@ class Experiment:
         prepared = time.perf_counter()
         rate = declaration.controller.rate
         if rate is None:
-            rows = declaration.record.rate * duration if declaration.record else ROWS_PER_UNIT * declaration.duration
-            times = np.linspace(0.0, duration, max(2, round(rows) + 1))
+            times = np.linspace(0.0, duration, max(2, round(ROWS_PER_UNIT * declaration.duration) + 1))
+            if declaration.record:
+                times = np.arange(int(duration * declaration.record.rate * (1.0 + 1e-12)) + 1) / declaration.record.rate
             run = run_continuous(self.loop, state, times, tolerance=declaration.tolerance, progress=progress)
         else:
             every = max(1, round(rate / declaration.record.rate)) if declaration.record else 1

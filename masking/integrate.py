@@ -9,7 +9,8 @@ them into one piece of machine code. Functions of a model, with state `y` = coor
 
 `health` is the determinant of what had to be inverted: a run stops where it vanishes or changes sign.
 """
-# ruff: noqa: ANN001, ANN201, ANN202, PLR0915, PLR0917  (types are numba's to infer; a kernel is one long function)
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0911, PLR0912, PLR0915, PLR0917
+# The types are numba's to infer, and a kernel is one long function with several ways out.
 
 from __future__ import annotations
 
@@ -18,14 +19,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numba
-import numpy as np
 
 from masking.dop853 import E3, E5, STAGES, A, C, D
+from masking.status import NOT_FINITE, REACHED, SINGULAR, TOO_MANY_STEPS, TOO_SMALL_STEP
 
 Kernel = Callable[..., Any]
-
-# Why a kernel stopped.
-REACHED, TOO_SMALL_STEP, SINGULAR, NOT_FINITE, TOO_MANY_STEPS = 0, 1, 2, 3, 4
 
 # A matrix counts as singular where its determinant has fallen to this part of its first value.
 SINGULAR_PART = 1e-9
@@ -71,10 +69,11 @@ def taylor(coefficients: Kernel, order: int, size: int) -> Kernel:
         size: number n of states.
 
     Returns:
-        `solve(t, y, times, u, p, tolerance, fixed_step, out) -> (status, time reached, steps)`, where `t` is the
-        initial time; `y` the state (n,), which is the last state afterwards; `times` monotone (m,), the last of
+        `solve(t, y, times, u, p, tolerance, fixed_step, states, work) -> (status, time reached, steps)`, where `t` is
+        the initial time; `y` the state (n,), which is the last state afterwards; `times` monotone (m,), the last of
         which ends the integration; `u` the inputs, held constant; `tolerance` the local error of a step relative
-        to the largest state; `fixed_step` the length of every step, 0 to control it; `out` (m, n) gets the states.
+        to the largest state; `fixed_step` the length of every step, 0 to control it; `states` (m, n) gets the
+        states; `work` (order + 1, n) is work space.
     """
 
     @compiled
@@ -113,16 +112,16 @@ def taylor(coefficients: Kernel, order: int, size: int) -> Kernel:
         return part * radius
 
     @compiled
-    def solve(t, y, times, u, p, tolerance, fixed_step, out):
+    def solve(t, y, times, u, p, tolerance, fixed_step, states, work):
         m = times.size
         if m == 0:
             return REACHED, t, 0
-        c = np.zeros((order + 1, size))
+        c = work
         end = times[m - 1]
         direction = 1.0 if end >= t else -1.0
         j, steps, first = 0, 0, 0.0
         while j < m and times[j] == t:
-            copy(y, out[j], size)
+            copy(y, states[j], size)
             j += 1
         while j < m:
             health = coefficients(t, y, u, p, c)
@@ -145,7 +144,7 @@ def taylor(coefficients: Kernel, order: int, size: int) -> Kernel:
             steps += 1
             reached = end if is_last else t + direction * h
             while j < m and (times[j] - reached) * direction <= 0.0:
-                evaluate(c, times[j] - t, out[j])
+                evaluate(c, times[j] - t, states[j])
                 j += 1
             evaluate(c, reached - t, y)
             t = reached
@@ -167,7 +166,7 @@ def runge_kutta(derivative: Kernel, size: int) -> Kernel:
         size: number n of states.
 
     Returns:
-        `solve`, with arguments and results as those of `taylor`.
+        `solve`, with arguments and results as those of `taylor`, and `work` (24, n).
     """
 
     @compiled
@@ -239,18 +238,16 @@ def runge_kutta(derivative: Kernel, size: int) -> Kernel:
             state[i] = y[i] + x * value
 
     @compiled
-    def solve(t, y, times, u, p, tolerance, fixed_step, out):
+    def solve(t, y, times, u, p, tolerance, fixed_step, states, work):
         m = times.size
         if m == 0:
             return REACHED, t, 0
-        k = np.zeros((16, size))
-        new = np.zeros(size)
-        f = np.zeros((7, size))
+        k, new, f = work[:16], work[16], work[17:]
         end = times[m - 1]
         direction = 1.0 if end >= t else -1.0
         j, steps, met = 0, 0, REACHED
         while j < m and times[j] == t:
-            copy(y, out[j], size)
+            copy(y, states[j], size)
             j += 1
         first = derivative(t, y, u, p, k[0])
         h = fixed_step if fixed_step > 0.0 else first_step(y, k[0], abs(end - t), tolerance)
@@ -286,7 +283,7 @@ def runge_kutta(derivative: Kernel, size: int) -> Kernel:
             if (times[j] - reached) * direction <= 0.0:
                 interpolant(t, y, new, u, p, length, k, f)
                 while j < m and (times[j] - reached) * direction <= 0.0:
-                    interpolate(y, f, (times[j] - t) / length, out[j])
+                    interpolate(y, f, (times[j] - t) / length, states[j])
                     j += 1
             t = reached
             for i in range(size):
@@ -336,19 +333,18 @@ def sampled(step: Kernel, derivative: Kernel, size: int) -> Kernel:
         size: number n of the plant's states.
 
     Returns:
-        `run(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u) -> (status, samples done, first)`,
+        `run(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work) -> (status, samples done, first)`,
         where `begin` is the index of the first sample; `count` the number of samples; `dt` the time between them;
         `substeps` the integration steps between them; `y` the state (n,), which is the last state afterwards; `u`
         (k,) work space; `first` the determinant at the start of the run, 0 where this is the start; `out_y` and
-        `out_u` get the recorded states and inputs.
+        `out_u` get the recorded states and inputs; `work` (5, n) is work space.
     """
     advance = runge_kutta_4(derivative, size)
     half = size // 2
 
     @compiled
-    def run(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u):
-        k = np.zeros((4, size))
-        state = np.zeros(size)
+    def run(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work):
+        k, state = work[:4], work[4]
         h = dt / substeps
         row = 0
         for index in range(begin, begin + count):

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from types import ModuleType
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from masking import integrate
-from masking.errors import IntegrationError, SingularityError
+from masking.compile.native import NativeFunction
+from masking.compile.store import Generated
+from masking.errors import IntegrationError, SingularityError, nearest
+from masking.status import MESSAGES, REACHED, SINGULAR
 
 Array = NDArray[np.float64]
-
-MESSAGES = {
-    integrate.SINGULAR: "the matrix that gives the accelerations or the inputs became singular",
-    integrate.TOO_SMALL_STEP: "the step fell below what time can resolve: the solution ends in finite time or jumps",
-    integrate.NOT_FINITE: "the state or the inputs are no longer finite numbers",
-    integrate.TOO_MANY_STEPS: "more than 100 million steps were taken",
-}
 
 
 @dataclass(frozen=True)
@@ -57,20 +51,23 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Kernels:
-    """A generated module: its functions, by the names they have in it, and what it says of itself."""
+    """The functions of a generated module, by the names they have in it, and what it says of itself."""
 
-    module: ModuleType
+    generated: Generated
+    _functions: dict[str, NativeFunction] = field(default_factory=dict, repr=False)
 
     @property
     def meta(self) -> Mapping[str, Any]:
         """Return the names of coordinates, inputs and parameters, in the order of the arrays, and the units."""
-        found: Mapping[str, Any] = self.module.META
-        return found
+        return self.generated.meta
 
-    def __getattr__(self, name: str) -> Callable[..., Any]:
-        """Return a compiled function of the module."""
-        function: Callable[..., Any] = getattr(self.module, name)
-        return function
+    def __getattr__(self, name: str) -> NativeFunction:
+        """Return a function of the module; it is compiled when it is first called."""
+        if name.startswith("_") or name not in self.meta["functions"]:
+            raise AttributeError(f"there is no compiled function '{name}'; {nearest(name, self.meta['functions'])}")
+        if name not in self._functions:
+            self._functions[name] = self.generated.function(name)
+        return self._functions[name]
 
     def integrate(
         self,
@@ -102,7 +99,7 @@ class Kernels:
             SingularityError: a matrix that must be inverted became singular; holds the state.
             IntegrationError: the integrator could not go on; says when and why.
         """
-        solve = getattr(self.module, f"solve_{method or self.meta['method']}")
+        solve = getattr(self, f"solve_{method or self.meta['method']}")
         y = np.array(state, dtype=float)
         out = np.empty((len(times), len(y)))
         t, steps = float(times[0]), 0
@@ -110,7 +107,7 @@ class Kernels:
             rows = slice(piece[0], piece[-1] + 1)
             status, t, taken = solve(t, y, times[rows], inputs, parameters, tolerance, fixed_step, out[rows])
             steps += taken
-            if status != integrate.REACHED:
+            if status != REACHED:
                 self.stop(status, t, y)
             if progress is not None:
                 progress((piece[-1] + 1) / len(times))
@@ -120,7 +117,7 @@ class Kernels:
         """Raise the error that a kernel's status stands for."""
         names = self.meta["coordinates"]
         at = dict(zip([*names, *(f"{n}'" for n in names)], map(float, state), strict=True))
-        if status == integrate.SINGULAR:
+        if status == SINGULAR:
             raise SingularityError(MESSAGES[status], time, at)
         where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
         raise IntegrationError(f"{MESSAGES[status]}, at t = {time:.6g} ({where})")

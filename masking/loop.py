@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from masking import integrate
 from masking.controller import ClosedLoop
 from masking.errors import ModelError
 from masking.kernels import Array
+from masking.status import REACHED
 
 Progress = Callable[[float], None]
 
 PIECES = 100
-# The classical Runge-Kutta method errs by less than 1e-10 per period when a period takes this many steps.
+# The classical Runge-Kutta method errs by 1e-9 per radian when a radian takes this many steps.
 STEPS_PER_RADIAN = 50.0
 
 
@@ -65,7 +65,7 @@ def run_sampled(
     rate: float,
     duration: float,
     every: int = 1,
-    substeps: int = 1,
+    substeps: int | None = None,
     progress: Progress | None = None,
 ) -> Run:
     """Run a closed loop whose controller reads the state at a fixed rate and holds its outputs between samples.
@@ -76,17 +76,19 @@ def run_sampled(
         rate: samples per second.
         duration: seconds.
         every: record one sample of so many.
-        substeps: integration steps of the plant between samples.
+        substeps: integration steps of the plant between samples; by default as many as its motion about the initial
+            state asks for.
         progress: called with the part done.
 
     Raises:
         SingularityError: the decoupling matrix became singular; holds the state.
         IntegrationError: the state or the inputs are no longer finite.
     """
-    if not (rate > 0.0 and duration > 0.0 and every >= 1 and substeps >= 1):
+    if not (rate > 0.0 and duration > 0.0 and every >= 1 and (substeps is None or substeps >= 1)):
         raise ModelError(
             f"rate {rate:g}, duration {duration:g}, every {every}, substeps {substeps}: all must be positive"
         )
+    substeps = substeps or _substeps(loop, state, rate)
     samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
     rows = np.arange(0, samples, every)
     out_y, out_u = np.empty((len(rows), len(state))), np.empty((len(rows), len(loop.plant.inputs)))
@@ -97,12 +99,28 @@ def run_sampled(
         status, done, first = loop.kernels.run_sampled(
             begin, count, 1.0 / rate, substeps, every, y, u, p, first, out_y[row:], out_u[row:]
         )
-        if status != integrate.REACHED:
+        if status != REACHED:
             loop.kernels.stop(status, (begin + done) / rate, y)
         if progress is not None:
             progress((begin + count) / samples)
     found = _complete(loop, rows / rate, out_y, p)
     return Run(found.times, found.rig, found.virtual, out_u)
+
+
+def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:
+    """Return the integration steps between samples that resolve the plant's fastest motion near a state."""
+    p, u, size = loop.values(), np.zeros(len(loop.plant.inputs)), len(state)
+    steps = 1e-6 * np.tile(loop.controller.lengths, 2)
+    jacobian, ahead, behind = np.empty((size, size)), np.empty(size), np.empty(size)
+    for i, step in enumerate(steps):
+        change = step * np.eye(size)[i]
+        loop.kernels.plant_derivative(0.0, state + change, u, p, ahead)
+        loop.kernels.plant_derivative(0.0, state - change, u, p, behind)
+        jacobian[:, i] = (ahead - behind) / (2.0 * step)
+    if not np.all(np.isfinite(jacobian)):
+        return 1
+    fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian))))
+    return max(1, int(np.ceil(STEPS_PER_RADIAN * fastest / rate)))
 
 
 def rig_state(loop: ClosedLoop, virtual_state: Array, guess: Array | None = None) -> Array:

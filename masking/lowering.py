@@ -127,8 +127,8 @@ def module(equations: Equations) -> Module:
         module.add("energy(t, q, v, p)", graph, [], split, returns=lowered.lower(energy))
     if use_taylor:
         module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined)
-        module.add_text(SOLVE_TAYLOR.format(order=TAYLOR_ORDER, size=2 * n))
-    module.add_text(SOLVE_RUNGE_KUTTA.format(size=2 * n))
+        module.add_kernel(SOLVE_TAYLOR.format(order=TAYLOR_ORDER, size=2 * n), "idi", (TAYLOR_ORDER + 1, 2 * n))
+    module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=2 * n), "idi", (24, 2 * n))
     return module
 
 
@@ -137,14 +137,14 @@ _taylor = integrate.taylor(coefficients, {order}, {size})
 
 
 @compiled
-def solve_taylor(t, y, times, u, p, tolerance, fixed_step, out):
-    return _taylor(t, y, times, u, p, tolerance, fixed_step, out)
+def solve_taylor(t, y, times, u, p, tolerance, fixed_step, states, work):
+    return _taylor(t, y, times, u, p, tolerance, fixed_step, states, work)
 """
 SOLVE_RUNGE_KUTTA = """
 _runge_kutta = integrate.runge_kutta(derivative, {size})
 
 
 @compiled
-def solve_runge_kutta(t, y, times, u, p, tolerance, fixed_step, out):
-    return _runge_kutta(t, y, times, u, p, tolerance, fixed_step, out)
+def solve_runge_kutta(t, y, times, u, p, tolerance, fixed_step, states, work):
+    return _runge_kutta(t, y, times, u, p, tolerance, fixed_step, states, work)
 """

@@ -16,6 +16,7 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.compile import store
+from masking.compile.source import Module
 from masking.declaration import registry, schema
 from masking.declaration.dimensions import check_dimensions
 from masking.declaration.expression import Expression
@@ -155,7 +156,7 @@ class Model:
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
         name = store.key({"model": self.structure()})
-        return Kernels(store.load(name, self._source))
+        return Kernels(store.load(name, self._build))
 
     def simulate(
         self,
@@ -214,7 +215,7 @@ class Model:
             DeclarationError: a declared unit or value is wrong.
             ModelError: the equations cannot be made explicit, or the scales cannot express a unit.
         """
-        self._source()
+        self._build()
         self.values()
         if self.declaration.scales:
             self.dimensionless().values()
@@ -291,11 +292,11 @@ class Model:
     def _state_names(self) -> list[str]:
         return [*self.coordinates, *(f"{c}'" for c in self.coordinates)]
 
-    def _source(self) -> str:
+    def _build(self) -> Module:
         problems = check_dimensions(self.declaration)
         if problems:
             raise DeclarationError(problems)
-        return module(self.equations).text()
+        return module(self.equations)
 
 
 def _text(expression: Expression | None) -> str | None:

@@ -49,7 +49,7 @@ def test_identical_setup_ends_in_anti_phase_of_equal_amplitudes():
     found = anti_phase(run.times, run["x1"], run["x2"], fraction=0.2)
     assert found.alpha == pytest.approx(1.0, abs=1e-4)
     assert found.period == pytest.approx(2 * np.pi, rel=1e-5)
-    # With xi_2(t + T/2) interpolated between the samples; twice that of the sum's remaining motion.
+    # With xi_2(t + T/2) interpolated between the samples; the rounded way is the next test.
     assert found.eps == pytest.approx(1.75e-4, rel=0.02)
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pprint import pformat
+from typing import Any
 
+from masking.compile import native
 from masking.compile.graph import Graph, Node
 from masking.compile.printers import needed, statements
 from masking.compile.taylor import coefficients
 
 # Contraction to fused multiply-add is the only liberty taken with floating point: NaN, infinity and the
 # order of operations are kept, so that every path computes the same numbers to rounding.
-DECORATOR = '@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})'
+DECORATOR = '@numba.njit(nogil=True, error_model="numpy", fastmath={"contract"})'
 
 # measured: sums of products in a free order make Taylor coefficients 1.6 times faster; the solution's error is
 # that of the order and tolerance, whatever the order of summation.
@@ -28,25 +30,27 @@ import math
 
 import numba
 import numpy as np
+from numba import carray
 
 from masking import integrate
-
-META = {meta}
 '''
 
 
 @dataclass
 class Module:
-    """The source text of a generated module: what it was made from, and its functions in order."""
+    """A generated module: what it was made from, what it says of itself, and the text of its functions.
+
+    `meta["functions"]` holds for each function the names of its arguments, the kinds of its results and the shape of
+    its work space, as `native` reads them.
+    """
 
     title: str
-    meta: Mapping[str, object]
+    meta: dict[str, Any]
     functions: list[str] = field(default_factory=list)
 
     def text(self) -> str:
         """Return the whole source."""
-        head = HEADER.format(title=self.title, meta=pformat(dict(self.meta), width=110, sort_dicts=False))
-        return "\n\n".join([head, *self.functions]) + "\n"
+        return "\n\n".join([HEADER.format(title=self.title), *self.functions]) + "\n"
 
     def add(
         self,
@@ -94,17 +98,32 @@ class Module:
         body += [line for line in text if line.split(" = ")[0] in names]
         body += _loads(graph, [health], {k: v for k, v in rest.items() if f"{k} = {v}" not in body})
         body += statements(graph, [("health", health)])
-        self._function("coefficients(t, y, u, p, c)", [*body, "return health"])
-        self.functions[-1] = self.functions[-1].replace('{"contract"}', FREE_ORDER, 1)
+        decorator = DECORATOR.replace('{"contract"}', FREE_ORDER)
+        self._function("coefficients(t, y, u, p, c)", [*body, "return health"], decorator)
 
-    def add_text(self, text: str) -> None:
-        """Add functions written out as text; each `@compiled` line becomes the decorator."""
+    def add_kernel(self, text: str, results: str, work: tuple[int, int] | None = None) -> None:
+        """Add a function written out as text, in which the line `@compiled` stands for the decorator.
+
+        Args:
+            text: the source; its last function is the one that is called from outside.
+            results: the kinds of its results, such as 'idi'.
+            work: the shape of its work space.
+        """
         self.functions.append(text.strip().replace("@compiled", DECORATOR))
+        self._export(re.findall(r"^def (\w+\(.*\)):$", text, re.MULTILINE)[-1], results, work)
 
-    def _function(self, signature: str, body: Sequence[str]) -> None:
+    def _function(self, signature: str, body: Sequence[str], decorator: str = DECORATOR) -> None:
         self.functions.append(
-            "\n".join([DECORATOR, f"def {signature}:", *(f"    {line}" for line in body or ["pass"])])
+            "\n".join([decorator, f"def {signature}:", *(f"    {line}" for line in body or ["pass"])])
         )
+        self._export(signature, "d" if body and body[-1].startswith("return") else "")
+
+    def _export(self, signature: str, results: str, work: tuple[int, int] | None = None) -> None:
+        """Add the C interface of a function, and tell of it in `meta`."""
+        name, _, rest = signature.rstrip(")").partition("(")
+        arguments = [part.strip() for part in rest.split(",") if part.strip()]
+        self.functions.append(native.interface(name, arguments, results))
+        self.meta.setdefault("functions", {})[name] = {"arguments": arguments, "results": results, "work": work}
 
 
 def _loads(graph: Graph, nodes: Sequence[Node], loads: Mapping[str, str]) -> list[str]:

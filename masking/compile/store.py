@@ -1,8 +1,8 @@
 """Generated modules on disk, found again by the hash of what they were made from.
 
-A module is written once and imported ever after; numba keeps the machine code beside it. What a module was
-made from, the versions of the libraries and the sources of this package that shape it all enter the hash, so a
-stale module is never found.
+A module is written once: its source, what it says of itself (json), and the machine code of each function that was
+ever called. What a module was made from, the versions of the libraries and the sources of this package that shape
+it all enter the hash, so a stale module is never found.
 """
 
 from __future__ import annotations
@@ -13,13 +13,18 @@ import importlib.util
 import json
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import platformdirs
+
+from masking.compile.files import write_once
+from masking.compile.native import NativeFunction
+from masking.compile.source import Module
 
 PACKAGE = Path(__file__).parent.parent
 # Sources of this package whose text shapes the generated code.
@@ -37,48 +42,63 @@ def directory() -> Path:
 
 
 def key(made_from: Mapping[str, object]) -> str:
-    """Return the hash of what a module is made from (anything that json can write) and of what shapes it."""
-    text = json.dumps({"made_from": made_from, "shaped_by": _shaped_by()}, sort_keys=True)
+    """Return the hash of what a module is made from (anything that json can write) and of what shapes it.
+
+    The order of keys counts: that of parameters and coordinates is the order of the arrays.
+    """
+    text = json.dumps({"made_from": made_from, "shaped_by": _shaped_by()})
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
-def path(name: str) -> Path:
-    """Return where the generated module of a key is kept."""
-    return directory() / f"masking_generated_{name}.py"
+@dataclass(frozen=True)
+class Generated:
+    """A generated module on disk: its path without ending, and what it says of itself."""
+
+    stem: Path
+    meta: Mapping[str, Any]
+
+    def module(self) -> ModuleType:
+        """Import the module, and numba with it."""
+        name = self.stem.name
+        if name in sys.modules:
+            return sys.modules[name]
+        specification = importlib.util.spec_from_file_location(name, self.stem.with_suffix(".py"))
+        if specification is None or specification.loader is None:
+            raise ImportError(f"cannot import the generated module {self.stem}.py")
+        module = importlib.util.module_from_spec(specification)
+        sys.modules[name] = module  # numba looks functions up by the name of their module
+        try:
+            specification.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[name]
+            raise
+        return module
+
+    def function(self, name: str) -> NativeFunction:
+        """Return a function of the module, compiled when it is first called."""
+        told = self.meta["functions"][name]
+        work = tuple(told["work"]) if told["work"] else None
+        return NativeFunction(name, told["arguments"], told["results"], work, self.module, self.stem)
 
 
-def load(name: str, build: Callable[[], str]) -> ModuleType:
-    """Return the generated module of a key; `build` writes its source if it is not on disk yet."""
-    full_name = path(name).stem
-    if full_name in sys.modules:
-        return sys.modules[full_name]
-    file = path(name)
-    if not file.exists():
-        _write(file, build())
-    specification = importlib.util.spec_from_file_location(full_name, file)
-    if specification is None or specification.loader is None:
-        raise ImportError(f"cannot import the generated module {file}")
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[full_name] = module  # numba looks functions up by the name of their module
-    try:
-        specification.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[full_name]
-        raise
-    return module
+def exists(name: str) -> bool:
+    """Tell whether the generated module of a key is on disk."""
+    return _stem(name).with_suffix(".json").exists()
 
 
-def _write(target: Path, text: str) -> None:
-    """Write a file whole or not at all; the first of several processes wins, so that machine code stays valid."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile("w", dir=target.parent, suffix=".tmp", delete=False, encoding="utf-8") as file:
-        file.write(text)
-    try:
-        os.link(file.name, target)
-    except FileExistsError:
-        pass
-    finally:
-        Path(file.name).unlink()
+def load(name: str, build: Callable[[], Module]) -> Generated:
+    """Return the generated module of a key; `build` makes it if it is not on disk yet."""
+    stem = _stem(name)
+    described = stem.with_suffix(".json")
+    if not described.exists():
+        made = build()
+        write_once(stem.with_suffix(".py"), made.text().encode())
+        write_once(described, json.dumps(made.meta).encode())  # last: where it is, all is
+    return Generated(stem, json.loads(described.read_bytes()))
+
+
+def _stem(name: str) -> Path:
+    return directory() / f"masking_generated_{name}"
 
 
 @cache

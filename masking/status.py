@@ -1,0 +1,12 @@
+"""Why a kernel stopped."""
+
+from __future__ import annotations
+
+REACHED, TOO_SMALL_STEP, SINGULAR, NOT_FINITE, TOO_MANY_STEPS = 0, 1, 2, 3, 4
+
+MESSAGES = {
+    SINGULAR: "the matrix that gives the accelerations or the inputs became singular",
+    TOO_SMALL_STEP: "the step fell below what time can resolve: the solution ends in finite time or jumps",
+    NOT_FINITE: "the state or the inputs are no longer finite numbers",
+    TOO_MANY_STEPS: "more than 100 million steps were taken",
+}

@@ -1,0 +1,27 @@
+"""What all tests share: one cache of compiled models, and models declared in place."""
+
+import os
+import shutil
+import tempfile
+
+import pytest
+
+from masking.declaration.schema import ModelDeclaration
+from masking.model import Model
+
+
+def pytest_configure(config):
+    """Give the whole session, xdist workers included, one empty cache of generated modules."""
+    if "MASKING_CACHE" not in os.environ:  # workers inherit the folder from the process that starts them
+        os.environ["MASKING_CACHE"] = tempfile.mkdtemp(prefix="masking-tests-")
+        config.add_cleanup(lambda: shutil.rmtree(os.environ.pop("MASKING_CACHE"), ignore_errors=True))
+
+
+def declare(**parts) -> Model:
+    return Model(ModelDeclaration.model_validate({"name": "test", **parts}))
+
+
+@pytest.fixture(scope="session")
+def declared():
+    """Return a function that makes a model of the parts of a declaration."""
+    return declare
