@@ -189,6 +189,7 @@ def check_actuation(model: Model, transform: Transform) -> None:
 
     Raises:
         ActuationError: names the virtual coordinates that cannot be masked.
+        ModelError: the transform is not invertible.
     """
     s = model.equations.symbols
     generator = np.random.default_rng(0)
@@ -198,8 +199,15 @@ def check_actuation(model: Model, transform: Transform) -> None:
     def number(matrix: sp.Matrix) -> np.ndarray:
         return np.array(matrix.subs(point).evalf().tolist(), dtype=float).reshape(matrix.shape)
 
-    gain = np.linalg.solve(number(model.equations.mass), number(model.equations.input_force))
-    decoupling = number(transform.jacobian) @ gain
+    jacobian = number(transform.jacobian)
+    if np.linalg.matrix_rank(jacobian) < len(jacobian):
+        unused = [c for c, column in zip(model.coordinates, jacobian.T, strict=True) if not column.any()]
+        why = f"none depends on {', '.join(unused)}" if unused else "they depend on each other"
+        raise ModelError(
+            f"transform: not invertible: {', '.join(transform.virtual.coordinates)} cannot be moved independently by the "
+            f"rig's coordinates; {why}"
+        )
+    decoupling = jacobian @ np.linalg.solve(number(model.equations.mass), number(model.equations.input_force))
     reachable = decoupling @ np.linalg.pinv(decoupling) if decoupling.size else np.zeros((len(decoupling),) * 2)
     names = transform.virtual.coordinates
     missed = [name for i, name in enumerate(names) if abs(reachable[i, i] - 1.0) > 1e-8]

@@ -19,6 +19,10 @@ else:
     sp = lazy.load("sympy")
 
 
+# Operations in the longest expression that is simplified; simplifying takes a second for some hundreds.
+LONGEST_SIMPLIFIED = 120
+
+
 @dataclass(frozen=True)
 class Description:
     """A text for the terminal, and the same content for programs."""
@@ -104,7 +108,7 @@ def experiment(subject: Experiment) -> Description:
             zip([f"{c}''" for c in virtual.coordinates], virtual.equations.accelerations, strict=True)
         ),
         "L: cancelled accelerations": dict(zip([f"{c}''" for c in rig.coordinates], free, strict=True)),
-        "G: acceleration per input, inverted": {
+        "G: inverse of the accelerations per input": {
             f"d{c}''/d{u}": gain[i, j]
             for i, c in enumerate(rig.coordinates)
             for j, u in enumerate(rig.inputs)
@@ -139,5 +143,13 @@ def _table(title: str, rows: Sequence[Sequence[str]]) -> list[str]:
 
 def _equation(left: str | sp.Expr, right: sp.Expr) -> list[str]:
     """Return an equation as typeset lines."""
-    equation = sp.Eq(sp.Symbol(left) if isinstance(left, str) else left, right, evaluate=False)
+    equation = sp.Eq(sp.Symbol(left) if isinstance(left, str) else _simple(left), _simple(right), evaluate=False)
     return ["  " + line for line in sp.pretty(equation, use_unicode=True, wrap_line=False).splitlines()]
+
+
+def _simple(expression: sp.Expr) -> sp.Expr:
+    """Return an expression simplified, where that does not take long."""
+    if not isinstance(expression, sp.Expr) or sp.count_ops(expression) > LONGEST_SIMPLIFIED:
+        return expression
+    simple = sp.simplify(expression)
+    return simple if sp.count_ops(simple) < sp.count_ops(expression) else expression

@@ -18,6 +18,7 @@ import numpy as np
 from masking.blocks import Transform, check_actuation
 from masking.controller import ClosedLoop, Controller
 from masking.declaration import registry, schema
+from masking.errors import DeclarationError, Problem
 from masking.fidelity import fidelity
 from masking.kernels import Array
 from masking.loop import Run, rig_state, run_continuous, run_sampled
@@ -51,6 +52,9 @@ class Experiment:
         """
         declaration = registry.load_experiment(name_or_path)
         if changes:
+            wrong = [name for name, value in changes.items() if not isinstance(value, int | float)]
+            if wrong:
+                raise DeclarationError(Problem(None, wrong[0], f"must be a number, not {changes[wrong[0]]!r}"))
             declaration = declaration.model_copy(update={"parameters": {**declaration.parameters, **changes}})
         return cls(registry.assemble(declaration, plant))
 
@@ -128,11 +132,15 @@ class Experiment:
         """
         clock = time.perf_counter()
         declaration, time_scale = self.declaration, self.time_scale
+        rate = declaration.controller.rate
+        for name in ("transform", "along", "solve_runge_kutta" if rate is None else "run_sampled"):
+            getattr(self.loop.kernels, name).prepare()
+        getattr(self.virtual.kernels, f"solve_{self.virtual.kernels.meta['method']}").prepare()
+        compiled = time.perf_counter()
         initial = self.virtual.initial_state(declaration.initial)
         state = rig_state(self.loop, initial)
         duration = declaration.duration * time_scale
         prepared = time.perf_counter()
-        rate = declaration.controller.rate
         if rate is None:
             times = np.linspace(0.0, duration, max(2, round(ROWS_PER_UNIT * declaration.duration) + 1))
             if declaration.record:
@@ -149,7 +157,12 @@ class Experiment:
             self.virtual.values(),
             tolerance=min(declaration.tolerance, 1e-12),
         )
-        timing = {"preparation": prepared - clock, "run": ran - prepared, "ideal": time.perf_counter() - ran}
+        timing = {
+            "compilation": compiled - clock,
+            "preparation": prepared - compiled,
+            "run": ran - prepared,
+            "ideal": time.perf_counter() - ran,
+        }
         return self._record(run, ideal.states, timing)
 
     def _record(self, run: Run, ideal: Array, timing: Mapping[str, float]) -> Recording:

@@ -278,7 +278,10 @@ def runge_kutta(derivative: Kernel, size: int) -> Kernel:
                 return NOT_FINITE, t, steps
             met = fault(health, first)
             if met != REACHED:
-                return met, t, steps
+                if fixed_step > 0.0 or abs(length) <= 1e-10 * (abs(t) + remaining):
+                    return met, t, steps
+                h = 0.5 * abs(length)  # come as close to it as time resolves
+                continue
             reached = end if is_last else t + length
             if (times[j] - reached) * direction <= 0.0:
                 interpolant(t, y, new, u, p, length, k, f)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from masking.controller import ClosedLoop
-from masking.errors import ModelError
+from masking.errors import IntegrationError, ModelError
 from masking.kernels import Array
-from masking.status import REACHED
+from masking.status import NOT_FINITE, REACHED
 
 Progress = Callable[[float], None]
 
@@ -99,6 +99,11 @@ def run_sampled(
         status, done, first = loop.kernels.run_sampled(
             begin, count, 1.0 / rate, substeps, every, y, u, p, first, out_y[row:], out_u[row:]
         )
+        if status == NOT_FINITE:
+            raise IntegrationError(
+                f"the masked rig became unstable and grew without bound by t = {(begin + done) / rate:.6g} s: sampled at "
+                f"{rate:g} Hz, the inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
+            )
         if status != REACHED:
             loop.kernels.stop(status, (begin + done) / rate, y)
         if progress is not None:

@@ -121,7 +121,12 @@ class Model:
         return self.units.parameter_values(self.overrides, dimensionless=self.is_dimensionless)
 
     def value(self, parameter: str) -> float:
-        """Return one parameter, in SI units, or in the declared scales."""
+        """Return one parameter, in SI units, or in the declared scales.
+
+        Raises:
+            DeclarationError: there is no such parameter.
+        """
+        self.units.check_names([parameter])
         return self.parameter_values()[parameter]
 
     @cached_property
@@ -177,9 +182,14 @@ class Model:
         Returns:
             states (m, 2 n) and their times.
         """
+        times = np.atleast_1d(np.asarray(times, dtype=float))
+        if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
+            raise ModelError(
+                f"times must be finite, in one row, such as np.linspace(0, 10, 101); got shape {times.shape}"
+            )
         state = self.initial_state(initial or {})
         u = np.zeros(len(self.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
-        return self.kernels.integrate(np.asarray(times, dtype=float), state, u, self.values(), tolerance=tolerance)
+        return self.kernels.integrate(times, state, u, self.values(), tolerance=tolerance)
 
     def initial_state(self, given: Mapping[str, float]) -> np.ndarray:
         """Return the state (2 n,) of given and declared initial values, in SI units or in the declared scales.
@@ -216,9 +226,28 @@ class Model:
             ModelError: the equations cannot be made explicit, or the scales cannot express a unit.
         """
         self._build()
-        self.values()
+        self._check_mass(self.values())
         if self.declaration.scales:
             self.dimensionless().values()
+
+    def _check_mass(self, values: np.ndarray) -> None:
+        """Refuse a mass matrix that is singular, or not positive definite where energy says that it must be."""
+        if not self.coordinates:
+            return
+        e, s = self.equations, self.equations.symbols
+        rest = {c: d.initial or 0.0 for c, d in self.declaration.coordinates.items()}
+        point = {q: rest[q.name] for q in s.q} | dict.fromkeys((s.t, *s.v), 0.0) | dict(zip(s.p, values, strict=True))
+        matrix = np.array(e.mass.subs(point).evalf().tolist(), dtype=float)
+        if np.linalg.matrix_rank(matrix) < len(matrix):
+            raise ModelError(
+                f"{self.name}: the matrix of the accelerations is singular at the declared values; a mass that is 0 does "
+                "this, and bounds such as [1e-6, null] keep one from it"
+            )
+        if self.declaration.lagrangian is not None and np.min(np.linalg.eigvalsh(matrix)) <= 0.0:
+            raise ModelError(
+                f"{self.name}: the kinetic energy is not positive at the declared values: the eigenvalues of the mass "
+                f"matrix are {', '.join(f'{x:.3g}' for x in np.linalg.eigvalsh(matrix))}; look for a negative mass"
+            )
 
     def linearise(
         self, at: Mapping[str, float] | None = None, inputs: Mapping[str, float] | None = None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,6 +121,17 @@ class Units:
             found[name] = si
         return found
 
+    def check_names(self, names: Iterable[str]) -> None:
+        """Refuse names that are not parameters.
+
+        Raises:
+            DeclarationError: says which name was probably meant.
+        """
+        for name in names:
+            if name not in self.declaration.parameters:
+                message = f"{self.declaration.name} has no parameter '{name}'"
+                raise DeclarationError(Problem(None, name, message, nearest(name, self.declaration.parameters)))
+
     def size(self, unit: str, overrides: Mapping[str, float]) -> float:
         """Return what the scales make of a unit's dimension, in SI units; 1 where there are no scales for it."""
         known = self.conversions.get(unit)
@@ -128,10 +139,7 @@ class Units:
 
     def _si_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
         parameters = self.declaration.parameters
-        for name in overrides:
-            if name not in parameters:
-                message = f"{self.declaration.name} has no parameter '{name}'"
-                raise DeclarationError(Problem(None, name, message, nearest(name, parameters)))
+        self.check_names(overrides)
         found: dict[str, float] = {}
         pending = dict(parameters)
         while pending:  # the declaration has been checked for cycles

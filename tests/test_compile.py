@@ -18,6 +18,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from masking.compile import store
+from masking.compile.files import write_once
 from masking.compile.graph import Graph
 from masking.compile.printers import PYTHON, C, statements
 from masking.compile.source import Module
@@ -304,7 +305,7 @@ def test_only_smooth_models_are_integrated_by_series(declared, equation, is_smoo
     )
     method = "taylor" if is_smooth else "runge_kutta"
     assert model.kernels.meta["method"] == method
-    assert hasattr(model.kernels.module, "solve_taylor") == is_smooth
+    assert ("solve_taylor" in model.kernels.meta["functions"]) == is_smooth
 
 
 def test_a_model_that_is_not_smooth_falls_back(declared):
@@ -354,22 +355,27 @@ def module_text(name):
     return module(Model(registry.load_model(name)).equations).text()
 
 
-def test_a_second_process_starts_from_the_cache_without_sympy():
+def test_a_second_process_starts_from_the_cache_without_sympy_and_numba():
     model = Model(registry.load_model("duffing"))
     times = np.linspace(0.0, 10.0, 11)
     here = model.simulate(times).states
-    file = store.path(store.key({"model": model.structure()}))
-    before = file.stat()
+    stem = model.kernels.generated.stem
+
+    def files():
+        return {
+            f.name: (f.stat().st_mtime_ns, f.stat().st_ino, f.stat().st_size) for f in stem.parent.glob(f"{stem.name}*")
+        }
+
+    before = files()
+    assert {f"{stem.name}.py", f"{stem.name}.json"} < before.keys()
     found = fresh(
         "model = Model(registry.load_model('duffing')).with_parameters(th1=0.3).with_parameters(th1=1/3)\n"
         "states = model.simulate(np.linspace(0.0, 10.0, 11)).states\n"
-        "print(json.dumps([states.tolist(), 'sympy.core' in sys.modules, model.kernels.module.__file__]))"
+        "print(json.dumps([states.tolist(), [m for m in ('sympy.core', 'numba.core') if m in sys.modules]]))"
     )
     np.testing.assert_array_equal(found[0], here)
-    assert not found[1], "sympy was imported"
-    assert found[2] == str(file)
-    after = file.stat()
-    assert (after.st_mtime_ns, after.st_ino, after.st_size) == (before.st_mtime_ns, before.st_ino, before.st_size)
+    assert found[1] == []
+    assert files() == before
 
 
 def test_equations_make_the_key_and_values_do_not(declared):
@@ -407,12 +413,12 @@ def test_what_shapes_generated_code_is_part_of_the_key():
 
 def test_concurrent_writers_leave_one_whole_file(tmp_path):
     target = tmp_path / "deep" / "module.py"
-    texts = [f"X = '{letter * 300_000}'\n" for letter in "abcdefgh"]
+    texts = [letter * 300_000 for letter in (b"a", b"b", b"c", b"d", b"e", b"f", b"g", b"h")]
     seen = set()
 
     def write(text):
-        store._write(target, text)
-        seen.add(target.read_text())
+        write_once(target, text)
+        seen.add(target.read_bytes())
 
     threads = [threading.Thread(target=write, args=(text,)) for text in texts]
     for thread in threads:
@@ -432,7 +438,9 @@ def test_a_module_that_cannot_be_built_leaves_nothing_behind(tmp_path, monkeypat
 
     with pytest.raises(ModelError):
         store.load("0123", fail)
+    assert not store.exists("0123")
+    assert list(tmp_path.iterdir()) == []
+    broken = store.load("4567", lambda: Module("test", {}, ["def f(:"]))
     with pytest.raises(SyntaxError):
-        store.load("4567", lambda: "def f(:\n")
-    assert "masking_generated_4567" not in sys.modules
-    assert not (tmp_path / "masking_generated_0123.py").exists()
+        broken.module()
+    assert broken.stem.name not in sys.modules

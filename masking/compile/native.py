@@ -76,8 +76,7 @@ class NativeFunction:
         Raises:
             TypeError: an array is not C-contiguous float64 of the right dimension, or one is missing.
         """
-        if self._call is None:
-            self._call = self._load()
+        call = self.prepare()
         values = list(given) if self.work is None else [*given, np.empty(self.work)]
         if len(values) != len(self.arguments):
             raise TypeError(f"{self.name} takes {', '.join(self.arguments)}: got {len(given)} arguments")
@@ -96,9 +95,15 @@ class NativeFunction:
             else:
                 passed.append(value)
         found = (ctypes.c_double * RESULTS)()
-        self._call(*passed, found)
+        call(*passed, found)
         read = [int(x) if kind == "i" else x for kind, x in zip(self.results, found, strict=False)]
         return None if not read else read[0] if len(read) == 1 else tuple(read)
+
+    def prepare(self) -> Callable[..., None]:
+        """Compile or load the function now; return its C interface."""
+        if self._call is None:
+            self._call = self._load()
+        return self._call
 
     def _load(self) -> Callable[..., None]:
         path = self.stem.with_name(f"{self.stem.name}.{self.name}.{_processor()}.o")
