@@ -204,8 +204,8 @@ def check_actuation(model: Model, transform: Transform) -> None:
         unused = [c for c, column in zip(model.coordinates, jacobian.T, strict=True) if not column.any()]
         why = f"none depends on {', '.join(unused)}" if unused else "they depend on each other"
         raise ModelError(
-            f"transform: not invertible: {', '.join(transform.virtual.coordinates)} cannot be moved independently by the "
-            f"rig's coordinates; {why}"
+            f"transform: not invertible: {', '.join(transform.virtual.coordinates)} do not move independently of each "
+            f"other with the rig's coordinates; {why}"
         )
     decoupling = jacobian @ np.linalg.solve(number(model.equations.mass), number(model.equations.input_force))
     reachable = decoupling @ np.linalg.pinv(decoupling) if decoupling.size else np.zeros((len(decoupling),) * 2)

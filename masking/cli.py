@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
@@ -23,20 +26,34 @@ else:
     tqdm = lazy.load("tqdm")
 
 INTERRUPTED = 130
+BAR = "{desc} {percentage:3.0f}% {bar}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to mend first."""
+    if arguments is None:  # in a process of its own, which an interrupt may end while packages are still loading
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     chosen = _parser().parse_args(arguments)
     try:
         status: int = chosen.verb(chosen)
+        sys.stdout.flush()
     except MaskingError as error:
-        print(f"masking: {error}" if not isinstance(error, DeclarationError) else error, file=sys.stderr)
+        _tell(error, as_json=chosen.json)
         return error.exit_status
     except KeyboardInterrupt:
         print("masking: interrupted; nothing was saved", file=sys.stderr)
         return INTERRUPTED
+    except BrokenPipeError:  # the reader, such as head, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     return status
+
+
+def _tell(error: MaskingError, *, as_json: bool) -> None:
+    problems = error.problems if isinstance(error, DeclarationError) else ()
+    if as_json:
+        print(json.dumps({"error": str(error), "problems": [p.as_dict() for p in problems]}, indent=2))
+    print(error if problems else f"masking: {error}", file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -54,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     add(_list, "list", "list the models, plants and experiments that are there")
     show = add(_show, "show", "show a model, a plant or an experiment: equations, parameters, blocks")
     show.add_argument("name", metavar="NAME", help="a name that 'masking list' shows, or a YAML file")
+    show.add_argument("--kind", choices=verbs.KINDS, help="which, where the name stands for more than one")
     check = add(_check, "check", "check declarations and say where each problem is")
     check.add_argument("files", metavar="FILE", nargs="+", help="YAML files or names")
     schema = add(_schema, "schema", "print the JSON Schema of a kind of declaration, for editors")
@@ -84,7 +102,7 @@ def _list(chosen: argparse.Namespace) -> int:
 
 
 def _show(chosen: argparse.Namespace) -> int:
-    description = verbs.show(chosen.name)
+    description = verbs.show(chosen.name, chosen.kind)
     print(description.to_json() if chosen.json else description)
     return 0
 
@@ -107,30 +125,49 @@ def _schema(chosen: argparse.Namespace) -> int:
 def _run(chosen: argparse.Namespace) -> int:
     changes = dict(_change(text) for text in chosen.set)
     made = experiment.Experiment.load(chosen.experiment, plant=chosen.plant, changes=changes)
-    out = chosen.out or f"results/{made.stem}"
+    out = Path(chosen.out or f"results/{made.stem}")
+    verbs.check_folder(out)
+    before = _created(out)
     if not made.is_compiled:
         print("compiling; this takes some ten seconds, once for each system", file=sys.stderr)
-    with tqdm.tqdm(
-        total=1.0, desc="running", delay=1.0, leave=False, bar_format="{desc} {percentage:3.0f}% {bar}"
-    ) as bar:
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    bar = tqdm.tqdm(total=1.0, desc="running", delay=1.0, leave=False, disable=None, bar_format=BAR)
 
-        def progress(part: float) -> None:
-            bar.update(part - bar.n)
+    def progress(part: float) -> None:
+        bar.update(part - bar.n)
 
+    try:
         recording = made.run(progress)
+    except MaskingError:
+        if before:
+            print(f"{out} still holds the run of {before}", file=sys.stderr)
+        raise
+    finally:
+        bar.close()
     recording.save(out)
     written = reporting.report(recording, out)
     if chosen.json:
-        print(
-            json.dumps(
-                {"fidelity": recording.manifest["fidelity"], "recording": str(out), "report": str(written.path)},
-                indent=2,
-            )
-        )
+        told = {
+            "fidelity": recording.manifest["fidelity"],
+            "limits_used": reporting.limits_used(recording),
+            "warnings": reporting.warnings(recording),
+            "recording": str(out),
+            "report": str(written.path),
+        }
+        print(json.dumps(told, indent=2))
     else:
         print(written.summary)
-        print(f"report: {written.path}")
+        print(f"report: {written.path}" + (f" (replaces the run of {before})" if before else ""))
     return 0
+
+
+def _created(folder: Path) -> str | None:
+    """Return when the recording in a folder was made; None where there is none."""
+    try:
+        return str(json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["created"])
+    except (OSError, ValueError, KeyError):
+        return None
 
 
 def _report(chosen: argparse.Namespace) -> int:

@@ -99,6 +99,10 @@ class Kernels:
             SingularityError: a matrix that must be inverted became singular; holds the state.
             IntegrationError: the integrator could not go on; says when and why.
         """
+        times = np.ascontiguousarray(times, dtype=float)
+        steps_between = np.diff(times)
+        if times.ndim != 1 or len(times) == 0 or not (np.all(steps_between >= 0.0) or np.all(steps_between <= 0.0)):
+            raise IntegrationError(f"times must be one row of at least one time, in order; got shape {times.shape}")
         solve = getattr(self, f"solve_{method or self.meta['method']}")
         y = np.array(state, dtype=float)
         out = np.empty((len(times), len(y)))

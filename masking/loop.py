@@ -101,8 +101,8 @@ def run_sampled(
         )
         if status == NOT_FINITE:
             raise IntegrationError(
-                f"the masked rig became unstable and grew without bound by t = {(begin + done) / rate:.6g} s: sampled at "
-                f"{rate:g} Hz, the inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
+                f"the masked rig became unstable and grew without bound by t = {(begin + done) / rate:.6g} s: sampled "
+                f"at {rate:g} Hz, inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
             )
         if status != REACHED:
             loop.kernels.stop(status, (begin + done) / rate, y)

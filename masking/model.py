@@ -189,7 +189,7 @@ class Model:
             )
         state = self.initial_state(initial or {})
         u = np.zeros(len(self.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
-        return self.kernels.integrate(times, state, u, self.values(), tolerance=tolerance)
+        return self.kernels.integrate(np.atleast_1d(times), state, u, self.values(), tolerance=tolerance)
 
     def initial_state(self, given: Mapping[str, float]) -> np.ndarray:
         """Return the state (2 n,) of given and declared initial values, in SI units or in the declared scales.
@@ -240,13 +240,13 @@ class Model:
         matrix = np.array(e.mass.subs(point).evalf().tolist(), dtype=float)
         if np.linalg.matrix_rank(matrix) < len(matrix):
             raise ModelError(
-                f"{self.name}: the matrix of the accelerations is singular at the declared values; a mass that is 0 does "
-                "this, and bounds such as [1e-6, null] keep one from it"
+                f"{self.name}: the matrix of the accelerations is singular at the declared values; look for a mass "
+                "that is 0, and give it bounds such as [1e-6, null]"
             )
         if self.declaration.lagrangian is not None and np.min(np.linalg.eigvalsh(matrix)) <= 0.0:
             raise ModelError(
-                f"{self.name}: the kinetic energy is not positive at the declared values: the eigenvalues of the mass "
-                f"matrix are {', '.join(f'{x:.3g}' for x in np.linalg.eigvalsh(matrix))}; look for a negative mass"
+                f"{self.name}: the kinetic energy is not positive at the declared values: the mass matrix has the "
+                f"eigenvalues {', '.join(f'{x:.3g}' for x in np.linalg.eigvalsh(matrix))}; look for a negative mass"
             )
 
     def linearise(

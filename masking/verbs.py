@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 
 from masking.declaration import catalogue, strict_yaml
-from masking.errors import DeclarationError, MaskingError, Problem, nearest
+from masking.errors import DeclarationError, MaskingError, Problem, RecordError, nearest
 
 if TYPE_CHECKING:
     from masking import describe, experiment, model, recording, reporting
@@ -58,16 +59,17 @@ def list() -> tuple[Entry, ...]:
     return tuple(entries)
 
 
-def show(name_or_path: str | Path) -> describe.Description:
+def show(name_or_path: str | Path, kind: str | None = None) -> describe.Description:
     """Describe a model, a plant or an experiment: equations, parameters, blocks.
 
     Args:
-        name_or_path: a packaged name (models first, then plants, then experiments), or a file.
+        name_or_path: a packaged name, or a file.
+        kind: model, plant or experiment, where a name stands for more than one; by default the first of these.
 
     Raises:
         DeclarationError: there is no such declaration, or it is wrong.
     """
-    kind = kind_of(name_or_path)
+    kind = kind or kind_of(name_or_path)
     if kind == "model":
         return describe.model(model.load_model(name_or_path))
     if kind == "plant":
@@ -84,7 +86,7 @@ def check(*files: str | Path) -> tuple[Checked, ...]:
     Returns:
         one result for each file, with every problem found; none are raised.
     """
-    return tuple(_check(file) for file in files)
+    return tuple(_check(file, kind) for file in files for kind in _kinds(file))
 
 
 def schema(kind: str) -> dict[str, Any]:
@@ -121,7 +123,10 @@ def run(
     Raises:
         MaskingError: a declaration is wrong, the rig cannot be masked as asked, or the run could not go on.
     """
-    made = experiment.Experiment.load(name_or_path, plant=plant, changes=changes).run(progress)
+    wanted = experiment.Experiment.load(name_or_path, plant=plant, changes=changes)
+    if out is not None:
+        check_folder(out)
+    made = wanted.run(progress)
     if out is not None:
         made.save(Path(out))
         reporting.report(made, out)
@@ -160,16 +165,34 @@ def kind_of(name_or_path: str | Path) -> str:
     return "plant" if keys & {"model", "kind", "sensors", "limits"} else "model"
 
 
+def check_folder(out: str | Path) -> None:
+    """Refuse a folder that nothing can be written into, before anything is run.
+
+    Raises:
+        RecordError: it is a file, or it is or lies in a folder that may not be written.
+    """
+    path = Path(out)
+    existing = next(p for p in (path, *path.absolute().parents) if p.exists())
+    if not existing.is_dir():
+        raise RecordError(f"{existing} is a file; name a folder to save in")
+    if not os.access(existing, os.W_OK):
+        raise RecordError(f"{existing} may not be written; name another folder to save in")
+
+
 def as_json(value: object) -> str:
     """Write entries, checks or descriptions as JSON."""
     items: Any = [asdict(v) for v in value] if isinstance(value, Sequence) else value
     return json.dumps(items, indent=2, ensure_ascii=False, default=str)
 
 
-def _check(file: str | Path) -> Checked:
-    kind = "file"
+def _kinds(file: str | Path) -> tuple[str, ...]:
+    """Return every kind that a packaged name stands for; '' where the file itself must tell."""
+    return tuple(kind for kind in KINDS if str(file) in catalogue.names(kind)) or ("",)
+
+
+def _check(file: str | Path, kind: str) -> Checked:
     try:
-        kind = kind_of(file)
+        kind = kind or kind_of(file)
         if kind == "model":
             model.load_model(file).validate()
         elif kind == "plant":
@@ -177,7 +200,7 @@ def _check(file: str | Path) -> Checked:
         else:
             experiment.Experiment.load(file).validate()
     except DeclarationError as error:
-        return Checked(str(file), kind, tuple(str(problem) for problem in error.problems))
+        return Checked(str(file), kind or "file", tuple(str(problem) for problem in error.problems))
     except MaskingError as error:
-        return Checked(str(file), kind, (f"{file}: {error}",))
+        return Checked(str(file), kind or "file", (f"{file}: {error}",))
     return Checked(str(file), kind, ())
