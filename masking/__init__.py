@@ -22,7 +22,8 @@ import lazy_loader as lazy
 __getattr__, __dir__, __all__ = lazy.attach(
     __name__,
     submod_attrs={
-        "controller": ["ClosedLoop", "Controller"],
+        "closed_loop": ["ClosedLoop"],
+        "controller": ["Controller"],
         "errors": [
             "ActuationError",
             "DeclarationError",

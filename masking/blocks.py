@@ -100,7 +100,7 @@ class Transform:
         jacobian = [[graph.lower(e, known) for e in row] for row in self.jacobian.tolist()]
         return MappedCoordinates(
             eta=[graph.lower(e, known) for e in self.expressions],
-            rate=[_dot(graph, row, v) for row in jacobian],
+            rate=[dot(graph, row, v) for row in jacobian],
             jacobian=jacobian,
             bias=[graph.lower(e, known) for e in self.bias],
         )
@@ -174,10 +174,10 @@ def decouple(
     if inputs == len(matrix):
         solution, determinant = solve(graph, matrix, right)
     else:
-        square = [[_dot(graph, a, b) for b in matrix] for a in matrix]
+        square = [[dot(graph, a, b) for b in matrix] for a in matrix]
         part, determinant = solve(graph, square, right)
         solution = [
-            [_dot(graph, [row[i] for row in matrix], [z[k] for z in part]) for k in (0, 1)] for i in range(inputs)
+            [dot(graph, [row[i] for row in matrix], [z[k] for z in part]) for k in (0, 1)] for i in range(inputs)
         ]
     return [x[0] for x in solution], [x[1] for x in solution], determinant
 
@@ -221,5 +221,6 @@ def check_actuation(model: Model, transform: Transform) -> None:
         )
 
 
-def _dot(graph: Graph, a: Sequence[Node], b: Sequence[Node]) -> Node:
+def dot(graph: Graph, a: Sequence[Node], b: Sequence[Node]) -> Node:
+    """Return the node of the scalar product of two rows of nodes."""
     return graph.total([graph.mul(x, y) for x, y in zip(a, b, strict=True)])

@@ -47,6 +47,18 @@ class Problem:
             line += f"; {self.mend}"
         return f"{line}\n{self.excerpt}" if self.excerpt else line
 
+    def as_dict(self) -> dict[str, str | int | None]:
+        """Give the problem as JSON can hold it; file, line and column are None for text that came from no file."""
+        place = self.place
+        return {
+            "file": place.file if place else None,
+            "line": place.line if place else None,
+            "column": place.column if place else None,
+            "path": self.path,
+            "message": self.message,
+            "mend": self.mend,
+        }
+
 
 class MaskingError(Exception):
     """Base of every exception this package raises on purpose."""

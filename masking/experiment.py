@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from masking.blocks import Transform, check_actuation
-from masking.controller import ClosedLoop, Controller
+from masking.closed_loop import ClosedLoop
+from masking.controller import Controller
 from masking.declaration import registry, schema
 from masking.errors import DeclarationError, Problem
 from masking.fidelity import fidelity

@@ -175,7 +175,7 @@ def _inputs(study: Study) -> Plate:
         _symmetric(axes, reach)
         _whole_record(axes, study)
         axes.set_ylabel(_with_unit(symbol(use.name), use.unit))
-        axes.set_title(note, loc="right", fontsize=_SIZE - 1, color=MUTED, pad=3)
+        axes.set_title(note, loc="right", fontsize=_SIZE - 1, color=LIMIT if use.is_exceeded else MUTED, pad=3)
     _time_label(rows[-1], study)
     drawn = any(use.limit is not None and use.name not in hidden for use in uses)
     lines = "Dashed red lines are the limits. " if drawn else ""
@@ -307,11 +307,20 @@ def _log_peaks(axes: Axes, tau: Series, values: Series, colour: str, label: str 
         low, high = axes.get_ylim() if axes.lines[1:] else (math.inf, 0.0)
         low, high = min(low, float(shown.min()) / 1.5), max(high, float(shown.max()) * 1.5)
         middle_decade = math.sqrt(low * high)
-        axes.set_ylim(
-            min(low, middle_decade / 5), max(high, middle_decade * 5)
-        )  # a decade at least, so that ticks show
+        axes.set_ylim(*_two_decades(min(low, middle_decade / 5), max(high, middle_decade * 5)))
     axes.yaxis.set_major_locator(LogLocator(numticks=6))
     axes.yaxis.set_minor_locator(NullLocator())
+
+
+def _two_decades(low: float, high: float) -> tuple[float, float]:
+    """Widen the range of a logarithmic axis, to the nearer side, until it holds two powers of ten: two labels."""
+    first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
+    if last > first:
+        return low, high
+    below, above = 10.0 ** (last - (first == last)), 10.0 ** (first + (first == last))
+    if first > last:  # no power of ten inside
+        return below, above
+    return (below, high) if low / below < above / high else (low, above)
 
 
 def _legend(figure: Figure, study: Study, entries: Iterable[tuple[str, str]]) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from masking.controller import ClosedLoop
+from masking.closed_loop import ClosedLoop
 from masking.errors import IntegrationError, ModelError
 from masking.kernels import Array
 from masking.status import NOT_FINITE, REACHED

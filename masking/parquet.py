@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from masking.errors import RecordError
 
 MANIFEST_KEY = b"masking.manifest"
+_MAGIC = b"PAR1"  # the first bytes of every parquet file
 
 
 @contextmanager
@@ -55,11 +56,17 @@ def write(stream: BinaryIO, columns: Mapping[str, NDArray[np.float64]], manifest
 def read(path: Path) -> tuple[dict[str, NDArray[np.float64]], bytes | None]:
     """Read every column of a parquet file as float64 (a null becomes NaN), and the manifest text if there is one."""
     try:
+        with path.open("rb") as stream:
+            is_parquet = stream.read(len(_MAGIC)) == _MAGIC
+    except OSError as error:
+        raise RecordError(f"{path}: the recording cannot be read: {error.strerror or error}") from error
+    if not is_parquet:
+        raise RecordError(f"{path} is not a recording: it is no parquet file")
+    try:
         with pq.ParquetFile(path) as file:
             table = file.read()
-    except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError) as error:
-        message = f"{path}: not a recording: it cannot be read as parquet ({str(error).splitlines()[0]})"
-        raise RecordError(message) from error
+    except (pa.ArrowException, OSError) as error:
+        raise RecordError(f"{path} is not a recording: the parquet file is cut off or damaged") from error
     names: list[str] = table.column_names
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:

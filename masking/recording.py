@@ -31,6 +31,7 @@ else:
 FORMAT: Final = "masking recording 1"
 TABLE: Final = "recording.parquet"
 MANIFEST: Final = "manifest.json"
+_MEND = f"give a folder that holds {TABLE}, such as results/duffing"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,10 +42,12 @@ class Recording:
     Anything else is a `RecordError` that names the column and the first bad row (rows count from 0).
     `manifest` holds whatever JSON can hold; numpy scalars and arrays become numbers and lists when it is saved, and
     numbers that JSON lacks become the texts "inf", "-inf" and "nan", which `float()` reads back.
+    `notes` are sentences about how it was read, which the report repeats; they are not saved.
     """
 
     columns: Mapping[str, NDArray[np.float64]]
     manifest: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", {name: _column(name, values) for name, values in self.columns.items()})
@@ -114,13 +117,17 @@ class Recording:
 
     @classmethod
     def load(cls, path: str | Path) -> Recording:
-        """Read a recording from its folder or its parquet file; the manifest inside the table is what counts."""
+        """Read a recording from its folder or its parquet file.
+
+        The manifest inside the table is what counts; a `manifest.json` beside it that is lacking, broken or different
+        is told in `notes`.
+        """
         path = Path(path)
         if path.is_dir():
             path /= TABLE
         if not path.is_file():
             mend = "" if path.parent.is_dir() else f"; the folder {path.parent} does not exist"
-            raise RecordError(f"{path}: no such recording{mend}")
+            raise RecordError(f"{path}: no such recording{mend}; {_MEND}")
         columns, text = parquet.read(path)
         if text is None:
             raise RecordError(f"{path}: not a recording: the table carries no manifest")
@@ -133,9 +140,24 @@ class Recording:
             message = f"{path}: its format is '{found}'; this program reads '{FORMAT}'"
             raise RecordError(message)
         try:
-            return cls(columns, manifest)
+            return cls(columns, manifest, _notes(path, manifest))
         except RecordError as error:
             raise RecordError(f"{path}: {error}") from error
+
+
+def _notes(table: Path, manifest: Mapping[str, Any]) -> tuple[str, ...]:
+    """Tell how the manifest beside a table differs from the one inside it; nothing for a table that lies alone."""
+    if table.name != TABLE:
+        return ()
+    try:
+        if json.loads(table.with_name(MANIFEST).read_bytes()) == manifest:
+            return ()
+        what = "says something else"
+    except FileNotFoundError:
+        what = "is missing"
+    except (OSError, ValueError, RecursionError):
+        what = "cannot be read"
+    return (f"{MANIFEST} {what}: the copy inside {TABLE} was used.",)
 
 
 def _column(name: str, values: Any) -> NDArray[np.float64]:  # noqa: ANN401  # whatever numpy can make an array of

@@ -19,7 +19,17 @@ import numpy as np
 
 from masking.errors import RecordError
 from masking.recording import MANIFEST, TABLE, Recording
-from masking.study import InputUse, PhasePair, Study, ends, percent, study
+from masking.study import (
+    InputUse,
+    Parameter,
+    PhasePair,
+    Study,
+    fidelities,
+    input_uses,
+    parameters,
+    percent,
+    study,
+)
 
 if TYPE_CHECKING:
     from masking import figures
@@ -28,10 +38,15 @@ else:
 
 PAGE: Final = "report.html"
 _TEMPLATE = Path(__file__).with_name("report_template.html")
-_SUMMARY_LINES = 12
+_SUMMARY_LINES = 14
 _TRUE, _ROUGH = 0.01, 0.3  # chi up to which the rig moved as, or roughly as, the virtual system
+_SOURCE = "Rijlaarsdam (2008)"
+_OWNED = frozenset({"the", "a", "an", "my", "our", "your", "his", "her", "its", "their", "this", "that"})
+_WORDY = frozenset({"meaning", "measure", "value"})  # columns of words, which may run over several lines
+_MUCH = 1.1  # times its limit: from here on an input is told in multiples, below in percent
 _NEAR = 0.1  # of pi: how near to 0 or pi counts as in-phase or anti-phase
 _GREEK = {"chi": "<var>&chi;</var>", "pi": "&pi;", "alpha": "<var>&alpha;</var>", "eps": "<var>&epsilon;</var>"}
+_NO_PHASE = "no fixed phase"
 _STEADY = 0.7  # length of the mean unit vector below which a phase is not locked
 
 
@@ -63,19 +78,62 @@ def report(recording: Recording, folder: str | Path) -> Report:
 
 
 def summary(recording: Recording) -> str:
-    """Tell a recording in at most twelve lines of plain text."""
+    """Tell a recording in at most fourteen lines of plain text."""
     return _summary(study(recording))
+
+
+def warnings(recording: Recording) -> list[str]:
+    """Say in plain sentences what makes the result not hold as it stands; nothing where all is well."""
+    return _warnings(recording, input_uses(recording), fidelities(recording))
+
+
+def limits_used(recording: Recording) -> dict[str, float]:
+    """Give the part of its limit that each input used at its peak; inputs without a limit are left out."""
+    return {use.name: use.used for use in input_uses(recording) if use.used is not None}
 
 
 # ---- words
 
 
+def _warnings(recording: Recording, uses: Iterable[InputUse], chi: Mapping[str, float]) -> list[str]:
+    manifest, found = recording.manifest, []
+    exceeded = _exceeded(uses)
+    if exceeded:
+        found.append(exceeded)
+    rate = manifest.get("rate")
+    if manifest.get("mode") == "sampled" and rate and any(part > _TRUE for part in chi.values()):
+        late = 0.5 / float(rate)
+        late_words = f"{_number(late)} s" if late >= 1.0 else f"{_number(1e3 * late)} ms"
+        found.append(
+            f"Sampled at {_rate(rate)}, inputs act half a sample ({late_words}) late on average; 'rate: continuous' "
+            "shows the error that is not due to sampling, and a higher controller.rate lowers it."
+        )
+    return found
+
+
+def _exceeded(uses: Iterable[InputUse]) -> str:
+    """Say which inputs went beyond their limits; nothing where none did."""
+    told = []
+    for use in uses:
+        if use.is_exceeded and use.used is not None:
+            peak, limit = (f"{_number(value)} {use.unit}".rstrip() for value in (use.peak, use.limit))
+            over = f"{_number(use.used)} times" if use.used >= _MUCH else f"{percent(use.used - 1)} above"
+            told.append(f"{use.name} needs {peak}, {over} its limit of {limit}")
+    return f"Not possible on this rig: {'; '.join(told)}." if told else ""
+
+
+def _rig(name: str) -> str:
+    """Put an article before a plant's name, where the name does not bring its own."""
+    first = name.lower().partition(" ")[0]
+    name = name if first in _OWNED or first.endswith(("'s", "\u2019s")) else f"the {name}"
+    return name[0].upper() + name[1:]
+
+
 def _headline(facts: Study) -> list[str]:
-    """Sentences that say what happened."""
+    """Sentences that say what happened; what is beyond a limit would happen."""
     manifest = facts.recording.manifest
-    plant = str(manifest.get("plant_name") or "rig")
-    plant = plant if plant.lower().startswith("the ") else f"the {plant}"
-    plant = plant[0].upper() + plant[1:]
+    plant = _rig(str(manifest.get("plant_name") or "").strip() or "rig")
+    possible = not _exceeded(facts.inputs)
     virtual = str(manifest.get("virtual_name") or "its virtual system")
     length = f"over {_duration(facts)}"
     worst = facts.worst
@@ -87,13 +145,16 @@ def _headline(facts: Study) -> list[str]:
     else:
         chi = facts.chi[worst]
         size = f"= {_number(chi, 2)}" if len(facts.chi) == 1 or chi == 0 else f"<= {_number(chi, 2)} in each coordinate"
-        verb = "moved as" if chi <= _TRUE else "moved roughly as" if chi <= _ROUGH else "did not move as"
+        how = "as" if chi <= _TRUE else "roughly as"
+        verb = f"moved {how}" if possible else f"would move {how}"
+        if not chi <= _ROUGH:
+            verb = "did not move as" if possible else "would not move as"
         sentences = [f"{plant} {verb} {virtual}: fidelity chi {size} {length}."]
     if still:
         sentences.append("Nothing moved.")
     sentences += [_phase_sentence(pair) for pair in facts.pairs[:1]]
     if len(facts.oscillators) > 2 and facts.sum_peak is not None:
-        start, end = _sum_ends(facts)
+        start, end = facts.sum_ends
         sentences.append(f"The peak of {_sum_name(facts)} went from {_number(start)} to {_number(end)}.")
     return sentences
 
@@ -103,6 +164,8 @@ def _phase_sentence(pair: PhasePair) -> str:
     start, end = _state(pair.start, pair.steady_start), _state(pair.end, pair.steady_end)
     if start == end and "pi" in end:
         return f"{who} stayed {end}."
+    if start == end == _NO_PHASE:
+        return f"{who} kept {_NO_PHASE}."
     if start == end:
         return f"{who} stayed {'in ' * (end == 'anti-phase')}{end} (from {_pi(pair.start)} to {_pi(pair.end)})."
     where = {"in-phase", "anti-phase"}
@@ -112,7 +175,7 @@ def _phase_sentence(pair: PhasePair) -> str:
 
 def _state(phase: float, steady: float) -> str:
     if steady < _STEADY:
-        return "without a fixed phase"
+        return _NO_PHASE
     if phase <= _NEAR * math.pi:
         return "in-phase"
     return "anti-phase" if phase >= (1 - _NEAR) * math.pi else f"{_pi(phase)} apart"
@@ -121,13 +184,16 @@ def _state(phase: float, steady: float) -> str:
 def _summary(facts: Study) -> str:
     manifest = facts.recording.manifest
     rows: list[tuple[str, str]] = []
+    changed = [_change(p) for p in parameters(facts.recording) if p.is_changed]
+    if changed:
+        rows.append(("changed", ", ".join(changed)))
     if facts.chi:
         rows.append(("fidelity", "  ".join(f"{name} {_number(chi, 2)}" for name, chi in facts.chi.items())))
     if facts.anti_phase is not None and facts.anti_phase.alpha > 0:
         fit = facts.anti_phase
         rows.append(("anti-phase", f"alpha = {fit.alpha:.4f}, eps = {_number(fit.eps)} over the last fifth"))
     if facts.sum_peak is not None:
-        start, end = _sum_ends(facts)
+        start, end = facts.sum_ends
         rows.append(("peak sum", f"{_sum_name(facts)} from {_number(start)} to {_number(end)}"))
     elif len(facts.oscillators) > 1:
         rows.append(("phase", f"not given: {facts.no_phase}"))
@@ -138,9 +204,30 @@ def _summary(facts: Study) -> str:
         rows.append(("energy", f"drift of the virtual system {_number(energy['virtual'])}"))
     rows.append(("record", _record_words(facts)))
     if manifest.get("timing"):
-        rows.append(("time", "  ".join(f"{stage} {_number(s)} s" for stage, s in manifest["timing"].items())))
-    lines = _headline(facts) + [f"  {name:<11}{_short(text)}" for name, text in rows]
+        rows.append(("time", "  ".join(_timing(manifest))))
+    first, *more = _headline(facts)
+    said = [first, *_warnings(facts.recording, facts.inputs, facts.chi), *more]
+    lines = said + [f"  {name:<11}{_short(text)}" for name, text in rows]
     return "\n".join(lines[:_SUMMARY_LINES])
+
+
+def _timing(manifest: Mapping[str, Any]) -> list[str]:
+    """Say how long each stage took, compilation first."""
+    stages = dict(manifest.get("timing") or {})
+    ordered = sorted(stages, key=lambda stage: stage != "compilation")
+    return [f"{stage} {_number(stages[stage])} s" for stage in ordered]
+
+
+def _change(parameter: Parameter) -> str:
+    return f"{parameter.name} = {_number(parameter.value, 7)} {parameter.unit}".rstrip()
+
+
+def _declared(parameter: Parameter) -> str:
+    """Say in brackets what was declared, where that is not what the value shows."""
+    if parameter.is_changed:
+        return f" (declared {_number(parameter.declared, 7)})"
+    is_computed = isinstance(parameter.declared, str) and isinstance(parameter.value, float)
+    return f" (= {parameter.declared})" if is_computed else ""
 
 
 def _record_words(facts: Study) -> str:
@@ -148,7 +235,7 @@ def _record_words(facts: Study) -> str:
     unit = facts.unit("t")
     words = f"{len(t)} samples, {_number(t[-1] - t[0])} {unit}".rstrip() + " of the rig"
     if manifest.get("rate"):
-        words += f", {manifest.get('mode') or 'sampled'} at {_number(manifest['rate'])} Hz"
+        words += f", {manifest.get('mode') or 'sampled'} at {_rate(manifest['rate'])}"
     elif manifest.get("mode"):
         words += f", {manifest['mode']}"
     return words + (f", seed {manifest['seed']}" if manifest.get("seed") is not None else "")
@@ -160,23 +247,23 @@ def _use_words(use: InputUse) -> str:
     return f"{use.name} {percent(use.used)} of {use.limit:g} {use.unit}".rstrip()
 
 
-def _sum_ends(facts: Study) -> tuple[float, float]:
-    """Peak of the sum over the first periods of the record, and over its last ones."""
-    if facts.sum_peak is None:
-        return math.nan, math.nan
-    head, _ = ends(facts.tau, facts.period)
-    return float(facts.sum_peak[head].max()), float(facts.sum_peak[-1])
-
-
 def _sum_name(facts: Study) -> str:
     names = facts.oscillators
     return f"|{' + '.join(names if len(names) <= 3 else (names[0], '...', names[-1]))}|"
 
 
 def _duration(facts: Study) -> str:
-    length = _number(facts.tau[-1] - facts.tau[0], 6)
+    return " ".join(_length(facts))
+
+
+def _length(facts: Study) -> tuple[str, str]:
+    """Give the length of the record and its unit."""
     unit = "units of time" if facts.recording.manifest.get("time_scale") else facts.unit("t")
-    return f"{length} {unit or 'units of time'}"
+    return _number(facts.tau[-1] - facts.tau[0], 6), unit or "units of time"
+
+
+def _rate(rate: Any) -> str:  # noqa: ANN401  # a number of the manifest
+    return f"{_number(float(rate) / 1e3)} kHz" if float(rate) >= 1e3 else f"{_number(rate)} Hz"
 
 
 def _number(value: Any, digits: int = 3) -> str:  # noqa: ANN401  # a number, or one that JSON keeps as text ("inf")
@@ -211,33 +298,64 @@ def _png(plate: figures.Plate) -> bytes:
 def _page(facts: Study, plates: Sequence[figures.Plate], images: Mapping[str, bytes], folder: Path) -> str:
     name = str(facts.recording.manifest.get("name") or "Recording")
     tables = {"synchronisation": _phase_table, "inputs": _input_table, "fidelity": _fidelity_table}
-    sections = []
+    sections, notes = [], list(facts.recording.notes)
     for plate in plates:
         table = tables[plate.name](facts) if plate.name in tables else ""
-        sections.append(_section(plate.title, _figure(facts, plate, images.get(plate.name)) + table))
-    sections.append(_section("Parameters of the virtual system", _parameters(facts)))
+        if plate.figure is None and not table:
+            notes.append(f"{plate.title}. {plate.caption}")
+        else:
+            sections.append(_section(plate.title, _figure(facts, plate, images.get(plate.name)) + table))
+    found = parameters(facts.recording)
+    if found:
+        sections.append(_section("Parameters of the virtual system", _parameters(facts, found)))
+    else:
+        notes.append("Parameters. Not shown: the record does not carry those of a virtual system.")
+    if notes:
+        items = "".join(f"<li>{_prose(facts, note)}</li>" for note in notes)
+        sections.append(_section("Notes", f'<ul class="missing">{items}</ul>'))
     sections.append(_section("Provenance", _provenance(facts, [*(f"{image}.png" for image in images), PAGE], folder)))
     return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
         title=html.escape(name),
         heading=html.escape(name[0].upper() + name[1:]),
-        lead=_prose(facts, " ".join(_headline(facts))),
-        tiles="\n".join(f"<div><dt>{_prose(facts, k)}</dt><dd>{_prose(facts, v)}</dd></div>" for k, v in _tiles(facts)),
+        lead=_lead(facts, [parameter for parameter in found if parameter.is_changed]),
+        tiles="\n".join(_tiles(facts)),
         sections="\n".join(sections),
     )
 
 
-def _tiles(facts: Study) -> list[tuple[str, str]]:
-    tiles = [("recorded", _duration(facts))]
+def _lead(facts: Study, changed: Sequence[Parameter]) -> str:
+    """Say what happened, with cards for the warnings: a limit exceeded comes right after the first sentence."""
+    first, *more = _headline(facts)
+    limits, rest = _exceeded(facts.inputs), " ".join(more)
+    found = _warnings(facts.recording, facts.inputs, facts.chi)
+    parts = [("lead", first), ("card wrong", limits), ("lead", rest)] if limits else [("lead", f"{first} {rest}")]
+    if changed:
+        words = ", ".join(f"{_change(parameter)}{_declared(parameter)}" for parameter in changed)
+        parts.append(("changed", f"Changed: {words}."))
+    parts += [("card", text) for text in found if text != limits]
+    return "\n".join(f'<p class="{kind}">{_prose(facts, text.strip())}</p>' for kind, text in parts if text)
+
+
+def _tiles(facts: Study) -> list[str]:
+    length, unit = _length(facts)
+    tiles = [("recorded", length, unit, "")]
     if facts.worst is not None:
-        tiles.append((f"fidelity chi, worst ({facts.worst})", _number(facts.chi[facts.worst], 2)))
+        tiles.append((f"fidelity chi, worst ({facts.worst})", _number(facts.chi[facts.worst], 2), "", ""))
     if facts.pairs:
         pair = facts.pairs[0]
-        tiles.append((f"phase of {pair.first} against {pair.second}", _pi(pair.end)))
+        label = f"phase of {pair.first} against {pair.second}"
+        tiles.append((label, _pi(pair.end), "" if pair.steady_end >= _STEADY else "not fixed", ""))
     used = [use for use in facts.inputs if use.used is not None]
     if used:
         most = max(used, key=lambda use: use.used or 0.0)
-        tiles.append((f"largest use of a limit ({most.name})", percent(most.used)))
-    return tiles
+        kind = ' class="wrong"' if most.is_exceeded else ""
+        tiles.append((f"largest use of a limit ({most.name})", percent(most.used), "", kind))
+    return [
+        f"<div{kind}><dt>{_prose(facts, label)}</dt><dd>{_prose(facts, value)}"
+        + (f" <small>{_prose(facts, unit)}</small>" if unit else "")
+        + "</dd></div>"
+        for label, value, unit, kind in tiles
+    ]
 
 
 def _section(title: str, body: str) -> str:
@@ -257,16 +375,19 @@ def _figure(facts: Study, plate: figures.Plate, image: bytes | None) -> str:
 
 def _phase_table(facts: Study) -> str:
     rows = [
-        (f"phase of {pair.first} against {pair.second}, from start to end", f"{_pi(pair.start)} to {_pi(pair.end)}")
+        (
+            f"phase of {pair.first} against {pair.second}, from start to end",
+            f"{_pi(pair.start)} to {_pi(pair.end)}" + ("" if pair.steady_end >= _STEADY else ", not fixed"),
+        )
         for pair in facts.pairs
     ]
     if facts.sum_peak is not None:
-        start, end = _sum_ends(facts)
+        start, end = facts.sum_ends
         rows.append((f"peak of {_sum_name(facts)}, from start to end", f"{_number(start)} to {_number(end)}"))
     fit = facts.anti_phase
     if fit is not None:
         a, b = facts.oscillators
-        held = f"|{a}(τ) - alpha {b}(τ + T/2)| <= eps over the last fifth (definition 5.3)"
+        held = f"|{a}(τ) - alpha {b}(τ + T/2)| <= eps over the last fifth; {_SOURCE}, definition 5.3"
         if fit.alpha > 0:
             rows.append((held, f"alpha = {fit.alpha:.4f}, eps = {_number(fit.eps)}, T = {fit.period:.5g}"))
         else:
@@ -293,24 +414,22 @@ def _fidelity_table(facts: Study) -> str:
         rows.append((name, facts.meaning(name), _number(chi, 3), f"{error} {unit}".strip()))
     if not rows:
         return ""
-    words = "chi = ||virtual - ideal|| / ||ideal||, the relative root-mean-square error over the record (4.12)."
+    words = f"chi = ||virtual - ideal|| / ||ideal||, the relative rms error over the record; {_SOURCE}, (4.12)."
     table = _table(facts, ("coordinate", "meaning", "chi", "largest error"), rows, numbers=(2, 3))
     return f'{table}<p class="missing">{_prose(facts, words)}</p>'
 
 
-def _parameters(facts: Study) -> str:
-    declarations = facts.recording.manifest.get("declarations") or {}
-    declared = (declarations.get("virtual") or {}).get("parameters") or {}
+def _parameters(facts: Study, found: Sequence[Parameter]) -> str:
+    """Tabulate the values that ran, in the declared units; beside them those in the virtual system's scales, if any."""
+    scaled = any(parameter.scaled is not None for parameter in found)
     rows = []
-    for name, entry in declared.items():
-        fields = entry if isinstance(entry, Mapping) else {"value": entry}
-        unit = str(fields.get("unit", ""))
-        rows.append(
-            (name, _number(fields.get("value"), 7), "" if unit == "1" else unit, str(fields.get("meaning", "")))
-        )
-    if not rows:
-        return '<p class="missing">Not shown: the record does not carry the parameters of a virtual system.</p>'
-    return _table(facts, ("parameter", "value", "unit", "meaning"), rows, numbers=(1,))
+    for p in found:
+        in_scales = p.scaled if p.scaled is not None else p.value
+        rows.append([p.name, f"{_number(p.value, 7)}{_declared(p)}", p.unit, _number(in_scales, 7), p.meaning])
+    head = ["parameter", "value", "unit", "in its scales", "meaning"]
+    if not scaled:
+        head, rows = [text for text in head if text != "in its scales"], [row[:3] + row[4:] for row in rows]
+    return _table(facts, head, rows, numbers=(1, 3) if scaled else (1,))
 
 
 def _provenance(facts: Study, written: Iterable[str], folder: Path) -> str:
@@ -325,7 +444,7 @@ def _provenance(facts: Study, written: Iterable[str], folder: Path) -> str:
         ("created", manifest.get("created")),
         ("commit", manifest.get("commit")),
         ("versions", ", ".join(f"{name} {version}" for name, version in versions.items())),
-        ("time taken", ", ".join(f"{stage} {_number(s)} s" for stage, s in (manifest.get("timing") or {}).items())),
+        ("time taken", ", ".join(_timing(manifest))),
         ("energy drift", ", ".join(f"{name} {_number(e)}" for name, e in (manifest.get("energy") or {}).items())),
         ("files", ", ".join([*(name for name in (TABLE, MANIFEST) if (folder / name).is_file()), *written])),
     ]  # fmt: skip
@@ -341,7 +460,7 @@ def _provenance(facts: Study, written: Iterable[str], folder: Path) -> str:
 
 
 def _table(facts: Study, head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int]) -> str:
-    kinds = [' class="n"' if index in numbers else "" for index in range(len(head))]
+    kinds = [' class="n"' if i in numbers else ' class="t"' if text in _WORDY else "" for i, text in enumerate(head)]
     top = "".join(f"<th{kind}>{_prose(facts, text)}</th>" for kind, text in zip(kinds, head, strict=True))
     body = "".join(
         "<tr>"
@@ -349,7 +468,7 @@ def _table(facts: Study, head: Sequence[str], rows: Iterable[Sequence[str]], num
         + "</tr>"
         for row in rows
     )
-    return f'<div class="scroll"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+    return f'<div class="scroll" tabindex="0"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _prose(facts: Study, text: str) -> str:

@@ -5,20 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.errors import RecordError
+from masking.errors import MaskingError, RecordError
 from masking.fidelity import fidelity
 from masking.recording import Recording
 from masking.synchronisation import AntiPhase, anti_phase, mean_phase, period, phase_difference, running_peak
+
+if TYPE_CHECKING:
+    from masking.declaration import units
+else:  # only a table of parameters with units needs it
+    units = lazy.load("masking.declaration.units", suppress_warning=True)
 
 Series = NDArray[np.float64]
 
 SUM_WINDOW_PERIODS = 3
 _END = 0.05  # part of the record over which its last phase is stated
+_ROUNDING = 1e-9
 _AT_REST = 1e-12  # of the largest coordinate: below this a coordinate has not moved
 
 
@@ -49,6 +56,28 @@ class InputUse:
     rms: float
     limit: float | None
     used: float | None
+
+    @property
+    def is_exceeded(self) -> bool:
+        """Tell whether the input went beyond its limit, by more than rounding."""
+        return self.used is not None and self.used > 1.0 + _ROUNDING
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter of the virtual system as it ran; None or "" stands for what the record does not tell.
+
+    `value` and `declared` are in `unit`, "" for none; `declared` is a text where the declaration holds an expression.
+    `scaled` is the value in the scales of the virtual system, where those differ from its unit.
+    """
+
+    name: str
+    value: float | str | None
+    unit: str
+    declared: float | str | None
+    scaled: float | None
+    is_changed: bool
+    meaning: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +125,14 @@ class Study:
         return self.oscillators + self.others
 
     @property
+    def sum_ends(self) -> tuple[float, float]:
+        """Peak of the sum over the first periods of the record, and over its last ones; NaN where there is no sum."""
+        if self.sum_peak is None:
+            return math.nan, math.nan
+        head, _ = ends(self.tau, self.period)
+        return float(self.sum_peak[head].max()), float(self.sum_peak[-1])
+
+    @property
     def worst(self) -> str | None:
         """Coordinate with the largest chi, None where there is nothing to compare with."""
         return max(self.chi, key=lambda name: self.chi[name]) if self.chi else None
@@ -126,16 +163,43 @@ def study(recording: Recording) -> Study:
         prefix=prefix,
         oscillators=oscillators,
         others=others,
-        chi=_chi(recording, names),
+        chi=fidelities(recording),
         period=mean_period,
         pairs=() if reason else _pairs(tau, motions, mean_period),
         sum_peak=None
         if reason or total is None
         else running_peak(tau, np.abs(total), SUM_WINDOW_PERIODS * mean_period),
         anti_phase=None if reason else _anti_phase(tau, motions),
-        inputs=tuple(_use(recording, name) for name in recording.inputs),
+        inputs=input_uses(recording),
         no_phase=reason,
     )
+
+
+def input_uses(recording: Recording) -> tuple[InputUse, ...]:
+    """Tell how much of each input was used."""
+    return tuple(_use(recording, name) for name in recording.inputs)
+
+
+def fidelities(recording: Recording) -> dict[str, float]:
+    """Fidelity from the columns; what the run itself stated stands in where the ideal motion was not recorded."""
+    stated = recording.manifest.get("fidelity") or {}
+    chi: dict[str, float] = {}
+    for name in recording.coordinates or recording.names("rig"):
+        ideal = recording.columns.get(f"ideal.{name}")
+        virtual = recording.columns.get(f"virtual.{name}")
+        if ideal is not None and virtual is not None:
+            chi[name] = fidelity(virtual, ideal)
+        elif name in stated:
+            chi[name] = float(stated[name])
+    return chi
+
+
+def parameters(recording: Recording) -> tuple[Parameter, ...]:
+    """Give the parameters of the virtual system with the values that ran, which may differ from the declared ones."""
+    manifest = recording.manifest
+    declared = _entry(manifest, "declarations", "virtual", "parameters")
+    names = dict.fromkeys([*declared, *_entry(manifest, "parameters")])
+    return tuple(_parameter(manifest, name, declared.get(name)) for name in names)
 
 
 def percent(part: float | None) -> str:
@@ -187,20 +251,6 @@ def _anti_phase(tau: Series, motions: Mapping[str, Series]) -> AntiPhase | None:
         return None
 
 
-def _chi(recording: Recording, names: tuple[str, ...]) -> dict[str, float]:
-    """Fidelity from the columns; what the run itself stated stands in where the ideal motion was not recorded."""
-    stated = recording.manifest.get("fidelity") or {}
-    chi: dict[str, float] = {}
-    for name in names:
-        ideal = recording.columns.get(f"ideal.{name}")
-        virtual = recording.columns.get(f"virtual.{name}")
-        if ideal is not None and virtual is not None:
-            chi[name] = fidelity(virtual, ideal)
-        elif name in stated:
-            chi[name] = float(stated[name])
-    return chi
-
-
 def _use(recording: Recording, name: str) -> InputUse:
     series = recording[f"input.{name}"]
     declared = _entry(recording.manifest, "limits", name)
@@ -210,6 +260,40 @@ def _use(recording: Recording, name: str) -> InputUse:
     used = peak / limit if limit else None
     rms = float(np.sqrt(np.mean(series**2)))
     return InputUse(name, series, "" if unit == "1" else unit, peak, rms, limit, used)
+
+
+def _parameter(manifest: Mapping[str, Any], name: str, entry: Any) -> Parameter:  # noqa: ANN401  # JSON
+    fields: Mapping[str, Any] = entry if isinstance(entry, Mapping) else {"value": entry}
+    unit, declared = str(fields.get("unit") or "1"), _value(fields.get("value"))
+    change = _value(_entry(manifest, "declarations", "experiment", "parameters").get(name))
+    ran = _value(_entry(manifest, "parameters").get(name))
+    value, scaled = declared if change is None else change, None
+    if isinstance(ran, float):
+        if unit == "1":
+            value = ran
+        elif _entry(manifest, "declarations", "virtual", "scales"):
+            scaled = ran
+        else:
+            try:
+                value = ran / units.factor_of(unit)
+            except MaskingError:  # a record from elsewhere: the unit is not one that we know
+                value, unit, declared = ran, f"SI unit of {unit}", None
+    changed = isinstance(value, float) and declared is not None
+    if changed and isinstance(declared, float):
+        changed = not math.isclose(value, declared, rel_tol=_ROUNDING)  # type: ignore[arg-type]  # a float, see above
+    elif changed:
+        changed = change is not None  # else the value is what the declared expression gave
+    return Parameter(
+        name, value, "" if unit == "1" else unit, declared, scaled, changed, str(fields.get("meaning", ""))
+    )
+
+
+def _value(value: Any) -> float | str | None:  # noqa: ANN401  # a JSON value
+    """Give a number, the text of an expression, or None."""
+    try:
+        return None if value is None else float(value)
+    except (TypeError, ValueError):
+        return str(value)
 
 
 def _entry(manifest: Mapping[str, Any], *path: str) -> Mapping[str, Any]:

@@ -1,4 +1,7 @@
-"""Measures of synchronisation of two oscillations: phase difference, peak of their sum, anti-phase (definition 5.3)."""
+"""Measures of synchronisation of two oscillations: phase difference, peak of their sum, anti-phase (definition 5.3).
+
+Numbers of sections, figures, definitions and formulas are those of Rijlaarsdam (2008).
+"""
 
 from __future__ import annotations
 

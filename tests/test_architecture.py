@@ -19,6 +19,7 @@ ROWS = (
     {"model"},
     {"blocks"},
     {"controller"},
+    {"closed_loop"},
     {"loop"},
     {"synchronisation"},
     {"study"},
@@ -31,7 +32,7 @@ ROWS = (
 )
 
 # A run and its study meet in the file on disk: only the verbs and the command line know both.
-ONLINE = {"blocks", "controller", "loop", "plants", "experiment"}
+ONLINE = {"blocks", "controller", "closed_loop", "loop", "plants", "experiment"}
 OFFLINE = {"synchronisation", "study", "figures", "reporting", "identification", "discovery"}
 
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "sympify", "parse_expr", "parse_latex", "lambdify", "__import__"}

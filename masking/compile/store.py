@@ -30,7 +30,7 @@ PACKAGE = Path(__file__).parent.parent
 # Sources of this package whose text shapes the generated code.
 SHAPING = (
     *("integrate.py", "dop853.py", "linear.py", "equations.py", "lowering.py", "scales.py"),
-    *("model.py", "blocks.py", "controller.py", "loop.py", "compile"),
+    *("model.py", "blocks.py", "controller.py", "closed_loop.py", "compile"),
     *("declaration/expression.py", "declaration/operations.py", "declaration/syntax.py", "declaration/units.py"),
 )
 

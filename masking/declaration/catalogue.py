@@ -1,17 +1,56 @@
-"""Finding declarations: the packaged models and plants by name, any file by path.
+"""Finding declarations: the packaged models and plants by name, any file by path, and of which kind a file is.
 
 Needs neither pydantic nor sympy, so that a list of what there is takes no time.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
+from masking.declaration import strict_yaml
+from masking.declaration.strict_yaml import Node
 from masking.errors import DeclarationError, Place, Problem, nearest
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _FOLDERS = {"model": "models", "plant": "plants", "experiment": "examples"}
+_ARTICLE = {"model": "a model", "plant": "a plant", "experiment": "an experiment", None: "a declaration"}
+OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
+    "experiment": frozenset(
+        [
+            "plant",
+            "virtual",
+            "transform",
+            "controller",
+            "initial",
+            "duration",
+            "time_scale",
+            "record",
+            "tolerance",
+            "seed",
+        ]
+    ),
+    "plant": frozenset(["kind", "model", "sensors", "limits", "wiring", "meaning"]),
+    "model": frozenset(
+        [
+            "extends",
+            "coordinates",
+            "inputs",
+            "definitions",
+            "equations",
+            "lagrangian",
+            "dissipation",
+            "forces",
+            "terms",
+            "outputs",
+            "energy",
+            "scales",
+            "oscillators",
+        ]
+    ),
+}
+_NAMED_BY = {("plant", "experiment"): "plant", ("model", "experiment"): "virtual", ("model", "plant"): "model"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,19 +77,82 @@ def names(kind: str) -> list[str]:
     return sorted(path.relative_to(root).with_suffix("").as_posix() for path in root.rglob("*.yaml"))
 
 
-def find(kind: str, name_or_path: str | Path, reference: Reference = NOWHERE) -> Path:
-    """Give the file of a name in the registry, or of a path: one that ends in .yaml or contains a slash."""
+def find(kind: str | None, name_or_path: str | Path, reference: Reference = NOWHERE) -> Path:
+    """Give the file of a name in the registry, or of a path: one that ends in .yaml or contains a slash.
+
+    With None as kind the name may be that of a model, a plant or an experiment, in this order.
+    """
     text = str(name_or_path)
-    known = names(kind)
-    if text in known:
-        return folder(kind) / f"{text}.yaml"
-    if isinstance(name_or_path, str) and not text.endswith((".yaml", ".yml")) and "/" not in text:
-        message = f"there is no {kind} '{text}'"
-        raise DeclarationError(Problem(reference.place, reference.path, message, nearest(text, known)))
-    path = Path(text).expanduser()
-    for candidate in [reference.folder / path, path] if reference.folder else [path]:
-        if candidate.is_file():
-            return candidate
-    raise DeclarationError(
-        Problem(reference.place, reference.path, f"there is no file {text}", f"a {kind} is a .yaml file")
-    )
+    for some in [kind] if kind else _FOLDERS:
+        if text in names(some):
+            return folder(some) / f"{text}.yaml"
+    is_name = isinstance(name_or_path, str) and not text.endswith((".yaml", ".yml")) and "/" not in text
+    try:
+        path = Path(text).expanduser()
+    except RuntimeError:  # ~ of somebody who is not here
+        path = Path(text)
+    candidates = [reference.folder / path, path] if reference.folder else [path]
+    if not is_name and (files := [candidate for candidate in candidates if _is(candidate, Path.is_file)]):
+        return files[0]
+    if is_name and kind:
+        for other in _FOLDERS:
+            if other != kind and text in names(other):
+                raise DeclarationError(wrong_kind(kind, other, text, reference))
+    raise DeclarationError(_not_found(kind, text, is_name, candidates, reference))
+
+
+def kind_of(name_or_path: str | Path) -> str:
+    """Tell whether a name or file is a model, a plant or an experiment, by its name or by its keys."""
+    path = find(None, name_or_path)
+    for kind in _FOLDERS:
+        if str(name_or_path) in names(kind):
+            return kind
+    node = strict_yaml.decode(strict_yaml.read_bytes(path), str(path), refused=[])
+    return kind_of_keys(node.value if isinstance(node.value, dict) else ()) or "model"
+
+
+def kind_of_keys(keys: Collection[str]) -> str | None:
+    """Tell of which kind a file with these keys is: the one with most keys of its own; None without any of those."""
+    counts = {kind: len(own.intersection(keys)) for kind, own in OWN_KEYS.items()}
+    kind = max(counts, key=counts.__getitem__)
+    return kind if counts[kind] else None
+
+
+def wrong_kind(kind: str, found: str, shown: str, reference: Reference, node: Node | None = None) -> Problem:
+    """Say that a file, whose content may be given, is of another kind than is needed."""
+    needed = f"{_ARTICLE[kind]} is needed here"
+    entry = node.value.get(_NAMED_BY.get((kind, found), "")) if node and isinstance(node.value, dict) else None
+    if kind == "experiment":
+        plant, virtual = (shown, "duffing") if found == "plant" else ("ideal", shown)
+        mend = f"{needed}, which names a plant and a model: 'plant: {plant}', 'virtual: {virtual}'"
+    elif (kind, found) == ("plant", "model"):
+        mend = f"{needed}, which names a model: 'model: {shown}'"
+    elif entry is not None and isinstance(entry.value, str):
+        mend = f"{needed}, such as the {found}'s own: {entry.value}"
+    else:
+        mend = needed
+    return Problem(reference.place, reference.path, f"{shown} is {_ARTICLE[found]}", mend)
+
+
+def _not_found(kind: str | None, text: str, is_name: bool, candidates: list[Path], reference: Reference) -> Problem:
+    """Say that there is no such file or name, and what was probably meant."""
+    message = f"there is no {kind or 'model, plant or experiment'} '{text}'" if is_name else f"there is no file {text}"
+    mend = f"{_ARTICLE[kind]} is a .yaml file"
+    if is_name:
+        mend = nearest(text, [name for some in ([kind] if kind else _FOLDERS) for name in names(some)])
+    endings = [end for end in (".yaml", ".yml") if any(_is(Path(f"{c}{end}"), Path.is_file) for c in candidates)]
+    if endings:
+        mend = f"did you mean the file {text}{endings[0]}?"
+    elif any(_is(candidate, Path.is_dir) for candidate in candidates):
+        message, mend = f"{text} is a folder", f"name a file in it; {mend}" if not is_name else mend
+    elif is_name and any(_is(candidate, Path.is_file) for candidate in candidates):
+        mend = f"write ./{text} for the file {text}"
+    return Problem(reference.place, reference.path, message, mend)
+
+
+def _is(path: Path, test: Callable[[Path], bool]) -> bool:
+    """Apply a test to a path; one that the system cannot look up, such as a name too long, is not there."""
+    try:
+        return test(path)
+    except (OSError, ValueError):
+        return False

@@ -1,4 +1,4 @@
-"""The dimensions of a model: what is added, compared or equated must have one dimension.
+"""The dimensions of a model: what is added, compared or equated must have one dimension, and scales must span it.
 
 The dimension of an expression follows from the declared units of its symbols; a derivative divides by time, a literal
 is a pure number, and a literal 0 fits everything. Units of one dimension, such as m and mm, are not told apart here.
@@ -6,6 +6,7 @@ is a pure number, and a literal 0 fits everything. Units of one dimension, such 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,35 +15,115 @@ from fractions import Fraction
 from masking.declaration.checks import formulas
 from masking.declaration.expression import Expression
 from masking.declaration.operations import COMPARISONS, Step
-from masking.declaration.schema import ModelDeclaration
+from masking.declaration.schema import Declaration, ModelDeclaration
 from masking.declaration.units import NONE, TIME, Conversion, Dimension, conversion, describe, dimension_of
 from masking.errors import DeclarationError, Problem
 
-__all__ = ["Conversion", "Dimension", "check_dimensions", "conversion", "describe", "dimension_of"]
+__all__ = [
+    "Conversion",
+    "Dimension",
+    "check_dimensions",
+    "check_scales",
+    "conversion",
+    "describe",
+    "dimension_in",
+    "dimension_of",
+    "symbol_dimensions",
+]
 
+_SECTIONS = ("coordinates", "inputs", "parameters", "outputs", "scales")
+_USUAL = {  # the scales that are proposed, in this order
+    "time": "s", "length": "m", "mass": "kg", "voltage": "V", "current": "A", "temperature": "K", "substance": "mol",
+    "luminosity": "cd",
+}  # fmt: skip
 _SAME = COMPARISONS | {"+", "-", "min", "max", "atan2"}
 
 
 def check_dimensions(model: ModelDeclaration) -> list[Problem]:
     """List where a model adds, compares or equates unlike dimensions; a model without units is not looked at."""
-    declared = [(section, name, entry) for section in _SECTIONS for name, entry in getattr(model, section).items()]
-    if all(entry.unit == "1" for section, _, entry in declared if section != "scales"):
+    units, problems = _dimensions(model)
+    if problems or is_plain(model):
+        return problems
+    return _Checker(model, units).check()
+
+
+def check_scales(model: ModelDeclaration) -> list[Problem]:
+    """List the units of a model that its scales cannot make dimensionless, each with the scales to add.
+
+    A model without scales is not looked at, nor one with a unit that is none, which `check_dimensions` reports.
+    """
+    units, problems = _dimensions(model)
+    if problems or not model.scales:
         return []
-    problems: list[Problem] = []
-    units: dict[str, Dimension] = {}
-    for section, name, entry in declared:
-        path = f"{section}.{name}.unit"
+    scales = {name: scale.unit for name, scale in model.scales.items()}
+    used: dict[str, list[str]] = {}
+    for path in units:
+        section, name, _ = path.split(".")
+        if section not in {"outputs", "scales"}:
+            used.setdefault(getattr(model, section)[name].unit, []).append(path)
+    for unit, (path, *others) in used.items():
         try:
-            units[path] = dimension_of(entry.unit)
+            conversion(unit, scales)
         except DeclarationError as error:
-            problem = error.problems[0]
-            problems.append(Problem(model.place(path), path, problem.message, problem.mend, problem.excerpt))
-    if not problems:
-        problems += _Checker(model, units).check()
+            wanted = ", ".join(f"'{name}: {{value: 1, unit: {of}}}'" for name, of in _additions(unit, scales).items())
+            also = f" (also of {', '.join(other.split('.')[1] for other in others)})" if others else ""
+            mend = f"add to scales: {wanted}, with the value that suits"
+            problems.append(Problem(model.place(path), path, error.problems[0].message + also, mend))
     return problems
 
 
-_SECTIONS = ("coordinates", "inputs", "parameters", "outputs", "scales")
+def is_plain(model: ModelDeclaration) -> bool:
+    """Tell whether nothing in a model but its scales has a unit."""
+    return all(entry.unit == "1" for section in _SECTIONS[:-1] for entry in getattr(model, section).values())
+
+
+def symbol_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None] | None:
+    """Give the dimension of every symbol of a model, derivatives included; None where a declared unit is none."""
+    units, problems = _dimensions(model)
+    if problems:
+        return None
+    checker = _Checker(model, units)
+    checker.start()
+    return checker.symbols
+
+
+def dimension_in(expression: Expression, symbols: Mapping[str, Dimension | None]) -> Dimension | None:
+    """Give the dimension of an expression, None when it fits any; raises `DeclarationError` where it has none."""
+    return expression.walk(_Dimensions(expression, symbols))[0]
+
+
+def unit_problem(declaration: Declaration, path: str, error: DeclarationError) -> Problem:
+    """Describe a unit that is none, at its place in a declaration."""
+    problem = error.problems[0]
+    return Problem(declaration.place(path), path, problem.message, problem.mend, problem.excerpt)
+
+
+def _dimensions(model: ModelDeclaration) -> tuple[dict[str, Dimension], list[Problem]]:
+    """Give the dimension of every declared unit by its path, and the units that are none."""
+    problems: list[Problem] = []
+    units: dict[str, Dimension] = {}
+    for section in _SECTIONS:
+        for name, entry in getattr(model, section).items():
+            path = f"{section}.{name}.unit"
+            try:
+                units[path] = dimension_of(entry.unit)
+            except DeclarationError as error:
+                problems.append(unit_problem(model, path, error))
+    return units, problems
+
+
+def _additions(unit: str, scales: Mapping[str, str]) -> dict[str, str]:
+    """Give the fewest usual scales that make a unit dimensionless together with those that are there."""
+    usual = {name: of for name, of in _USUAL.items() if name not in scales}
+    for count in range(1, len(usual) + 1):
+        for names in itertools.combinations(usual, count):
+            more = {name: usual[name] for name in names}
+            try:
+                conversion(unit, {**scales, **more})
+            except DeclarationError:
+                continue
+            return more
+    return usual
 
 
 @dataclass
@@ -54,7 +135,8 @@ class _Checker:
     symbols: dict[str, Dimension | None] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
 
-    def check(self) -> list[Problem]:
+    def start(self) -> Dimension:
+        """Find the dimensions of all symbols; gives that of time."""
         model, time = self.model, TIME if self.has_time() else NONE
         self.symbols["t"] = time
         for name in model.coordinates:
@@ -63,6 +145,11 @@ class _Checker:
         for section in ("inputs", "parameters"):
             self.symbols |= {name: self.units[f"{section}.{name}.unit"] for name in getattr(model, section)}
         self.define()
+        return time
+
+    def check(self) -> list[Problem]:
+        """Walk every expression of the model."""
+        model, time = self.model, self.start()
         for left, right in model.equations.items():
             self.same(self.of(left), right, "the left side is {}, the right side {}")
         for path, expression in formulas(model):
@@ -108,7 +195,7 @@ class _Checker:
     def of(self, expression: Expression) -> Dimension | None:
         """Give the dimension of an expression, None when it fits any."""
         try:
-            return expression.walk(_Dimensions(expression, self.symbols))[0]
+            return dimension_in(expression, self.symbols)
         except DeclarationError as error:
             self.problems += error.problems
             return None
@@ -117,7 +204,12 @@ class _Checker:
         found = self.of(expression)
         if wanted is not None and found is not None and wanted != found:
             whole = (0, len(expression.text))
-            self.problems.append(expression.problem(whole, message.format(describe(wanted), describe(found))))
+            first = describe(wanted) if "unit is {}" in message else _shown(wanted)
+            self.problems.append(expression.problem(whole, message.format(first, _shown(found))))
+
+
+def _shown(dimension: Dimension) -> str:
+    return "a number without unit" if dimension == NONE else describe(dimension)
 
 
 def _times(a: Dimension, b: Dimension, power: int | Fraction) -> Dimension:
@@ -173,7 +265,7 @@ class _Dimensions:
         first: Dimension | None = None
         for dimension in dimensions:
             if first is not None and dimension is not None and dimension != first:
-                a, b = describe(first), describe(dimension)
+                a, b = _shown(first), _shown(dimension)
                 verb = "adds {} to {}" if step.operation == "+" else "subtracts {} from {}"
                 message = verb.format(b, a) if step.operation in {"+", "-"} else f"compares {a} with {b}"
                 raise DeclarationError(self.expression.problem(step, message))

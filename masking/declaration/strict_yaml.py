@@ -23,10 +23,10 @@ _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same events,
 
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
 _LEADING_ZERO = re.compile(r"[-+]?0\d")
-# N is a truth value in YAML 1.1 too, though not in PyYAML; it is the unit newton here.
+# y, n and N are truth values in YAML 1.1 too, though not in PyYAML; they are names here, and N is the newton.
 _AMBIGUOUS: tuple[tuple[re.Pattern[str], str, str], ...] = (  # what YAML 1.1 makes of it, and what to write instead
     (
-        re.compile(r"(?i:on|off|yes|no)|[yYn]"),
+        re.compile(r"on|off|yes|no", re.IGNORECASE),
         "is true or false in YAML 1.1",
         "quote it or write true/false",
     ),
@@ -53,6 +53,10 @@ _AMBIGUOUS: tuple[tuple[re.Pattern[str], str, str], ...] = (  # what YAML 1.1 ma
         "leave the underscores away",
     ),
 )
+_NO_SPACE = re.compile(r"(?:.*[\s{,])?['\"]?[A-Za-z]\w*['\"]*:[^\s:/]")
+_CONTENT = re.compile(r"\s*[^\s#]")
+_KEY = re.compile(r":(?: |$)")
+_LONGEST_SHOWN, _LINES_ABOVE = 40, 50
 _FORBIDDEN = re.compile(
     r"[^\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)"
 )
@@ -94,18 +98,23 @@ def read_bytes(path: str | Path) -> bytes:
     return data
 
 
-def decode(data: bytes, file: str) -> Node:
-    """Read YAML from the bytes of a file."""
+def decode(data: bytes, file: str, refused: list[Problem] | None = None) -> Node:
+    """Read YAML from the bytes of a file; `refused` is as in `loads`."""
     try:
-        return loads(data.decode("utf-8"), file)
+        return loads(data.decode("utf-8"), file, refused)
     except UnicodeDecodeError as error:
         before = data[: error.start].decode("utf-8").split("\n")
         place = Place(file, len(before), len(before[-1]) + 1)
         raise DeclarationError(Problem(place, "", "the file is not UTF-8", "save it as UTF-8")) from None
 
 
-def loads(text: str, file: str = "<text>") -> Node:
-    """Read YAML from a text; `file` names it in messages."""
+def loads(text: str, file: str = "<text>", refused: list[Problem] | None = None) -> Node:
+    """Read YAML from a text; `file` names it in messages.
+
+    A list given as `refused` takes the problems of single scalars and keys, so that the rest of the file can be checked
+    too; without one they are raised as any other.
+    """
+    text = text.removeprefix("\ufeff")  # the byte order mark that some editors write
     if len(text) > LARGEST_FILE:
         raise DeclarationError(Problem(Place(file, 1, 1), "", f"the text is larger than {LARGEST_FILE} characters"))
     if forbidden := _FORBIDDEN.search(text):
@@ -113,12 +122,22 @@ def loads(text: str, file: str = "<text>") -> Node:
         place = Place(file, len(before), len(before[-1]) + 1)
         name = "a tab" if forbidden[0] == "\t" else f"the character U+{ord(forbidden[0]):04X}"
         raise DeclarationError(Problem(place, "", f"{name} is not allowed", "use spaces" if name == "a tab" else ""))
-    return _Builder(text, file).build()
+    builder = _Builder(text, file)
+    node = builder.build()
+    if refused is None and builder.problems:
+        raise DeclarationError(builder.problems)
+    if refused is not None:
+        refused += builder.problems
+    return node
 
 
 def _position(mark: Any) -> tuple[int, int]:  # noqa: ANN401  (PyYAML has two classes of marks, one in C)
     """Give the line and column of a mark, both from 0."""
     return mark.line, mark.column
+
+
+def _indent(line: str) -> int:
+    return len(line) - len(line.lstrip(" "))
 
 
 @dataclass
@@ -166,17 +185,44 @@ class _Builder:
                         self.stop(event, "a directive is not allowed")
                 self.take(event)
         except yaml.YAMLError as error:
-            mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-            place = Place(self.file, mark.line + 1, mark.column + 1) if mark else Place(self.file, 1, 1)
-            message = getattr(error, "problem", None) or str(error)
-            self.problems.append(Problem(place, self.path(), f"not YAML: {message}"))
+            raise DeclarationError([*self.problems, self.not_yaml(error)]) from None
         except RecursionError:
-            self.problems.append(Problem(Place(self.file, 1, 1), "", f"nested deeper than {DEEPEST_NESTING}"))
-        if self.problems:
-            raise DeclarationError(self.problems)
+            self.report(Place(self.file, 1, 1), f"nested deeper than {DEEPEST_NESTING}")
+            raise DeclarationError(self.problems) from None
         if self.root is None or (self.root.value is None and not self.root.text):
             raise DeclarationError(Problem(Place(self.file, 1, 1), "", "the file is empty"))
         return self.root
+
+    def not_yaml(self, error: yaml.YAMLError) -> Problem:
+        """Describe what PyYAML stopped at, with the mend of the mistakes that people make."""
+        mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+        line, column = _position(mark) if mark else (0, 0)
+        message = getattr(error, "problem", None) or str(error)
+        text = self.lines[line] if line < len(self.lines) else ""
+        mend, start = "", getattr(error, "context_mark", None)
+        if "expected ':'" in message and start:
+            return self.without_colon(*_position(start))
+        if re.search("mapping values|unexpected ':'|expected key", message):
+            if _NO_SPACE.match(text):
+                mend = "write a space after ':'"
+            elif "mapping values" in message:
+                above = [i for i in range(max(0, line - _LINES_ABOVE), line) if _CONTENT.match(self.lines[i])]
+                key = next((i for i in reversed(above) if _KEY.search(self.lines[i])), -1)
+                follow = [i for i in above if i > key]
+                if follow and (key < 0 or self.lines[key].rstrip().endswith(":")):
+                    return self.without_colon(follow[0], _indent(self.lines[follow[0]]))
+                is_deeper = key >= 0 and len(text[:column].split()) == 1 and _indent(text) > _indent(self.lines[key])
+                mend = "begin it in the column of the line above" if is_deeper else "quote a text that holds ': '"
+        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {message}", mend)
+
+    def without_colon(self, line: int, column: int) -> Problem:
+        """Describe a line that should be 'key: value' and has no colon with a space after it."""
+        text = self.lines[line][column:].strip()
+        name = re.match(r"[^\s:]*", text)
+        key = name[0] if name else ""
+        shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
+        mend = "write a space after ':'" if _NO_SPACE.match(text) else f"write {key}: ..."
+        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: no ':' after '{shown}'", mend)
 
     def take(self, event: yaml.Event) -> None:
         """Add one event to the tree."""

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from masking.closed_loop import ClosedLoop
 from masking.compile.graph import Graph, Node
 from masking.compile.printers import C, needed, statements
-from masking.controller import ClosedLoop, ControlLaw, RigSymbols, _ControllerParameters
+from masking.controller import ControlLaw, ControllerParameters, RigSymbols
 from masking.experiment import Experiment
 from masking.loop import rig_state
 from masking.lowering import LoweredEquations
@@ -159,7 +160,7 @@ def c_source(loop: ClosedLoop) -> str:
     law = ControlLaw.of(loop.controller, graph, rig)
     known = dict(zip((s.t, *s.q, *s.v), (rig.t, *rig.q, *rig.v), strict=True))
     plant = LoweredEquations.of(loop.plant.equations, graph, known=known)
-    p = _ControllerParameters.of(loop.controller, graph)
+    p = ControllerParameters.of(loop.controller, graph)
     split = {**p.loads(graph), **plant.loads("q[{i}]", "v[{i}]", offset=p.count)}
     joined = split | {f"q_{c}": f"y[{i}]" for i, c in enumerate(loop.plant.coordinates)}
     joined |= {f"v_{c}": f"y[{n + i}]" for i, c in enumerate(loop.plant.coordinates)}

@@ -34,9 +34,17 @@ sys.exit(cli.main())
 COLD = """
 import json, sys, time
 clock = [time.perf_counter()]
+from masking.compile.native import NativeFunction
 from masking.experiment import Experiment
 def lap(): clock.append(time.perf_counter()); return clock[-1] - clock[-2]
 parts = {"import": lap()}
+timers, compiles = {}, NativeFunction._compile
+def compile(function):
+    begin = time.perf_counter()
+    code = compiles(function)
+    timers[f"{len(timers) + 1}. {function.name}"] = time.perf_counter() - begin
+    return code
+NativeFunction._compile = compile
 experiment = Experiment.load("examples/duffing.yaml")
 experiment.plant.kernels, experiment.virtual.kernels, experiment.loop.kernels
 parts["equations to source"] = lap()
@@ -44,13 +52,6 @@ experiment.run()
 first = lap()
 experiment.run()
 parts["machine code"] = first - lap()
-modules = {m.kernels.module for m in (experiment.virtual, experiment.plant, experiment.loop)}
-functions = {f"{m.META['kind']}: {n}": f for m in modules for n, f in vars(m).items() if hasattr(f, "get_metadata")}
-timers = {}
-for name, function in functions.items():
-    for metadata in function.get_metadata().values():
-        for passes in (metadata.get("pipeline_times") or {}).values():
-            timers[name] = timers.get(name, 0.0) + sum(t.init + t.run + t.finalize for t in passes.values())
 print(json.dumps({"parts": parts, "functions": timers}))
 """
 

@@ -1,0 +1,107 @@
+"""The units of a plant: its limits are in units of what they bound, and its sensors give what they say.
+
+Nothing is converted: units of one dimension, such as V and mV, are not told apart. A unit that is not written is not
+checked, nor is anything against a model without units. Needs pint, so a run of what is compiled does not come here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from masking.declaration.checks import problem_at
+from masking.declaration.dimensions import dimension_in, is_plain, symbol_dimensions, unit_problem
+from masking.declaration.expression import Expression
+from masking.declaration.schema import Limit, ModelDeclaration, PlantDeclaration, Quantity, Sensor
+from masking.declaration.units import Dimension, describe, dimension_of
+from masking.errors import DeclarationError, Problem
+
+_POWER = "W"
+_Symbols = Mapping[str, Dimension | None]
+
+
+def check_plant_units(plant: PlantDeclaration, model: ModelDeclaration) -> list[Problem]:
+    """List the units of a plant that do not go with those of its model, and those that are no units at all."""
+    entries: dict[str, Limit | Quantity | Sensor] = {
+        **{f"limits.inputs.{name}": limit for name, limit in plant.limits.inputs.items()},
+        **{f"limits.coordinates.{expression.text}": limit for expression, limit in plant.limits.coordinates.items()},
+        **({"limits.power": plant.limits.power} if plant.limits.power else {}),
+        **{f"sensors.{name}": sensor for name, sensor in plant.sensors.items()},
+        **{f"sensors.{name}.gain": sensor.gain for name, sensor in plant.sensors.items()},
+    }
+    problems: list[Problem] = []
+    for path, entry in entries.items():
+        try:
+            dimension_of(entry.unit)
+        except DeclarationError as error:
+            problems.append(unit_problem(plant, f"{path}.unit", error))
+    if problems:
+        return problems
+    power = plant.limits.power
+    if power and _is_written(power) and dimension_of(power.unit) != dimension_of(_POWER):
+        problems.append(problem_at(plant, "limits.power.unit", f"a power is in {_POWER}, the limit in {power.unit}"))
+    symbols = symbol_dimensions(model)
+    if symbols is not None and not is_plain(model):
+        problems += _limits(plant, model, symbols)
+        for name, sensor in plant.sensors.items():
+            problems += _sensor(plant, model, symbols, name, sensor)
+    return problems
+
+
+def _is_written(entry: Limit | Quantity | Sensor) -> bool:
+    return "unit" in entry.model_fields_set
+
+
+def _limits(plant: PlantDeclaration, model: ModelDeclaration, symbols: _Symbols) -> Iterator[Problem]:
+    for name, limit in plant.limits.inputs.items():
+        found, path = symbols.get(name), f"limits.inputs.{name}.unit"
+        if name in model.inputs and _is_written(limit) and dimension_of(limit.unit) != found:
+            message = f"the input {name} is in {model.inputs[name].unit}, the limit in {limit.unit}"
+            yield problem_at(plant, path, message)
+    for expression, limit in plant.limits.coordinates.items():
+        try:
+            found = dimension_in(expression, symbols)
+        except DeclarationError as error:
+            yield from error.problems
+            continue
+        if found is not None and _is_written(limit) and dimension_of(limit.unit) != found:
+            unit = _unit_of(expression, found, model)
+            message = f"{expression.text} is in {unit}, the limit in {limit.unit}"
+            yield problem_at(plant, f"limits.coordinates.{expression.text}.unit", message)
+
+
+def _sensor(
+    plant: PlantDeclaration, model: ModelDeclaration, symbols: _Symbols, name: str, sensor: Sensor
+) -> Iterator[Problem]:
+    """Check that unit = gain * measures."""
+    try:
+        measured = dimension_in(sensor.measures, symbols)
+    except DeclarationError as error:
+        yield from error.problems
+        return
+    if measured is None or not _is_written(sensor):
+        return
+    gain = dimension_of(sensor.gain.unit)
+    made = tuple(a + b for a, b in zip(gain, measured, strict=True))
+    if made == dimension_of(sensor.unit):
+        return
+    unit = _unit_of(sensor.measures, measured, model)
+    product = "*".join(part for part in (sensor.gain.unit, unit) if part != "1") or "1"
+    shown = f"{sensor.gain.value:g}" + ("" if sensor.gain.unit == "1" else f" {sensor.gain.unit}")
+    message = f"{shown} times {sensor.measures.text} [{unit}] is {product}, not {sensor.unit}"
+    wanted = sensor.unit if unit == "1" else f"{sensor.unit}/{unit}" if unit.isalpha() else f"{sensor.unit}/({unit})"
+    mend = f"write gain: {{value: {sensor.gain.value:g}, unit: {wanted}}} or another unit"
+    yield problem_at(plant, f"sensors.{name}", message, mend)
+
+
+def _unit_of(expression: Expression, dimension: Dimension, model: ModelDeclaration) -> str:
+    """Give the unit in which an expression is written: a declared one where it fits, else SI base units."""
+    declared: list[str] = []
+    for name in expression.names:
+        for section in (model.coordinates, model.inputs, model.parameters):
+            if name in section:
+                declared.append(section[name].unit)  # type: ignore[index]
+    for unit in sorted(declared):
+        for candidate in (unit, f"{unit}/s"):
+            if dimension_of(candidate) == dimension:
+                return candidate
+    return describe(dimension)
