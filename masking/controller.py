@@ -121,6 +121,8 @@ class ControllerParameters:
 
     @classmethod
     def of(cls, controller: Controller, graph: Graph) -> ControllerParameters:
+        """Make a node of every parameter of a controller."""
+
         def make(kind: str, names: tuple[str, ...]) -> list[Node]:
             return [graph.symbol(f"{kind}_{name}", varying=False) for name in names]
 
@@ -133,9 +135,11 @@ class ControllerParameters:
         )
 
     def loads(self, graph: Graph) -> dict[str, str]:
+        """Return for each parameter's text how it is read from the array `p`."""
         nodes = [*self.model, *self.virtual, *self.transform, *self.lengths, self.time_scale]
         return {str(graph.operations[n][1]): f"p[{i}]" for i, n in enumerate(nodes)}
 
     @property
     def count(self) -> int:
+        """Return the length of the array."""
         return len(self.model) + len(self.virtual) + len(self.transform) + len(self.lengths) + 1

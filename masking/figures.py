@@ -44,6 +44,7 @@ _BINS = 700  # across a whole record: about one for every two pixels
 _ENVELOPE_PERIODS = 60  # from this many periods on single ones cannot be told apart
 _ZOOM_PERIODS = 6
 _FEW = 20  # samples, up to which each is marked
+_LEAST = 1e-300  # of what a logarithmic axis shows
 _MOST_ROWS = len(COLOURS)
 
 
@@ -104,7 +105,7 @@ def _others(study: Study) -> Plate:
         words = study.meaning(study.others[0])
         title = words[0].upper() + words[1:]
     if not names:
-        return Plate("others", title, "Not shown: every coordinate is in the figure above.", None)
+        return Plate("others", title, "Not shown: every coordinate is among the displacements.", None)
     figure, rows = _sheet([1.5 if len(names) == 1 else 1.15] * len(names))
     for name, axes in zip(names, rows, strict=True):
         _motion(axes, study, name, COLOURS[2])
@@ -306,7 +307,7 @@ def _log_peaks(axes: Axes, tau: Series, values: Series, colour: str, label: str 
     if len(shown):
         low, high = axes.get_ylim() if axes.lines[1:] else (math.inf, 0.0)
         low, high = min(low, float(shown.min()) / 1.5), max(high, float(shown.max()) * 1.5)
-        middle_decade = math.sqrt(low * high)
+        middle_decade = math.sqrt(low) * math.sqrt(high)
         axes.set_ylim(*_two_decades(min(low, middle_decade / 5), max(high, middle_decade * 5)))
     axes.yaxis.set_major_locator(LogLocator(numticks=6))
     axes.yaxis.set_minor_locator(NullLocator())
@@ -314,6 +315,7 @@ def _log_peaks(axes: Axes, tau: Series, values: Series, colour: str, label: str 
 
 def _two_decades(low: float, high: float) -> tuple[float, float]:
     """Widen the range of a logarithmic axis, to the nearer side, until it holds two powers of ten: two labels."""
+    low, high = max(low, _LEAST), min(high, 1 / _LEAST)
     first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
     if last > first:
         return low, high

@@ -4,10 +4,16 @@ import os
 import shutil
 import tempfile
 
+import hypothesis
 import pytest
 
 from masking.declaration.schema import ModelDeclaration
 from masking.model import Model
+
+# The gate draws the same examples every time; `HYPOTHESIS_PROFILE=explore` draws new ones.
+hypothesis.settings.register_profile("gate", derandomize=True)
+hypothesis.settings.register_profile("explore", derandomize=False)
+hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "gate"))
 
 
 def pytest_configure(config):

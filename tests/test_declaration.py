@@ -1,6 +1,7 @@
 """Declarations: what is written is what is read, and every mistake is told with its place and mend."""
 
 import hashlib
+import itertools
 import json
 import math
 
@@ -8,12 +9,12 @@ import pytest
 
 from masking.declaration import catalogue, registry
 from masking.declaration.checks import check_model, resolve_parameters
-from masking.declaration.dimensions import check_dimensions, conversion, describe, dimension_of
-from masking.declaration.meeting import check_experiment
+from masking.declaration.dimensions import check_dimensions, check_scales, conversion, describe, dimension_of
+from masking.declaration.meeting import check_experiment, check_size, count_columns, recorded_rows
 from masking.declaration.schema import KINDS, ExperimentDeclaration, ModelDeclaration, json_schema
 from masking.declaration.strict_yaml import load, loads
 from masking.declaration.units import factor_of
-from masking.errors import DeclarationError, Place
+from masking.errors import DeclarationError, Place, Problem
 
 MODEL = """\
 name: Pair
@@ -134,6 +135,11 @@ def test_rates(text, hertz):
         (("k: w**2", "k: w**2\n  q: 1"), ["8:3: parameters.q: the parameter 'q' is not used; remove it or use it"]),
         (("value: 0.5", "value: -2, unit: kg"), ["6:14: parameters.w.value: w = -2 kg is below its lower bound 0"]),
         (("[0, null]", "[3, 1]"), ["6:47: parameters.w.bounds: the lower bound 3 is above the upper bound 1"]),
+        (("  x2'': spring - w*x2'\n", "  2*x1'': spring - w*x2'\n"),
+         ["12:3: equations.2*x1'': the equations determine x1'' twice (lines 11 and 12) and x2'' never; "
+          "one of these must contain x2''"]),
+        (("x2'': spring", "x2': spring"),
+         ["12:3: equations.x2': the equation contains no acceleration, and none determines x2''; write x2'': ..."]),
         (("  x2'': spring - w*x2'\n", ""),
          ["3:26: coordinates.x2: no equation contains x2''; write x2'': ... under equations"]),
         (("x2'': spring - w*x2'", "x2'': spring - w*x2'\n  x1' + x1'': x2"),
@@ -308,6 +314,11 @@ def test_unknown_override(folder):
         ("run", ("duration: 25", "seed: 1.5\nduration: 25"), "5:7: seed: must be an integer of at least 0, not 1.5"),
         ("run", ("duration: 25", ""), "1:1: duration: the key 'duration' is missing"),
         ("run", ("duration", "transform: turn\nduration"), "5:12: transform: 'turn' is not a transform; ..."),
+        ("run", ("duration: 25", "record: {rate: 1 MHz}\nduration: 25"),
+         "5:16: record.rate: 1 MHz does not divide the controller's rate of 1 kHz; "
+         "allowed: 1 kHz, 500 Hz, 250 Hz, 200 Hz, 100 Hz, ..."),
+        ("run", ("duration: 25", "record: {rate: 300 Hz}\nduration: 25"),
+         "5:16: record.rate: 300 Hz does not divide the controller's rate of 1 kHz; ..."),
         ("rig", ("{u1: {max", "{u2: {max"),
          "3:19: limits.inputs.u2: 'u2' is not an input of Pair; did you mean 'u1'?"),
         ("rig", ("x2 + 0.5", "x3 + 0.5"), "2:34: sensors.s2.measures: unknown symbol 'x3'; ..."),
@@ -432,3 +443,319 @@ def test_component_without_coordinates_is_legal(folder):
     model = registry.load_model(write(folder, "c.yaml", text))
     assert check_model(model) == []
     assert isinstance(model, ModelDeclaration)
+
+
+MACHINE = """\
+name: Machine
+coordinates: {q1: {unit: m}, q2: {unit: m}}
+inputs: {v1: {unit: V}, v2: {unit: V}}
+parameters: {k: {value: 1, unit: N/m}, m: {value: 2, unit: kg}, g: {value: 1, unit: N/V}}
+equations:
+  m*q1'': -k*q1 + g*v1
+  m*q2'': -k*q2 + g*v2
+"""
+WIRED = """\
+model: machine.yaml
+sensors:
+  s1: {measures: q1, gain: {value: 200, unit: V/m}, unit: V}
+  s2: {measures: q1 - q2', gain: 3, unit: mV}
+limits:
+  inputs: {v1: {max: 10, unit: mV}, v2: {max: 10, unit: V}}
+  coordinates: {q1 - q2: {max: 3, unit: mm}}
+  power: {value: 8, unit: W}
+"""
+SOUND = WIRED.replace("q1 - q2', gain: 3, unit: mV", "q1 - q2, gain: {value: 3, unit: mV/mm}, unit: mV")
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (("", ""), []),
+        (("v2: {max: 10, unit: V}", "v2: {max: 10}"), []),  # a unit that is not written is the input's own
+        (("v2: {max: 10, unit: V}", "v2: {max: 10, unit: A}"),
+         ["6:57: limits.inputs.v2.unit: the input v2 is in V, the limit in A"]),
+        (("v2: {max: 10, unit: V}", "v2: {max: 10, unit: Vlt}"),
+         ["6:57: limits.inputs.v2.unit: 'Vlt' is not a unit; units are written as in N*s/m**2"]),
+        (("unit: mm}}", "unit: s}}"), ["7:41: limits.coordinates.q1 - q2.unit: q1 - q2 is in m, the limit in s"]),
+        (("q1 - q2: {", "q1 - q2': {"), ["7:17: limits.coordinates.q1 - q2': subtracts m/s from m"]),
+        (("unit: W", "unit: N"), ["8:27: limits.power.unit: a power is in W, the limit in N"]),
+        (("unit: V/m", "unit: V"),
+         ["3:7: sensors.s1: 200 V times q1 [m] is V*m, not V; "
+          "write gain: {value: 200, unit: V/m} or another unit"]),
+        (("{measures: q1, gain: {value: 200, unit: V/m}", "{measures: q1', gain: 200"),
+         ["3:7: sensors.s1: 200 times q1' [m/s] is m/s, not V; "
+          "write gain: {value: 200, unit: V/(m/s)} or another unit"]),
+        (("  s1: {measures: q1, gain: {value: 200, unit: V/m}, unit: V}", "  s1: q1"), []),
+    ],
+)  # fmt: skip
+def test_units_of_a_plant(folder, change, expected):
+    write(folder, "machine.yaml", MACHINE)
+    path = write(folder, "wired.yaml", SOUND.replace(*change) if change[0] else SOUND)
+    experiment = "plant: wired.yaml\nvirtual: machine.yaml\nduration: 1\ninitial: {q1: 0, q2: 0}\n"
+    assembly = registry.assemble(registry.load_experiment(write(folder, "moved.yaml", experiment)))
+    if expected:
+        assert problems(registry.check_plant_file, path) == expected
+    else:
+        registry.check_plant_file(path)
+    assert [str(problem).splitlines()[0] for problem in registry.check_units(assembly)] == [
+        f"{path}:{line}" for line in expected
+    ]
+
+
+def test_what_a_sensor_measures_and_the_model_of_a_plant_have_units_too(folder):
+    write(folder, "machine.yaml", MACHINE)
+    found = problems(registry.check_plant_file, write(folder, "wired.yaml", WIRED))
+    assert found == ["4:18: sensors.s2.measures: subtracts m/s from m"]
+    write(folder, "machine.yaml", MACHINE.replace("g*v2", "v2"))
+    (found,) = problems(registry.check_plant_file, write(folder, "wired.yaml", SOUND))
+    assert found == "7:11: equations.m*q2'': adds kg*m**2/s**3/A to kg*m/s**2"
+
+
+@pytest.mark.parametrize("name", registry.names("plant"))
+def test_packaged_plants_are_sound(name):
+    registry.check_plant_file(name)
+
+
+@pytest.mark.parametrize("name", registry.names("experiment"))
+def test_packaged_experiments_are_sound(name):
+    assembly = registry.assemble(registry.load_experiment(name))
+    assert registry.check_units(assembly) == []
+    columns = count_columns(assembly.plant_model, assembly.virtual_model)
+    assert check_size(assembly.experiment, recorded_rows(assembly.experiment, 1.0, 10.0), columns) == []
+
+
+def test_a_file_of_another_kind_is_told_in_one_line(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    needs = "an experiment is needed here, which names a plant and a model"
+    for load_it, file, expected in (
+        (registry.load_experiment, "pair.yaml",
+         f"pair.yaml is a model; {needs}: 'plant: ideal', 'virtual: pair.yaml'"),
+        (registry.load_experiment, "rig.yaml", f"rig.yaml is a plant; {needs}: 'plant: rig.yaml', 'virtual: duffing'"),
+        (registry.load_experiment, "setup", f"setup is a model; {needs}: 'plant: ideal', 'virtual: setup'"),
+        (registry.load_plant, "pair.yaml",
+         "pair.yaml is a model; a plant is needed here, which names a model: 'model: pair.yaml'"),
+        (registry.load_plant, "run.yaml",
+         "run.yaml is an experiment; a plant is needed here, such as the experiment's own: rig.yaml"),
+        (registry.load_model, "rig.yaml",
+         "rig.yaml is a plant; a model is needed here, such as the plant's own: pair.yaml"),
+        (registry.load_model, "run.yaml",
+         "run.yaml is an experiment; a model is needed here, such as the experiment's own: pair.yaml"),
+        (registry.load_model, "ideal", "ideal is a plant; a model is needed here"),
+    ):  # fmt: skip
+        with pytest.raises(DeclarationError) as caught:
+            load_it(file)
+        assert str(caught.value) == expected
+    write(folder, "run.yaml", EXPERIMENT.replace("rig.yaml", "pair.yaml"))
+    assert problems(lambda: registry.assemble(registry.load_experiment("run.yaml"))) == [
+        "1:8: plant: pair.yaml is a model; a plant is needed here, which names a model: 'model: pair.yaml'"
+    ]
+
+
+def test_kinds(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    kinds = {name: catalogue.kind_of(name) for name in ("pair.yaml", "rig.yaml", "run.yaml", "ideal", "setup")}
+    assert kinds == {"pair.yaml": "model", "rig.yaml": "plant", "run.yaml": "experiment", "ideal": "plant",
+                     "setup": "model"}  # fmt: skip
+    assert catalogue.kind_of_keys({"name", "parameters"}) is None
+    assert catalogue.kind_of_keys({"coordinates", "equations", "limits"}) == "model"
+    assert catalogue.kind_of(write(folder, "bad.yaml", "name: on\nvirtual: pair\n")) == "experiment"
+    fields = {kind: set(declaration.model_fields) for kind, declaration in KINDS.items()}
+    for kind, own in catalogue.OWN_KEYS.items():
+        others = set().union(*(fields[other] for other in fields if other != kind))
+        assert own == fields[kind] - others
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("exp_rig", "there is no {kinds} 'exp_rig'; did you mean the file exp_rig.yaml?"),
+        ("./exp_rig", "there is no file ./exp_rig; did you mean the file ./exp_rig.yaml?"),
+        ("dir.yaml", "dir.yaml is a folder; name a file in it; {a} is a .yaml file"),
+        ("dir", "dir is a folder; ..."),
+        ("nowhere.yaml", "there is no file nowhere.yaml; {a} is a .yaml file"),
+        ("plainfile", "there is no {kinds} 'plainfile'; write ./plainfile for the file plainfile"),
+        ("x" * 300, "there is no {kinds} 'xxx..."),
+        ("~nobody9/x.yaml", "there is no file ~nobody9/x.yaml; {a} is a .yaml file"),
+        ("a\0b.yaml", "there is no file a\0b.yaml; {a} is a .yaml file"),
+    ],
+)
+def test_files_that_are_not_there(tmp_path, monkeypatch, name, expected):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, "exp_rig.yaml", EXPERIMENT)
+    write(tmp_path, "plainfile", "")
+    for made in ("dir", "dir.yaml"):
+        (tmp_path / made).mkdir()
+    for call, kinds, a in (
+        (registry.load_experiment, "experiment", "an experiment"),
+        (catalogue.kind_of, "model, plant or experiment", "a declaration"),
+    ):
+        with pytest.raises(DeclarationError) as caught:
+            call(name)
+        wanted, found = expected.format(kinds=kinds, a=a), str(caught.value)
+        assert found.startswith(wanted[:-3]) if wanted.endswith("...") else found == wanted
+
+
+def test_coordinates_may_be_called_y_and_n(folder):
+    text = "name: n\ncoordinates: {y: a, n: b}\nequations:\n  y'': -y\n  n'': n\n"
+    model = registry.load_model(write(folder, "yn.yaml", text))
+    assert (model.name, list(model.coordinates)) == ("n", ["y", "n"])
+    for word in ("on", "Off", "YES", "no"):
+        assert problems(loads, f"a: {word}") == [
+            f"1:4: a: '{word}' is true or false in YAML 1.1; quote it or write true/false"
+        ]
+
+
+def test_a_refused_scalar_hides_nothing(folder):
+    text = MODEL.replace("value: 0.5", "value: 010").replace("w*x2'", "w*x9'").replace("a test", "yes")
+    assert [line.split(";")[0] for line in model_problems(folder, text)] == [
+        "2:9: source: 'yes' is true or false in YAML 1.1",
+        "6:14: parameters.w.value: '010' is an octal number in YAML",
+        "12:20: equations.x2'': unknown symbol 'x9''",
+    ]
+    write(folder, "base.yaml", MODEL)
+    child = "name: C\nextends: base.yaml\nparameters: {w: 010}\n"
+    assert len(model_problems(folder, child)) == 1
+    assert len(model_problems(folder, child + "energi: 3\n")) == 2
+
+
+@pytest.mark.parametrize("section", ["parameters", "coordinates", "inputs", "definitions"])
+def test_a_misspelt_section_is_one_problem(folder, section):
+    wrong = section.replace("s", "z")
+    (line,) = model_problems(folder, MODEL.replace(section, wrong))
+    assert f"the key '{wrong}' is not known; did you mean '{section}'?" in line
+    found = model_problems(folder, MODEL.replace(section, wrong).replace("w*x2'", "w*x2' + e"))
+    assert [item.split(": ")[2].split(";")[0] for item in found][-1] == "unknown symbol 'e'"
+    assert len(found) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("p:\n  k:{value: 1, unit: N}\n",
+         "2:20: p: not YAML: mapping values are not allowed in this context; write a space after ':'"),
+        ("p: {k:{value: 1}}", "1:5: p: not YAML: no space after ':' in 'k:{value: 1}}'; write a space after ':'"),
+        ("e:\n  x'':-k*x\n  z'': 2\n",
+         "2:3: e: not YAML: no space after ':' in 'x'':-k*x'; write a space after ':'"),
+        ("a: 1\nbeta\nc: 2\n", "2:1: not YAML: no ':' after 'beta'; write beta: ..."),
+        ("e:\n  x'' : -x\n  z'' -x\n", "3:3: e: not YAML: no ':' after 'z'' -x'; write z'': ..."),
+        ("p:\n  w\n  k: 2\n", "2:3: p: not YAML: no ':' after 'w'; write w: ..."),
+        ("a: b: c", "1:5: a: not YAML: mapping values are not allowed in this context; quote a text that holds ': '"),
+        ("name: foo\n  bar: 2",
+         "2:6: name: not YAML: mapping values are not allowed in this context; "
+         "begin it in the column of the line above"),
+    ],
+)  # fmt: skip
+def test_what_is_not_yaml(text, expected):
+    def shown(line):  # which path PyYAML has come to, and how it ends the sentence, is its own affair
+        where, _, rest = line.partition("not YAML: ")
+        return where.split(" ")[0], rest.replace("allowed here", "allowed in this context")
+
+    (line,) = problems(loads, text)
+    assert shown(line) == shown(expected)
+
+
+def test_a_byte_order_mark_is_skipped(tmp_path):
+    (tmp_path / "bom.yaml").write_bytes(b"\xef\xbb\xbfa: 1\nb: on\n")
+    assert [line.split(" ")[0] for line in problems(load, tmp_path / "bom.yaml")] == ["2:4:"]
+
+
+def test_numbers_without_unit_are_called_so(folder):
+    for change, expected in (
+        (("k*x + g*u", "k*x + g*u + 3"), "adds a number without unit to kg*m/s**2"),
+        (("k*x + g*u", "k*x + g*u - 3"), "subtracts a number without unit from kg*m/s**2"),
+        (
+            ("-c*x' - k*x + g*u", "c*x'/(k*x)*g/g*u/u"),
+            "the left side is kg*m/s**2, the right side a number without unit",
+        ),
+    ):
+        problem = check_dimensions(registry.load_model(write(folder, "si.yaml", SI.replace(*change))))[0]
+        assert problem.message == expected
+
+
+def test_all_missing_scales_at_once(folder):
+    scales = "scales: {time: {value: 1, unit: s}, length: {value: 1, unit: m}}\n"
+    model = registry.load_model(write(folder, "m.yaml", MACHINE + scales))
+    found = [(p.place.line, p.place.column, p.path, p.message, p.mend) for p in check_scales(model)]
+    start, mass, voltage = "add to scales: ", "'mass: {value: 1, unit: kg}'", "'voltage: {value: 1, unit: V}'"
+    end = ", with the value that suits"
+    assert found == [
+        (3, 21, "inputs.v1.unit",
+         "the unit V cannot be made dimensionless: no scale for mass and current (also of v2)",
+         start + voltage + end),
+        (4, 34, "parameters.k.unit",
+         "the unit N/m cannot be made dimensionless: no scale for mass", start + mass + end),
+        (4, 60, "parameters.m.unit",
+         "the unit kg cannot be made dimensionless: no scale for mass", start + mass + end),
+        (4, 85, "parameters.g.unit",
+         "the unit N/V cannot be made dimensionless: no scale for current", f"{start}{voltage}, {mass}{end}"),
+    ]  # fmt: skip
+    whole = scales.replace("}}", "}, voltage: {value: 1, unit: V}, mass: {value: 1, unit: kg}}")
+    assert check_scales(registry.load_model(write(folder, "m.yaml", MACHINE + whole))) == []
+    assert check_scales(registry.load_model(write(folder, "m.yaml", MACHINE))) == []
+    taken = scales.replace("length", "mass")  # the proposal takes another name
+    assert "mass2: " in check_scales(registry.load_model(write(folder, "m.yaml", MACHINE + taken)))[1].mend
+    wrong = registry.load_model(write(folder, "m.yaml", MODEL + "scales: {time: {value: 1, unit: sec9}}\n"))
+    assert [problem.message for problem in check_dimensions(wrong)] == ["'sec9' is not a unit"]
+
+
+def test_which_equation_lacks_its_acceleration(folder):
+    text = "coordinates: {a: '', b: '', c: ''}\nequations:\n  {}\n  {}\n  {}\ndefinitions: {d: {}}\n"
+    for lines, expected in (
+        (("a'' + b'': a", "a'' - b'': b", "b'' - d: 1", "a''"),
+         ["5:3: equations.b'' - d: the equations determine a'' and b'' by 3 equations (lines 3, 4 and 5) "
+          "and c'' never; one of these must contain c''"]),
+        (("a'' + b'': a", "a'': b", "b'' - d: 1", "c''"), []),
+        (("a'' + b'' + c'': a", "a'' + b'': b", "d: 1", "a''"), []),
+        (("a'': b", "a'' + c'': a", "b'' + a'' : d", "a"), []),
+        (("a'': a", "2*b: b", "c*d: c", "b''*c''"), []),
+    ):  # fmt: skip
+        filled = text.replace("{}", "%s") % lines
+        path = write(folder, "m.yaml", filled)
+        if expected:
+            assert problems(registry.load_model, path) == expected
+    long = [f"x{i}" for i in range(1100)]  # a chain in which the last equation moves all others on
+    chain = "".join(f"  {a}'' + {b}'': 1\n" for a, b in itertools.pairwise(long)) + "  x0'': 1\n"
+    registry.load_model(
+        write(folder, "long.yaml", f"coordinates: {{{', '.join(f'{x}: a' for x in long)}}}\nequations:\n{chain}")
+    )
+
+
+@pytest.mark.parametrize(
+    ("duration", "record", "expected"),
+    [
+        ("25", "", []),
+        ("1e9", "", ["5:11: duration: 1e9 units are 1e12 rows, 1e5 GiB; "
+                     "shorten duration or record less: 'record: {rate: ...}'"]),
+        ("5e7", "record: {rate: 100 Hz}",
+         ["5:11: duration: 5e7 units are 5e9 rows, 522 GiB; shorten duration or lower record.rate"]),
+        ("5e7", "record: {rate: 0.1 Hz}", []),
+    ],
+)  # fmt: skip
+def test_size_of_a_recording(folder, duration, record, expected):
+    text = EXPERIMENT.replace("duration: 25", f"duration: {duration}\n{record}")
+    path = write(folder, "run.yaml", text)
+    assembly = registry.assemble(registry.load_experiment(path))
+    columns = count_columns(assembly.plant_model, assembly.virtual_model)
+    assert columns == 14
+    found = check_size(assembly.experiment, recorded_rows(assembly.experiment, 1.0, 10.0), columns)
+    assert [str(problem) for problem in found] == [f"{path}:{line}" for line in expected]
+
+
+def test_rows_of_a_recording(folder):
+    continuous = EXPERIMENT.replace("1 kHz", "continuous")
+    load_it = registry.load_experiment
+    assert recorded_rows(load_it(folder / "run.yaml"), 0.1, 10.0) == 2501.0
+    assert recorded_rows(load_it(write(folder, "c.yaml", continuous)), 0.1, 10.0) == 251.0
+    recorded = load_it(write(folder, "c.yaml", continuous + "record: {rate: 100 Hz}\n"))
+    assert recorded_rows(recorded, 0.1, 10.0) == 251.0
+    assert recorded_rows(recorded, 2.0, 10.0) == 5001.0
+
+
+def test_a_problem_as_json():
+    problem = Problem(Place("m.yaml", 3, 7), "parameters.k", "is wrong", "mend it", "    k\n    ^")
+    assert json.loads(json.dumps(problem.as_dict())) == {
+        "file": "m.yaml", "line": 3, "column": 7, "path": "parameters.k", "message": "is wrong", "mend": "mend it",
+    }  # fmt: skip
+    assert Problem(None, "", "is wrong").as_dict() == {
+        "file": None, "line": None, "column": None, "path": "", "message": "is wrong", "mend": "",
+    }  # fmt: skip

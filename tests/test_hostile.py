@@ -122,5 +122,11 @@ def test_the_harmless_neighbours_are_read():
         "a: null",
         "a: true",
         "a: x'' + y",
+        "y: 1",
+        "n: 1",
+        "a: y",
+        "a: n",
+        "a: Y",
+        "\ufeffa: 1",
     ):
         loads(text)

@@ -153,7 +153,8 @@ def test_another_pace(factor):
 @hypothesis.settings(max_examples=10, deadline=None)
 @given(
     st.fixed_dictionaries({name: st.floats(0.2, 3.0) for name in ("w1", "w2", "w3", "th1", "th2")}),
-    st.fixed_dictionaries({"mu1": st.floats(0.0, 0.5), "mu2": st.floats(0.0, 0.5), "z3": st.floats(0.0, 1.0)}),
+    # Light, damped coupling: heavy undamped oscillators are chaotic, and any error grows with time.
+    st.fixed_dictionaries({"mu1": st.floats(0.0, 0.1), "mu2": st.floats(0.0, 0.1), "z3": st.floats(0.02, 1.0)}),
     st.fixed_dictionaries({name: st.floats(-1.0, 1.0) for name in ("x1", "x2", "x3", "x1'", "x2'", "x3'")}),
 )
 def test_any_duffing_oscillators_from_any_state_without_compiling_again(stiffness, other, initial):

@@ -114,14 +114,42 @@ def test_a_missing_column_names_the_nearest():
 
 
 def test_load_says_what_is_wrong(tmp_path):
-    with pytest.raises(RecordError, match=r"recording\.parquet: no such recording$"):
+    mend = "give a folder that holds recording.parquet, such as results/duffing"
+    with pytest.raises(RecordError, match=rf"recording\.parquet: no such recording; {mend}$"):
         Recording.load(tmp_path)
+    with pytest.raises(RecordError, match=rf"^nowhere: no such recording; {mend}$"):
+        Recording.load("nowhere")
     with pytest.raises(RecordError, match=r"no such recording; the folder .*nowhere does not exist"):
         Recording.load(tmp_path / "nowhere" / "recording.parquet")
-    text = tmp_path / "text.parquet"
-    text.write_text("t,x\n0,1\n")
-    with pytest.raises(RecordError, match=r"text\.parquet: not a recording: it cannot be read as parquet"):
-        Recording.load(text)
+    for name, content in (("exp_rig.yaml", "name: rig\n"), ("empty.parquet", "")):
+        text = tmp_path / name
+        text.write_text(content)
+        with pytest.raises(RecordError) as caught:
+            Recording.load(text)
+        assert str(caught.value) == f"{text} is not a recording: it is no parquet file"
+
+
+@pytest.mark.parametrize(
+    ("beside", "what"),
+    [
+        (None, "is missing"),
+        ("{", "cannot be read"),
+        ("\xff", "cannot be read"),
+        ("[" * 100_000, "cannot be read"),
+        ("{}", "says something else"),
+    ],
+)
+def test_the_copy_inside_the_table_stands_in_for_a_bad_manifest(tmp_path, beside, what):
+    path = sample().save(tmp_path) / "manifest.json"
+    assert Recording.load(tmp_path).notes == ()
+    if beside is None:
+        path.unlink()
+    else:
+        path.write_text(beside, encoding="latin-1")
+    back = Recording.load(tmp_path)
+    assert back.manifest == {"format": FORMAT, **sample().manifest}
+    assert back.notes == (f"manifest.json {what}: the copy inside recording.parquet was used.",)
+    assert Recording.load((tmp_path / "recording.parquet").rename(tmp_path / "alone.parquet")).notes == ()
 
 
 def _foreign(path: Path, table: pa.Table, manifest: bytes | None) -> Path:
@@ -163,7 +191,9 @@ def test_load_takes_other_kinds_of_numbers_and_several_chunks(tmp_path):
 def test_load_refuses_a_cut_off_file(tmp_path):
     path = sample().save(tmp_path) / "recording.parquet"
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(RecordError, match="cannot be read as parquet"):
+    with pytest.raises(
+        RecordError, match=r"recording\.parquet is not a recording: the parquet file is cut off or damaged$"
+    ):
         Recording.load(path)
 
 

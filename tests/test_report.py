@@ -2,6 +2,7 @@
 
 import base64
 import html.parser
+import math
 import re
 import subprocess
 import sys
@@ -16,8 +17,8 @@ from hypothesis import strategies as st
 from masking import figures
 from masking.errors import RecordError
 from masking.recording import Recording
-from masking.reporting import report, summary
-from masking.study import percent, study
+from masking.reporting import limits_used, report, summary, warnings
+from masking.study import parameters, percent, study
 
 FIGURES = ["displacements", "others", "synchronisation", "inputs", "fidelity"]
 
@@ -149,7 +150,7 @@ def test_the_summary():
         "  fidelity   x1 3e-9  x2 3e-9  x3 3e-9",
         "  inputs     u1 50 % of 0.42 V  u2 1.2 % of 0.42 V",
         "  energy     drift of the virtual system 2e-11",
-        "  record     20000 samples, 139 s of the rig, sampled at 1000 Hz, seed 7",
+        "  record     20000 samples, 139 s of the rig, sampled at 1 kHz, seed 7",
         "  time       compile 0.2 s  run 1.5 s",
     ]
 
@@ -160,6 +161,203 @@ def test_the_summary():
 def test_the_verb_follows_the_fidelity(error, verb):
     sentence = summary(duffing(2000, error)).splitlines()[0]
     assert sentence.startswith(f"The ideal rig {verb} coupled Duffing oscillators: fidelity chi ")
+
+
+# ---- the values that ran
+
+
+def virtual(**declared: object) -> dict[str, object]:
+    return {"parameters": declared}
+
+
+def test_shows_the_values_that_ran_and_names_the_changes(tmp_path):
+    declared = virtual(
+        w3={"value": 0.5316, "meaning": "beam"}, th1={"value": "1/3"}, w1={"value": 1.0}, k={"value": "w3**2"}
+    )
+    changes = {"experiment": {"parameters": {"w3": 0.6, "w1": 1.0}}, "virtual": declared}
+    ran = {"w3": 0.6, "th1": 1 / 3, "w1": 1.0, "k": 0.36}
+    result = report(duffing(2000, declarations=changes, parameters=ran), tmp_path)
+    assert "  changed    w3 = 0.6\n" in result.summary
+    text = page_of(result).text
+    assert "Changed: w3 = 0.6 (declared 0.5316)." in text
+    assert "w30.6 (declared 0.5316)beamth10.3333333 (= 1/3)w11k0.36 (= w3**2)" in text
+
+
+def test_what_ran_counts_even_where_no_change_is_stated():
+    declarations = {"virtual": virtual(w3={"value": 0.5316})}
+    assert "  changed    w3 = 0.6\n" in summary(duffing(2000, declarations=declarations, parameters={"w3": 0.6}))
+    assert "changed" not in summary(duffing(2000, declarations=declarations, parameters={"w3": 0.5316}))
+    assert "changed" not in summary(duffing(2000))
+
+
+def test_parameters_with_units_are_shown_in_them(tmp_path):
+    declared = virtual(l={"value": 5, "unit": "mm"}, w={"value": 2, "unit": "rad/s"}, b={"value": "l", "unit": "mm"})
+    changes = {"experiment": {"parameters": {"l": 6}}, "virtual": declared}
+    si = duffing(2000, declarations=changes, parameters={"l": 0.006, "w": 2.0, "b": 0.006})
+    assert [(p.value, p.scaled, p.is_changed) for p in parameters(si)] == [
+        (pytest.approx(6.0), None, True),
+        (2.0, None, False),
+        (pytest.approx(6.0), None, False),
+    ]
+    assert "  changed    l = 6 mm\n" in summary(si)
+    # With the scales l = 6 mm and 1/w the same values run as ones.
+    changes["virtual"] = {**declared, "scales": {"length": {"value": "l", "unit": "m"}}}
+    scaled = duffing(2000, declarations=changes, parameters={"l": 1.0, "w": 1.0, "b": 1.0})
+    assert [(p.value, p.scaled, p.is_changed) for p in parameters(scaled)] == [
+        (6.0, 1.0, True),
+        (2.0, 1.0, False),
+        ("l", 1.0, False),
+    ]
+    text = page_of(report(scaled, tmp_path)).text
+    assert "parametervalueunitin its scalesmeaningl6 (declared 5)mm1w2rad/s1bl" in text
+
+
+def test_a_unit_that_nobody_knows_is_no_reason_to_fail():
+    odd = duffing(100, declarations={"virtual": virtual(c={"value": 5, "unit": "furlong**x"})}, parameters={"c": 7.0})
+    (found,) = parameters(odd)
+    assert (found.value, found.unit, found.is_changed) == (7.0, "SI unit of furlong**x", False)
+
+
+# ---- warnings
+
+
+def test_a_limit_exceeded_is_said_first(tmp_path):
+    # Peaks: u1 0.21 V, u2 0.005 V.
+    limits = {"u1": {"max": 0.028, "unit": "V"}, "u2": {"max": 0.0049, "unit": "V"}}
+    recording = duffing(2000, limits=limits)
+    said = (
+        "Not possible on this rig: u1 needs 0.21 V, 7.5 times its limit of 0.028 V; "
+        "u2 needs 0.005 V, 2 % above its limit of 0.0049 V."
+    )
+    assert warnings(recording) == [said]
+    assert limits_used(recording) == {"u1": pytest.approx(7.5), "u2": pytest.approx(0.005 / 0.0049)}
+    result = report(recording, tmp_path)
+    first, second, *_ = result.summary.splitlines()
+    assert first.startswith("The ideal rig would move as coupled Duffing oscillators: ")
+    assert second == said
+    page = result.path.read_text("utf-8")
+    assert page.index("would move as") < page.index('<p class="card wrong">Not possible') < page.index("went from")
+    assert '<div class="wrong"><dt>largest use of a limit' in page
+
+
+@pytest.mark.parametrize(
+    ("error", "verb"), [(0.0, "would move as"), (0.1, "would move roughly as"), (0.5, "would not move as")]
+)
+def test_what_is_not_possible_is_not_said_to_have_happened(error, verb):
+    recording = duffing(2000, error, limits={"u1": {"max": 0.1, "unit": "V"}})
+    assert summary(recording).startswith(f"The ideal rig {verb} coupled Duffing oscillators: ")
+
+
+def test_an_input_at_its_limit_does_not_exceed_it():
+    recording = duffing(2000, limits={"u1": {"max": 0.21 * (1 - 1e-13)}})
+    assert warnings(recording) == []
+    assert limits_used(recording) == {"u1": pytest.approx(1.0)}
+
+
+@pytest.mark.parametrize(
+    ("rate", "words", "half"), [(1000, "1 kHz", "0.5 ms"), (250.0, "250 Hz", "2 ms"), (0.25, "0.25 Hz", "2 s")]
+)
+def test_the_cost_of_sampling_is_named(rate, words, half, tmp_path):
+    said = (
+        f"Sampled at {words}, inputs act half a sample ({half}) late on average; 'rate: continuous' shows the error "
+        "that is not due to sampling, and a higher controller.rate lowers it."
+    )
+    recording = duffing(2000, 0.02, rate=rate)
+    assert warnings(recording) == [said]
+    assert summary(recording).splitlines()[1] == said
+    assert said in page_of(report(recording, tmp_path)).text
+
+
+def test_there_is_no_warning_without_a_reason():
+    assert warnings(duffing(2000)) == []
+    assert warnings(duffing(2000, 0.02, mode="continuous", rate=None)) == []
+    assert warnings(Recording({"t": [0.0]})) == []
+    assert limits_used(Recording({"t": [0.0], "input.u": [1.0]})) == {}
+
+
+def test_the_longest_summary_is_fourteen_lines():
+    changes = {"virtual": virtual(w3={"value": 1.0}), "experiment": {"parameters": {"w3": 2.0}}}
+    lines = summary(
+        duffing(2000, 0.1, limits={"u1": {"max": 0.1}}, declarations=changes, oscillators=["x1", "x2", "x3"])
+    ).splitlines()
+    assert len(lines) <= 14
+    assert lines[-1].startswith("  time ")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("ideal rig", "The ideal rig moved as"),
+        ("the ideal rig", "The ideal rig moved as"),
+        ("my rig", "My rig moved as"),
+        ("A rig", "A rig moved as"),
+        ("our lab's rig", "Our lab's rig moved as"),
+        ("Mary's rig", "Mary's rig moved as"),
+        ("myrig", "The myrig moved as"),
+        (" ", "The rig moved as"),
+    ],
+)
+def test_the_article_follows_the_name(name, said):
+    assert summary(duffing(2000, plant_name=name)).startswith(f"{said} coupled")
+
+
+@pytest.mark.parametrize(
+    ("speeds", "said"),
+    [
+        ((4.0, 1.3), "th1 and th2 kept no fixed phase."),
+        ((0.0, 1.3), "th1 and th2 went from in-phase (0.000 pi) to no fixed phase."),
+    ],
+)
+def test_a_phase_that_drifts(speeds, said):
+    t = np.linspace(0.0, 600.0, 12_000)
+    slip = np.where(t < 300, speeds[0] * t, speeds[1] * (t - 300))
+    columns = {"t": t, "virtual.th1": np.cos(10 * t), "virtual.th2": np.cos(10 * t + slip)}
+    assert said in summary(Recording(columns, {"oscillators": ["th1", "th2"]}))
+
+
+def test_compilation_is_told_first():
+    timing = {"run": 1.0, "ideal": 2.0, "compilation": 3.0}
+    assert summary(duffing(2000, timing=timing)).endswith("  time       compilation 3 s  run 1 s  ideal 2 s")
+
+
+def test_sections_that_would_be_empty_are_notes(tmp_path):
+    recording = series(500, 1, oscillators=["th1"])
+    noted = Recording(recording.columns, recording.manifest, ("manifest.json is missing.",))
+    page = report(noted, tmp_path).path.read_text("utf-8")
+    assert re.findall("<h2>(.*?)</h2>", page) == [
+        "Displacements", "Inputs against their limits", "Fidelity", "Notes", "Provenance",
+    ]  # fmt: skip
+    notes = re.findall("<li>(.*?)</li>", page)
+    assert notes[:3] == [
+        "manifest.json is missing.",
+        "Other coordinates. Not shown: every coordinate is among the displacements.",
+        "Synchronisation. Not shown: there is only one oscillator.",
+    ]
+    assert len(notes) == 4
+
+
+def test_the_source_is_named_where_its_numbers_are(made):
+    text = page_of(made).text
+    assert "Rijlaarsdam (2008), (4.12)" in text
+    assert "Rijlaarsdam (2008), definition 5.3" in text
+
+
+@given(st.floats(-290, 290), st.floats(0.3, 8))
+def test_a_logarithmic_axis_holds_two_powers_of_ten(exponent, decades):
+    low, high = 10.0**exponent, 10.0 ** (exponent + decades)
+    wide_low, wide_high = figures._two_decades(low, high)
+    assert wide_low <= low < high <= wide_high
+    assert math.floor(math.log10(wide_high) + 1e-9) > math.ceil(math.log10(wide_low) - 1e-9)
+
+
+@pytest.mark.parametrize("peak", [1.1, 0.0999, 3.0, 1e-9, 2.4e17, 5e-324])
+def test_a_constant_peak_has_two_labels(peak):
+    _, (axes,) = figures._sheet([2.0])
+    figures._log_peaks(axes, np.arange(30.0), np.full(30, peak), figures.INK)
+    axes.figure.canvas.draw()
+    low, high = axes.get_ylim()
+    labels = [text.get_text() for text in axes.get_yticklabels() if low <= text.get_position()[1] <= high]
+    assert len([label for label in labels if label]) >= 2
 
 
 def test_names_from_outside_are_escaped(tmp_path):
@@ -236,7 +434,7 @@ def test_says_what_is_not_shown_and_why(tmp_path, recording, drawn, said):
     result = report(recording, tmp_path)
     assert [path.stem for path in result.figures] == drawn
     assert said in page_of(result).text
-    assert 1 <= len(result.summary.splitlines()) <= 12
+    assert 1 <= len(result.summary.splitlines()) <= 14
 
 
 def test_equal_motions_are_said_to_be_equal(tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ModelDeclaration
@@ -67,9 +67,12 @@ def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
             yield f"scales.{name}.value", scale.value
 
 
-def check_model(model: ModelDeclaration, whole: bool = True) -> list[Problem]:
-    """List everything that is wrong with a model; of one that is not whole, only names and symbols."""
-    problems = [*_names(model), *_symbols(model)]
+def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[str] = ()) -> list[Problem]:
+    """List everything that is wrong with a model; of one that is not whole, only names and symbols.
+
+    `lost` are names that stand in a section whose key is not known, and pass for anything.
+    """
+    problems = [*_names(model, lost), *_symbols(model, lost)]
     if whole:
         problems += [*_structure(model), *_unused(model), *_cycles(model, "definitions", model.definitions)]
         problems += parameter_values(model, {})[1]
@@ -94,7 +97,7 @@ def problem_at(declaration: Declaration, path: str, message: str, mend: str = ""
     return Problem(place, path, message, mend)
 
 
-def _names(model: ModelDeclaration) -> Iterator[Problem]:
+def _names(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
     owner: dict[str, str] = {}
     for section in ("coordinates", "inputs", "parameters", "definitions"):
         for name in getattr(model, section):
@@ -103,33 +106,26 @@ def _names(model: ModelDeclaration) -> Iterator[Problem]:
                 yield problem_at(model, f"{section}.{name}", message, "rename one of them", at_key=True)
             owner.setdefault(name, section)
     for index, name in enumerate(model.oscillators or ()):
-        if name not in model.coordinates:
+        if name not in model.coordinates and name not in lost:
             yield problem_at(
                 model, f"oscillators.{index}", f"'{name}' is not a coordinate", nearest(name, model.coordinates)
             )
     for name in model.forces:
-        if name not in model.coordinates:
+        if name not in model.coordinates and name not in lost:
             message = f"'{name}' is not a coordinate"
             yield problem_at(model, f"forces.{name}", message, nearest(name, model.coordinates), at_key=True)
 
 
-def _symbols(model: ModelDeclaration) -> Iterator[Problem]:
+def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
     """Check which symbols each expression may use: accelerations not everywhere, parameters only over parameters."""
-    static = [*model.parameters]
-    rest = [
-        *model.coordinates,
-        *velocities(model.coordinates),
-        *model.inputs,
-        *model.parameters,
-        *model.definitions,
-        "t",
-    ]
-    moving = [*rest, *accelerations(model.coordinates)]
+    static, coordinates = [*model.parameters, *lost], [*model.coordinates, *lost]
+    rest = [*coordinates, *velocities(coordinates), *model.inputs, *model.parameters, *model.definitions, "t"]
+    moving = [*rest, *accelerations(coordinates)]
     accelerated = _definitions_with_acceleration(model)
     for path, expression in formulas(model):
         section = path.partition(".")[0]
         allowed = static if section in {"parameters", "scales"} else moving
-        yield from check_symbols(expression, allowed, model.coordinates, known=moving)
+        yield from check_symbols(expression, allowed, coordinates, known=moving)
         if section in {"lagrangian", "dissipation", "energy", "forces"}:
             for symbol in sorted(expression.symbols):
                 if (symbol.endswith("''") and symbol in moving) or symbol in accelerated:
@@ -193,15 +189,82 @@ def _structure(model: ModelDeclaration) -> Iterator[Problem]:
     if not count:
         yield problem_at(model, "coordinates", "coordinates need equations or a lagrangian", at_key=True)
         return
-    present = set().union(*(side.symbols for sides in model.equations.items() for side in sides))
-    present |= set().union(*(model.definitions[name].symbols for name in model.definitions))
-    missing = [name for name in model.coordinates if f"{name}''" not in present]
+    yield from _counted(model)
+
+
+def _counted(model: ModelDeclaration) -> Iterator[Problem]:
+    """Check that the equations determine every acceleration."""
+    count, wanted = len(model.equations), len(model.coordinates)
+    present = [_accelerations_in(model, sides) for sides in model.equations.items()]
+    missing = [name for name in model.coordinates if not any(name in found for found in present)]
+    if count == wanted:
+        yield from _determined(model, present)
+        return
     for name in missing:
         message = f"no equation contains {name}''"
         yield problem_at(model, f"coordinates.{name}", message, f"write {name}'': ... under equations", at_key=True)
-    if count != wanted and not (missing and count < wanted):
+    if not (missing and count < wanted):
         few = "too few" if count < wanted else "too many"
         yield problem_at(model, "equations", f"{count} equations for {wanted} coordinates are {few}", at_key=True)
+
+
+def _accelerations_in(model: ModelDeclaration, sides: Iterable[Expression]) -> list[str]:
+    """List the coordinates whose accelerations an equation contains, in its definitions too."""
+    pending = sorted(set().union(*(side.symbols for side in sides)))
+    found, seen = set(), set(pending)
+    while pending:
+        symbol = pending.pop()
+        found.add(symbol)
+        inside = model.definitions[symbol].symbols - seen if symbol in model.definitions else frozenset()
+        seen |= inside
+        pending += sorted(inside)
+    return [name for name in model.coordinates if f"{name}''" in found]
+
+
+def _determined(model: ModelDeclaration, present: Sequence[Collection[str]]) -> Iterator[Problem]:
+    """Check that each equation can give an acceleration of its own: a matching of equations with accelerations."""
+    owner: dict[str, int] = {}
+    crowds = [crowd for equation in range(len(present)) if (crowd := _matched(equation, present, owner))]
+    never = _listed([f"{name}''" for name in model.coordinates if name not in owner])
+    lefts = list(model.equations)
+    for crowd in crowds:
+        equations = sorted(crowd)
+        names = [f"{name}''" for name in model.coordinates if any(name in present[i] for i in equations)]
+        places = [model.key_place(f"equations.{lefts[i].text}") for i in equations]
+        if names:
+            often = "twice" if len(equations) == 2 else f"by {len(equations)} equations"
+            lines = _listed([str(place.line) for place in places if place])
+            where = f" (lines {lines})" if lines else ""
+            message = f"the equations determine {_listed(names)} {often}{where} and {never} never"
+            mend = f"one of these must contain {never}"
+        else:
+            message, mend = f"the equation contains no acceleration, and none determines {never}", f"write {never}: ..."
+        yield problem_at(model, f"equations.{lefts[equations[-1]].text}", message, mend, at_key=True)
+
+
+def _matched(equation: int, present: Sequence[Collection[str]], owner: dict[str, int]) -> list[int]:
+    """Give an equation an acceleration, moving others on; or list the equations that are too many for theirs."""
+    reached: dict[str, int] = {}
+    crowd = [equation]
+    for current in crowd:  # grows
+        for name in present[current]:
+            if name in reached:
+                continue
+            reached[name] = current
+            if name in owner:
+                crowd.append(owner[name])
+                continue
+            free: str | None = name
+            while free is not None:
+                taker = reached[free]
+                before = next((other for other, its in owner.items() if its == taker), None)
+                owner[free], free = taker, before
+            return []
+    return crowd
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def _unused(model: ModelDeclaration) -> Iterator[Problem]:

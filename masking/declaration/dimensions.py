@@ -61,11 +61,15 @@ def check_scales(model: ModelDeclaration) -> list[Problem]:
         section, name, _ = path.split(".")
         if section not in {"outputs", "scales"}:
             used.setdefault(getattr(model, section)[name].unit, []).append(path)
+    whole = dict(scales)  # and what is proposed
     for unit, (path, *others) in used.items():
         try:
             conversion(unit, scales)
         except DeclarationError as error:
-            wanted = ", ".join(f"'{name}: {{value: 1, unit: {of}}}'" for name, of in _additions(unit, scales).items())
+            whole |= _additions(unit, whole)
+            powers = conversion(unit, whole).exponents
+            more = {name: of for name, of in whole.items() if name not in scales and powers[name] != 0.0}
+            wanted = ", ".join(f"'{name}: {{value: 1, unit: {of}}}'" for name, of in more.items())
             also = f" (also of {', '.join(other.split('.')[1] for other in others)})" if others else ""
             mend = f"add to scales: {wanted}, with the value that suits"
             problems.append(Problem(model.place(path), path, error.problems[0].message + also, mend))
@@ -114,8 +118,8 @@ def _dimensions(model: ModelDeclaration) -> tuple[dict[str, Dimension], list[Pro
 
 def _additions(unit: str, scales: Mapping[str, str]) -> dict[str, str]:
     """Give the fewest usual scales that make a unit dimensionless together with those that are there."""
-    usual = {name: of for name, of in _USUAL.items() if name not in scales}
-    for count in range(1, len(usual) + 1):
+    usual = {(f"{name}2" if name in scales else name): of for name, of in _USUAL.items()}
+    for count in range(len(usual) + 1):
         for names in itertools.combinations(usual, count):
             more = {name: usual[name] for name in names}
             try:

@@ -1,4 +1,4 @@
-"""What must hold where an experiment, its plant and its models meet."""
+"""What must hold where an experiment, its plant and its models meet, and how large its recording may be."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from masking.declaration.checks import check_symbols, parameter_values, problem_
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration, Transform
 from masking.errors import Problem, nearest
+
+LARGEST_RECORDING = 2**31
+_PROPOSED_DIVISORS = (1, 2, 4, 5, 10)
 
 
 def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Problem]:
@@ -43,12 +46,67 @@ def check_experiment(
     believed = believed_model or plant_model
     problems += _overrides(experiment, "controller.parameters", experiment.controller.parameters, believed)
     problems += _initial(experiment, virtual_model)
+    problems += _record(experiment)
     problems += _transform(experiment, plant_model, virtual_model)
     if not virtual_model.coordinates:
         problems.append(problem_at(experiment, "virtual", f"the model {virtual_model.name} has no coordinates"))
     if not plant_model.inputs:
         problems.append(problem_at(experiment, "plant", f"the model {plant_model.name} of the plant has no inputs"))
     return problems
+
+
+def recorded_rows(experiment: ExperimentDeclaration, time_scale: float, rows_per_unit: float) -> float:
+    """Give the rows of an experiment's recording.
+
+    Args:
+        experiment: the declaration.
+        time_scale: seconds of the rig per unit of virtual time.
+        rows_per_unit: rows per unit of virtual time where neither a controller nor a record has a rate.
+    """
+    rate = experiment.record.rate if experiment.record else experiment.controller.rate
+    return experiment.duration * (rows_per_unit if rate is None else time_scale * rate) + 1.0
+
+
+def count_columns(rig: ModelDeclaration, virtual: ModelDeclaration) -> int:
+    """Give the columns of a recording: time, positions and velocities of rig, virtual system and ideal, and inputs."""
+    return 1 + 2 * (len(rig.coordinates) + 2 * len(virtual.coordinates)) + len(rig.inputs)
+
+
+def check_size(experiment: ExperimentDeclaration, rows: float, columns: int) -> list[Problem]:
+    """Refuse a duration whose recording, of 8 bytes a number, would be larger than 2 GiB."""
+    size = rows * columns * 8.0
+    if size <= LARGEST_RECORDING:
+        return []
+    message = f"{_short(experiment.duration)} units are {_short(rows)} rows, {_short(size / 2**30)} GiB"
+    mend = "shorten duration or " + ("lower record.rate" if experiment.record else "record less: 'record: {rate: ...}'")
+    return [problem_at(experiment, "duration", message, mend)]
+
+
+def _short(number: float) -> str:
+    """Write a number in two or three digits: 373, 5.5e10."""
+    if number < 1000.0:
+        return f"{number:.3g}"
+    digits, _, exponent = f"{number:.1e}".partition("e")
+    return f"{digits.removesuffix('.0')}e{int(exponent)}"
+
+
+def _record(experiment: ExperimentDeclaration) -> Iterator[Problem]:
+    """Check that a recording takes whole samples of the controller."""
+    rate = experiment.controller.rate
+    if rate is None or experiment.record is None:
+        return
+    ratio = rate / experiment.record.rate
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+        message = f"{_hertz(experiment.record.rate)} does not divide the controller's rate of {_hertz(rate)}"
+        allowed = ", ".join(_hertz(rate / divisor) for divisor in _PROPOSED_DIVISORS)
+        yield problem_at(experiment, "record.rate", message, f"allowed: {allowed}, ...")
+
+
+def _hertz(rate: float) -> str:
+    for unit, size in (("MHz", 1e6), ("kHz", 1e3)):
+        if rate >= size:
+            return f"{rate / size:.9g} {unit}"
+    return f"{rate:.9g} Hz"
 
 
 def _overrides(

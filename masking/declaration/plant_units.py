@@ -99,7 +99,7 @@ def _unit_of(expression: Expression, dimension: Dimension, model: ModelDeclarati
     for name in expression.names:
         for section in (model.coordinates, model.inputs, model.parameters):
             if name in section:
-                declared.append(section[name].unit)  # type: ignore[index]
+                declared.append(section[name].unit)
     for unit in sorted(declared):
         for candidate in (unit, f"{unit}/s"):
             if dimension_of(candidate) == dimension:

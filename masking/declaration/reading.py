@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import types
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
@@ -51,11 +51,14 @@ def read(
     data: Mapping[str, Any],
     places: Places,
     files: Mapping[str, str],
-    check: Callable[[D, bool], list[Problem]],
+    check: Callable[[D, bool, Collection[str]], list[Problem]],
+    *,
+    refused: Sequence[Problem] = (),
 ) -> D:
     """Make a declaration of plain data; raises `DeclarationError` with every problem, of the schema and of `check`.
 
-    `check` gets the declaration and whether it is whole; one that is not has lost the entries that the schema refuses.
+    `check` gets the declaration, whether it is whole (one that is not has lost the entries that the schema refuses) and
+    the names that are lost with sections whose keys are not known. `refused` is what the reader of YAML refused.
     """
     problems: list[Problem] = []
     whole, errors = _validate(kind, data)
@@ -67,9 +70,10 @@ def read(
         declaration._places.update(places.values)
         declaration._keys.update(places.keys)
         declaration._files.update(files)
-        problems += check(declaration, whole is not None)
-    if declaration is None or problems:
-        raise DeclarationError(in_order(problems))
+        problems += check(declaration, whole is not None, _lost(data, errors))
+    if declaration is None or problems or refused:
+        known = {problem.place for problem in refused}
+        raise DeclarationError(in_order([*refused, *(p for p in problems if p.place is None or p.place not in known)]))
     return declaration
 
 
@@ -100,6 +104,16 @@ def _repaired(data: Mapping[str, Any], errors: Iterable[ErrorDetails]) -> dict[s
         elif isinstance(block, dict) and error["type"] == "expression" and last in block:
             block[last] = 0.0
     return copy
+
+
+def _lost(data: Mapping[str, Any], errors: Iterable[ErrorDetails]) -> list[str]:
+    """List the names in the sections whose keys are not known."""
+    sections = [data[str(error["loc"][0])] for error in errors if _is_unknown_section(error)]
+    return [str(name) for section in sections if isinstance(section, Mapping) for name in section]
+
+
+def _is_unknown_section(error: ErrorDetails) -> bool:
+    return error["type"] == "extra_forbidden" and len(error["loc"]) == 1
 
 
 def plain_mapping(node: Node) -> dict[str, Any]:

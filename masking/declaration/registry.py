@@ -9,10 +9,21 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from masking.declaration import strict_yaml
-from masking.declaration.catalogue import NOWHERE, Reference, find, folder, names
+from masking.declaration.catalogue import (
+    NOWHERE,
+    Reference,
+    find,
+    folder,
+    kind_of,
+    kind_of_keys,
+    names,
+    wrong_kind,
+)
 from masking.declaration.checks import check_model
+from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.fields import Real, Text
 from masking.declaration.meeting import check_experiment, check_plant
+from masking.declaration.plant_units import check_plant_units
 from masking.declaration.reading import Places, in_order, plain_mapping, read
 from masking.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration
 from masking.declaration.strict_yaml import Node
@@ -23,8 +34,11 @@ __all__ = [
     "Assembly",
     "Reference",
     "assemble",
+    "check_plant_file",
+    "check_units",
     "find",
     "folder",
+    "kind_of",
     "load_experiment",
     "load_model",
     "load_plant",
@@ -53,16 +67,17 @@ def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> Mode
     """Load a model with everything it extends, merged into one declaration whose places point into the right files."""
     chain: list[tuple[Path, Node, dict[str, Any]]] = []
     files: dict[str, str] = {}
+    refused: list[Problem] = []
     wanted: str | Path | None = name_or_path
     while wanted is not None:
         path = find("model", wanted, reference)
         if path.resolve() in [link[0].resolve() for link in chain]:
             loop = " -> ".join([*(link[0].stem for link in chain), path.stem])
             raise DeclarationError(Problem(reference.place, reference.path, f"extends itself: {loop}"))
-        node, digest = _read_file(path)
+        node, digest = _read_file("model", path, str(wanted), reference, refused)
         data = plain_mapping(node)
         if chain or "extends" in data:
-            _read_alone(ModelDeclaration, node, data)
+            _read_alone(ModelDeclaration, node, data, refused)
         chain.append((path, node, data))
         files[str(path)] = digest
         wanted = str(data["extends"]) if data.get("extends") is not None else None
@@ -79,7 +94,7 @@ def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> Mode
             for name, entry in data.get(section, {}).items():
                 if not isinstance(entry, dict):
                     places.values[f"{section}.{name}.{key}"] = places.values[f"{section}.{name}"]
-    return read(ModelDeclaration, merged, places, files, check_model)
+    return read(ModelDeclaration, merged, places, files, check_model, refused=refused)
 
 
 def load_plant(name_or_path: str | Path, reference: Reference = NOWHERE) -> PlantDeclaration:
@@ -88,9 +103,11 @@ def load_plant(name_or_path: str | Path, reference: Reference = NOWHERE) -> Plan
 
 
 def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
-    """Load a plant and check it against the model that it names."""
+    """Load a plant and check it against the model that it names, the units of both included."""
     plant = load_plant(name_or_path)
-    problems = check_plant(plant, load_model(plant.model, refer(plant, "model")))
+    model = load_model(plant.model, refer(plant, "model"))
+    problems = check_plant(plant, model) + check_dimensions(model) + check_scales(model)
+    problems += check_plant_units(plant, model)
     if problems:
         raise DeclarationError(in_order(problems))
     return plant
@@ -114,6 +131,11 @@ def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Ass
     return Assembly(experiment, rig, plant_model, virtual_model, believed_model)
 
 
+def check_units(assembly: Assembly) -> list[Problem]:
+    """List the units of an experiment's plant that do not go with those of its model; needs pint."""
+    return check_plant_units(assembly.plant, assembly.plant_model)
+
+
 def refer(declaration: Declaration, path: str) -> Reference:
     """Give the reference that stands at a path of a declaration; files are looked up from its folder."""
     place = declaration.place(path)
@@ -122,22 +144,34 @@ def refer(declaration: Declaration, path: str) -> Reference:
 
 def _load(kind: type[D], name_or_path: str | Path, reference: Reference) -> D:
     path = find(kind.kind_name, name_or_path, reference)
-    node, digest = _read_file(path)
+    refused: list[Problem] = []
+    node, digest = _read_file(kind.kind_name, path, str(name_or_path), reference, refused)
     places = Places()
     places.add(node)
-    return read(kind, plain_mapping(node), places, {str(path): digest}, lambda *_: [])
+    return read(kind, plain_mapping(node), places, {str(path): digest}, lambda *_: [], refused=refused)
 
 
-def _read_file(path: Path) -> tuple[Node, str]:
+def _read_file(kind: str, path: Path, shown: str, reference: Reference, refused: list[Problem]) -> tuple[Node, str]:
+    """Read a file that must be of a kind, with its SHA-256; `refused` takes the scalars that are none."""
     data = strict_yaml.read_bytes(path)
-    return strict_yaml.decode(data, str(path)), hashlib.sha256(data).hexdigest()
+    node = strict_yaml.decode(data, str(path), refused)
+    found = kind_of_keys(node.value if isinstance(node.value, dict) else ())
+    if found not in {None, kind}:
+        raise DeclarationError(wrong_kind(kind, str(found), shown, reference, node))
+    return node, hashlib.sha256(data).hexdigest()
 
 
-def _read_alone(kind: type[D], node: Node, data: Mapping[str, Any]) -> None:
+def _read_alone(kind: type[D], node: Node, data: Mapping[str, Any], refused: list[Problem]) -> None:
     """Check one file of a chain against the schema; the whole check comes when the chain is merged."""
     places = Places()
     places.add(node)
-    read(kind, data, places, {}, lambda *_: [])
+    try:
+        read(kind, data, places, {}, lambda *_: [])
+    except DeclarationError as error:
+        known = {problem.place for problem in refused}
+        fresh = [problem for problem in error.problems if problem.place not in known]
+        if fresh:
+            raise DeclarationError(in_order([*refused, *fresh])) from None
 
 
 def _extended(base: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:

@@ -53,7 +53,7 @@ _AMBIGUOUS: tuple[tuple[re.Pattern[str], str, str], ...] = (  # what YAML 1.1 ma
         "leave the underscores away",
     ),
 )
-_NO_SPACE = re.compile(r"(?:.*[\s{,])?['\"]?[A-Za-z]\w*['\"]*:[^\s:/]")
+_NO_SPACE = re.compile(r"[\w)]['\"]*:[^\s:/]")
 _CONTENT = re.compile(r"\s*[^\s#]")
 _KEY = re.compile(r":(?: |$)")
 _LONGEST_SHOWN, _LINES_ABOVE = 40, 50
@@ -203,7 +203,7 @@ class _Builder:
         if "expected ':'" in message and start:
             return self.without_colon(*_position(start))
         if re.search("mapping values|unexpected ':'|expected key", message):
-            if _NO_SPACE.match(text):
+            if _NO_SPACE.search(text):
                 mend = "write a space after ':'"
             elif "mapping values" in message:
                 above = [i for i in range(max(0, line - _LINES_ABOVE), line) if _CONTENT.match(self.lines[i])]
@@ -221,8 +221,10 @@ class _Builder:
         name = re.match(r"[^\s:]*", text)
         key = name[0] if name else ""
         shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
-        mend = "write a space after ':'" if _NO_SPACE.match(text) else f"write {key}: ..."
-        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: no ':' after '{shown}'", mend)
+        what, mend = f"no ':' after '{shown}'", f"write {key}: ..."
+        if _NO_SPACE.search(text):
+            what, mend = f"no space after ':' in '{shown}'", "write a space after ':'"
+        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {what}", mend)
 
     def take(self, event: yaml.Event) -> None:
         """Add one event to the tree."""
