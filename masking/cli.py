@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -90,7 +91,7 @@ def _parser() -> argparse.ArgumentParser:
 def _list(chosen: argparse.Namespace) -> int:
     entries = verbs.list()
     if chosen.json:
-        print(verbs.as_json(entries))
+        print(json.dumps([asdict(entry) for entry in entries], indent=2))
         return 0
     width = max(len(entry.name) for entry in entries)
     for kind in verbs.KINDS:
@@ -110,10 +111,11 @@ def _show(chosen: argparse.Namespace) -> int:
 def _check(chosen: argparse.Namespace) -> int:
     results = verbs.check(*chosen.files)
     if chosen.json:
-        print(verbs.as_json(results))
+        told = [{"file": r.file, "kind": r.kind, "problems": [p.as_dict() for p in r.problems]} for r in results]
+        print(json.dumps(told, indent=2))
     else:
         for result in results:
-            print("\n".join(result.problems) or f"{result.file}: a sound {result.kind}")
+            print("\n".join(map(str, result.problems)) or f"{result.file}: a sound {result.kind}")
     return 2 if any(result.problems for result in results) else 0
 
 

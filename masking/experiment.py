@@ -18,7 +18,7 @@ import numpy as np
 from masking.blocks import Transform, check_actuation
 from masking.closed_loop import ClosedLoop
 from masking.controller import Controller
-from masking.declaration import registry, schema
+from masking.declaration import meeting, registry, schema
 from masking.errors import DeclarationError, Problem
 from masking.fidelity import fidelity
 from masking.kernels import Array
@@ -117,8 +117,16 @@ class Experiment:
         """
         for model in (self.plant, self.controller.model, self.virtual):
             model.validate()
+        problems = [*registry.check_units(self.assembly), *self._check_size()]
+        if problems:
+            raise DeclarationError(problems)
         check_actuation(self.controller.model, self.controller.transform)
         self.virtual.initial_state(self.declaration.initial)
+
+    def _check_size(self) -> list[Problem]:
+        rows = meeting.recorded_rows(self.declaration, self.time_scale, ROWS_PER_UNIT)
+        columns = meeting.count_columns(self.assembly.plant_model, self.assembly.virtual_model)
+        return meeting.check_size(self.declaration, rows, columns)
 
     def run(self, progress: Callable[[float], None] | None = None) -> Recording:
         """Run the closed loop, integrate the virtual system by itself, and compare.
@@ -127,11 +135,17 @@ class Experiment:
             progress: called with the part done.
 
         Raises:
+            DeclarationError: a unit of the plant does not fit, or the recording would not fit into memory.
             ActuationError: the rig's inputs cannot accelerate every virtual coordinate.
             SingularityError: the decoupling matrix became singular on the way.
             IntegrationError: the run could not go on.
         """
         clock = time.perf_counter()
+        problems = (
+            self._check_size() if self.is_compiled else [*self._check_size(), *registry.check_units(self.assembly)]
+        )
+        if problems:
+            raise DeclarationError(problems)
         declaration, time_scale = self.declaration, self.time_scale
         rate = declaration.controller.rate
         for name in ("transform", "along", "solve_runge_kutta" if rate is None else "run_sampled"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -93,8 +94,9 @@ def run_sampled(
     rows = np.arange(0, samples, every)
     out_y, out_u = np.empty((len(rows), len(state))), np.empty((len(rows), len(loop.plant.inputs)))
     y, u, p, first = np.array(state, dtype=float), np.zeros(out_u.shape[1]), loop.values(), 0.0
-    for piece in np.array_split(np.arange(samples), min(PIECES, samples)):
-        begin, count = int(piece[0]), len(piece)
+    bounds = [samples * piece // PIECES for piece in range(PIECES + 1)]
+    for begin, end in itertools.pairwise(bounds):
+        count = end - begin
         row = -(-begin // every)
         status, done, first = loop.kernels.run_sampled(
             begin, count, 1.0 / rate, substeps, every, y, u, p, first, out_y[row:], out_u[row:]

@@ -18,7 +18,7 @@ import numpy as np
 from masking.compile import store
 from masking.compile.source import Module
 from masking.declaration import registry, schema
-from masking.declaration.dimensions import check_dimensions
+from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.expression import Expression
 from masking.equations import Equations
 from masking.errors import DeclarationError, ModelError
@@ -322,7 +322,7 @@ class Model:
         return [*self.coordinates, *(f"{c}'" for c in self.coordinates)]
 
     def _build(self) -> Module:
-        problems = check_dimensions(self.declaration)
+        problems = [*check_dimensions(self.declaration), *check_scales(self.declaration)]
         if problems:
             raise DeclarationError(problems)
         return module(self.equations)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 
 from masking.declaration import catalogue, strict_yaml
-from masking.errors import DeclarationError, MaskingError, Problem, RecordError, nearest
+from masking.errors import DeclarationError, MaskingError, Place, Problem, RecordError, nearest
 
 if TYPE_CHECKING:
     from masking import describe, experiment, model, recording, reporting
@@ -45,7 +44,7 @@ class Checked:
 
     file: str
     kind: str
-    problems: tuple[str, ...]
+    problems: tuple[Problem, ...]
 
 
 def list() -> tuple[Entry, ...]:
@@ -69,7 +68,7 @@ def show(name_or_path: str | Path, kind: str | None = None) -> describe.Descript
     Raises:
         DeclarationError: there is no such declaration, or it is wrong.
     """
-    kind = kind or kind_of(name_or_path)
+    kind = kind or catalogue.kind_of(name_or_path)
     if kind == "model":
         return describe.model(model.load_model(name_or_path))
     if kind == "plant":
@@ -148,23 +147,6 @@ def report(record: str | Path, out: str | Path | None = None) -> reporting.Repor
     return reporting.report(recording.Recording.load(path), folder)
 
 
-def kind_of(name_or_path: str | Path) -> str:
-    """Tell whether a name or file is a model, a plant or an experiment, by its name or by its keys."""
-    text = str(name_or_path)
-    for kind in KINDS:
-        if text in catalogue.names(kind):
-            return kind
-    if not text.endswith((".yaml", ".yml")) and "/" not in text:
-        names = [name for kind in KINDS for name in catalogue.names(kind)]
-        mend = nearest(text, names)
-        raise DeclarationError(Problem(None, "", f"there is no model, plant or experiment '{text}'", mend))
-    node = strict_yaml.load(catalogue.find("experiment", text))
-    keys = set(node.value) if isinstance(node.value, dict) else set()
-    if "virtual" in keys or "duration" in keys:
-        return "experiment"
-    return "plant" if keys & {"model", "kind", "sensors", "limits"} else "model"
-
-
 def check_folder(out: str | Path) -> None:
     """Refuse a folder that nothing can be written into, before anything is run.
 
@@ -179,12 +161,6 @@ def check_folder(out: str | Path) -> None:
         raise RecordError(f"{existing} may not be written; name another folder to save in")
 
 
-def as_json(value: object) -> str:
-    """Write entries, checks or descriptions as JSON."""
-    items: Any = [asdict(v) for v in value] if isinstance(value, Sequence) else value
-    return json.dumps(items, indent=2, ensure_ascii=False, default=str)
-
-
 def _kinds(file: str | Path) -> tuple[str, ...]:
     """Return every kind that a packaged name stands for; '' where the file itself must tell."""
     return tuple(kind for kind in KINDS if str(file) in catalogue.names(kind)) or ("",)
@@ -192,7 +168,7 @@ def _kinds(file: str | Path) -> tuple[str, ...]:
 
 def _check(file: str | Path, kind: str) -> Checked:
     try:
-        kind = kind or kind_of(file)
+        kind = kind or catalogue.kind_of(file)
         if kind == "model":
             model.load_model(file).validate()
         elif kind == "plant":
@@ -200,7 +176,7 @@ def _check(file: str | Path, kind: str) -> Checked:
         else:
             experiment.Experiment.load(file).validate()
     except DeclarationError as error:
-        return Checked(str(file), kind or "file", tuple(str(problem) for problem in error.problems))
+        return Checked(str(file), kind or "file", error.problems)
     except MaskingError as error:
-        return Checked(str(file), kind or "file", (f"{file}: {error}",))
+        return Checked(str(file), kind or "file", (Problem(Place(str(file), 1, 1), "", str(error)),))
     return Checked(str(file), kind, ())
