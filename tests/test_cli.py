@@ -183,3 +183,54 @@ def test_the_wheel_carries_models_plants_and_examples():
     text = (Path(__file__).parent.parent / "pyproject.toml").read_text(encoding="utf-8")
     for folder in ("models", "plants", "examples"):
         assert f'"{folder}" = "masking/{folder}"' in text
+
+
+@pytest.mark.parametrize(
+    ("mass", "said"),
+    [
+        ("0", "the matrix of the accelerations is singular at the declared values; look for a mass that is 0"),
+        ("-0.2", "the kinetic energy is not positive at the declared values"),
+    ],
+)
+def test_check_refuses_masses_that_cannot_be(capsys, tmp_path, mass, said):
+    path = tmp_path / "pendulum.yaml"
+    path.write_text(
+        f"name: pendulum\ncoordinates: {{th: {{initial: 0.1}}}}\nparameters: {{m: {mass}, g: 9.81}}\n"
+        "lagrangian: m*(th'**2/2 + g*cos(th))\n",
+        encoding="utf-8",
+    )
+    status, out, _ = run(capsys, "check", path)
+    assert status == 2
+    assert said in out
+
+
+def test_a_transform_that_is_not_invertible_is_refused(capsys, tmp_path):
+    path = tmp_path / "flat.yaml"
+    path.write_text(SHORT + "transform: {matrix: [[1, 0, 0], [1, 0, 0], [0, 0, 1]]}\n", encoding="utf-8")
+    status, out, _ = run(capsys, "check", path)
+    assert status == 2
+    assert "transform: not invertible: x1, x2, x3 do not move independently" in out
+    assert "none depends on x2" in out
+
+
+def test_an_unstable_sampled_loop_is_told_as_such_and_keeps_the_last_recording(capsys, short, tmp_path):
+    out = tmp_path / "out"
+    assert run(capsys, "run", short, "--out", out)[0] == 0
+    before = (out / "recording.parquet").read_bytes()
+    short.write_text(SHORT.replace("continuous", "20 Hz").replace("duration: 20", "duration: 2000"), encoding="utf-8")
+    status, printed, err = run(capsys, "run", short, "--out", out)
+    assert status == 1
+    assert printed == ""
+    assert "the masked rig became unstable and grew without bound" in err
+    assert "raise controller.rate, or try 'rate: continuous'" in err
+    assert f"{out} still holds the run of " in err
+    assert (out / "recording.parquet").read_bytes() == before
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_run(capsys, short, tmp_path):
+    occupied = tmp_path / "occupied"
+    occupied.write_text("mine", encoding="utf-8")
+    status, _, err = run(capsys, "run", short, "--out", occupied)
+    assert status == 2
+    assert f"{occupied} is a file; name a folder to save in" in err
+    assert occupied.read_text(encoding="utf-8") == "mine"
