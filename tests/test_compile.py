@@ -375,7 +375,7 @@ def test_a_second_process_starts_from_the_cache_without_sympy_and_numba():
     )
     np.testing.assert_array_equal(found[0], here)
     assert found[1] == []
-    assert files() == before
+    assert before.items() <= files().items()  # tests beside this one may add functions of the same model
 
 
 def test_equations_make_the_key_and_values_do_not(declared):

@@ -170,11 +170,9 @@ def _optimise(module: Any) -> None:  # noqa: ANN401
     builder.getModulePassManager().run(module, builder)
 
 
-@cache
 def _machine() -> Any:  # noqa: ANN401  (llvmlite has no types)
-    """Return the description of this processor that machine code is made for."""
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
+    """Return a new description of this processor that machine code is made for; an engine takes it over."""
+    _initialise()
     return llvm.Target.from_default_triple().create_target_machine(
         cpu=llvm.get_host_cpu_name(),
         features=llvm.get_host_cpu_features().flatten(),
@@ -182,6 +180,12 @@ def _machine() -> Any:  # noqa: ANN401  (llvmlite has no types)
         reloc="pic",
         codemodel="jitdefault",
     )
+
+
+@cache
+def _initialise() -> None:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
 
 
 @cache
@@ -196,17 +200,13 @@ _engines: list[Any] = []  # an engine owns the machine code that it has loaded
 
 def _engine_address(path: Path) -> int:
     """Load an object file into this process; return the address of its entry."""
+    _initialise()
     _provide_error_symbols()
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine_for_engine())
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
     engine.add_object_file(llvm.ObjectFileRef.from_path(str(path)))
     engine.finalize_object()
     _engines.append(engine)
     return int(engine.get_function_address(ENTRY))
-
-
-def _machine_for_engine() -> Any:  # noqa: ANN401
-    _machine.cache_clear()  # an engine takes its target machine over
-    return _machine()
 
 
 @cache
