@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from masking.compile.graph import Graph, Node
-from masking.compile.source import LARGEST_TAYLOR_COST, TAYLOR_ORDER, Module
+from masking.compile.source import LARGEST_TAYLOR_COST, Module, taylor_order
 from masking.compile.taylor import cost, degree, is_analytic
 from masking.equations import Equations
 from masking.linear import solve
@@ -88,11 +88,13 @@ def module(equations: Equations) -> Module:
     time = lowered.symbols[equations.symbols.t]
     states = [lowered.symbols[x] for x in (*equations.symbols.q, *equations.symbols.v)]
     derivatives = [*states[n:], *lowered.accelerations]
+    products = cost(graph, derivatives)
+    order = taylor_order(products)
     use_taylor = (
         n > 0
         and is_analytic(graph, [*derivatives, lowered.health])
-        and cost(graph, derivatives) <= LARGEST_TAYLOR_COST
-        and degree(graph, derivatives) < TAYLOR_ORDER
+        and products <= LARGEST_TAYLOR_COST
+        and degree(graph, derivatives) < order
     )
     energy = equations.energy
     outputs = {name: equations.symbolic(output.expression) for name, output in equations.declaration.outputs.items()}
@@ -126,8 +128,8 @@ def module(equations: Equations) -> Module:
     if energy is not None:
         module.add("energy(t, q, v, p)", graph, [], split, returns=lowered.lower(energy))
     if use_taylor:
-        module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined)
-        module.add_kernel(SOLVE_TAYLOR.format(order=TAYLOR_ORDER, size=2 * n), "idi", (TAYLOR_ORDER + 1, 2 * n))
+        module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined, order=order)
+        module.add_kernel(SOLVE_TAYLOR.format(order=order, size=2 * n), "idi", (order + 1, 2 * n))
     module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=2 * n), "idi", (24, 2 * n))
     return module
 
