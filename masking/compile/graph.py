@@ -25,9 +25,7 @@ else:
 
 Node = int
 
-UNARY = ("neg", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log")
 NOT_ANALYTIC = ("abs", "sign", "min", "max", "heaviside", "where", "lt", "le", "atan2")
-BINARY = ("add", "sub", "mul", "div", "pow")
 
 
 @dataclass

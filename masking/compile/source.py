@@ -94,16 +94,10 @@ class Module:
         order: int,
     ) -> None:
         """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` of order k of state i."""
-        state_texts = {str(graph.operations[s][1]) for s in states}
-        rest = {symbol: text for symbol, text in loads.items() if symbol not in state_texts}
         body = [f"y{i}_0 = y[{i}]" for i in range(len(states))]
-        body += _loads(graph, list(derivatives), rest)
+        body += _loads(graph, [*derivatives, health], loads)
         body += coefficients(graph, states, derivatives, time, order)
         body += [f"c[{k}, {i}] = y{i}_{k}" for k in range(order + 1) for i in range(len(states))]
-        text = [f"{graph.operations[s][1]} = y[{i}]" for i, s in enumerate(states)]
-        names = {graph.operations[n][1] for n in needed(graph, [health]) if graph.operations[n][0] == "symbol"}
-        body += [line for line in text if line.split(" = ")[0] in names]
-        body += _loads(graph, [health], {k: v for k, v in rest.items() if f"{k} = {v}" not in body})
         body += statements(graph, [("health", health)])
         self._function("coefficients(t, y, u, p, c)", [*body, "return health"], FREE_DECORATOR)
 

@@ -79,18 +79,6 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
     return problems
 
 
-def resolve_parameters(model: ModelDeclaration, overrides: Mapping[str, float]) -> dict[str, float]:
-    """Give the value of every parameter, expressions evaluated, in the order of declaration.
-
-    The numbers are those of the file, in declared units; an expression combines them as they are.
-    Raises `DeclarationError` for an unknown override, a cycle, and a value that is not finite or is outside its bounds.
-    """
-    values, problems = parameter_values(model, overrides)
-    if problems:
-        raise DeclarationError(problems)
-    return values
-
-
 def problem_at(declaration: Declaration, path: str, message: str, mend: str = "", at_key: bool = False) -> Problem:
     """Describe what is wrong with one value of a declaration, or with its key."""
     place = declaration.key_place(path) if at_key else declaration.place(path)
