@@ -118,18 +118,56 @@ class MappedCoordinates:
 
 @dataclass(frozen=True)
 class DesiredDynamics:
-    """D: the accelerations that the virtual system has at given virtual coordinates and velocities (6.2)."""
+    """D: the accelerations that the virtual system has at given virtual coordinates and velocities (6.2).
+
+    Args:
+        virtual: the virtual system.
+        regulation: what is held besides its dynamics, if anything.
+    """
 
     virtual: Model
+    regulation: schema.Regulation | None = None
+
+    def values(self) -> list[float]:
+        """Return the parameters of the regulation: energy, rate, coupling; 0 for an energy that is not held."""
+        wanted = self.regulation
+        return [] if wanted is None else [wanted.energy or 0.0, wanted.rate, wanted.coupling]
 
     def lower(
-        self, graph: Graph, time: Node, eta: Sequence[Node], rate: Sequence[Node], p: Sequence[Node]
+        self,
+        graph: Graph,
+        time: Node,
+        eta: Sequence[Node],
+        rate: Sequence[Node],
+        p: Sequence[Node],
+        *,
+        regulation: Sequence[Node] = (),
     ) -> list[Node]:
-        """Lower eta'' = F(tau, eta, eta'), with the virtual system's inputs at zero."""
+        """Lower eta'' = F(tau, eta, eta'), with the virtual system's inputs at zero, and its regulation."""
         s = self.virtual.equations.symbols
         u = [graph.number(0.0)] * len(s.u)
         known = dict(zip((s.t, *s.q, *s.v, *s.u, *s.p), (time, *eta, *rate, *u, *p), strict=True))
-        return LoweredEquations.of(self.virtual.equations, graph, known=known).accelerations
+        lowered = LoweredEquations.of(self.virtual.equations, graph, known=known)
+        wanted = list(lowered.accelerations)
+        if self.regulation is None:
+            return wanted
+        energy, speed, coupling = regulation
+        moving = [self.virtual.coordinates.index(name) for name in self.virtual.oscillators]
+        if self.regulation.energy is not None:
+            # Oscillators are damped where the energy is above the wanted one, and driven where it is below.
+            held = self.virtual.equations.energy
+            if held is None:
+                raise ModelError(f"{self.virtual.name} has no energy to regulate: declare energy, or a lagrangian")
+            excess = graph.sub(graph.div(lowered.lower(held), energy), graph.number(1.0))
+            for i in moving:
+                wanted[i] = graph.sub(wanted[i], graph.mul(graph.mul(speed, excess), rate[i]))
+        if self.regulation.phase is not None:
+            mean = graph.div(graph.total([rate[i] for i in moving]), graph.number(float(len(moving))))
+            for i in moving:
+                # In-phase motion is the mean, anti-phase motion of two what differs from it: the other is damped.
+                unwanted = mean if self.regulation.phase == "anti" else graph.sub(rate[i], mean)
+                wanted[i] = graph.sub(wanted[i], graph.mul(coupling, unwanted))
+        return wanted
 
 
 @dataclass(frozen=True)
@@ -144,13 +182,13 @@ class Cancellation:
     def lower(
         self, graph: Graph, time: Node, q: Sequence[Node], v: Sequence[Node], p: Sequence[Node]
     ) -> tuple[list[Node], list[list[Node]], Node]:
-        """Lower a0 (n,), B (n, k) and the determinant of the mass matrix.
+        """Lower a0 (n,), B (n, k) and the determinant of the mass matrix; `v` holds the internal states at its end.
 
         Raises:
             ModelError: an acceleration is not affine in the inputs.
         """
         s = self.model.equations.symbols
-        known = dict(zip((s.t, *s.q, *s.v, *s.p), (time, *q, *v, *p), strict=True))
+        known = dict(zip((s.t, *s.q, *s.v, *s.s, *s.p), (time, *q, *v, *p), strict=True))
         mass = [[graph.lower(e, known) for e in row] for row in self.model.equations.mass.tolist()]
         free = self.model.equations.force.subs(dict.fromkeys(s.u, 0))
         right = [
@@ -193,7 +231,7 @@ def check_actuation(model: Model, transform: Transform) -> None:
     """
     s = model.equations.symbols
     generator = np.random.default_rng(0)
-    symbols = (s.t, *s.q, *s.v, *s.p, *transform.parameter_symbols)
+    symbols = (s.t, *s.q, *s.v, *s.s, *s.p, *transform.parameter_symbols)
     point = dict(zip(symbols, generator.uniform(0.5, 1.5, len(symbols)), strict=True))
 
     def number(matrix: sp.Matrix) -> np.ndarray:

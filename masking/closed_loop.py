@@ -73,6 +73,13 @@ class ClosedLoop:
                     f"the controller's model {believed.name} has the {what} {', '.join(ours)}, the plant "
                     f"{self.plant.name} has {', '.join(theirs)}; both must have the same, in the same order"
                 )
+        unknown = [name for name in believed.declaration.states if name not in self.plant.declaration.states]
+        if unknown:
+            raise ModelError(
+                f"the controller's model {believed.name} has the internal states {', '.join(unknown)}, which the plant "
+                f"{self.plant.name} does not have: a controller that knows the true state needs them there; let it "
+                "estimate them with an observer, or take another controller.model"
+            )
 
     def values(self) -> Array:
         """Return the parameter array: the controller's, then the plant's."""
@@ -128,11 +135,11 @@ class ClosedLoop:
         It has no inputs; its states are the rig's coordinates and velocities in SI units, its outputs the virtual
         coordinates, in the virtual system's units, and the rig's inputs.
         """
-        kernels, n, p = self.kernels, len(self.plant.coordinates), self.values()
+        kernels, p = self.kernels, self.values()
         k, m = len(self.controller.virtual.coordinates), len(self.plant.inputs)
 
         def update(t: float, x: Array, u: Array, params: Mapping[str, float]) -> Array:
-            rate = np.empty(2 * n)
+            rate = np.empty(len(x))
             kernels.derivative(float(t), np.array(x, float), np.zeros(m), p, rate)
             return rate
 
@@ -142,11 +149,12 @@ class ClosedLoop:
             return np.concatenate([virtual[0, :k], inputs[0]])
 
         names = self.plant.coordinates
+        internal = self.plant.declaration.states
         return control.nlsys(
             update,
             output,
             inputs=0,
-            states=[*names, *(f"{c}'" for c in names)],
+            states=[*names, *(f"{c}'" for c in names), *internal],
             outputs=[*self.controller.virtual.coordinates, *self.plant.inputs],
             name=f"{self.plant.name} as {self.controller.virtual.name}",
         )
@@ -161,13 +169,15 @@ def _module(loop: ClosedLoop) -> Module:
     controller, n = loop.controller, len(loop.plant.coordinates)
     graph = Graph()
     s = loop.plant.equations.symbols
+    internal = {name: graph.symbol(f"s_{name}", varying=True) for name in loop.plant.declaration.states}
     rig = RigSymbols(
         graph.symbol("t", varying=True),
         [graph.symbol(f"q_{c}", varying=True) for c in loop.plant.coordinates],
         [graph.symbol(f"v_{c}", varying=True) for c in loop.plant.coordinates],
+        [internal[name] for name in controller.model.declaration.states],
     )
     law = ControlLaw.of(controller, graph, rig)
-    known = dict(zip((s.t, *s.q, *s.v), (rig.t, *rig.q, *rig.v), strict=True))
+    known = dict(zip((s.t, *s.q, *s.v, *s.s), (rig.t, *rig.q, *rig.v, *internal.values()), strict=True))
     driven = LoweredEquations.of(
         loop.plant.equations, graph, known={**known, **dict(zip(s.u, law.inputs, strict=True))}
     )
@@ -175,10 +185,9 @@ def _module(loop: ClosedLoop) -> Module:
 
     p = ControllerParameters.of(controller, graph)
     split = {**p.loads(graph), **plant.loads("q[{i}]", "v[{i}]", offset=p.count)}
-    split |= {f"v_{c}": f"v[{i}]" for i, c in enumerate(loop.plant.coordinates)}
-    joined = split | {f"q_{c}": f"y[{i}]" for i, c in enumerate(loop.plant.coordinates)}
-    joined |= {f"v_{c}": f"y[{n + i}]" for i, c in enumerate(loop.plant.coordinates)}
-    derivatives = [*rig.v, *driven.accelerations]
+    joined = {**p.loads(graph), **plant.joined(offset=p.count)}
+    size = 2 * n + len(internal)
+    derivatives = [*rig.v, *driven.accelerations, *driven.rates]
     health = graph.mul(law.health, driven.health)
     meta = {
         "kind": "closed loop",
@@ -201,16 +210,16 @@ def _module(loop: ClosedLoop) -> Module:
     add("drive(t, q, v, p, out)", "out", law.drive)
     add("input_matrix(t, q, v, p, out)", "out", [x for row in law.input_matrix for x in row])
     add("step(t, q, v, u, p)", "u", law.inputs, law.health)
-    add("plant_derivative(t, y, u, p, dy)", "dy", [*rig.v, *plant.accelerations], plant.health)
+    add("plant_derivative(t, y, u, p, dy)", "dy", [*rig.v, *plant.accelerations, *plant.rates], plant.health)
     add("derivative(t, y, u, p, dy)", "dy", derivatives, health)
-    module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=2 * n), "idi", (24, 2 * n))
-    module.add_kernel(RUN_SAMPLED.format(size=2 * n), "iid", (5, 2 * n))
-    module.add_kernel(ALONG, "")
+    module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=size), "idi", (24, size))
+    module.add_kernel(RUN_SAMPLED.format(size=size, count=n), "iid", (5, size))
+    module.add_kernel(ALONG.format(count=n), "")
     return module
 
 
 RUN_SAMPLED = """
-_sampled = integrate.sampled(step, plant_derivative, {size})
+_sampled = integrate.sampled(step, plant_derivative, {size}, {count})
 
 
 @compiled
@@ -220,8 +229,7 @@ def run_sampled(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u,
 ALONG = """
 @compiled
 def along(times, states, p, virtual, inputs):
-    n = states.shape[1] // 2
     for i in range(times.size):
-        transform(times[i], states[i, :n], states[i, n:], p, virtual[i])
-        step(times[i], states[i, :n], states[i, n:], inputs[i], p)
+        transform(times[i], states[i, :{count}], states[i, {count}:], p, virtual[i])
+        step(times[i], states[i, :{count}], states[i, {count}:], inputs[i], p)
 """

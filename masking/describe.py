@@ -43,11 +43,13 @@ def model(subject: Model) -> Description:
     d, e = subject.declaration, subject.equations
     lines = _head(d)
     lines += _table("coordinates", [(n, c.unit, c.meaning) for n, c in d.coordinates.items()])
+    lines += _table("internal states", [(n, z.unit, z.meaning) for n, z in d.states.items()])
     lines += _table("inputs", [(n, i.unit, i.meaning) for n, i in d.inputs.items()])
     lines += _table("outputs", [(n, o.unit, o.meaning or o.expression.text) for n, o in d.outputs.items()])
     equations = dict(zip([s.name for s in e.symbols.a], e.accelerations, strict=True))
     sides = zip(e.mass * sp.Matrix(e.symbols.a), e.force, strict=True)
-    lines += ["equations", *(line for left, right in sides for line in _equation(left, right)), ""]
+    rates = {f"{n}'": rate for n, rate in zip(d.states, e.rates, strict=True)}
+    lines += ["equations", *(line for left, right in (*sides, *rates.items()) for line in _equation(left, right)), ""]
     if e.energy is not None:
         lines += ["energy", *_equation("E", e.energy), ""]
     values = subject.parameter_values()
@@ -65,6 +67,7 @@ def model(subject: Model) -> Description:
     content = {
         **d.canonical(),
         "accelerations": {name: {"text": str(x), "latex": sp.latex(x)} for name, x in equations.items()},
+        "rates": {name: {"text": str(x), "latex": sp.latex(x)} for name, x in rates.items()},
         "values": values,
         "dimensionless": scaled,
     }

@@ -26,7 +26,12 @@ else:
 
 @dataclass(frozen=True)
 class Symbols:
-    """The symbols of a model: time, and per coordinate its value, velocity and acceleration."""
+    """The symbols of a model: time, per coordinate its value, velocity and acceleration, inputs, parameters, states.
+
+    The state vector is y = [q, v, s]: coordinates, velocities, internal states. Every function that takes q and v
+    apart keeps the arguments (t, q, v, u, p): its `v` holds the n velocities and then the internal states, s[i] at
+    v[n + i].
+    """
 
     t: sp.Symbol
     q: tuple[sp.Symbol, ...]
@@ -34,11 +39,12 @@ class Symbols:
     a: tuple[sp.Symbol, ...]
     u: tuple[sp.Symbol, ...]
     p: tuple[sp.Symbol, ...]
+    s: tuple[sp.Symbol, ...] = ()
 
     @property
     def by_name(self) -> dict[str, sp.Symbol]:
         """Return every symbol by the name that declarations use, such as x1, x1' and x1''."""
-        return {s.name: s for s in (self.t, *self.q, *self.v, *self.a, *self.u, *self.p)}
+        return {s.name: s for s in (self.t, *self.q, *self.v, *self.a, *self.u, *self.p, *self.s)}
 
 
 @dataclass(frozen=True)
@@ -71,6 +77,7 @@ class Equations:
             make(self.coordinates, "''"),
             make(tuple(self.declaration.inputs)),
             make(tuple(self.declaration.parameters)),
+            make(tuple(self.declaration.states)),
         )
 
     @cached_property
@@ -110,9 +117,14 @@ class Equations:
         """Return the accelerations as explicit expressions of time, state, inputs and parameters."""
         if not self.coordinates:
             return ()
-        algebra = _Symbolic(frozenset((self.symbols.t, *self.symbols.q, *self.symbols.v)))
+        algebra = _Symbolic(frozenset((self.symbols.t, *self.symbols.q, *self.symbols.v, *self.symbols.s)))
         solution, _ = solve(algebra, self.mass.tolist(), self.force.tolist())
         return tuple(row[0] for row in solution)
+
+    @cached_property
+    def rates(self) -> tuple[sp.Expr, ...]:
+        """Return the rates of the internal states as expressions of time, state, inputs and parameters."""
+        return tuple(self.symbolic(right) for right in self.declaration.rates.values())
 
     @cached_property
     def energy(self) -> sp.Expr | None:
@@ -145,7 +157,7 @@ class Equations:
     def _collect_accelerations(self) -> tuple[sp.ImmutableMatrix, sp.ImmutableMatrix]:
         residuals: list[sp.Expr] = []
         pure: dict[int, int] = {}
-        for left, right in self.declaration.equations.items():
+        for left, right in self.declaration.motion.items():
             side = self.symbolic(left)
             if side in self.symbols.a:
                 pure[self.symbols.a.index(side)] = len(residuals)
@@ -174,6 +186,7 @@ class Equations:
                 mass[i, j] = sp.diff(momentum, s.v[j])
             applied = self.symbolic(declaration.forces[name]) if name in declaration.forces else 0
             gyroscopic = sum(sp.diff(momentum, q) * v for q, v in zip(s.q, s.v, strict=True)) + sp.diff(momentum, s.t)
+            gyroscopic += sum(sp.diff(momentum, z) * rate for z, rate in zip(s.s, self.rates, strict=True))
             force[i] = applied - sp.diff(dissipation, s.v[i]) + sp.diff(lagrangian, s.q[i]) - gyroscopic
         if any(mass[i, i] == 0 for i in range(len(s.q))):
             massless = self.coordinates[[mass[i, i] for i in range(len(s.q))].index(0)]

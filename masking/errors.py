@@ -121,6 +121,45 @@ class RecordError(MaskingError):
     exit_status = 2
 
 
+class PlantError(MaskingError):
+    """A plant could not do what was asked of it."""
+
+
+class PlantLostError(PlantError):
+    """A plant does not answer, or ended the session; says which and how to get it back."""
+
+
+class PlantOrderError(PlantError):
+    """A plant was used out of the order configure, activate, read and write, deactivate."""
+
+    exit_status = 2
+
+
+class PlantRefusedError(PlantError):
+    """A plant refused a controller, such as a second one."""
+
+
+class PlantMismatchError(PlantError):
+    """Channels or settings of a plant are not those that the controller was made for."""
+
+    exit_status = 2
+
+
+class CommandError(PlantError):
+    """A command is not one finite number for each actuator."""
+
+
+class WireError(PlantError):
+    """A datagram is no frame that may be used; `cause` is the word that it is counted under."""
+
+    def __init__(self, cause: str, message: str) -> None:
+        self.cause = cause
+        super().__init__(cause, message)
+
+    def __str__(self) -> str:
+        return f"{self.args[0]}: {self.args[1]}"
+
+
 def nearest(name: str, allowed: Iterable[str]) -> str:
     """Say which allowed name was probably meant, or list what is allowed."""
     names = sorted(allowed) if isinstance(allowed, Set) else list(dict.fromkeys(allowed))

@@ -7,7 +7,7 @@ import platform
 import subprocess
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -19,12 +19,16 @@ from masking.blocks import Transform, check_actuation
 from masking.closed_loop import ClosedLoop
 from masking.controller import Controller
 from masking.declaration import meeting, registry, schema
-from masking.errors import DeclarationError, Problem
+from masking.errors import DeclarationError, ModelError, Problem
 from masking.fidelity import fidelity
+from masking.instruments import Instruments
 from masking.kernels import Array
-from masking.loop import Run, rig_state, run_continuous, run_sampled
+from masking.loop import TwinRun, rig_state, run_continuous, run_sampled, run_twin
 from masking.model import Model
+from masking.observer import Differences, Disturbance, Kalman, Observer
 from masking.recording import Recording
+from masking.sampled import SampledController, SampledLoop
+from masking.twin import Twin
 
 # A continuous run is recorded so many times per unit of virtual time, where nothing else is asked for.
 ROWS_PER_UNIT = 10
@@ -65,9 +69,14 @@ class Experiment:
         return self.assembly.experiment
 
     @cached_property
+    def twin(self) -> Twin:
+        """Return the plant: its model with the effects it has, its actuators and sensors."""
+        return Twin(self.assembly.plant, self.assembly.plant_model, self.declaration.effects)
+
+    @property
     def plant(self) -> Model:
-        """Return the model of the plant, in SI units."""
-        return Model(self.assembly.plant_model, self.assembly.plant.parameters)
+        """Return the model of the plant with the effects of its elements, in SI units."""
+        return self.twin.model
 
     @cached_property
     def virtual(self) -> Model:
@@ -82,7 +91,8 @@ class Experiment:
         overrides = {} if settings.model else self.assembly.plant.parameters
         believed = Model(self.assembly.believed_model, {**overrides, **settings.parameters})
         transform = Transform(believed, self.virtual, self.declaration.transform)
-        return Controller(believed, self.virtual, transform, self.time_scale, self.declaration.transform.parameters)
+        own = self.declaration.transform.parameters
+        return Controller(believed, self.virtual, transform, self.time_scale, own, settings.regulate)
 
     @property
     def time_scale(self) -> float:
@@ -95,8 +105,62 @@ class Experiment:
 
     @cached_property
     def loop(self) -> ClosedLoop:
-        """Return controller and plant, compiled together."""
+        """Return controller and plant, compiled together, for a controller that knows the true state."""
         return ClosedLoop(self.controller, self.plant)
+
+    @property
+    def has_observer(self) -> bool:
+        """Tell whether the controller runs at a rate and reads sensors."""
+        settings = self.declaration.controller
+        return settings.rate is not None and self.observer_settings.kind != "exact"
+
+    @property
+    def observer_settings(self) -> schema.ObserverSettings:
+        """Return how the rig's state is known; a sampled controller estimates disturbances where nothing is said."""
+        return self.declaration.controller.observer or schema.ObserverSettings()
+
+    @cached_property
+    def observer(self) -> Observer:
+        """Return the observer of a sampled controller."""
+        settings = self.observer_settings
+        if settings.kind == "differences":
+            return Differences()
+        if settings.kind == "kalman":
+            return Kalman(settings.bandwidth)
+        return Disturbance(settings.order, settings.bandwidth)
+
+    @cached_property
+    def instruments(self) -> Instruments:
+        """Return what the controller knows of sensors, actuators and limits."""
+        twin, factors = self.twin, self.twin.kernels.meta["factors"]
+        return Instruments(self.assembly.plant, self.controller.model, factors, twin.noise(), twin.delay)
+
+    @cached_property
+    def sampled(self) -> SampledController:
+        """Return the sampled controller, with the initial state to which it brings the rig."""
+        settings = self.declaration.controller
+        made = SampledController(
+            self.controller,
+            self.instruments,
+            self.observer,
+            settings.rate or 0.0,
+            self.observer_settings.noise,
+            settings.approach or 0.0,
+            np.zeros(len(self.controller.model.coordinates)),
+        )
+        state = rig_state(made, self.virtual.initial_state(self.declaration.initial))
+        n = len(made.end)
+        if made.approach and np.any(np.abs(state[n:]) > 1e-12 * np.abs(state[:n]).max()):
+            raise ModelError(
+                "controller.approach brings the rig to rest, but the initial state moves: give no initial velocities, "
+                "or leave approach out, so that a simulated rig starts in that state"
+            )
+        return replace(made, end=state[:n])
+
+    @cached_property
+    def sampled_loop(self) -> SampledLoop:
+        """Return sampled controller and twin, compiled together."""
+        return SampledLoop(self.sampled, self.twin)
 
     @property
     def stem(self) -> str:
@@ -106,7 +170,7 @@ class Experiment:
     @property
     def is_compiled(self) -> bool:
         """Tell whether the closed loop has been compiled before and is kept on disk."""
-        return self.loop.is_compiled
+        return (self.sampled_loop if self.has_observer else self.loop).is_compiled
 
     def validate(self) -> None:
         """Refuse what can be refused without running.
@@ -122,10 +186,14 @@ class Experiment:
             raise DeclarationError(problems)
         check_actuation(self.controller.model, self.controller.transform)
         self.virtual.initial_state(self.declaration.initial)
+        if self.has_observer:
+            _ = self.sampled.gain
 
     def _check_size(self) -> list[Problem]:
         rows = meeting.recorded_rows(self.declaration, self.time_scale, ROWS_PER_UNIT)
         columns = meeting.count_columns(self.assembly.plant_model, self.assembly.virtual_model)
+        if self.has_observer:
+            columns += len(self.twin.state_names) + 3 * len(self.twin.actuators) + len(self.twin.sensors)
         return meeting.check_size(self.declaration, rows, columns)
 
     def run(self, progress: Callable[[float], None] | None = None) -> Recording:
@@ -146,6 +214,8 @@ class Experiment:
         )
         if problems:
             raise DeclarationError(problems)
+        if self.has_observer:
+            return self._run_sampled(clock, progress)
         declaration, time_scale = self.declaration, self.time_scale
         rate = declaration.controller.rate
         for name in ("transform", "along", "solve_runge_kutta" if rate is None else "run_sampled"):
@@ -153,7 +223,8 @@ class Experiment:
         getattr(self.virtual.kernels, f"solve_{self.virtual.kernels.meta['method']}").prepare()
         compiled = time.perf_counter()
         initial = self.virtual.initial_state(declaration.initial)
-        state = rig_state(self.loop, initial)
+        internal = [state.initial for state in self.plant.declaration.states.values()]
+        state = np.concatenate([rig_state(self.loop, initial), internal])
         duration = declaration.duration * time_scale
         prepared = time.perf_counter()
         if rate is None:
@@ -162,46 +233,90 @@ class Experiment:
                 times = np.arange(int(duration * declaration.record.rate * (1.0 + 1e-12)) + 1) / declaration.record.rate
             run = run_continuous(self.loop, state, times, tolerance=declaration.tolerance, progress=progress)
         else:
-            every = max(1, round(rate / declaration.record.rate)) if declaration.record else 1
-            run = run_sampled(self.loop, state, rate=rate, duration=duration, every=every, progress=progress)
+            run = run_sampled(self.loop, state, rate=rate, duration=duration, every=self.every, progress=progress)
         ran = time.perf_counter()
-        ideal = self.virtual.kernels.integrate(
-            run.times / time_scale,
-            initial,
-            np.zeros(len(self.virtual.inputs)),
-            self.virtual.values(),
-            tolerance=min(declaration.tolerance, 1e-12),
-        )
+        ideal = self._ideal(run.times)
+        commands = run.inputs @ self.instruments.allocation.T
+        columns = Columns(self).add_motion(run.times, run.rig, run.virtual, ideal).add_actuators("input", commands)
         timing = {
             "compilation": compiled - clock,
             "preparation": prepared - compiled,
             "run": ran - prepared,
             "ideal": time.perf_counter() - ran,
         }
-        return self._record(run, ideal.states, timing)
+        return self._record(columns, timing)
 
-    def _record(self, run: Run, ideal: Array, timing: Mapping[str, float]) -> Recording:
-        virtual = self.virtual.coordinates
-        columns = {"t": run.times}
-        units: dict[str, dict[str, str]] = {"t": {"unit": "s", "meaning": "time"}}
-        for prefix, model, states in (
-            ("rig", self.plant, run.rig),
-            ("virtual", self.virtual, run.virtual),
-            ("ideal", self.virtual, ideal),
-        ):
-            n = len(model.coordinates)
-            for i, (name, coordinate) in enumerate(model.declaration.coordinates.items()):
-                unit = "1" if model.is_dimensionless else model.units.conversions[coordinate.unit].si
-                for prime, offset in (("", 0), ("'", n)):
-                    columns[f"{prefix}.{name}{prime}"] = np.ascontiguousarray(states[:, offset + i])
-                    what = coordinate.meaning if not prime else f"rate of {name}"
-                    unit = f"{unit}/s" if prime and not model.is_dimensionless else unit
-                    units[f"{prefix}.{name}{prime}"] = {"unit": unit, "meaning": what}
-        for i, (name, port) in enumerate(self.plant.declaration.inputs.items()):
-            columns[f"input.{name}"] = np.ascontiguousarray(run.inputs[:, i])
-            units[f"input.{name}"] = {"unit": port.unit, "meaning": port.meaning}
-        chi = {c: fidelity(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in virtual}
-        return Recording(columns, self._manifest(units, chi, timing))
+    def _run_sampled(self, clock: float, progress: Callable[[float], None] | None) -> Recording:
+        declaration, sampled = self.declaration, self.sampled
+        self.sampled_loop.kernels.run.prepare()
+        for name in ("transform", "transforms", "still"):
+            getattr(sampled.kernels, name).prepare()
+        for name in ("sense", "twin_derivative"):
+            getattr(self.twin.kernels, name).prepare()
+        getattr(self.virtual.kernels, f"solve_{self.virtual.kernels.meta['method']}").prepare()
+        compiled = time.perf_counter()
+        start = np.zeros(len(sampled.end)) if sampled.approach else sampled.end
+        _ = sampled.gain
+        prepared = time.perf_counter()
+        duration = declaration.duration * self.time_scale
+        run = run_twin(
+            self.sampled_loop, start, duration=duration, seed=declaration.seed, every=self.every, progress=progress
+        )
+        ran = time.perf_counter()
+        columns = self.sampled_columns(run)
+        timing = {
+            "compilation": compiled - clock,
+            "preparation": prepared - compiled,
+            "run": ran - prepared,
+            "ideal": time.perf_counter() - ran,
+        }
+        return self._record(columns, timing)
+
+    def sampled_columns(self, run: TwinRun) -> Columns:
+        """Return the columns of a sampled run; where a rig's true states are not known, `states` are estimates."""
+        times, states = run.times, run.states
+        virtual = np.empty((len(times), 2 * len(self.virtual.coordinates)))
+        self.sampled.kernels.transforms(times, np.ascontiguousarray(states), self.sampled.values(), virtual)
+        columns = Columns(self).add_motion(times, states, virtual, self._ideal(times))
+        columns.add_sensors(run.readings)
+        columns.add_actuators("input", run.applied).add_actuators("demanded", run.demanded)
+        if self.assembly.plant.limits.power is not None:
+            columns.add_power(run.power)
+        return columns
+
+    @property
+    def every(self) -> int:
+        """Return of how many samples one is recorded."""
+        rate, record = self.declaration.controller.rate, self.declaration.record
+        return max(1, round(rate / record.rate)) if rate is not None and record else 1
+
+    def _ideal(self, times: Array) -> Array:
+        """Return the virtual system integrated by itself, at times of the rig (m,), as states (m, 2 k)."""
+        found = self.virtual.kernels.integrate(
+            times / self.time_scale,
+            self.virtual.initial_state(self.declaration.initial),
+            np.zeros(len(self.virtual.inputs)),
+            self.virtual.values(),
+            tolerance=min(self.declaration.tolerance, 1e-12),
+        )
+        return found.states
+
+    def _record(self, made: Columns, timing: Mapping[str, float]) -> Recording:
+        columns = made.columns
+        chi = {c: fidelity(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in self.virtual.coordinates}
+        return Recording(columns, self._manifest(made.units, chi, timing))
+
+    def _observer_told(self) -> dict[str, Any]:
+        """Return what the observer is, for the manifest."""
+        sampled, settings = self.sampled, self.observer_settings
+        told: dict[str, Any] = {"kind": settings.kind, "delay": sampled.delay}
+        if sampled.has_model:
+            plan = self.instruments.plan(sampled.rate, sampled.noise)
+            speeds = self.observer.bandwidths(plan)
+            told |= {"order": self.observer.order, "fastest": plan.fastest}
+            told["noise"] = dict(zip(self.instruments.sensors, plan.noise, strict=True))
+            told["bandwidth"] = dict(zip(self.plant.coordinates, speeds, strict=True))
+        return told
 
     def _manifest(
         self, columns: Mapping[str, Mapping[str, str]], chi: Mapping[str, float], timing: Mapping[str, float]
@@ -236,9 +351,63 @@ class Experiment:
             "mode": "continuous" if rate is None else "sampled",
             "rate": rate,
             "limits": {name: {"max": limit.max, "unit": limit.unit} for name, limit in limits.items()},
+            "effects": {effect.label: effect.enabled for effect in self.twin.effects},
+            "observer": self._observer_told() if self.has_observer else None,
             "fidelity": dict(chi),
             "timing": dict(timing),
         }
+
+
+@dataclass
+class Columns:
+    """The columns of a recording, each with its unit and meaning, while they are gathered."""
+
+    experiment: Experiment
+    columns: dict[str, Array] = field(default_factory=dict)
+    units: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    def add(self, name: str, values: Array, unit: str, meaning: str) -> None:
+        """Add one column (m,)."""
+        self.columns[name] = np.ascontiguousarray(values)
+        self.units[name] = {"unit": unit, "meaning": meaning}
+
+    def add_motion(self, times: Array, rig: Array, virtual: Array, ideal: Array) -> Columns:
+        """Add time, and coordinates and velocities of the rig, the virtual system and the ideal."""
+        self.add("t", times, "s", "time")
+        experiment = self.experiment
+        for prefix, model, states in (
+            ("rig", experiment.plant, rig),
+            ("virtual", experiment.virtual, virtual),
+            ("ideal", experiment.virtual, ideal),
+        ):
+            n = len(model.coordinates)
+            for i, (name, coordinate) in enumerate(model.declaration.coordinates.items()):
+                unit = "1" if model.is_dimensionless else model.units.conversions[coordinate.unit].si
+                rate = unit if model.is_dimensionless else f"{unit}/s"
+                self.add(f"{prefix}.{name}", states[:, i], unit, coordinate.meaning)
+                self.add(f"{prefix}.{name}'", states[:, n + i], rate, f"rate of {name}")
+        return self
+
+    def add_sensors(self, readings: Array) -> Columns:
+        """Add the readings (m, sensors)."""
+        for i, (name, sensor) in enumerate(self.experiment.assembly.plant.sensors.items()):
+            self.add(f"sensor.{name}", readings[:, i], sensor.unit, sensor.meaning)
+        return self
+
+    def add_actuators(self, prefix: str, commands: Array) -> Columns:
+        """Add commands (m, actuators) as `input`, what was applied, or as `demanded`, before limits."""
+        assembly = self.experiment.assembly
+        ports: Mapping[str, schema.Actuator | schema.Input] = assembly.plant.actuators or assembly.plant_model.inputs
+        for i, (name, port) in enumerate(ports.items()):
+            meaning = port.meaning if prefix == "input" else f"demanded of {name}"
+            self.add(f"{prefix}.{name}", commands[:, i], port.unit, meaning)
+        return self
+
+    def add_power(self, power: Array) -> Columns:
+        """Add the mean power of each actuator (m, actuators), W."""
+        for i, name in enumerate(self.experiment.twin.actuators):
+            self.add(f"power.{name}", power[:, i], "W", f"mean power of {name}")
+        return self
 
 
 def _commit(files: Mapping[str, str]) -> str | None:

@@ -326,7 +326,7 @@ def runge_kutta_4(derivative: Kernel, size: int) -> Kernel:
     return advance
 
 
-def sampled(step: Kernel, derivative: Kernel, size: int) -> Kernel:
+def sampled(step: Kernel, derivative: Kernel, size: int, coordinates: int) -> Kernel:
     """Make the loop of a controller at a fixed rate, its outputs held between samples, and a plant.
 
     At sample k, at time k dt, the controller reads the state and writes u; the plant then moves for dt under that
@@ -336,6 +336,7 @@ def sampled(step: Kernel, derivative: Kernel, size: int) -> Kernel:
         step: the controller; returns the determinant of what it had to invert.
         derivative: the plant.
         size: number n of the plant's states.
+        coordinates: how many of them are coordinates.
 
     Returns:
         `run(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work) -> (status, samples done, first)`,
@@ -345,7 +346,6 @@ def sampled(step: Kernel, derivative: Kernel, size: int) -> Kernel:
         `out_u` get the recorded states and inputs; `work` (5, n) is work space.
     """
     advance = runge_kutta_4(derivative, size)
-    half = size // 2
 
     @compiled
     def run(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work):
@@ -354,7 +354,7 @@ def sampled(step: Kernel, derivative: Kernel, size: int) -> Kernel:
         row = 0
         for index in range(begin, begin + count):
             t = index * dt
-            health = step(t, y[:half], y[half:], u, p)
+            health = step(t, y[:coordinates], y[coordinates:], u, p)
             first = health if first == 0.0 else first
             status = fault(health, first)
             if status != REACHED:

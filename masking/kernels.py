@@ -23,15 +23,17 @@ class Trajectory:
 
     Args:
         times: (m,).
-        states: (m, 2 n), coordinates then velocities.
+        states: (m, 2 n + k), coordinates, velocities, internal states.
         coordinates: names of the n coordinates.
         steps: integration steps taken.
+        internal: names of the k internal states.
     """
 
     times: Array
     states: Array
     coordinates: tuple[str, ...]
     steps: int
+    internal: tuple[str, ...] = ()
 
     @property
     def positions(self) -> Array:
@@ -41,10 +43,13 @@ class Trajectory:
     @property
     def velocities(self) -> Array:
         """Return the velocities (m, n)."""
-        return self.states[:, len(self.coordinates) :]
+        n = len(self.coordinates)
+        return self.states[:, n : 2 * n]
 
     def __getitem__(self, name: str) -> Array:
-        """Return one coordinate (`x1`) or velocity (`x1'`) over time (m,)."""
+        """Return one coordinate (`x1`), velocity (`x1'`) or internal state over time (m,)."""
+        if name in self.internal:
+            return self.states[:, 2 * len(self.coordinates) + self.internal.index(name)]
         index = self.coordinates.index(name.rstrip("'"))
         return self.states[:, index + (len(self.coordinates) if name.endswith("'") else 0)]
 
@@ -58,7 +63,7 @@ class Kernels:
 
     @property
     def meta(self) -> Mapping[str, Any]:
-        """Return the names of coordinates, inputs and parameters, in the order of the arrays, and the units."""
+        """Return the names of coordinates, states, inputs and parameters, in the order of the arrays, and the units."""
         return self.generated.meta
 
     def __getattr__(self, name: str) -> NativeFunction:
@@ -86,7 +91,7 @@ class Kernels:
 
         Args:
             times: monotone (m,); the state is that at the first.
-            state: (2 n,) at `times[0]`; left as it is.
+            state: (2 n + k,) at `times[0]`; left as it is.
             inputs: (k,), held constant.
             parameters: array in the module's order.
             tolerance: local relative error of a step.
@@ -115,12 +120,13 @@ class Kernels:
                 self.stop(status, t, y)
             if progress is not None:
                 progress((piece[-1] + 1) / len(times))
-        return Trajectory(times, out, tuple(self.meta["coordinates"]), steps)
+        return Trajectory(times, out, tuple(self.meta["coordinates"]), steps, tuple(self.meta.get("states", ())))
 
     def stop(self, status: int, time: float, state: Sequence[float] | Array) -> None:
         """Raise the error that a kernel's status stands for."""
         names = self.meta["coordinates"]
-        at = dict(zip([*names, *(f"{n}'" for n in names)], map(float, state), strict=True))
+        internal = self.meta.get("states", ())
+        at = dict(zip([*names, *(f"{n}'" for n in names), *internal], map(float, state), strict=True))
         if status == SINGULAR:
             raise SingularityError(MESSAGES[status], time, at)
         where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())

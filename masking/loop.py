@@ -1,23 +1,29 @@
-"""Loop: a closed loop run from an initial state, in continuous time or at a controller's rate."""
+"""Loop: a closed loop run from an initial state, in continuous time, at a controller's rate, or around a twin."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from masking.closed_loop import ClosedLoop
+from masking.controller import Controller
 from masking.errors import IntegrationError, ModelError
-from masking.kernels import Array
+from masking.kernels import Array, Kernels
+from masking.sampled import SampledLoop
 from masking.status import NOT_FINITE, REACHED
+from masking.twin import Twin
 
 Progress = Callable[[float], None]
 
 PIECES = 100
 # The classical Runge-Kutta method errs by 1e-9 per radian when a radian takes this many steps.
 STEPS_PER_RADIAN = 50.0
+# A twin takes at least so many steps between samples: contacts and friction are not seen from its rest.
+TWIN_STEPS = 2
 
 
 @dataclass(frozen=True)
@@ -35,6 +41,29 @@ class Run:
     rig: Array
     virtual: Array
     inputs: Array
+
+
+@dataclass(frozen=True)
+class TwinRun:
+    """What happened in a run around a twin, at the recorded samples.
+
+    Args:
+        times: (m,), seconds since the release.
+        states: states of the twin (m, states), as `Twin.state_names` says, SI units.
+        estimates: what the controller took for coordinates, velocities and internal states (m, .), SI units.
+        readings: of the sensors (m, sensors), in their units.
+        demanded: commands before limits (m, actuators), in the actuators' units.
+        applied: commands after limits (m, actuators).
+        power: mean power of each actuator as the controller reckons it (m, actuators), W; 0 where it is not limited.
+    """
+
+    times: Array
+    states: Array
+    estimates: Array
+    readings: Array
+    demanded: Array
+    applied: Array
+    power: Array
 
 
 def run_continuous(
@@ -114,15 +143,102 @@ def run_sampled(
     return Run(found.times, found.rig, found.virtual, out_u)
 
 
+def run_twin(
+    loop: SampledLoop,
+    start: Array,
+    *,
+    duration: float,
+    seed: int,
+    every: int = 1,
+    progress: Progress | None = None,
+) -> TwinRun:
+    """Run a sampled controller around a twin.
+
+    With an approach, the twin starts at rest and unpowered, and the record begins at the release. Without one, the twin
+    is held at `start` by the controller's own commands until the first command that was made for the release acts.
+
+    Args:
+        loop: controller and twin.
+        start: the twin's coordinates (n,) at the start, SI units.
+        duration: seconds after the release.
+        seed: of the sensors' noise.
+        every: record one sample of so many.
+        progress: called with the part done.
+
+    Raises:
+        SingularityError: the decoupling matrix became singular; holds the state.
+        IntegrationError: the state or the commands are no longer finite.
+    """
+    sampled, twin, kernels = loop.sampled, loop.twin, loop.kernels
+    rate, sizes, p = sampled.rate, sampled.sizes, twin.values()
+    generator = np.random.default_rng(seed)
+    before = round(sampled.approach * rate) + sampled.delay
+    samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
+    rows = np.arange(0, samples, every)
+    y, first, substeps = twin.rest(start), 0.0, substeps_of(twin, rate)
+    noise = generator.standard_normal((1, len(twin.sensors)))
+    reading = np.empty(len(twin.sensors))
+    twin.kernels.sense(-before / rate, y, p, noise[0], reading)
+    memory = sampled.begin(reading)
+    queue = np.tile(memory.holding, (twin.delay + 1, 1))
+    widths = (len(y), len(memory.x), len(twin.sensors), sizes.actuators, sizes.actuators)
+    out = [np.empty((len(rows), width)) for width in widths]
+    bounds = [-before + (samples + before) * piece // PIECES for piece in range(PIECES + 1)]
+    for begin, end in itertools.pairwise(bounds):
+        count = end - begin
+        if count == 0:
+            continue
+        more = generator.standard_normal((count - len(noise), len(twin.sensors)))
+        noise = np.concatenate([noise, more]) if len(noise) else more
+        row = max(0, -(-begin // every))
+        status, done, first = kernels.run(
+            begin, count, 1.0 / rate, substeps, every, y, memory.x, p, memory.p, sampled.gain, sampled.limits, queue,
+            noise, first, *(table[row:] for table in out),
+        )  # fmt: skip
+        if status == NOT_FINITE:
+            raise IntegrationError(
+                f"the masked rig became unstable and grew without bound by t = {(begin + done) / rate:.6g} s: lower "
+                "controller.observer.bandwidth, correct controller.model, or raise controller.rate"
+            )
+        if status != REACHED:
+            kernels.stop(status, (begin + done) / rate, y)
+        noise = noise[:0]
+        if progress is not None:
+            progress((end + before) / (samples + before))
+    states, memories, readings, demanded, applied = out
+    estimates, power = memories[:, : sizes.states], memories[:, sizes.power]
+    return TwinRun(rows / rate, states, estimates, readings, demanded, applied, power)
+
+
+def substeps_of(twin: Twin, rate: float) -> int:
+    """Return the integration steps between samples that resolve a twin's fastest motion at rest."""
+    p, u, size = twin.values(), np.zeros(len(twin.actuators)), len(twin.state_names)
+    lengths = np.array([twin.model.units.size(c.unit, {}) for c in twin.model.declaration.coordinates.values()])
+    state = twin.rest(np.zeros(len(lengths)))
+
+    def slope(y: Array, out: Array) -> None:
+        twin.kernels.twin_derivative(0.0, y, u, p, out)
+
+    return max(TWIN_STEPS, _steps(slope, state, np.resize(lengths, size), rate))
+
+
 def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:
     """Return the integration steps between samples that resolve the plant's fastest motion near a state."""
-    p, u, size = loop.values(), np.zeros(len(loop.plant.inputs)), len(state)
-    steps = 1e-6 * np.tile(loop.controller.lengths, 2)
+    p, u = loop.values(), np.zeros(len(loop.plant.inputs))
+
+    def slope(y: Array, out: Array) -> None:
+        loop.kernels.plant_derivative(0.0, y, u, p, out)
+
+    return _steps(slope, state, np.resize(loop.controller.lengths, len(state)), rate)
+
+
+def _steps(slope: Callable[[Array, Array], None], state: Array, lengths: Array, rate: float) -> int:
+    size = len(state)
     jacobian, ahead, behind = np.empty((size, size)), np.empty(size), np.empty(size)
-    for i, step in enumerate(steps):
+    for i, step in enumerate(1e-6 * lengths):
         change = step * np.eye(size)[i]
-        loop.kernels.plant_derivative(0.0, state + change, u, p, ahead)
-        loop.kernels.plant_derivative(0.0, state - change, u, p, behind)
+        slope(state + change, ahead)
+        slope(state - change, behind)
         jacobian[:, i] = (ahead - behind) / (2.0 * step)
     if not np.all(np.isfinite(jacobian)):
         return 1
@@ -130,7 +246,22 @@ def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:
     return max(1, int(np.ceil(STEPS_PER_RADIAN * fastest / rate)))
 
 
-def rig_state(loop: ClosedLoop, virtual_state: Array, guess: Array | None = None) -> Array:
+class Mapped(Protocol):
+    """A control law with a compiled transform."""
+
+    @property
+    def controller(self) -> Controller:
+        """Return the control law."""
+
+    @property
+    def kernels(self) -> Kernels:
+        """Return compiled functions with `transform(t, q, v, p, out)`."""
+
+    def values(self) -> Array:
+        """Return the parameter array."""
+
+
+def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None) -> Array:
     """Return the rig state (2 n,) that the transform maps to a virtual state, by Newton's method.
 
     Args:
@@ -160,7 +291,7 @@ def rig_state(loop: ClosedLoop, virtual_state: Array, guess: Array | None = None
     )
 
 
-def _newton(loop: ClosedLoop, q: Array, eta: Array, lengths: Array) -> Array | None:
+def _newton(loop: Mapped, q: Array, eta: Array, lengths: Array) -> Array | None:
     q = np.array(q, dtype=float)
     for _ in range(50):
         value, jacobian = _map(loop, q)
@@ -175,7 +306,7 @@ def _newton(loop: ClosedLoop, q: Array, eta: Array, lengths: Array) -> Array | N
     return None
 
 
-def _map(loop: ClosedLoop, q: Array) -> tuple[Array, Array]:
+def _map(loop: Mapped, q: Array) -> tuple[Array, Array]:
     """Return eta (k,) and the Jacobian (k, n) of the virtual with respect to the rig coordinates, in SI units."""
     n, k = len(q), len(loop.controller.virtual.coordinates)
     p, out = loop.values(), np.empty(2 * k)

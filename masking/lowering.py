@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from masking.compile.graph import Graph, Node
 from masking.compile.source import LARGEST_TAYLOR_COST, Module, taylor_order
-from masking.compile.taylor import cost, degree, is_analytic
+from masking.compile.taylor import cost, degree, hides_a_switch, is_analytic
 from masking.equations import Equations
 from masking.linear import solve
 from masking.scales import Units
@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
 @dataclass
 class LoweredEquations:
-    """The symbols of a model as nodes, and its accelerations computed from them.
+    """The symbols of a model as nodes, and its accelerations and the rates of its internal states.
 
-    `loads` tells for each symbol's text how the state-space functions read it from their arguments.
+    `loads` and `joined` tell for each symbol's text how a function reads it from its arguments: q and v apart, where
+    the internal states follow the velocities in v, or one state vector y = [q, v, s].
     """
 
     equations: Equations
@@ -29,6 +30,7 @@ class LoweredEquations:
     symbols: dict[sp.Symbol, Node]
     accelerations: list[Node]
     health: Node
+    rates: list[Node] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -49,6 +51,7 @@ class LoweredEquations:
         s = equations.symbols
         nodes = dict(known or {})
         kinds = [("", (s.t,), True), ("q_", s.q, True), ("v_", s.v, True), ("u_", s.u, False), ("p_", s.p, False)]
+        kinds.append(("s_", s.s, True))
         for kind, symbols, varying in kinds:
             for symbol in symbols:
                 if symbol not in nodes:
@@ -62,22 +65,32 @@ class LoweredEquations:
             solution, health = [], graph.number(1.0)
         accelerations = [row[0] for row in solution]
         nodes.update(zip(s.a, accelerations, strict=True))
-        return cls(equations, graph, nodes, accelerations, health)
+        rates = [graph.lower(rate, nodes) for rate in equations.rates]
+        return cls(equations, graph, nodes, accelerations, health, rates)
 
     def lower(self, expression: sp.Expr) -> Node:
         """Return the node of an expression in symbols of the model, accelerations included."""
         return self.graph.lower(expression, self.symbols)
 
     def loads(self, q: str, v: str, u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
-        """Return how each symbol is read: `q` and `v` are texts with `{i}` for the index of a coordinate."""
-        texts = {}
+        """Return how each symbol is read: `q` and `v` are texts with `{i}` for the index into each."""
         s = self.equations.symbols
-        for symbols, pattern in ((s.q, q), (s.v, v), (s.u, u + "[{i}]"), (s.p, p + "[{i}]")):
-            for i, symbol in enumerate(symbols):
+        parts = ((s.q, q, 0), (s.v, v, 0), (s.s, v, len(s.v)), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
+        return self._read(parts)
+
+    def joined(self, y: str = "y", u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
+        """Return how each symbol is read where `y` names the whole state vector [q, v, s]."""
+        s, n, y = self.equations.symbols, len(self.equations.symbols.q), y + "[{i}]"
+        parts = ((s.q, y, 0), (s.v, y, n), (s.s, y, 2 * n), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
+        return self._read(parts)
+
+    def _read(self, parts: Iterable[tuple[Sequence[sp.Symbol], str, int]]) -> dict[str, str]:
+        texts = {}
+        for symbols, pattern, first in parts:
+            for i, symbol in enumerate(symbols, first):
                 operation = self.graph.operations[self.symbols[symbol]]
                 if operation[0] == "symbol":
-                    index = i + offset if symbols is s.p else i
-                    texts[str(operation[1])] = pattern.format(i=index)
+                    texts[str(operation[1])] = pattern.format(i=i)
         return texts
 
 
@@ -85,14 +98,17 @@ def module(equations: Equations) -> Module:
     """Return the generated module of a model."""
     lowered = LoweredEquations.of(equations, Graph())
     graph, n = lowered.graph, len(equations.coordinates)
-    time = lowered.symbols[equations.symbols.t]
-    states = [lowered.symbols[x] for x in (*equations.symbols.q, *equations.symbols.v)]
-    derivatives = [*states[n:], *lowered.accelerations]
+    s = equations.symbols
+    time = lowered.symbols[s.t]
+    states = [lowered.symbols[x] for x in (*s.q, *s.v, *s.s)]
+    derivatives = [*states[n : 2 * n], *lowered.accelerations, *lowered.rates]
+    size = len(states)
     products = cost(graph, derivatives)
     order = taylor_order(products)
     use_taylor = (
-        n > 0
+        size > 0
         and is_analytic(graph, [*derivatives, lowered.health])
+        and not hides_a_switch(graph, derivatives)
         and products <= LARGEST_TAYLOR_COST
         and degree(graph, derivatives) < order
     )
@@ -101,6 +117,7 @@ def module(equations: Equations) -> Module:
     meta = {
         "kind": "model",
         "coordinates": list(equations.coordinates),
+        "states": list(equations.declaration.states),
         "inputs": list(equations.declaration.inputs),
         "parameters": list(equations.declaration.parameters),
         "outputs": list(outputs),
@@ -110,10 +127,7 @@ def module(equations: Equations) -> Module:
     }
     module = Module(equations.name, meta)
     split = lowered.loads("q[{i}]", "v[{i}]")
-    joined = {
-        **lowered.loads("y[{i}]", "y[{i}]"),
-        **{f"v_{c}": f"y[{n + i}]" for i, c in enumerate(equations.coordinates)},
-    }
+    joined = lowered.joined()
     results = [(f"out[{i}]", a) for i, a in enumerate(lowered.accelerations)]
     module.add("accelerations(t, q, v, u, p, out)", graph, results, split, returns=lowered.health)
     module.add(
@@ -129,8 +143,8 @@ def module(equations: Equations) -> Module:
         module.add("energy(t, q, v, p)", graph, [], split, returns=lowered.lower(energy))
     if use_taylor:
         module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined, order=order)
-        module.add_kernel(SOLVE_TAYLOR.format(order=order, size=2 * n), "idi", (order + 1, 2 * n))
-    module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=2 * n), "idi", (24, 2 * n))
+        module.add_kernel(SOLVE_TAYLOR.format(order=order, size=size), "idi", (order + 1, size))
+    module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=size), "idi", (24, size))
     return module
 
 

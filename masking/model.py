@@ -1,7 +1,8 @@
 """Model: equations of motion, symbolic when looked at and compiled when run.
 
-A model is M(t, q, v, p) a = f(t, q, v, u, p) for coordinates q, velocities v, accelerations a, inputs u and
-parameters p. It is declared by its equations, explicit or implicit in the accelerations, or by a Lagrangian.
+A model is M(t, q, v, s, p) a = f(t, q, v, s, u, p) for coordinates q, velocities v, accelerations a, inputs u and
+parameters p. It is declared by its equations, explicit or implicit in the accelerations, or by a Lagrangian. Internal
+states s, such as that of a friction, have equations ds/dt = g(t, q, v, s, u, p) of their own; most models have none.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from masking.compile.source import Module
 from masking.declaration import registry, schema
 from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.expression import Expression
+from masking.effects import Setting, attach
 from masking.equations import Equations
 from masking.errors import DeclarationError, ModelError
 from masking.kernels import Kernels, Trajectory
@@ -72,6 +74,11 @@ class Model:
         return tuple(self.declaration.coordinates)
 
     @property
+    def states(self) -> tuple[str, ...]:
+        """Return the names of the internal states, which follow coordinates and velocities in the state vector."""
+        return tuple(self.declaration.states)
+
+    @property
     def inputs(self) -> tuple[str, ...]:
         """Return the names of the inputs."""
         return tuple(self.declaration.inputs)
@@ -96,6 +103,22 @@ class Model:
         changed = replace(self, overrides={**self.overrides, **values})
         changed.values()
         return changed
+
+    def attach(self, effect: str, at: str, *, label: str | None = None, **parameters: Setting) -> Model:
+        """Return the model with a physical effect in one of its elements.
+
+        Args:
+            effect: a name of `effects.EFFECTS`, such as `dry_friction`.
+            at: the element that it sits in.
+            label: stands before the names of its parameters and states; by default `<at>_<effect>`. The parameter
+                `<label>_on` switches it.
+            parameters: its values: numbers in coherent SI units, expressions over the model's parameters, or either
+                with a unit, `{"value": 5.8, "unit": "mm"}`.
+
+        Raises:
+            DeclarationError: there is no such effect, element or parameter, or a value is missing.
+        """
+        return replace(self, declaration=attach(self.declaration, effect, at, label, parameters))
 
     def dimensionless(self) -> Model:
         """Return the model with every value measured in the declared scales.
@@ -140,7 +163,7 @@ class Model:
         return {
             **{
                 kind: {n: x.unit for n, x in getattr(d, kind).items()}
-                for kind in ("coordinates", "inputs", "parameters")
+                for kind in ("coordinates", "states", "inputs", "parameters")
             },
             "definitions": _texts(d.definitions),
             "equations": [[left.text, right.text] for left, right in d.equations.items()],
@@ -174,13 +197,13 @@ class Model:
 
         Args:
             times: monotone times (m,), in seconds, or in units of the time scale.
-            initial: values of coordinates (`x1`) and velocities (`x1'`) at the first time, in the declared
-                units; what is not given is taken from the declaration.
+            initial: values of coordinates (`x1`), velocities (`x1'`) and internal states at the first time, in the
+                declared units; what is not given is taken from the declaration.
             inputs: constant inputs (k,); zero where not given.
             tolerance: local relative error.
 
         Returns:
-            states (m, 2 n) and their times.
+            states (m, 2 n + k), the k internal states last, and their times.
         """
         times = np.atleast_1d(np.asarray(times, dtype=float))
         if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
@@ -192,15 +215,16 @@ class Model:
         return self.kernels.integrate(np.atleast_1d(times), state, u, self.values(), tolerance=tolerance)
 
     def initial_state(self, given: Mapping[str, float]) -> np.ndarray:
-        """Return the state (2 n,) of given and declared initial values, in SI units or in the declared scales.
+        """Return the state (2 n + k,) of given and declared initial values, in SI units or in the declared scales.
 
         Args:
-            given: values by the name of a coordinate (`x1`) or velocity (`x1'`), in the declared units.
+            given: values by the name of a coordinate (`x1`), velocity (`x1'`) or internal state, in the declared
+                units.
 
         Raises:
-            ModelError: a coordinate has no initial value, or a name is no coordinate.
+            ModelError: a coordinate has no initial value, or a name is no state.
         """
-        names = [*self.coordinates, *(f"{c}'" for c in self.coordinates)]
+        names = self._state_names
         unknown = [name for name in given if name not in names]
         if unknown:
             raise ModelError(f"initial value of '{unknown[0]}': {self.name} has the states {', '.join(names)}")
@@ -211,12 +235,16 @@ class Model:
             value = given.get(name, coordinate.initial)
             if value is None:
                 raise ModelError(f"no initial value of {name}: give one, such as 'initial: {{{name}: 0}}'")
-            size = units.conversions[coordinate.unit].factor
-            if self.is_dimensionless:
-                size /= units.size(coordinate.unit, overrides)
+            size = self._size(coordinate.unit)
             positions.append(value * size)
             velocities.append(given.get(f"{name}'", coordinate.initial_velocity) * size * second)
-        return np.array([*positions, *velocities], dtype=float)
+        internal = [given.get(n, z.initial) * self._size(z.unit) for n, z in self.declaration.states.items()]
+        return np.array([*positions, *velocities, *internal], dtype=float)
+
+    def _size(self, unit: str) -> float:
+        """Return the size of a declared unit in SI units, or in the declared scales."""
+        size = self.units.conversions[unit].factor
+        return size / self.units.size(unit, self.overrides) if self.is_dimensionless else size
 
     def validate(self) -> None:
         """Refuse what can be refused without running: units, equations that cannot be made explicit, values.
@@ -237,6 +265,7 @@ class Model:
         e, s = self.equations, self.equations.symbols
         rest = {c: d.initial or 0.0 for c, d in self.declaration.coordinates.items()}
         point = {q: rest[q.name] for q in s.q} | dict.fromkeys((s.t, *s.v), 0.0) | dict(zip(s.p, values, strict=True))
+        point |= {z: self.declaration.states[z.name].initial for z in s.s}
         matrix = np.array(e.mass.subs(point).evalf().tolist(), dtype=float)
         if np.linalg.matrix_rank(matrix) < len(matrix):
             raise ModelError(
@@ -254,25 +283,30 @@ class Model:
     ) -> control.StateSpace:
         """Return the linear time-invariant system around a state, by symbolic differentiation.
 
-        The states are the coordinates, then the velocities; the outputs are the declared outputs, or the coordinates
-        where none are declared. Derivatives are exact; away from an equilibrium the constant part is left out.
+        The states are the coordinates, the velocities, then the internal states; the outputs are the declared
+        outputs, or the coordinates where none are declared. Derivatives are exact; away from an equilibrium the
+        constant part is left out.
 
         Args:
-            at: values of coordinates and velocities, in SI units or in the declared scales; 0 where not given.
+            at: values of coordinates, velocities and internal states, in SI units or in the declared scales; 0
+                where not given.
             inputs: values of inputs; 0 where not given.
         """
         e, s = self.equations, self.equations.symbols
-        states = (*s.q, *s.v)
+        states = (*s.q, *s.v, *s.s)
         point = {symbol: (at or {}).get(symbol.name, 0.0) for symbol in states}
         point |= {symbol: (inputs or {}).get(symbol.name, 0.0) for symbol in s.u}
         point |= dict(zip(s.p, self.values(), strict=True)) | {s.t: 0.0}
         explicit = dict(zip(s.a, e.accelerations, strict=True))
-        rates = sp.Matrix([*s.v, *e.accelerations])
+        rates = sp.Matrix([*s.v, *e.accelerations, *e.rates])
         seen = [e.symbolic(o.expression).subs(explicit) for o in self.declaration.outputs.values()] or list(s.q)
 
         def number(expressions: sp.Matrix, symbols: Sequence[sp.Symbol]) -> np.ndarray:
-            jacobian = expressions.jacobian(symbols).subs(point).evalf() if symbols else []
-            return np.array(jacobian, dtype=float).reshape(len(expressions), len(symbols))
+            jacobian = expressions.jacobian(symbols) if symbols else sp.zeros(len(expressions), 0)
+            for unevaluated in jacobian.atoms(sp.Derivative):  # of floor, which is flat between its steps
+                jacobian = jacobian.subs(unevaluated, 0).doit()
+            values = jacobian.subs(point).evalf().tolist()
+            return np.array(values, dtype=float).reshape(len(expressions), len(symbols))
 
         matrices = [number(m, w) for m in (rates, sp.Matrix(seen)) for w in (states, s.u)]
         names = {
@@ -294,7 +328,7 @@ class Model:
             return np.array([params.get(name, value) for name, value in values.items()], dtype=float)
 
         def update(t: float, x: np.ndarray, u: np.ndarray, params: Mapping[str, float]) -> np.ndarray:
-            rate = np.empty(2 * n)
+            rate = np.empty(len(x))
             kernels.derivative(float(t), np.array(x, float), np.array(u, float), array(params), rate)
             return rate
 
@@ -319,7 +353,7 @@ class Model:
 
     @property
     def _state_names(self) -> list[str]:
-        return [*self.coordinates, *(f"{c}'" for c in self.coordinates)]
+        return [*self.coordinates, *(f"{c}'" for c in self.coordinates), *self.states]
 
     def _build(self) -> Module:
         problems = [*check_dimensions(self.declaration), *check_scales(self.declaration)]

@@ -180,6 +180,7 @@ def _units(declaration: schema.ModelDeclaration) -> dict[str, str]:
     """Return the unit text of every quantity of a model, by its path in the declaration."""
     return {
         **{f"coordinates.{n}": c.unit for n, c in declaration.coordinates.items()},
+        **{f"states.{n}": s.unit for n, s in declaration.states.items()},
         **{f"inputs.{n}": i.unit for n, i in declaration.inputs.items()},
         **{f"parameters.{n}": p.unit for n, p in declaration.parameters.items()},
         **{f"scales.{n}": s.unit for n, s in declaration.scales.items()},

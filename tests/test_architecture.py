@@ -12,27 +12,44 @@ ROWS = (
     {"errors", "status"},
     {"declaration", "parquet", "dop853", "linear"},
     {"recording", "scales", "fidelity", "integrate"},
+    {"sampling"},
     {"compile"},
     {"kernels"},
+    {"effects"},
     {"equations"},
     {"lowering"},
     {"model"},
-    {"blocks"},
-    {"controller"},
-    {"closed_loop"},
+    {"blocks", "twin", "observer"},
+    {"controller", "instruments"},
+    {"closed_loop", "sampled"},
+    {"plants"},
     {"loop"},
+    {"realtime"},
     {"synchronisation"},
     {"study"},
     {"figures"},
     {"reporting"},
     {"experiment"},
+    {"feasibility"},
     {"describe"},
     {"verbs"},
     {"cli", "__init__"},
 )
 
 # A run and its study meet in the file on disk: only the verbs and the command line know both.
-ONLINE = {"blocks", "controller", "closed_loop", "loop", "plants", "experiment"}
+ONLINE = {
+    "blocks",
+    "twin",
+    "observer",
+    "instruments",
+    "controller",
+    "closed_loop",
+    "sampled",
+    "loop",
+    "experiment",
+    "feasibility",
+}
+ONLINE |= {"plants", "realtime"}
 OFFLINE = {"synchronisation", "study", "figures", "reporting", "identification", "discovery"}
 
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "sympify", "parse_expr", "parse_latex", "lambdify", "__import__"}

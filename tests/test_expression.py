@@ -98,7 +98,8 @@ def test_any_near_text_is_read_or_refused(text):
 def test_precedence_and_associativity():
     for text, value in [
         ("-2**2", -4), ("2**-1", 0.5), ("2**3**2", 512), ("8/4/2", 1), ("2 - 3 - 4", -5), ("-(1 + 2)*3", -9), ("+3", 3),
-        ("(-8.0)**3", -512), ("sign(-3)", -1), ("sign(0)", 0), ("heaviside(0)", 0.5), ("heaviside(1e-9)", 1),
+        ("(-8.0)**3", -512), ("sign(-3)", -1), ("sign(0)", 0), ("floor(-1.5)", -2), ("floor(2)", 2),
+        ("heaviside(0)", 0.5), ("heaviside(1e-9)", 1),
         ("log(exp(1))", 1), ("where(1 < 2, 5, 6)", 5), ("max(1, 7, 3)", 7), ("sqrt(2)**2", 2), ("1e-3 + 1E3", 1000.001),
     ]:  # fmt: skip
         assert Expression(text).evaluate({}) == pytest.approx(value, rel=1e-15), text
@@ -121,6 +122,7 @@ def test_to_sympy_is_exact():
     assert Expression("0.1*x''").to_sympy(known) == a / 10
     assert Expression("x**0.5").to_sympy(known) == sympy.sqrt(x)
     assert Expression("heaviside(x)").to_sympy(known).subs(x, 0) == sympy.Rational(1, 2)
+    assert Expression("floor(x/2)").to_sympy(known) == sympy.floor(x / 2)
     assert Expression("where(x >= 1, x, 2)").to_sympy(known) == sympy.Piecewise((x, x >= 1), (2, True))
     assert Expression("min(x, 1) + abs(x) + sign(x)").to_sympy(known) == sympy.Min(x, 1) + sympy.Abs(x) + sympy.sign(x)
 

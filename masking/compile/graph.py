@@ -25,7 +25,7 @@ else:
 
 Node = int
 
-NOT_ANALYTIC = ("abs", "sign", "min", "max", "heaviside", "where", "lt", "le", "atan2")
+NOT_ANALYTIC = ("abs", "sign", "min", "max", "heaviside", "where", "lt", "le", "atan2", "floor")
 
 
 @dataclass
@@ -177,6 +177,7 @@ class _Lowering:
             sp.Pow: self._power,
             sp.cot: lambda e: graph.div(graph.number(1.0), graph.apply("tan", self.node(e.args[0]))),
             sp.exp: lambda e: self._call("exp", e),
+            sp.ceiling: lambda e: graph.apply("neg", graph.apply("floor", self.node(-e.args[0]))),
             sp.Min: lambda e: self._fold("min", e.args),
             sp.Max: lambda e: self._fold("max", e.args),
             sp.Piecewise: self._piecewise,
@@ -187,7 +188,9 @@ class _Lowering:
             sp.StrictGreaterThan: lambda e: graph.apply("lt", self.node(e.args[1]), self.node(e.args[0])),
             sp.GreaterThan: lambda e: graph.apply("le", self.node(e.args[1]), self.node(e.args[0])),
         }
-        for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "log", "sign"):
+        for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "log"):
+            self.table[getattr(sp, name)] = partial(self._call, name)
+        for name in ("sign", "floor"):
             self.table[getattr(sp, name)] = partial(self._call, name)
 
     def node(self, expression: sp.Expr) -> Node:

@@ -26,6 +26,7 @@ PYTHON = Language(
         "pow": "{0} ** {1}",
         "abs": "abs({0})",
         "sign": "np.sign({0})",
+        "floor": "np.floor({0})",
         "min": "min({0}, {1})",
         "max": "max({0}, {1})",
         "atan2": "math.atan2({0}, {1})",
@@ -40,7 +41,7 @@ PYTHON = Language(
 C = Language(
     templates={
         **{f: f"{f}({{0}})" for f in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh")},
-        **{f: f"{f}({{0}})" for f in ("exp", "log")},
+        **{f: f"{f}({{0}})" for f in ("exp", "log", "floor")},
         "pow": "pow({0}, {1})",
         "abs": "fabs({0})",
         "sign": "(double)(({0} > 0.0) - ({0} < 0.0))",

@@ -34,7 +34,7 @@ import numba
 import numpy as np
 from numba import carray
 
-from masking import integrate
+from masking import integrate, sampling
 '''
 
 
@@ -110,7 +110,7 @@ class Module:
             work: the shape of its work space.
         """
         self.functions.append(text.strip().replace("@compiled", DECORATOR))
-        self._export(re.findall(r"^def (\w+\(.*\)):$", text, re.MULTILINE)[-1], results, work)
+        self._export(re.findall(r"^def (\w+\(.*?\)):$", text, re.MULTILINE | re.DOTALL)[-1], results, work)
 
     def _function(self, signature: str, body: Sequence[str], decorator: str = DECORATOR) -> None:
         self.functions.append(

@@ -29,8 +29,8 @@ from masking.compile.source import Module
 PACKAGE = Path(__file__).parent.parent
 # Sources of this package whose text shapes the generated code.
 SHAPING = (
-    *("integrate.py", "dop853.py", "linear.py", "equations.py", "lowering.py", "scales.py"),
-    *("model.py", "blocks.py", "controller.py", "closed_loop.py", "compile"),
+    *("integrate.py", "sampling.py", "dop853.py", "linear.py", "equations.py", "lowering.py", "scales.py"),
+    *("model.py", "effects", "twin.py", "blocks.py", "controller.py", "closed_loop.py", "sampled.py", "compile"),
     *("declaration/expression.py", "declaration/operations.py", "declaration/syntax.py", "declaration/units.py"),
 )
 

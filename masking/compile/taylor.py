@@ -33,6 +33,14 @@ def is_analytic(graph: Graph, nodes: Sequence[Node]) -> bool:
     return not any(graph.varying[n] and is_open(n) for n in needed(graph, nodes))
 
 
+def hides_a_switch(graph: Graph, nodes: Sequence[Node]) -> bool:
+    """Tell whether `nodes` hold a tanh of something that varies: a switch that a series does not show from afar.
+
+    Away from it every coefficient of tanh is exponentially small, so that a step would be taken across the switch.
+    """
+    return any(graph.varying[n] and graph.operations[n][0] == "tanh" for n in needed(graph, nodes))
+
+
 def degree(graph: Graph, nodes: Sequence[Node]) -> int:
     """Return the largest number of varying factors in a product of `nodes`.
 

@@ -31,11 +31,12 @@ OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
             "seed",
         ]
     ),
-    "plant": frozenset(["kind", "model", "sensors", "limits", "wiring", "meaning"]),
+    "plant": frozenset(["kind", "model", "sensors", "actuators", "limits", "wiring"]),
     "model": frozenset(
         [
             "extends",
             "coordinates",
+            "states",
             "inputs",
             "definitions",
             "equations",
@@ -47,6 +48,7 @@ OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
             "energy",
             "scales",
             "oscillators",
+            "elements",
         ]
     ),
 }
@@ -67,7 +69,7 @@ NOWHERE = Reference()
 
 def folder(kind: str) -> Path:
     """Give the folder of packaged files of a kind: inside the installed package, else beside it in a checkout."""
-    installed = _PACKAGE / _FOLDERS[kind]
+    installed = _PACKAGE / "shipped" / _FOLDERS[kind]
     return installed if installed.is_dir() else _PACKAGE.parent / _FOLDERS[kind]
 
 

@@ -65,6 +65,10 @@ def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
     for name, scale in model.scales.items():
         if isinstance(scale.value, Expression):
             yield f"scales.{name}.value", scale.value
+    for name, element in model.elements.items():
+        yield f"elements.{name}.displacement", element.displacement
+        for coordinate, factor in element.acts.items():
+            yield f"elements.{name}.acts.{coordinate}", factor
 
 
 def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[str] = ()) -> list[Problem]:
@@ -74,7 +78,12 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
     """
     problems = [*_names(model, lost), *_symbols(model, lost)]
     if whole:
-        problems += [*_structure(model), *_unused(model), *_cycles(model, "definitions", model.definitions)]
+        problems += [
+            *_structure(model),
+            *_elements(model),
+            *_unused(model),
+            *_cycles(model, "definitions", model.definitions),
+        ]
         problems += parameter_values(model, {})[1]
     return problems
 
@@ -87,7 +96,7 @@ def problem_at(declaration: Declaration, path: str, message: str, mend: str = ""
 
 def _names(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
     owner: dict[str, str] = {}
-    for section in ("coordinates", "inputs", "parameters", "definitions"):
+    for section in ("coordinates", "states", "inputs", "parameters", "definitions", "elements"):
         for name in getattr(model, section):
             if name in owner:
                 message = f"the name '{name}' is already used in {owner[name]}"
@@ -102,23 +111,40 @@ def _names(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
         if name not in model.coordinates and name not in lost:
             message = f"'{name}' is not a coordinate"
             yield problem_at(model, f"forces.{name}", message, nearest(name, model.coordinates), at_key=True)
+    for element, name in ((e, name) for e, entry in model.elements.items() for name in entry.acts):
+        if name not in model.coordinates and name not in lost:
+            path, message = f"elements.{element}.acts.{name}", f"'{name}' is not a coordinate"
+            yield problem_at(model, path, message, nearest(name, model.coordinates), at_key=True)
 
 
 def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
     """Check which symbols each expression may use: accelerations not everywhere, parameters only over parameters."""
     static, coordinates = [*model.parameters, *lost], [*model.coordinates, *lost]
-    rest = [*coordinates, *velocities(coordinates), *model.inputs, *model.parameters, *model.definitions, "t"]
+    rest = [*coordinates, *velocities(coordinates), *model.states, *model.inputs, *model.parameters]
+    rest += [*model.definitions, "t"]
     moving = [*rest, *accelerations(coordinates)]
     accelerated = _definitions_with_acceleration(model)
+    own = [left for left in model.equations if model.state_of(left)]
+    of_states = {f"equations.{left}" for left in own}
     for path, expression in formulas(model):
         section = path.partition(".")[0]
-        allowed = static if section in {"parameters", "scales"} else moving
-        yield from check_symbols(expression, allowed, coordinates, known=moving)
-        if section in {"lagrangian", "dissipation", "energy", "forces"}:
+        if any(expression is left for left in own):
+            continue  # z' on the left of its equation
+        rates = [x for x in sorted(expression.symbols) if x.endswith("'") and x.rstrip("'") in model.states]
+        for symbol in rates:
+            name = symbol.rstrip("'")
+            message = f"'{symbol}' is a rate of the internal state '{name}', which stands only in its own equation"
+            yield expression.problem(expression.first(symbol), message, f"write {name}': ... under equations, alone")
+        allowed = {"parameters": static, "scales": static, "elements": [*static, *coordinates]}.get(section, moving)
+        yield from check_symbols(expression, [*allowed, *rates], coordinates, known=moving)
+        where = section if section in {"lagrangian", "dissipation", "energy", "forces"} else ""
+        if path in of_states:
+            where = "the equation of an internal state"
+        if where:
             for symbol in sorted(expression.symbols):
                 if (symbol.endswith("''") and symbol in moving) or symbol in accelerated:
                     what = "is an acceleration" if symbol.endswith("''") else "contains an acceleration"
-                    message = f"'{symbol}' {what}, which {section} may not contain"
+                    message = f"'{symbol}' {what}, which {where} may not contain"
                     yield expression.problem(expression.first(symbol), message)
 
 
@@ -154,10 +180,11 @@ def _definitions_with_acceleration(model: ModelDeclaration) -> set[str]:
 
 def _structure(model: ModelDeclaration) -> Iterator[Problem]:
     """Check that the parts of a model fit together: as many equations as coordinates, or one Lagrangian."""
-    count, wanted = len(model.equations), len(model.coordinates)
+    count, wanted = len(model.motion), len(model.coordinates)
     if model.terms:
         mend = "add to the equations themselves, or extend another model"
         yield problem_at(model, "terms", "terms are only for a model that extends another", mend, at_key=True)
+    yield from _counted_states(model)
     if model.lagrangian is not None:
         if count:
             yield problem_at(model, "equations", "a model has equations or a lagrangian, not both", at_key=True)
@@ -180,10 +207,42 @@ def _structure(model: ModelDeclaration) -> Iterator[Problem]:
     yield from _counted(model)
 
 
+def _counted_states(model: ModelDeclaration) -> Iterator[Problem]:
+    """Check that every internal state has one equation."""
+    found: set[str] = set()
+    for left in model.equations:
+        name = model.state_of(left)
+        if name in found:
+            message = f"the internal state '{name}' has two equations"
+            yield problem_at(model, f"equations.{left.text}", message, "remove one of them", at_key=True)
+        found |= {name} if name else set()
+    for name in model.states:
+        if name not in found:
+            message = f"the internal state '{name}' has no equation"
+            yield problem_at(model, f"states.{name}", message, f"write {name}': ... under equations", at_key=True)
+
+
+def _elements(model: ModelDeclaration) -> Iterator[Problem]:
+    """Check that every element can be stretched, and that its force has equations to act in."""
+    lefts = {left.text.strip() for left in model.motion}
+    for name, element in model.elements.items():
+        if not element.displacement.names & model.coordinates.keys():
+            path, message = f"elements.{name}.displacement", "a displacement must contain a coordinate"
+            yield problem_at(model, path, message, "write the difference of two, such as x1 - x3")
+        if not element.acts:
+            path, message = f"elements.{name}.acts", "an element acts on at least one coordinate"
+            yield problem_at(model, path, message, "write {x1: -1, x3: 1}")
+        for coordinate in element.acts:
+            if model.lagrangian is None and coordinate in model.coordinates and f"{coordinate}''" not in lefts:
+                path, message = f"elements.{name}.acts.{coordinate}", f"no equation has the left side {coordinate}''"
+                mend = "an element acts in explicit equations, or in those of a lagrangian"
+                yield problem_at(model, path, message, mend, at_key=True)
+
+
 def _counted(model: ModelDeclaration) -> Iterator[Problem]:
     """Check that the equations determine every acceleration."""
-    count, wanted = len(model.equations), len(model.coordinates)
-    present = [_accelerations_in(model, sides) for sides in model.equations.items()]
+    count, wanted = len(model.motion), len(model.coordinates)
+    present = [_accelerations_in(model, sides) for sides in model.motion.items()]
     missing = [name for name in model.coordinates if not any(name in found for found in present)]
     if count == wanted:
         yield from _determined(model, present)
@@ -214,7 +273,7 @@ def _determined(model: ModelDeclaration, present: Sequence[Collection[str]]) -> 
     owner: dict[str, int] = {}
     crowds = [crowd for equation in range(len(present)) if (crowd := _matched(equation, present, owner))]
     never = _listed([f"{name}''" for name in model.coordinates if name not in owner])
-    lefts = list(model.equations)
+    lefts = list(model.motion)
     for crowd in crowds:
         equations = sorted(crowd)
         names = [f"{name}''" for name in model.coordinates if any(name in present[i] for i in equations)]

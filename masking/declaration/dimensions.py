@@ -31,7 +31,7 @@ __all__ = [
     "symbol_dimensions",
 ]
 
-_SECTIONS = ("coordinates", "inputs", "parameters", "outputs", "scales")
+_SECTIONS = ("coordinates", "states", "inputs", "parameters", "outputs", "elements", "scales")
 _USUAL = {  # the scales that are proposed, in this order
     "time": "s", "length": "m", "mass": "kg", "voltage": "V", "current": "A", "temperature": "K", "substance": "mol",
     "luminosity": "cd",
@@ -59,7 +59,7 @@ def check_scales(model: ModelDeclaration) -> list[Problem]:
     used: dict[str, list[str]] = {}
     for path in units:
         section, name, _ = path.split(".")
-        if section not in {"outputs", "scales"}:
+        if section not in {"outputs", "elements", "scales"}:
             used.setdefault(getattr(model, section)[name].unit, []).append(path)
     whole = dict(scales)  # and what is proposed
     for unit, (path, *others) in used.items():
@@ -146,6 +146,9 @@ class _Checker:
         for name in model.coordinates:
             for order in range(3):
                 self.symbols[name + "'" * order] = _times(self.units[f"coordinates.{name}.unit"], time, -order)
+        for name in model.states:
+            for order in range(2):
+                self.symbols[name + "'" * order] = _times(self.units[f"states.{name}.unit"], time, -order)
         for section in ("inputs", "parameters"):
             self.symbols |= {name: self.units[f"{section}.{name}.unit"] for name in getattr(model, section)}
         self.define()
@@ -167,8 +170,11 @@ class _Checker:
                 self.same(unit, expression, "the declared unit is {}, the expression {}")
             elif section == "energy":
                 self.of(expression)
+        action = None if model.lagrangian is None else self.of(model.lagrangian)
         if model.lagrangian is not None:
-            self.lagrangian(self.of(model.lagrangian), time)
+            self.lagrangian(action, time)
+        for name in model.elements:
+            self.element(name, action)
         return self.problems
 
     def has_time(self) -> bool:
@@ -185,6 +191,18 @@ class _Checker:
             coordinate = self.symbols[name]
             wanted = None if action is None or coordinate is None else _times(action, coordinate, -1)
             self.same(wanted, force, "a force on this coordinate must be {} as the lagrangian says, not {}")
+
+    def element(self, name: str, action: Dimension | None) -> None:
+        """Check that the force of an element, times what it acts with, goes with the equations of motion."""
+        element, force = self.model.elements[name], self.units[f"elements.{name}.unit"]
+        self.of(element.displacement)
+        message = f"the force in {element.unit} must be multiplied by {{}} to act here, not by {{}}"
+        for coordinate, factor in element.acts.items():
+            wanted = self.symbols.get(f"{coordinate}''")
+            if self.model.lagrangian is not None:
+                moved = self.symbols.get(coordinate)
+                wanted = None if action is None or moved is None else _times(action, moved, -1)
+            self.same(None if wanted is None else _times(wanted, force, -1), factor, message)
 
     def define(self) -> None:
         """Find the dimensions of definitions, each after those it uses."""

@@ -97,6 +97,13 @@ def read_positive(value: object) -> float:
     raise refuse(f"must be greater than 0, not {number:g}")
 
 
+def read_truth(value: object) -> bool:
+    """Read true or false."""
+    if isinstance(value, bool):
+        return value
+    raise refuse(f"must be true or false, not {_shown(value)}")
+
+
 def read_integer(value: object) -> int:
     """Read an integer that is not negative."""
     number = read_number(value)
@@ -173,6 +180,7 @@ _TEXT_OR_NUMBER = WithJsonSchema({"type": ["string", "number"]})
 TextField = Annotated[str, PlainValidator(read_text), WithJsonSchema({"type": "string"})]
 Number = Annotated[float, PlainValidator(read_number), WithJsonSchema({"type": "number"})]
 Positive = Annotated[float, PlainValidator(read_positive), WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]
+Truth = Annotated[bool, PlainValidator(read_truth), WithJsonSchema({"type": "boolean"})]
 Natural = Annotated[int, PlainValidator(read_integer), WithJsonSchema({"type": "integer", "minimum": 0})]
 Name = Annotated[str, PlainValidator(read_name), WithJsonSchema({"type": "string", "pattern": NAME_PATTERN})]
 Formula = Annotated[Expression, PlainValidator(read_expression), PlainSerializer(_written), _TEXT_OR_NUMBER]

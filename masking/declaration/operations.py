@@ -32,6 +32,10 @@ def _sign(x: float) -> float:
     return 0.0 if x == 0.0 else math.copysign(1.0, x)
 
 
+def _floor(x: float) -> float:
+    return float(math.floor(x))
+
+
 def _heaviside(x: float) -> float:
     return 0.5 if x == 0.0 else float(x > 0.0)
 
@@ -76,6 +80,7 @@ OPERATIONS: dict[str, Operation] = {
     "sqrt": Operation(math.sqrt, "sqrt"),
     "abs": Operation(abs, "Abs"),
     "sign": Operation(_sign, "sign"),
+    "floor": Operation(_floor, "floor"),
     "min": Operation(min, "Min", 2, _MANY),
     "max": Operation(max, "Max", 2, _MANY),
     "where": Operation(

@@ -11,20 +11,22 @@ from collections.abc import Iterator, Mapping
 from masking.declaration.checks import problem_at
 from masking.declaration.dimensions import dimension_in, is_plain, symbol_dimensions, unit_problem
 from masking.declaration.expression import Expression
-from masking.declaration.schema import Limit, ModelDeclaration, PlantDeclaration, Quantity, Sensor
+from masking.declaration.schema import Actuator, Limit, ModelDeclaration, PlantDeclaration, PowerLimit, Quantity, Sensor
 from masking.declaration.units import Dimension, describe, dimension_of
 from masking.errors import DeclarationError, Problem
 
 _POWER = "W"
+_Entry = Actuator | Limit | PowerLimit | Quantity | Sensor
 _Symbols = Mapping[str, Dimension | None]
 
 
 def check_plant_units(plant: PlantDeclaration, model: ModelDeclaration) -> list[Problem]:
     """List the units of a plant that do not go with those of its model, and those that are no units at all."""
-    entries: dict[str, Limit | Quantity | Sensor] = {
+    entries: dict[str, _Entry] = {
         **{f"limits.inputs.{name}": limit for name, limit in plant.limits.inputs.items()},
         **{f"limits.coordinates.{expression.text}": limit for expression, limit in plant.limits.coordinates.items()},
         **({"limits.power": plant.limits.power} if plant.limits.power else {}),
+        **{f"actuators.{name}": actuator for name, actuator in plant.actuators.items()},
         **{f"sensors.{name}": sensor for name, sensor in plant.sensors.items()},
         **{f"sensors.{name}.gain": sensor.gain for name, sensor in plant.sensors.items()},
     }
@@ -39,6 +41,7 @@ def check_plant_units(plant: PlantDeclaration, model: ModelDeclaration) -> list[
     power = plant.limits.power
     if power and _is_written(power) and dimension_of(power.unit) != dimension_of(_POWER):
         problems.append(problem_at(plant, "limits.power.unit", f"a power is in {_POWER}, the limit in {power.unit}"))
+    problems += _heating(plant, model)
     symbols = symbol_dimensions(model)
     if symbols is not None and not is_plain(model):
         problems += _limits(plant, model, symbols)
@@ -47,16 +50,32 @@ def check_plant_units(plant: PlantDeclaration, model: ModelDeclaration) -> list[
     return problems
 
 
-def _is_written(entry: Limit | Quantity | Sensor) -> bool:
+def _heating(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
+    """Check that a heating is a power per squared command."""
+    power = plant.limits.power
+    if power is None or power.heating is None:
+        return
+    found = dimension_of(power.heating.unit)
+    for name, channel in (plant.actuators or model.inputs).items():
+        made = tuple(a + 2 * b for a, b in zip(found, dimension_of(channel.unit), strict=True))
+        if made != dimension_of(_POWER):
+            wanted = _POWER if channel.unit == "1" else f"{_POWER}/({channel.unit})**2"
+            message = f"a heating is a power per squared command of {name}: {wanted}, not {power.heating.unit}"
+            yield problem_at(plant, "limits.power.heating", message)
+            return
+
+
+def _is_written(entry: _Entry) -> bool:
     return "unit" in entry.model_fields_set
 
 
 def _limits(plant: PlantDeclaration, model: ModelDeclaration, symbols: _Symbols) -> Iterator[Problem]:
     for name, limit in plant.limits.inputs.items():
-        found, path = symbols.get(name), f"limits.inputs.{name}.unit"
-        if name in model.inputs and _is_written(limit) and dimension_of(limit.unit) != found:
-            message = f"the input {name} is in {model.inputs[name].unit}, the limit in {limit.unit}"
-            yield problem_at(plant, path, message)
+        channel = plant.actuators.get(name) or model.inputs.get(name)
+        if channel and _is_written(limit) and dimension_of(limit.unit) != dimension_of(channel.unit):
+            what = "actuator" if plant.actuators else "input"
+            message = f"the {what} {name} is in {channel.unit}, the limit in {limit.unit}"
+            yield problem_at(plant, f"limits.inputs.{name}.unit", message)
     for expression, limit in plant.limits.coordinates.items():
         try:
             found = dimension_in(expression, symbols)

@@ -48,8 +48,14 @@ __all__ = [
 
 D = TypeVar("D", bound=Declaration)
 
-_SHORT = {"coordinates": "meaning", "inputs": "meaning", "parameters": "value", "outputs": "expression"}
-_MERGED = {*_SHORT, "definitions", "equations", "forces", "scales"}
+_SHORT = {
+    "coordinates": "meaning",
+    "states": "meaning",
+    "inputs": "meaning",
+    "parameters": "value",
+    "outputs": "expression",
+}
+_MERGED = {*_SHORT, "definitions", "equations", "forces", "scales", "elements"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,17 +201,18 @@ def _full(section: str, entry: Any) -> dict[str, Any]:  # noqa: ANN401  (plain d
 
 
 def _add_terms(result: dict[str, Any], terms: dict[Text, Text | Real]) -> None:
-    section = "forces" if "lagrangian" in result else "equations"
-    sides: dict[str, Any] = dict(result.get(section, {}))
-    allowed = list(result.get("coordinates", {})) if section == "forces" else list(sides)
+    is_lagrangian = "lagrangian" in result
+    equations = dict(result.get("equations", {}))  # of a Lagrangian model, those of its internal states
+    forces = dict(result.get("forces", {}))
+    allowed = [*(result.get("coordinates", {}) if is_lagrangian else ()), *equations]
     for name, term in terms.items():
         if name not in allowed:
-            message = (
-                f"'{name}' is not a coordinate" if section == "forces" else f"no equation has the left-hand side {name}"
-            )
-            raise DeclarationError(Problem(name.node.place, name.node.path, message, nearest(name, allowed)))
+            what = f"'{name}' is not a coordinate" if is_lagrangian else f"no equation has the left-hand side {name}"
+            raise DeclarationError(Problem(name.node.place, name.node.path, what, nearest(name, allowed)))
+        section, sides = ("equations", equations) if name in equations else ("forces", forces)
         sides[name] = _sum(sides[name], term, f"{section}.{name}") if name in sides else term
-    result[section] = sides
+    result |= {"equations": equations} if equations else {}
+    result |= {"forces": forces} if forces else {}
 
 
 def _sum(left: Text | Real, right: Text | Real, path: str) -> Text:

@@ -6,12 +6,14 @@ is brought to its full form on reading, so code meets only one form.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, PrivateAttr
 from pydantic_core import core_schema
 
+from masking.declaration.expression import Expression
 from masking.declaration.fields import (
     ControllerRate,
     Formula,
@@ -21,6 +23,7 @@ from masking.declaration.fields import (
     Positive,
     Rate,
     TextField,
+    Truth,
     Value,
     refuse,
 )
@@ -31,6 +34,9 @@ class Block(BaseModel):
     """A mapping with fixed keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+_JSON_TYPES = {str: "string", bool: "boolean", int: "number", float: "number"}
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,7 @@ class Short:
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         """Tell editors both ways of writing."""
-        names = sorted({"string" if kind is str else "number" for kind in self.kinds})
+        names = sorted({_JSON_TYPES[kind] for kind in self.kinds})
         return {"anyOf": [{"type": names}, handler(schema)]}
 
     def widen(self, value: object) -> object:
@@ -60,7 +66,30 @@ _MEANING = Short("meaning", (str,))
 _NUMBER = Short("value", (int, float))
 _VALUE = Short("value", (int, float, str))
 _EXPRESSION = Short("expression", (int, float, str))
+_KIND = Short("kind", (str,))
 _MEASURES = Short("measures", (int, float, str))
+
+
+class _Several(Short):
+    """Reads one text as a list of one."""
+
+    def widen(self, value: object) -> object:
+        return [value] if isinstance(value, str) else value
+
+
+class _Switch(Short):
+    """Reads `false` or `true` as a switch, and a mapping as parameters."""
+
+    def widen(self, value: object) -> object:
+        if isinstance(value, bool):
+            return {"enabled": value}
+        if isinstance(value, Mapping) and not value.keys() <= {"enabled", "parameters"}:
+            return {"parameters": value}
+        return value
+
+
+_SEVERAL = _Several("", (str,))
+_SWITCH = _Switch("", (bool,))
 
 
 class Coordinate(Block):
@@ -70,6 +99,27 @@ class Coordinate(Block):
     unit: TextField = "1"
     initial: Number | None = None
     initial_velocity: Number = 0.0
+
+
+class State(Block):
+    """An internal state: a quantity z with an equation `z': ...` of first order, and where it starts."""
+
+    meaning: TextField = ""
+    unit: TextField = "1"
+    initial: Number = 0.0
+
+
+class Element(Block):
+    """A place where a force may sit, such as a spring.
+
+    `displacement` is how far it is stretched; a force f in it, in `unit`, adds acts[c] * f to the right-hand side of
+    the equation of motion of each coordinate c. A positive force resists a positive displacement where `acts` says so.
+    """
+
+    displacement: Formula
+    unit: TextField = "1"
+    acts: dict[Name, Formula]
+    meaning: TextField = ""
 
 
 class Input(Block):
@@ -126,12 +176,48 @@ class Sensor(Block):
     meaning: TextField = ""
 
 
+class Actuator(Block):
+    """A channel that a controller writes to."""
+
+    meaning: TextField = ""
+    unit: TextField = "1"
+
+
+class EffectUse(Block):
+    """A physical effect that a plant has: which, where (an element, sensor or actuator, or several) and how strong.
+
+    Each of its parameters is a number, in the unit that the dictionary of effects tells, or an expression over the
+    parameters of the plant's model.
+    """
+
+    effect: TextField
+    at: Annotated[tuple[TextField, ...], _SEVERAL] = ()
+    parameters: dict[Name, Value] = {}
+    enabled: Truth = True
+
+
+class EffectChange(Block):
+    """What an experiment changes of an effect that its plant has: `false` switches it off."""
+
+    enabled: Truth | None = None
+    parameters: dict[Name, Value] = {}
+
+
+class PowerLimit(Block):
+    """The largest mean power of an actuator: `heating` is the power per squared command, `time` the mean's, in s."""
+
+    value: Positive
+    unit: TextField = "1"
+    heating: Annotated[Quantity, _NUMBER] | None = None
+    time: Positive = 10.0
+
+
 class Limits(Block):
-    """What the rig withstands: inputs, coordinates (or expressions of them) and power."""
+    """What the rig withstands: actuators, coordinates (or expressions of them) and the power of each actuator."""
 
     inputs: dict[Name, Limit] = {}
     coordinates: dict[Formula, Limit] = {}
-    power: Quantity | None = None
+    power: PowerLimit | None = None
 
 
 class Transform(Block):
@@ -147,12 +233,47 @@ class Transform(Block):
         return "matrix" if self.matrix is not None else "expressions" if self.expressions is not None else "identity"
 
 
+class ObserverSettings(Block):
+    """How the controller estimates the rig's state from its sensors.
+
+    `exact` takes the true state, as only a simulation can give it; `differences` differences the positions; `kalman`
+    follows the model; `disturbance` also estimates what the model lacks. `bandwidth` is in rad/s; `noise` is the
+    standard deviation of a reading, in the sensors' units; `order` tells how a disturbance is expected to go on: 1 as
+    a constant, 2 as a straight line.
+    """
+
+    kind: Literal["exact", "differences", "kalman", "disturbance"] = "disturbance"
+    bandwidth: Positive | None = None
+    noise: Positive | None = None
+    order: Natural = 2
+
+
+class Regulation(Block):
+    """What is held besides the wanted dynamics: a virtual energy, and oscillators in or in anti-phase.
+
+    `energy` is in the virtual system's units, `rate` tells how fast it is approached and `coupling` how strongly the
+    oscillators are drawn to each other, both per unit of virtual time.
+    """
+
+    energy: Positive | None = None
+    rate: Positive = 0.05
+    phase: Literal["in", "anti"] | None = None
+    coupling: Positive = 0.05
+
+
 class ControllerSettings(Block):
-    """How often the controller runs (`rate` in Hz, None for continuous) and what it believes the rig to be."""
+    """How often the controller runs (`rate` in Hz, None for continuous) and what it believes the rig to be.
+
+    `approach` is the time in s in which it brings the rig from rest to the initial state; without it, a simulated rig
+    is placed there.
+    """
 
     rate: ControllerRate = None
     model: TextField | None = None
     parameters: dict[Name, Number] = {}
+    observer: Annotated[ObserverSettings, _KIND] | None = None
+    approach: Positive | None = None
+    regulate: Regulation | None = None
 
 
 class RecordSettings(Block):
@@ -217,6 +338,7 @@ class ModelDeclaration(Declaration):
 
     extends: TextField | None = None
     coordinates: dict[Name, Annotated[Coordinate, _MEANING]] = {}
+    states: dict[Name, Annotated[State, _MEANING]] = {}
     inputs: dict[Name, Annotated[Input, _MEANING]] = {}
     parameters: dict[
         Name,
@@ -235,6 +357,24 @@ class ModelDeclaration(Declaration):
     energy: Formula | None = None
     scales: dict[TextField, Scale] = {}
     oscillators: tuple[Name, ...] | None = None
+    elements: dict[Name, Element] = {}
+
+    def state_of(self, left: Expression) -> str | None:
+        """Give the internal state whose equation has this left-hand side, None for an equation of motion."""
+        symbol = left.steps[0].value if len(left.steps) == 1 and left.steps[0].operation == "symbol" else ""
+        name = symbol.removesuffix("'")
+        return name if name in self.states and symbol == f"{name}'" else None
+
+    @property
+    def motion(self) -> dict[Expression, Expression]:
+        """The equations of motion: all but those of the internal states."""
+        return {left: right for left, right in self.equations.items() if self.state_of(left) is None}
+
+    @property
+    def rates(self) -> dict[str, Expression]:
+        """The right-hand side of the equation of each internal state, in declared order."""
+        found = {self.state_of(left): right for left, right in self.equations.items()}
+        return {name: found[name] for name in self.states if name in found}
 
 
 class PlantDeclaration(Declaration):
@@ -249,9 +389,10 @@ class PlantDeclaration(Declaration):
         Name,
         Annotated[Sensor, _MEASURES],
     ] = {}
+    actuators: dict[Name, Annotated[Actuator, _MEANING]] = {}
+    wiring: dict[Name, Formula] = {}
     limits: Limits = Limits()
-    wiring: TextField | None = None
-    meaning: TextField | None = None
+    effects: dict[Name, EffectUse] = {}
 
 
 class ExperimentDeclaration(Declaration):
@@ -265,6 +406,7 @@ class ExperimentDeclaration(Declaration):
     controller: ControllerSettings = ControllerSettings()
     initial: dict[TextField, Number] = {}
     parameters: dict[Name, Number] = {}
+    effects: dict[Name, Annotated[EffectChange, _SWITCH]] = {}
     duration: Positive
     time_scale: Positive | None = None
     record: RecordSettings | None = None

@@ -1,0 +1,272 @@
+"""Putting an effect into a declared model, and the parts from which one elsewhere is compiled.
+
+The element's displacement, its rate and the force become definitions `<label>_d`, `<label>_v` and `<label>_f`; the
+parameters and states of the effect carry the label too. The parameter `<label>_on` multiplies the force: at 0 the
+model is what it was, and switching takes no compilation.
+"""
+
+from __future__ import annotations
+
+import math
+import numbers
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from masking.declaration.checks import check_model
+from masking.declaration.dimensions import check_dimensions, dimension_in, is_plain, symbol_dimensions
+from masking.declaration.expression import Expression
+from masking.declaration.fields import NAME_PATTERN
+from masking.declaration.rates import rate_of
+from masking.declaration.schema import Element, ModelDeclaration, Parameter, State
+from masking.declaration.units import Dimension, describe, dimension_of
+from masking.effects.entries import EFFECTS, Effect, EffectParameter
+from masking.errors import DeclarationError, Problem, nearest
+
+# A number in the parameter's unit, an expression over the model's parameters, or either with a unit:
+# {"value": 5.8, "unit": "mm"}.
+Setting = float | str | Expression | Mapping[str, Any]
+
+_SUBJECTS = {"sensor": "s", "actuator": "u"}
+
+
+def find(name: str) -> Effect:
+    """Return an effect by its name.
+
+    Raises:
+        DeclarationError: there is none; says which was probably meant.
+    """
+    if name not in EFFECTS:
+        raise _refusal("", f"there is no effect '{name}'", nearest(name, EFFECTS))
+    return EFFECTS[name]
+
+
+def expressions(name: str) -> tuple[Expression, dict[str, Expression]]:
+    """Return what an effect makes of its place, switch included, and the rates of its states.
+
+    The symbols are those of the dictionary and `on`, the switch: on * f in an element, s + on * (g - s) in a sensor
+    whose effect is g, and in an actuator the same with u.
+
+    Raises:
+        DeclarationError: there is no such effect, or it has no expression.
+    """
+    effect = find(name)
+    if not effect.expression:
+        raise _refusal("", f"the effect '{name}' has no expression: it sits in the loop")
+    subject = _SUBJECTS.get(effect.where)
+    text = f"on*({effect.expression})" if subject is None else f"{subject} + on*({effect.expression} - {subject})"
+    rates = {state: Expression(entry.rate, path=f"{name}.{state}") for state, entry in effect.states.items()}
+    return Expression(text, path=name), rates
+
+
+def unit_of(template: str, units: Mapping[str, str]) -> str:
+    """Return the coherent SI unit of a template.
+
+    Args:
+        template: a unit of the dictionary, such as `F/D`.
+        units: the units that stand for its letters, such as `{"F": "m/s**2", "D": "m"}`.
+    """
+    return describe(dimension_of(_renamed(Expression(template), {name: f"({u})" for name, u in units.items()})))
+
+
+def parameters(name: str, label: str, given: Mapping[str, Setting], units: Mapping[str, str]) -> dict[str, Parameter]:
+    """Return the parameters of an effect as a model declares them, named `<label>_<parameter>`, with `<label>_on`.
+
+    Args:
+        name: the effect.
+        label: stands before each name.
+        given: values of the effect's parameters by their short names; a number is in coherent SI units.
+        units: the units of the place, as those of `unit_of`.
+
+    Raises:
+        DeclarationError: a parameter is not known, is missing or has a wrong unit or value; lists all.
+    """
+    effect = find(name)
+    problems = [
+        Problem(None, label, f"the effect '{name}' has no parameter '{key}'", nearest(key, effect.parameters))
+        for key in given
+        if key not in effect.parameters
+    ]
+    found = {f"{label}_on": Parameter(value=1.0, meaning=f"switch of {label}: 1 is on, 0 is off", bounds=(0.0, 1.0))}
+    missing = []
+    for key, entry in effect.parameters.items():
+        unit = unit_of(entry.unit, units)
+        setting = given.get(key, entry.value)
+        if setting is None:
+            missing.append(f"{key} in {unit} ({entry.meaning}, such as {entry.nominal:g})")
+            continue
+        try:
+            found[f"{label}_{key}"] = _parameter(f"{label}.{key}", entry, unit, setting)
+        except DeclarationError as error:
+            problems += error.problems
+    if missing:
+        problems.append(Problem(None, label, f"the effect '{name}' needs values", f"give {', '.join(missing)}"))
+    if problems:
+        raise DeclarationError(problems)
+    return found
+
+
+def attach(
+    declaration: ModelDeclaration,
+    effect: str,
+    at: str,
+    label: str | None = None,
+    parameters: Mapping[str, Setting] | None = None,
+) -> ModelDeclaration:
+    """Return a model with an effect in one of its elements.
+
+    Args:
+        declaration: the model.
+        effect: the name of an effect that sits in an element.
+        at: the element.
+        label: stands before the names of the effect's parameters and states; by default `<at>_<effect>`.
+        parameters: values of the effect's parameters by their short names: numbers in coherent SI units, expressions
+            over the model's parameters, or either with a unit, `{"value": 5.8, "unit": "mm"}`.
+
+    Raises:
+        DeclarationError: the effect, the element or a parameter is not known, a value is missing, or the model that
+            results is wrong; says what is meant or needed.
+    """
+    entry, element = find(effect), _element(declaration, effect, at)
+    label = f"{at}_{effect}" if label is None else label
+    _check_label(declaration, label)
+    units = _units(declaration, element, at)
+    names = {key: f"{label}_{key}" for key in (*entry.parameters, *entry.states)}
+    names |= {"d": f"{label}_d", "d_rate": f"{label}_v"}
+    force = Expression(entry.expression, path=label)
+    rates = {state: Expression(e.rate, path=label) for state, e in entry.states.items()}
+    used = force.names.union(*(rate.names for rate in rates.values()))
+    definitions = {f"{label}_d": Expression(element.displacement.text, path=f"{label}.displacement")}
+    definitions |= {f"{label}_v": Expression(rate_of(element.displacement, declaration.coordinates), path=label)}
+    definitions = {n: e for n, e in definitions.items() if n in {names[key] for key in used & {"d", "d_rate"}}}
+    definitions[f"{label}_f"] = Expression(f"{label}_on*({_renamed(force, names)})", path=label)
+    changed = _with_force(declaration, element, f"{label}_f")
+    new_states = {
+        names[state]: State(meaning=f"{e.meaning}, {label}", unit=unit_of(e.unit, units))
+        for state, e in entry.states.items()
+    }
+    new_equations = {
+        Expression(f"{names[state]}'", path=label): Expression(_renamed(rate, names), path=label)
+        for state, rate in rates.items()
+    }
+    all_parameters = _parameters(effect, label, parameters or {}, units)
+    _check_free(declaration, label, [*new_states, *all_parameters, *definitions])
+    result = changed.model_copy(
+        update={
+            "states": {**declaration.states, **new_states},
+            "parameters": {**declaration.parameters, **all_parameters},
+            "definitions": {**declaration.definitions, **definitions},
+            "equations": {**changed.equations, **new_equations},
+        }
+    )
+    problems = check_model(result) or check_dimensions(result)
+    if problems:
+        raise DeclarationError(problems)
+    return result
+
+
+_parameters = parameters  # where an argument has that name
+
+
+def _element(declaration: ModelDeclaration, effect: str, at: str) -> Element:
+    where = find(effect).where
+    if where != "element":
+        place = {"sensor": "a sensor", "actuator": "an actuator", "loop": "the loop"}[where]
+        raise _refusal(
+            at, f"the effect '{effect}' sits in {place}, not in an element of a model", "declare it in a plant"
+        )
+    if at not in declaration.elements:
+        mend = nearest(at, declaration.elements) if declaration.elements else "declare it under elements"
+        raise _refusal(at, f"{declaration.name} has no element '{at}'", mend)
+    return declaration.elements[at]
+
+
+def _check_label(declaration: ModelDeclaration, label: str) -> None:
+    if not re.match(NAME_PATTERN, label):
+        mend = "a label is made of ASCII letters, digits and _, and starts with a letter"
+        raise _refusal(label, f"'{label}' is not a label", mend)
+    if f"{label}_on" in declaration.parameters:
+        raise _refusal(label, f"there is already an effect '{label}'", "give this one another label")
+
+
+def _check_free(declaration: ModelDeclaration, label: str, names: Iterable[str]) -> None:
+    for section in ("coordinates", "states", "inputs", "parameters", "definitions", "elements"):
+        taken = [name for name in names if name in getattr(declaration, section)]
+        if taken:
+            raise _refusal(label, f"the name '{taken[0]}' is already used in {section}", "give another label")
+
+
+def _units(declaration: ModelDeclaration, element: Element, at: str) -> dict[str, str]:
+    """Return the units that stand for F, D and s in an element."""
+    if is_plain(declaration):
+        return {"F": "1", "D": "1", "s": "1"}
+    symbols = symbol_dimensions(declaration)
+    if symbols is None:
+        raise DeclarationError(check_dimensions(declaration))
+    displacement = dimension_in(element.displacement, symbols)
+    if displacement is None or symbols["t"] is None:
+        raise _refusal(f"elements.{at}.displacement", "the displacement has no unit")
+    return {"F": element.unit, "D": _written(displacement), "s": _written(symbols["t"])}
+
+
+def _written(dimension: Dimension | None) -> str:
+    return "1" if dimension is None else describe(dimension)
+
+
+def _parameter(path: str, entry: EffectParameter, unit: str, setting: Setting) -> Parameter:
+    """Return one parameter of an effect as a model declares it."""
+    value: object = setting
+    if isinstance(setting, Mapping):
+        if not {"value"} <= setting.keys() <= {"value", "unit"}:
+            raise _refusal(path, "a value is a number, an expression or {value, unit}")
+        value, wanted = setting["value"], dimension_of(unit)
+        if dimension_of(str(setting.get("unit", unit))) != wanted:
+            raise _refusal(path, f"the unit {setting['unit']} is not one of {unit}", f"give a value in {unit}")
+        unit = str(setting.get("unit", unit))
+    if isinstance(value, str):
+        value = Expression(value, path=path)
+    if isinstance(value, bool) or not isinstance(value, numbers.Real | Expression):
+        raise _refusal(path, f"a value is a number, an expression or {{value, unit}}, not {value!r}")
+    if not isinstance(value, Expression):
+        value = float(value)
+        if not math.isfinite(value):
+            raise _refusal(path, f"the value is {value}, not finite")
+    return Parameter(value=value, unit=unit, meaning=entry.meaning, bounds=entry.bounds)
+
+
+def _with_force(declaration: ModelDeclaration, element: Element, force: str) -> ModelDeclaration:
+    """Return a model in which a force acts as its element says."""
+    if declaration.lagrangian is not None:
+        forces = dict(declaration.forces)
+        for coordinate, factor in element.acts.items():
+            before = forces.get(coordinate)
+            forces[coordinate] = _sum(before, factor, force)
+        return declaration.model_copy(update={"forces": forces})
+    lefts = {left.steps[0].value: left for left in declaration.motion if len(left.steps) == 1}
+    equations = dict(declaration.equations)
+    for coordinate, factor in element.acts.items():
+        left = lefts[f"{coordinate}''"]
+        equations[left] = _sum(equations[left], factor, force)
+    return declaration.model_copy(update={"equations": equations})
+
+
+def _sum(before: Expression | None, factor: Expression, force: str) -> Expression:
+    """Return an expression with a force times a factor added; what was there keeps its place in its file."""
+    signs = {"1": f"+ {force}", "-1": f"- {force}"}
+    term = signs.get(factor.text.strip(), f"+ ({factor.text})*{force}")
+    return Expression(term.removeprefix("+ ")) if before is None else replace(before, text=f"{before.text} {term}")
+
+
+def _renamed(expression: Expression, names: Mapping[str, str]) -> str:
+    """Return the text of an expression with other names for some of its symbols."""
+    text, parts, end = expression.text, [], 0
+    symbols = (step for step in expression.steps if step.operation == "symbol" and step.value in names)
+    for step in sorted(symbols, key=lambda step: step.start):
+        parts += [text[end : step.start], names[step.value]]
+        end = step.end
+    return "".join([*parts, text[end:]])
+
+
+def _refusal(path: str, message: str, mend: str = "") -> DeclarationError:
+    return DeclarationError(Problem(None, path, message, mend))

@@ -1,0 +1,397 @@
+"""Twin: a simulated rig with everything that it does wrong, each of which can be switched off.
+
+A plant file declares a model, effects in its elements, sensors and actuators, and how the actuators are wired. All of
+it becomes one system of ordinary differential equations with held commands, and what the sensors read of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.compile import store
+from masking.compile.graph import Graph, Node
+from masking.compile.source import Module
+from masking.declaration import schema, units
+from masking.declaration.expression import Expression
+from masking.effects import EFFECTS, Effect, attach, expressions
+from masking.errors import DeclarationError, Problem, nearest
+from masking.kernels import Array, Kernels
+from masking.lowering import LoweredEquations
+from masking.model import Model
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+
+@dataclass(frozen=True)
+class PlacedEffect:
+    """One effect at one place: its label, its kind, where it is, how strong, and whether it is on."""
+
+    label: str
+    kind: str
+    at: str
+    parameters: Mapping[str, float | Expression]
+    enabled: bool
+    path: str
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A simulated rig.
+
+    Args:
+        declaration: the content of a plant file.
+        base: the model that it names.
+        changes: what an experiment changes of its effects, by their names.
+    """
+
+    declaration: schema.PlantDeclaration
+    base: schema.ModelDeclaration
+    changes: Mapping[str, schema.EffectChange] = field(default_factory=dict)
+
+    @cached_property
+    def effects(self) -> tuple[PlacedEffect, ...]:
+        """Return every effect at every place, in declared order.
+
+        Raises:
+            DeclarationError: there is no such effect or place, or a parameter is unknown or missing.
+        """
+        problems: list[Problem] = []
+        for name in self.changes:
+            if name not in self.declaration.effects:
+                message = f"{self.declaration.name} has no effect '{name}'"
+                problems.append(Problem(None, f"effects.{name}", message, nearest(name, self.declaration.effects)))
+        found = [effect for name in self.declaration.effects for effect in self._at_each_place(name, problems)]
+        if problems:
+            raise DeclarationError(problems)
+        return tuple(found)
+
+    def _at_each_place(self, name: str, problems: list[Problem]) -> Iterator[PlacedEffect]:
+        use, change = self.declaration.effects[name], self.changes.get(name, schema.EffectChange())
+        path = f"effects.{name}"
+        known = EFFECTS.get(use.effect)
+        if known is None:
+            message, mend = f"there is no effect '{use.effect}'", nearest(use.effect, EFFECTS)
+            problems.append(Problem(self.declaration.place(f"{path}.effect"), f"{path}.effect", message, mend))
+            return
+        places = {"element": self.base.elements, "sensor": self.sensors, "actuator": self.actuators}
+        allowed = [str(place) for place in places.get(known.where, ())]
+        given = {**use.parameters, **change.parameters}
+        problems += self._check(path, known, use, given, allowed)
+        enabled = use.enabled if change.enabled is None else change.enabled
+        for at in use.at or ("",):
+            label = f"{name}_{at}" if len(use.at) > 1 else name
+            yield PlacedEffect(label, use.effect, at, given, enabled, path)
+
+    def _check(
+        self,
+        path: str,
+        known: Effect,
+        use: schema.EffectUse,
+        given: Mapping[str, float | Expression],
+        allowed: list[str],
+    ) -> Iterator[Problem]:
+        place = self.declaration.key_place(path)
+        if known.where == "loop" and use.at:
+            yield Problem(place, path, f"the effect {use.effect} sits in the loop, not at {', '.join(use.at)}")
+        if known.where != "loop" and not use.at:
+            message = f"the effect {use.effect} needs a place: which {known.where}"
+            yield Problem(place, path, message, f"write 'at: {allowed[0]}'" if allowed else f"declare {known.where}s")
+        for at in use.at if known.where != "loop" else ():
+            if at not in allowed:
+                message = f"'{at}' is no {known.where} of {self.declaration.name}"
+                yield Problem(self.declaration.place(f"{path}.at"), f"{path}.at", message, nearest(at, allowed))
+        for name in given.keys() - known.parameters.keys():
+            message = f"the effect {use.effect} has no parameter '{name}'"
+            yield Problem(place, f"{path}.parameters.{name}", message, nearest(name, known.parameters))
+        missing = [name for name, p in known.parameters.items() if p.value is None and name not in given]
+        if missing:
+            needed = ", ".join(f"{name} [{known.parameters[name].unit}]" for name in missing)
+            yield Problem(place, path, f"the effect {use.effect} needs {needed}")
+
+    @cached_property
+    def attached(self) -> schema.ModelDeclaration:
+        """Return the declaration of the rig's model with the effects of its elements."""
+        declaration = self.base
+        for effect in self._of("element"):
+            given = {name: p.text if isinstance(p, Expression) else p for name, p in effect.parameters.items()}
+            declaration = attach(declaration, effect.kind, effect.at, effect.label, given)
+        return declaration
+
+    @cached_property
+    def model(self) -> Model:
+        """Return the model of the rig with the effects of its elements, in SI units."""
+        switches = {f"{effect.label}_on": float(effect.enabled) for effect in self._of("element")}
+        return Model(self.attached, {**self.declaration.parameters, **switches})
+
+    def changed(self, changes: Mapping[str, schema.EffectChange]) -> Twin:
+        """Return the twin with other changes; where no parameter in its elements changes, they are not attached anew."""
+        made = replace(self, changes=changes)
+        if [e.parameters for e in made._of("element")] == [e.parameters for e in self._of("element")]:
+            vars(made)["attached"] = self.attached
+        return made
+
+    def _of(self, where: str) -> list[PlacedEffect]:
+        return [effect for effect in self.effects if EFFECTS[effect.kind].where == where]
+
+    def _on(self, where: str, at: str) -> list[PlacedEffect]:
+        return [effect for effect in self._of(where) if effect.at == at]
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """Return the channels that a controller commands; the model's inputs where none are declared."""
+        return tuple(self.declaration.actuators or self.base.inputs)
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Return the names of the sensors."""
+        return tuple(self.declaration.sensors)
+
+    @property
+    def delay(self) -> int:
+        """Return the samples between a reading and the first effect of the command that answers it."""
+        return sum(round(self._value(effect, "samples")) for effect in self._of("loop") if effect.enabled)
+
+    @cached_property
+    def chain_states(self) -> tuple[tuple[PlacedEffect, str], ...]:
+        """Return the internal states of effects in actuators and sensors, which follow those of the model in y."""
+        return tuple((effect, name) for effect in self._chain for name in _states(effect))
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Return the names of y: coordinates, velocities, internal states of the model, of actuators and sensors."""
+        model = self.model
+        names = [*model.coordinates, *(f"{c}'" for c in model.coordinates), *model.declaration.states]
+        return (*names, *(f"{effect.label}_{name}" for effect, name in self.chain_states))
+
+    @cached_property
+    def wiring(self) -> Array:
+        """Return what each input of the model gets of each actuator (inputs, actuators)."""
+        return wiring(self.declaration, self.base, self.model.parameter_values())
+
+    def noise(self) -> dict[str, float]:
+        """Return the standard deviation of a reading of each sensor that declares any, in the sensor's unit.
+
+        A quantised reading counts with that of rounding, step / sqrt(12).
+        """
+        found = {}
+        for name in self.sensors:
+            parts = [
+                self._value(e, "sigma") if e.kind == "noise" else self._value(e, "step") / np.sqrt(12.0)
+                for e in self._on("sensor", name)
+                if e.enabled and e.kind in {"noise", "quantisation"}
+            ]
+            if parts:
+                found[name] = float(np.sqrt(sum(part**2 for part in parts)))
+        return found
+
+    def _value(self, effect: PlacedEffect, name: str) -> float:
+        value = effect.parameters.get(name, EFFECTS[effect.kind].parameters[name].value)
+        if isinstance(value, Expression):
+            return value.evaluate(self.model.parameter_values())
+        return float(value)  # type: ignore[arg-type]  # checked in `effects`
+
+    def values(self) -> Array:
+        """Return the parameter array: the model's, the wiring, the sensors' gains, the parameters of their effects."""
+        rest = [self._value(effect, name) for effect in self._chain for name in _parameters(effect)]
+        switches = [float(effect.enabled) for effect in self._chain]
+        gains = [self._gain(name) for name in self.sensors]
+        return np.concatenate([self.model.values(), self.wiring.ravel(), gains, rest, switches])
+
+    @property
+    def _chain(self) -> list[PlacedEffect]:
+        actuators = [e for a in self.actuators for e in self._on("actuator", a)]
+        return actuators + [e for s in self.sensors for e in self._on("sensor", s)]
+
+    def _gain(self, sensor: str) -> float:
+        declared = self.declaration.sensors[sensor]
+        factors = self.kernels.meta["factors"]
+        return float(declared.gain.value * factors[declared.gain.unit] / factors[declared.unit])
+
+    def size(self, unit: str) -> float:
+        """Return the size in SI units of a unit that the plant file uses."""
+        return float(self.kernels.meta["factors"][unit])
+
+    def rest(self, coordinates: Array) -> Array:
+        """Return the state (states,) at rest in given coordinates (n,), with internal states as declared."""
+        internal = [state.initial for state in self.model.declaration.states.values()]
+        zeros = np.zeros(len(coordinates) + len(self.chain_states))
+        n = len(coordinates)
+        return np.concatenate([coordinates, zeros[:n], internal, zeros[n:]])
+
+    def structure(self) -> dict[str, object]:
+        """Return all that the compiled functions depend on, apart from values."""
+        return {
+            "model": self.model.structure(),
+            "sensors": {n: [s.measures.text, s.gain.unit, s.unit] for n, s in self.declaration.sensors.items()},
+            "actuators": list(self.actuators),
+            "chain": [[effect.label, effect.kind, effect.at] for effect in self._chain],
+            "units": sorted(_units(self.declaration)),
+        }
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """Return the compiled functions `sense` and `advance`; from the cache on disk where they have been made."""
+        return Kernels(store.load(store.key({"twin": self.structure()}), self._build))
+
+    def _build(self) -> Module:
+        module = Module(self.declaration.name, {"kind": "twin", "coordinates": list(self.state_names)})
+        self.add_to(module)
+        return module
+
+    def add_to(self, module: Module) -> None:
+        """Add `sense(t, y, p, noise, s)`, `twin_derivative(t, y, u, p, dy)` and `advance` to a generated module."""
+        module.meta["factors"] = {unit: units.factor_of(unit) for unit in _units(self.declaration)}
+        lowered = _Lowered(self)
+        module.add("sense(t, y, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
+        module.add("twin_derivative(t, y, u, p, dy)", lowered.graph, lowered.derivatives, lowered.loads, lowered.health)
+        size = len(self.state_names)
+        module.add_kernel(ADVANCE.format(size=size), "", (5, size))
+
+
+ADVANCE = """
+_advance = integrate.runge_kutta_4(twin_derivative, {size})
+
+
+@compiled
+def advance(t, y, u, p, dt, substeps, work):
+    for i in range(substeps):
+        _advance(t + i * (dt / substeps), y, u, p, dt / substeps, work[:4], work[4])
+"""
+
+
+class _Lowered:
+    """A twin as nodes of a graph."""
+
+    def __init__(self, twin: Twin) -> None:
+        graph, self.twin = Graph(), twin
+        self.graph = graph
+        equations = twin.model.equations
+        count, channels = len(equations.declaration.parameters), len(twin.actuators)
+        inputs = len(equations.declaration.inputs)
+        self.loads: dict[str, str] = {}
+        self._next = count
+
+        wires = [[self._parameter(f"w_{i}_{j}") for j in range(channels)] for i in range(inputs)]
+        gains = [self._parameter(f"gain_{name}") for name in twin.sensors]
+        self.parameters = {
+            effect.label: {name: self._parameter(f"e_{effect.label}_{name}") for name in _parameters(effect)}
+            for effect in twin._chain
+        }
+        self.switches = {effect.label: self._parameter(f"on_{effect.label}") for effect in twin._chain}
+
+        commands = [self._read(f"c_{name}", f"u[{j}]", varying=False) for j, name in enumerate(twin.actuators)]
+        first = len(twin.state_names) - len(twin.chain_states)
+        self.states = {
+            (effect.label, name): self._read(f"a_{effect.label}_{name}", f"y[{first + i}]", varying=True)
+            for i, (effect, name) in enumerate(twin.chain_states)
+        }
+        self.rates: list[Node] = []
+        channel = [self._through("actuator", name, x) for name, x in zip(twin.actuators, commands, strict=True)]
+        driven = [graph.total([graph.mul(w, x) for w, x in zip(row, channel, strict=True)]) for row in wires]
+        model = LoweredEquations.of(equations, graph, known=dict(zip(equations.symbols.u, driven, strict=True)))
+        self.loads |= model.joined()
+        self.health = model.health
+        s = equations.symbols
+        self.readings = []
+        for i, (name, gain) in enumerate(zip(twin.sensors, gains, strict=True)):
+            measured = model.lower(equations.symbolic(twin.declaration.sensors[name].measures))
+            noise = self._read(f"xi_{i}", f"noise[{i}]", varying=True)
+            self.readings.append((f"s[{i}]", self._through("sensor", name, graph.mul(gain, measured), noise)))
+        moving = [*(model.symbols[v] for v in s.v), *model.accelerations, *model.rates, *self.rates]
+        self.derivatives = [(f"dy[{i}]", x) for i, x in enumerate(moving)]
+
+    def _parameter(self, name: str) -> Node:
+        self._next += 1
+        return self._read(name, f"p[{self._next - 1}]", varying=False)
+
+    def _read(self, name: str, text: str, *, varying: bool) -> Node:
+        self.loads[name] = text
+        return self.graph.symbol(name, varying=varying)
+
+    def _through(self, where: str, at: str, x: Node, noise: Node | None = None) -> Node:
+        """Return what the effects at one sensor or actuator make of a value, one after the other."""
+        for effect in self.twin._on(where, at):
+            result, rates = expressions(effect.kind)
+            nodes = {name: self.states[effect.label, name] for name in rates}
+            nodes |= {"on": self.switches[effect.label], "u" if where == "actuator" else "s": x}
+            nodes |= self.parameters[effect.label]
+            if noise is not None:
+                nodes["xi"] = noise
+            symbols = {name: sp.Symbol(name, real=True) for name in nodes}
+            known = {symbols[name]: node for name, node in nodes.items()}
+            self.rates += [self.graph.lower(rate.to_sympy(symbols), known) for rate in rates.values()]
+            x = self.graph.lower(result.to_sympy(symbols), known)
+        return x
+
+
+def wiring(plant: schema.PlantDeclaration, model: schema.ModelDeclaration, parameters: Mapping[str, float]) -> Array:
+    """Return what each input of a model gets of each actuator (inputs, actuators), as a plant file declares it.
+
+    Args:
+        plant: the plant file; without `actuators`, each input is an actuator.
+        model: the model that the plant file names.
+        parameters: its parameters in SI units.
+
+    Raises:
+        DeclarationError: an input is not wired, or not linear in the actuators.
+    """
+    if not plant.actuators:
+        return np.eye(len(model.inputs))
+    problems = []
+    rows = np.zeros((len(model.inputs), len(plant.actuators)))
+    for name in plant.wiring.keys() - model.inputs.keys():
+        message, mend = f"'{name}' is no input of {model.name}", nearest(name, model.inputs)
+        problems.append(Problem(plant.key_place(f"wiring.{name}"), f"wiring.{name}", message, mend))
+    for i, name in enumerate(model.inputs):
+        path = f"wiring.{name}"
+        if name not in plant.wiring:
+            message = f"nothing is wired to the input {name}"
+            mend = f"write what it gets of the actuators, such as '{name}: {next(iter(plant.actuators))}'"
+            problems.append(Problem(plant.key_place("wiring"), path, message, mend))
+            continue
+        expression = plant.wiring[name]
+        unknown = expression.check_symbols([*plant.actuators, *parameters])
+        if unknown:
+            problems += unknown
+            continue
+
+        def at(command: Array, expression: Expression = expression) -> float:
+            return expression.evaluate({**parameters, **dict(zip(plant.actuators, command, strict=True))})
+
+        rest = at(np.zeros(len(plant.actuators)))
+        rows[i] = [at(unit) - rest for unit in np.eye(len(plant.actuators))]
+        probe = np.random.default_rng(0).uniform(0.5, 1.5, len(plant.actuators))
+        if rest != 0.0 or not np.isclose(at(probe), rows[i] @ probe, rtol=1e-9):
+            message = "the wiring must be a sum of actuators times numbers"
+            problems.append(Problem(plant.place(path), path, message, "put anything else into effects"))
+    if problems:
+        raise DeclarationError(problems)
+    return rows
+
+
+def _parameters(effect: PlacedEffect) -> list[str]:
+    return [*EFFECTS[effect.kind].parameters]
+
+
+def _states(effect: PlacedEffect) -> list[str]:
+    return [*EFFECTS[effect.kind].states]
+
+
+def _units(plant: schema.PlantDeclaration) -> set[str]:
+    """Return the text of every unit in a plant file."""
+    limits = plant.limits
+    found = {"1", *(a.unit for a in plant.actuators.values()), *(x.unit for x in limits.inputs.values())}
+    found |= {x.unit for s in plant.sensors.values() for x in (s, s.gain)}
+    found |= {x.unit for x in limits.coordinates.values()}
+    if limits.power is not None:
+        found |= {limits.power.unit, limits.power.heating.unit if limits.power.heating else "1"}
+    return found
