@@ -20,8 +20,9 @@ from masking.errors import DeclarationError, MaskingError, Problem
 if TYPE_CHECKING:
     import tqdm
 
-    from masking import experiment, reporting
+    from masking import budget, experiment, reporting
 else:
+    budget = lazy.load("masking.budget", suppress_warning=True)
     experiment = lazy.load("masking.experiment", suppress_warning=True)
     reporting = lazy.load("masking.reporting", suppress_warning=True)
     tqdm = lazy.load("tqdm")
@@ -73,7 +74,10 @@ def _parser() -> argparse.ArgumentParser:
     show = add(_show, "show", "show a model, a plant or an experiment: equations, parameters, blocks")
     show.add_argument("name", metavar="NAME", help="a name that 'masking list' shows, or a YAML file")
     show.add_argument("--kind", choices=verbs.KINDS, help="which, where the name stands for more than one")
-    check = add(_check, "check", "check declarations and say where each problem is")
+    check = add(
+        _check, "check", "check declarations, say where each problem is, and whether an experiment fits its rig"
+    )
+    check.epilog = "Exit status: 0 sound, 1 sound but an experiment does not fit the limits of its rig, 2 problems."
     check.add_argument("files", metavar="FILE", nargs="+", help="YAML files or names")
     schema = add(_schema, "schema", "print the JSON Schema of a kind of declaration, for editors")
     schema.add_argument("kind", choices=verbs.KINDS)
@@ -82,6 +86,11 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="change a virtual parameter")
     run.add_argument("--plant", metavar="PLANT", help="run on another plant: a name or a YAML file")
     run.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT)")
+    run.add_argument(
+        "--budget",
+        action=argparse.BooleanOptionalAction,
+        help="find out what limits the fidelity, by runs without each cause (default: where they take a few seconds)",
+    )
     report = add(_report, "report", "write the report of a recording")
     report.add_argument("record", metavar="RECORD", help="the folder of a recording")
     report.add_argument("--out", metavar="DIR", help="where to write (default: beside the recording)")
@@ -109,14 +118,31 @@ def _show(chosen: argparse.Namespace) -> int:
 
 
 def _check(chosen: argparse.Namespace) -> int:
-    results = verbs.check(*chosen.files)
+    results = verbs.check(*chosen.files, compiling=_say_compiling)
     if chosen.json:
-        told = [{"file": r.file, "kind": r.kind, "problems": [p.as_dict() for p in r.problems]} for r in results]
+        told = [
+            {
+                "file": r.file,
+                "kind": r.kind,
+                "problems": [p.as_dict() for p in r.problems],
+                "feasibility": r.feasibility.as_dict() if r.feasibility else None,
+                "untold": r.untold,
+            }
+            for r in results
+        ]
         print(json.dumps(told, indent=2))
     else:
         for result in results:
             print("\n".join(map(str, result.problems)) or f"{result.file}: a sound {result.kind}")
-    return 2 if any(result.problems for result in results) else 0
+            if result.feasibility is not None:
+                print(result.feasibility)
+            elif result.untold:
+                print(f"  whether it fits cannot be told: {result.untold}")
+    return max(result.exit_status for result in results)
+
+
+def _say_compiling() -> None:
+    print("compiling; this takes some ten seconds, once for each system", file=sys.stderr)
 
 
 def _schema(chosen: argparse.Namespace) -> int:
@@ -131,7 +157,7 @@ def _run(chosen: argparse.Namespace) -> int:
     verbs.check_folder(out)
     before = _created(out)
     if not made.is_compiled:
-        print("compiling; this takes some ten seconds, once for each system", file=sys.stderr)
+        _say_compiling()
     if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     bar = tqdm.tqdm(total=1.0, desc="running", delay=1.0, leave=False, disable=None, bar_format=BAR)
@@ -140,7 +166,7 @@ def _run(chosen: argparse.Namespace) -> int:
         bar.update(part - bar.n)
 
     try:
-        recording = made.run(progress)
+        recording = budget.run(made, chosen.budget, progress)
     except MaskingError:
         if before:
             print(f"{out} still holds the run of {before}", file=sys.stderr)

@@ -301,6 +301,18 @@ class Experiment:
         )
         return found.states
 
+    def record_rig(self, run: TwinRun, *, lockstep: bool, told: Mapping[str, object]) -> Recording:
+        """Return the recording of a run on a plant that runs by itself.
+
+        Args:
+            run: what happened since the release; `states` are estimates.
+            lockstep: whether controller and plant waited for each other.
+            told: how the run ended and what was counted, for the manifest.
+        """
+        made = self._record(self.sampled_columns(run), {})
+        made.manifest.update(mode="lockstep" if lockstep else "real time", states="estimated", rig=dict(told))
+        return made
+
     def _record(self, made: Columns, timing: Mapping[str, float]) -> Recording:
         columns = made.columns
         chi = {c: fidelity(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in self.virtual.coordinates}

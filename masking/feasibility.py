@@ -19,7 +19,7 @@ import numpy as np
 from masking.closed_loop import ClosedLoop
 from masking.declaration.expression import Expression
 from masking.declaration.operations import CONSTANTS, OPERATIONS, Step
-from masking.errors import DeclarationError, IntegrationError, MaskingError, ModelError, Problem, SingularityError
+from masking.errors import DeclarationError, IntegrationError, MaskingError, Problem, SingularityError
 from masking.experiment import Experiment
 from masking.kernels import Array
 from masking.loop import rig_state
@@ -88,7 +88,8 @@ class Mend:
         what: the seconds per unit of virtual time, the stroke that the transform uses, or all initial values.
         factor: what to multiply it by, the one nearest to 1 that fits; None where none does.
         shown: the factor in few digits, rounded to the side that fits.
-        left: the limits that are still passed where no factor fits, under the one that comes nearest.
+        left: where no factor fits, the limits that each of them passes, with the least use; where there is none such,
+            those that are passed under the factor that comes nearest.
     """
 
     what: Literal["time_scale", "transform", "initial"]
@@ -98,8 +99,8 @@ class Mend:
 
     def __str__(self) -> str:
         if self.factor is None or self.shown is None:
-            why = "; ".join(map(str, self.left)) or "the motion cannot be followed"
-            return f"no {_NOTHING[self.what]} does: at best {why}"
+            why = "; ".join(map(str, self.left))
+            return f"no {_NOTHING[self.what]} does: {why} at best"
         if self.what == "time_scale":
             change = (
                 f"{self.shown:g} times slower" if self.factor > 1.0 else f"{_digits(1.0 / self.shown)} times faster"
@@ -206,9 +207,9 @@ def feasibility(experiment: Experiment) -> Feasibility:
         return lambda factor: motion.attempt(make(factor), rows)
 
     mends = (
-        _mend("time_scale", trial(lambda s: Change(time=s)), (SLOWER, FASTER)),
-        _mend("transform", trial(lambda s: Change(stroke=s)), (SMALLER,)),
-        _mend("initial", trial(lambda s: Change(amplitude=s)), (SMALLER,)),
+        _mend("time_scale", trial(lambda s: Change(time=s)), (SLOWER, FASTER), uses),
+        _mend("transform", trial(lambda s: Change(stroke=s)), (SMALLER,), uses),
+        _mend("initial", trial(lambda s: Change(amplitude=s)), (SMALLER,), uses),
     )
     return Feasibility(experiment.declaration.name, uses, mends, notes)
 
@@ -258,7 +259,7 @@ class Motion:
         """Return the uses of the limits under a change; None where the changed motion cannot be followed."""
         try:
             return self.uses(change, rows)
-        except (SingularityError, IntegrationError, ModelError):
+        except MaskingError:
             return None
 
     def uses(self, change: Change, rows: int) -> tuple[Use, ...]:
@@ -374,16 +375,17 @@ def _mend(
     what: Literal["time_scale", "transform", "initial"],
     uses: Callable[[float], tuple[Use, ...] | None],
     ladders: Iterable[Sequence[float]],
+    unchanged: tuple[Use, ...],
 ) -> Mend:
     """Search the factor nearest to 1 that makes a motion fit, ladder by ladder."""
-    best: tuple[Use, ...] | None = None
+    tried = [unchanged]
 
     def fits(factor: float) -> bool:
-        nonlocal best
         found = uses(factor)
-        if found is not None and (best is None or _worst(found) < _worst(best)):
-            best = found
-        return found is not None and _worst(found) <= 1.0 + 0.01 * TOLERANCE
+        if found is None:
+            return False
+        tried.append(found)
+        return _worst(found) <= 1.0 + 0.01 * TOLERANCE
 
     for ladder in ladders:
         outside = 1.0
@@ -393,7 +395,10 @@ def _mend(
                 shown = _outward(found)
                 return Mend(what, found, shown if fits(shown) else found)
             outside = factor
-    return Mend(what, None, None, tuple(use for use in best or () if not use.fits))
+    least = [min(column, key=lambda use: use.part) for column in zip(*tried, strict=True)]
+    never = tuple(use for use in least if not use.fits)
+    together = tuple(use for use in min(tried, key=_worst) if not use.fits)
+    return Mend(what, None, None, never or together)
 
 
 def _bisect(fits: Callable[[float], bool], outside: float, inside: float) -> float:
@@ -428,17 +433,26 @@ def _percent(part: float) -> str:
 def _problem(experiment: Experiment, error: MaskingError) -> Problem:
     """Return what is wrong with an experiment whose ideal motion cannot be followed, and where."""
     declaration = experiment.declaration
-    if isinstance(error, SingularityError):
-        path, mend = (
-            "transform",
-            (
-                "choose a transform that is invertible, and that the actuators can follow, over the whole motion, or "
-                "start with a smaller one"
-            ),
-        )
+    if isinstance(error, SingularityError) or _can_follow_virtual(experiment):
+        path = "transform"
         message = f"the transform or the decoupling matrix becomes singular on the way: {error}"
+        mend = "choose a transform that is invertible, and that the actuators can follow, over the whole motion"
     else:
-        path, mend = "initial", "start elsewhere, or change the virtual system so that it stays in reach"
+        path = "initial"
         message = f"the virtual motion cannot be followed to its end: {error}"
+        mend = "start elsewhere, or change the virtual system so that it stays in reach"
     place = declaration.key_place(path) or declaration.key_place("virtual")
     return Problem(place, path, message, mend)
+
+
+def _can_follow_virtual(experiment: Experiment) -> bool:
+    """Tell whether the virtual system, by itself, moves on to the end of the experiment."""
+    virtual, declaration = experiment.virtual, experiment.declaration
+    start, inputs = virtual.initial_state(declaration.initial), np.zeros(len(virtual.inputs))
+    try:
+        virtual.kernels.integrate(
+            np.array([0.0, declaration.duration]), start, inputs, virtual.values(), tolerance=declaration.tolerance
+        )
+    except (SingularityError, IntegrationError):
+        return False
+    return True

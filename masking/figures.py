@@ -43,6 +43,9 @@ _SIZE = 9.5  # points
 _BINS = 700  # across a whole record: about one for every two pixels
 _ENVELOPE_PERIODS = 60  # from this many periods on single ones cannot be told apart
 _ZOOM_PERIODS = 6
+_BAR, _WORDS, _VALUES = 0.27, 1.75, 0.98  # inches: height of a bar, room for words beside it and for its value
+_WORSE = 1.02  # of chi: from here on a run is marked as worse
+_SHOWN_DEMAND = 3.0  # times the limit: what is demanded beyond that is drawn there
 _FEW = 20  # samples, up to which each is marked
 _LEAST = 1e-300  # of what a logarithmic axis shows
 _MOST_ROWS = len(COLOURS)
@@ -60,7 +63,7 @@ class Plate:
 
 def plates(study: Study) -> list[Plate]:
     """Draw every figure of the report, in its order."""
-    return [draw(study) for draw in (_displacements, _others, _synchronisation, _inputs, _fidelity)]
+    return [draw(study) for draw in _PLATES if draw is not _budget or _has_observer(study)]
 
 
 def symbol(name: str) -> str:
@@ -161,12 +164,19 @@ def _inputs(study: Study) -> Plate:
     figure, rows = _sheet([1.15] * len(uses), top=_NOTE)
     hidden = []
     for use, axes in zip(uses, rows, strict=True):
-        _trace(axes, study, use.series, COLOURS[0])
         reach = [use.series]
+        if use.demanded is not None and use.is_cut:
+            most = _SHOWN_DEMAND * (use.limit or use.peak)
+            demanded = np.clip(use.demanded, -most, most)
+            _trace(axes, study, demanded, COLOURS[5], thin_line=True)
+            reach.append(demanded)
+        _trace(axes, study, use.series, COLOURS[0])
         if use.limit is None:
             note = "no limit declared"
         else:
             note = f"peak {percent(use.used)} of {use.limit:g} {use.unit}".rstrip()
+            if use.is_cut:
+                note = f"demanded {percent(use.demand / use.limit)}, applied {note.removeprefix('peak ')}"
             if use.used is not None and use.used >= 0.15:
                 reach.append(np.array([use.limit]))
                 for level in (-use.limit, use.limit):
@@ -176,10 +186,13 @@ def _inputs(study: Study) -> Plate:
         _symmetric(axes, reach)
         _whole_record(axes, study)
         axes.set_ylabel(_with_unit(symbol(use.name), use.unit))
-        axes.set_title(note, loc="right", fontsize=_SIZE - 1, color=LIMIT if use.is_exceeded else MUTED, pad=3)
+        axes.set_title(
+            note, loc="right", fontsize=_SIZE - 1, color=LIMIT if use.is_exceeded or use.is_cut else MUTED, pad=3
+        )
     _time_label(rows[-1], study)
     drawn = any(use.limit is not None and use.name not in hidden for use in uses)
     lines = "Dashed red lines are the limits. " if drawn else ""
+    lines += "Thin orange lines are what was demanded. " if any(use.is_cut for use in uses) else ""
     far = f"The limits of {', '.join(hidden)} lie far outside the axes." if hidden else ""
     left_out = len(study.inputs) - len(uses)
     more = f" The first {len(uses)} of {len(study.inputs)} are shown." if left_out else ""
@@ -204,6 +217,57 @@ def _fidelity(study: Study) -> Plate:
     _time_label(axes, study)
     caption = "Distance between the masked rig and the virtual system by itself, the largest over the period before."
     return Plate("fidelity", title, caption, figure)
+
+
+def _budget(study: Study) -> Plate:
+    title, found = "What limits fidelity", study.budget
+    if found is None:
+        return Plate("budget", title, "Not shown: it was not asked for; 'masking run --budget' finds it out.", None)
+    rows = [*sorted(found.rows, key=lambda row: row.rms), found.without_all]
+    whole = found.whole.rms
+    figure, (axes,) = _sheet([_BAR * (len(rows) + 0.7)], top=_NOTE)
+    box = axes.get_position()
+    axes.set_position((_WORDS / _WIDTH, box.y0, 1.0 - (_WORDS + _VALUES) / _WIDTH, box.height))
+    largest = max((row.rms for row in rows if math.isfinite(row.rms)), default=whole)
+    most = 1.08 * min(max(largest, whole), 2.0 * whole) if math.isfinite(whole) and whole > 0.0 else 1.0
+    start = min(whole, most)
+    for place, row in enumerate(rows):
+        colour = COLOURS[0] if row.rms <= whole else COLOURS[1]
+        axes.barh(place, min(row.rms, most) - start, left=start, height=0.56, color=colour, zorder=3)
+        if row.rms > most:  # an arrow head: the bar goes on
+            axes.plot(most, place, ">", color=colour, ms=10, mew=0, clip_on=False, zorder=3)
+        is_worse = row.rms > _WORSE * whole
+        axes.annotate(_two_digits(row.rms), (1.0, place), (14, 0), ("axes fraction", "data"), "offset points",
+                      va="center", fontsize=_SIZE - 0.5, color=COLOURS[1] if is_worse else INK)  # fmt: skip
+    axes.axvline(start, color=INK, lw=1.1, ls=(0, (4, 3)), zorder=4)
+    axes.annotate(f"as it is: {_two_digits(whole)}", (start, 1.0), (0, 4), ("data", "axes fraction"), "offset points",
+                  ha="center", fontsize=_SIZE - 1, color=MUTED)  # fmt: skip
+    axes.axhline(len(rows) - 1.5, color=MUTED, lw=0.8)
+    axes.set(xlim=(0.0, most), ylim=(len(rows) - 0.4, -0.6))
+    axes.yaxis.set_major_locator(FixedLocator(range(len(rows))))
+    axes.set_yticklabels([row.title for row in rows])
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel("fidelity χ, rms of the coordinates")
+    caption = (
+        f"{found.sentence} Each bar runs from the fidelity as it is, the dashed line, to that of the same run without "
+        "one cause: to the left, mending it helps."
+    )
+    return Plate("budget", title, caption, figure)
+
+
+def _two_digits(value: float) -> str:
+    if not math.isfinite(value):
+        return "diverges"
+    mantissa, _, exponent = f"{value:#.2g}".partition("e")
+    return rf"${mantissa}\cdot10^{{{int(exponent)}}}$" if exponent else mantissa
+
+
+def _has_observer(study: Study) -> bool:
+    return bool(study.recording.manifest.get("observer"))
+
+
+_PLATES: Final = (_displacements, _others, _synchronisation, _inputs, _fidelity, _budget)
 
 
 # ---- parts of a figure
@@ -265,13 +329,19 @@ def _motion(axes: Axes, study: Study, name: str, colour: str) -> None:
     axes.set_ylabel(_with_unit(symbol(name), study.unit(f"{study.prefix}.{name}")))
 
 
-def _trace(axes: Axes, study: Study, series: Series, colour: str, ideal: Series | None = None) -> None:
+def _trace(
+    axes: Axes, study: Study, series: Series, colour: str, ideal: Series | None = None, *, thin_line: bool = False
+) -> None:
     cycles = _cycles(study)
+    if thin_line and cycles <= _ENVELOPE_PERIODS:
+        axes.plot(*thin(study.tau, series), color=colour, lw=0.9)
+        return
     if cycles > _ENVELOPE_PERIODS:
         bins = int(min(_BINS / 2, cycles / 1.5))
         tau, low, high = envelope(study.tau, series, bins)
-        axes.fill_between(tau, low, high, color=colour, alpha=0.3, lw=0)
-        axes.plot(tau, low, tau, high, color=colour, lw=1.3)
+        if not thin_line:
+            axes.fill_between(tau, low, high, color=colour, alpha=0.3, lw=0)
+        axes.plot(tau, low, tau, high, color=colour, lw=0.9 if thin_line else 1.3)
         if ideal is not None:
             tau, low, high = envelope(study.tau, ideal, bins)
             axes.plot(tau, low, tau, high, color=INK, lw=0.9, ls=(0, (4, 3)))

@@ -26,7 +26,7 @@ from masking.plants.interface import (
     undisturbed,
 )
 
-Step = Callable[[Array], Array]
+Step = Callable[[int, Array], Array]
 
 FINISHED: Final = "finished"
 STOPPED: Final = "stopped"
@@ -85,7 +85,7 @@ def run_rig(
     SIGINT, SIGTERM and SIGHUP end the run in order. Where the plant does not own the clock, ticks are kept here.
 
     Args:
-        step: takes the sensors (sensors,) and returns the command (actuators,).
+        step: takes the tick of a sample and its sensors (sensors,), and returns the command (actuators,).
         plant: any plant that is not active.
         rate: Hz.
         samples: ticks.
@@ -147,7 +147,7 @@ def _loop(
         sample = plant.read()
         began = time.perf_counter()
         rows.begin(sample.index, sample.values, began, deadlines.missed)
-        demanded = step(sample.values)
+        demanded = step(sample.index, sample.values)
         rows.durations[row] = time.perf_counter() - began
         try:
             command = rows.limited(demanded, plant.actuators)

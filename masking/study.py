@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
@@ -47,7 +47,12 @@ class PhasePair:
 
 @dataclass(frozen=True, slots=True)
 class InputUse:
-    """How much of an input was used; `limit` is None where none is declared, `used` is peak / limit."""
+    """How much of an input was used; `limit` is None where none is declared, `used` is peak / limit.
+
+    `demanded` is the series before limits, None where it was not recorded; `saturated` is the part of the record in
+    which the input was cut off at its limit, `throttled` the part in which its mean power held it below that. `power`
+    is the largest mean power and `most_power` its limit, in W, None where there is none.
+    """
 
     name: str
     series: Series
@@ -56,11 +61,57 @@ class InputUse:
     rms: float
     limit: float | None
     used: float | None
+    demanded: Series | None = None
+    saturated: float = 0.0
+    throttled: float = 0.0
+    power: float | None = None
+    most_power: float | None = None
 
     @property
     def is_exceeded(self) -> bool:
         """Tell whether the input went beyond its limit, by more than rounding."""
         return self.used is not None and self.used > 1.0 + _ROUNDING
+
+    @property
+    def is_cut(self) -> bool:
+        """Tell whether less was applied than demanded."""
+        return self.saturated + self.throttled > 0.0
+
+    @property
+    def demand(self) -> float:
+        """Return the largest magnitude that was demanded."""
+        return self.peak if self.demanded is None else float(np.abs(self.demanded).max())
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetRow:
+    """The fidelity of a further run without one cause of infidelity: of each coordinate, and their rms.
+
+    `effects` were switched off, `remedy` is what helps on a rig, `note` what must be known to read the row.
+    """
+
+    cause: str
+    effects: tuple[str, ...]
+    chi: dict[str, float]
+    rms: float
+    remedy: str
+    note: str
+
+    @property
+    def title(self) -> str:
+        """Say which run it is."""
+        titles = {"": "as it is", "sampling": "sampled faster", "all of these": "without all"}
+        return titles.get(self.cause, f"without {self.cause}")
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """What limits the fidelity: chi of the run as it is, without each cause, and without all; `sentence` sums it up."""
+
+    sentence: str
+    whole: BudgetRow
+    rows: tuple[BudgetRow, ...]
+    without_all: BudgetRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +152,7 @@ class Study:
     anti_phase: AntiPhase | None
     inputs: tuple[InputUse, ...]
     no_phase: str
+    budget: Budget | None
 
     def motion(self, coordinate: str) -> Series:
         """Give the coordinate as it moved, shape (samples,)."""
@@ -172,6 +224,7 @@ def study(recording: Recording) -> Study:
         anti_phase=None if reason else _anti_phase(tau, motions),
         inputs=input_uses(recording),
         no_phase=reason,
+        budget=_budget(recording),
     )
 
 
@@ -259,7 +312,31 @@ def _use(recording: Recording, name: str) -> InputUse:
     unit = str(declared.get("unit") or _entry(recording.manifest, "columns", f"input.{name}").get("unit") or "")
     used = peak / limit if limit else None
     rms = float(np.sqrt(np.mean(series**2)))
-    return InputUse(name, series, "" if unit == "1" else unit, peak, rms, limit, used)
+    found = InputUse(name, series, "" if unit == "1" else unit, peak, rms, limit, used)
+    demanded, power = recording.columns.get(f"demanded.{name}"), recording.columns.get(f"power.{name}")
+    if demanded is not None:
+        cut = np.abs(demanded - series) > _ROUNDING * max(peak, limit or 0.0)
+        at_limit = np.abs(series) >= (limit or 0.0) * (1.0 - _ROUNDING)
+        saturated, throttled = float(np.mean(cut & at_limit)), float(np.mean(cut & ~at_limit))
+        found = replace(found, demanded=demanded, saturated=saturated, throttled=throttled)
+    if power is None:
+        return found
+    most = _entry(recording.manifest, "declarations", "plant", "limits", "power").get("value")
+    return replace(found, power=float(power.max()), most_power=None if most is None else float(most))
+
+
+def _budget(recording: Recording) -> Budget | None:
+    told = _entry(recording.manifest, "budget")
+    if not told:
+        return None
+    rows = tuple(_budget_row(row) for row in told["rows"])
+    return Budget(str(told["sentence"]), _budget_row(told), rows, _budget_row(told["without_all"]))
+
+
+def _budget_row(told: Mapping[str, Any]) -> BudgetRow:
+    chi = {name: float(value) for name, value in told["chi"].items()}
+    words = [str(told.get(key, "")) for key in ("cause", "remedy", "note")]
+    return BudgetRow(words[0], tuple(told.get("effects", ())), chi, float(told["rms"]), *words[1:])
 
 
 def _parameter(manifest: Mapping[str, Any], name: str, entry: Any) -> Parameter:  # noqa: ANN401  # JSON

@@ -133,7 +133,7 @@ class Twin:
         return Model(self.attached, {**self.declaration.parameters, **switches})
 
     def changed(self, changes: Mapping[str, schema.EffectChange]) -> Twin:
-        """Return the twin with other changes; where no parameter in its elements changes, they are not attached anew."""
+        """Return the twin with other changes; elements whose parameters stay are not attached anew."""
         made = replace(self, changes=changes)
         if [e.parameters for e in made._of("element")] == [e.parameters for e in self._of("element")]:
             vars(made)["attached"] = self.attached

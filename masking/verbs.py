@@ -11,15 +11,19 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 
 from masking.declaration import catalogue, strict_yaml
-from masking.errors import DeclarationError, MaskingError, Place, Problem, RecordError, nearest
+from masking.errors import DeclarationError, MaskingError, ModelError, Place, Problem, RecordError, nearest
 
 if TYPE_CHECKING:
+    from masking import budget as budgets
     from masking import describe, experiment, model, recording, reporting
+    from masking import feasibility as feasibilities
     from masking.declaration import registry
     from masking.declaration import schema as schemas
 else:  # each verb loads only what it needs
+    budgets = lazy.load("masking.budget", suppress_warning=True)
     describe = lazy.load("masking.describe", suppress_warning=True)
     experiment = lazy.load("masking.experiment", suppress_warning=True)
+    feasibilities = lazy.load("masking.feasibility", suppress_warning=True)
     model = lazy.load("masking.model", suppress_warning=True)
     recording = lazy.load("masking.recording", suppress_warning=True)
     registry = lazy.load("masking.declaration.registry", suppress_warning=True)
@@ -40,11 +44,28 @@ class Entry:
 
 @dataclass(frozen=True)
 class Checked:
-    """A file that was looked at, and all that is wrong with it."""
+    """A file that was looked at, and all that is wrong with it.
+
+    Args:
+        file: as it was named.
+        kind: model, plant or experiment, or "file" where it cannot be told.
+        problems: all that is wrong.
+        feasibility: what a sound experiment asks of its rig; None for all else, and where that cannot be told.
+        untold: why that cannot be told.
+    """
 
     file: str
     kind: str
     problems: tuple[Problem, ...]
+    feasibility: feasibilities.Feasibility | None = None
+    untold: str = ""
+
+    @property
+    def exit_status(self) -> int:
+        """Return 0 for what is sound, 1 for a sound experiment that does not fit its rig, 2 for problems."""
+        if self.problems:
+            return 2
+        return 0 if self.feasibility is None or self.feasibility.fits else 1
 
 
 def list() -> tuple[Entry, ...]:
@@ -76,16 +97,19 @@ def show(name_or_path: str | Path, kind: str | None = None) -> describe.Descript
     return describe.experiment(experiment.Experiment.load(name_or_path))
 
 
-def check(*files: str | Path) -> tuple[Checked, ...]:
+def check(*files: str | Path, compiling: Callable[[], None] | None = None) -> tuple[Checked, ...]:
     """Check declarations whole: spelling, schema, symbols, units, equations, and that an experiment can be masked.
+
+    A sound experiment is also compared with the limits of its rig, where the plant file has them.
 
     Args:
         files: files or packaged names.
+        compiling: called before an experiment is compiled, which takes some ten seconds, to find out whether it fits.
 
     Returns:
         one result for each file, with every problem found; none are raised.
     """
-    return tuple(_check(file, kind) for file in files for kind in _kinds(file))
+    return tuple(_check(file, kind, compiling) for file in files for kind in _kinds(file))
 
 
 def schema(kind: str) -> dict[str, Any]:
@@ -108,6 +132,7 @@ def run(
     changes: Mapping[str, float] | None = None,
     plant: str | None = None,
     out: str | Path | None = None,
+    budget: bool | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> recording.Recording:
     """Run an experiment: the plant under the controller, and the virtual system by itself beside it.
@@ -117,6 +142,7 @@ def run(
         changes: parameters of the virtual system that replace the declared ones.
         plant: a plant that replaces the declared one.
         out: folder to save the recording and its report in; nothing is saved where none is given.
+        budget: whether to find out what limits the fidelity, by further runs; None: where they take a few seconds.
         progress: called with the part done.
 
     Raises:
@@ -125,7 +151,7 @@ def run(
     wanted = experiment.Experiment.load(name_or_path, plant=plant, changes=changes)
     if out is not None:
         check_folder(out)
-    made = wanted.run(progress)
+    made = budgets.run(wanted, budget, progress)
     if out is not None:
         made.save(Path(out))
         reporting.report(made, out)
@@ -166,7 +192,7 @@ def _kinds(file: str | Path) -> tuple[str, ...]:
     return tuple(kind for kind in KINDS if str(file) in catalogue.names(kind)) or ("",)
 
 
-def _check(file: str | Path, kind: str) -> Checked:
+def _check(file: str | Path, kind: str, compiling: Callable[[], None] | None) -> Checked:
     try:
         kind = kind or catalogue.kind_of(file)
         if kind == "model":
@@ -174,9 +200,22 @@ def _check(file: str | Path, kind: str) -> Checked:
         elif kind == "plant":
             registry.check_plant_file(file)
         else:
-            experiment.Experiment.load(file).validate()
+            wanted = experiment.Experiment.load(file)
+            wanted.validate()
+            return _fit(str(file), wanted, compiling)
     except DeclarationError as error:
         return Checked(str(file), kind or "file", error.problems)
     except MaskingError as error:
         return Checked(str(file), kind or "file", (Problem(Place(str(file), 1, 1), "", str(error)),))
     return Checked(str(file), kind, ())
+
+
+def _fit(file: str, wanted: experiment.Experiment, compiling: Callable[[], None] | None) -> Checked:
+    """Find out whether a sound experiment fits its rig, where the plant file has the limits of its actuators."""
+    try:
+        wanted.instruments.limits()
+    except ModelError as error:
+        return Checked(file, "experiment", (), untold=str(error))
+    if compiling is not None and not feasibilities.Motion(wanted).loop.is_compiled:
+        compiling()
+    return Checked(file, "experiment", (), feasibilities.feasibility(wanted))

@@ -22,14 +22,18 @@ ROWS = (
     {"blocks", "twin", "observer"},
     {"controller", "instruments"},
     {"closed_loop", "sampled"},
-    {"plants"},
     {"loop"},
+    {"plants"},
     {"realtime"},
     {"synchronisation"},
     {"study"},
-    {"figures"},
+    {"figures", "wording"},
+    {"tables"},
+    {"page"},
     {"reporting"},
     {"experiment"},
+    {"budget"},
+    {"rig"},
     {"feasibility"},
     {"describe"},
     {"verbs"},
@@ -46,11 +50,22 @@ ONLINE = {
     "closed_loop",
     "sampled",
     "loop",
+    "budget",
     "experiment",
     "feasibility",
 }
-ONLINE |= {"plants", "realtime"}
-OFFLINE = {"synchronisation", "study", "figures", "reporting", "identification", "discovery"}
+ONLINE |= {"plants", "realtime", "rig"}
+OFFLINE = {
+    "synchronisation",
+    "study",
+    "figures",
+    "wording",
+    "tables",
+    "page",
+    "reporting",
+    "identification",
+    "discovery",
+}
 
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "sympify", "parse_expr", "parse_latex", "lambdify", "__import__"}
 

@@ -115,7 +115,7 @@ CONTROLLER = """
 def on_tick(row):
     if row == 0:
         print("running", flush=True)
-run = run_rig(lambda values: np.ones(2), UdpPlant(sys.argv[1], timeout=5.0, patience=20.0), rate=1000.0,
+run = run_rig(lambda *_: np.ones(2), UdpPlant(sys.argv[1], timeout=5.0, patience=20.0), rate=1000.0,
               samples=10**6, limits=np.full(2, 5.0), watchdog=float(sys.argv[2]), on_tick=on_tick)
 print(run.reason, flush=True)
 """
@@ -361,7 +361,7 @@ def test_other_channels_are_named():
 # --- over the wire ----------------------------------------------------------------------------------------------------
 
 
-def damped(values):
+def damped(_, values):
     """Return a command that depends on every bit of the sensors."""
     return -300.0 * values + 0.1 * np.sin(1e3 * values)
 
@@ -585,7 +585,7 @@ def test_a_plant_that_fails_ends_the_session_and_keeps_the_record(tmp_path):
 
 def test_a_broken_sensor_does_not_cost_the_record(tmp_path):
     with served(Blind(), clock="lockstep", record=tmp_path) as (address, folders):
-        run_rig(lambda _: np.zeros(2), UdpPlant(address), **{**RUN, "samples": 5})
+        run_rig(lambda *_: np.zeros(2), UdpPlant(address), **{**RUN, "samples": 5})
     recording = Recording.load(folders[0])
     assert recording["nonfinite.sensor.x1"].tolist() == [0.0, 0.0, 1.0, 0.0, 0.0, 0.0][: len(recording)]
     assert recording["sensor.x1"][2] == 0.0

@@ -55,7 +55,7 @@ def test_the_loop_is_read_step_clamp_write():
     assert run.reason == "finished"
     assert run.index.tolist() == list(range(50))
     assert run.times == pytest.approx(np.arange(50) / 1000.0, abs=0.0)
-    assert run.demanded.tolist() == [damped(values).tolist() for values in run.sensors]
+    assert run.demanded.tolist() == [damped(0, values).tolist() for values in run.sensors]
     assert run.applied.tolist() == np.clip(run.demanded, -RUN["limits"], RUN["limits"]).tolist()
     assert np.array(plant.written).tolist() == run.applied.tolist()
     assert run.counters["clamped"] == np.count_nonzero((run.applied != run.demanded).any(axis=1)) > 0
@@ -69,7 +69,7 @@ def test_the_loop_is_read_step_clamp_write():
 def test_what_is_not_finite_never_reaches_the_plant(value):
     plant, kept = Watched(), []
 
-    def step(values):
+    def step(_, values):
         return np.array([0.1, value if len(plant.written) == 7 else 0.1])
 
     with pytest.raises(CommandError, match=f"tick 7: the controller's command for u2 is {value}; look at its state"):
@@ -82,7 +82,7 @@ def test_what_is_not_finite_never_reaches_the_plant(value):
 
 
 def test_a_huge_command_is_clamped():
-    run = run_rig(lambda _: np.array([1e300, -1e300]), MassSpring(), **RUN)
+    run = run_rig(lambda *_: np.array([1e300, -1e300]), MassSpring(), **RUN)
     assert np.unique(run.applied, axis=0).tolist() == [[0.2, -0.4]]
 
 
@@ -90,14 +90,14 @@ def test_a_huge_command_is_clamped():
 def test_a_command_of_another_shape_is_refused(command):
     plant = Watched()
     with pytest.raises(CommandError, match=r"tick 0: the controller returned shape .*; return \(2,\), one number for"):
-        run_rig(lambda _: command, plant, **RUN)
+        run_rig(lambda *_: command, plant, **RUN)
     assert np.array(plant.written).tolist() == [[0.0, 0.0]]
 
 
 def test_what_the_controller_raises_comes_through_once_the_plant_is_at_zero():
     plant, kept = Watched(), []
 
-    def step(values):
+    def step(_, values):
         if len(plant.written) == 3:
             raise ZeroDivisionError("mine")
         return np.ones(2)
@@ -141,7 +141,7 @@ def test_missed_samples_are_late_and_a_lost_plant_leaves_the_run():
 def test_the_clock_is_kept_for_a_plant_that_has_none():
     done = []
 
-    def step(values):
+    def step(_, values):
         if len(done) == 31:  # one stall of many periods
             time.sleep(0.02)
         return np.zeros(2)
@@ -192,6 +192,6 @@ def test_stop_is_looked_at_before_each_tick():
 def test_garbage_is_collected_outside_the_run_only():
     inside = []
     assert gc.isenabled()
-    run_rig(lambda _: inside.append(gc.isenabled()) or np.zeros(2), MassSpring(), **RUN)
+    run_rig(lambda *_: inside.append(gc.isenabled()) or np.zeros(2), MassSpring(), **RUN)
     assert not any(inside)
     assert gc.isenabled()

@@ -268,6 +268,115 @@ def test_the_cost_of_sampling_is_named(rate, words, half, tmp_path):
     assert said in page_of(report(recording, tmp_path)).text
 
 
+@pytest.mark.parametrize(
+    ("kind", "is_late"), [("exact", True), ("differences", True), ("kalman", False), ("disturbance", False)]
+)
+def test_only_an_observer_with_a_model_makes_up_for_sampling(kind, is_late):
+    told = warnings(duffing(2000, 0.02, observer={"kind": kind}))
+    assert [text.partition(",")[0] for text in told] == ["Sampled at 1 kHz"] * is_late
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        (
+            {"kind": "disturbance", "order": 2, "delay": 1, "bandwidth": {"x1": 250.0, "x2": 250.0, "x3": 148.3}},
+            "disturbance observer, order 2, bandwidth 250/250/148 rad/s, 1 sample of delay predicted",
+        ),
+        (
+            {"kind": "kalman", "order": 0, "delay": 0, "bandwidth": {"x1": 60.0}},
+            "Kalman filter, bandwidth 60 rad/s, no delay",
+        ),
+        ({"kind": "differences", "delay": 2}, "differences of the positions, 2 samples of delay not predicted"),
+    ],
+)
+def test_the_observer_is_told(told, words, tmp_path):
+    recording = duffing(2000, observer=told)
+    assert f"\n  observer   {words}\n" in summary(recording)
+    assert f"observer{words}" in page_of(report(recording, tmp_path)).text
+    assert "observer" not in summary(duffing(2000, observer={"kind": "exact"}))
+
+
+def cut(limit: float, power: float | None = None, **manifest: object) -> Recording:
+    """The duffing record, whose u1 was demanded up to 0.21 V and held back."""
+    whole = duffing(20_000, **manifest)
+    columns = dict(whole.columns)
+    columns["demanded.u1"], columns["demanded.u2"] = columns["input.u1"], columns["input.u2"]
+    columns["input.u1"] = np.clip(columns["input.u1"], -limit, limit)
+    if power is not None:
+        columns["power.u1"] = columns["power.u2"] = np.full(len(whole), power)
+    return Recording(columns, whole.manifest)
+
+
+def test_saturation_is_said_with_what_was_demanded(tmp_path):
+    # |0.21 cos| is above 0.105 for two thirds of the time.
+    limits = {name: {"max": 0.105, "unit": "V"} for name in ("u1", "u2")}
+    recording = cut(0.105, limits=limits)
+    said = "u1 was at its limit for 67 % of the run: demanded up to 200 % of 0.105 V; the rig could not follow there."
+    assert warnings(recording) == [said]
+    result = report(recording, tmp_path)
+    assert result.summary.splitlines()[1] == said
+    page = result.path.read_text("utf-8")
+    assert page.index("moved as") < page.index('<p class="card wrong">') < page.index("went from")
+    assert '<div class="wrong"><dt>largest demand against a limit' in page
+    assert '<th class="n">demanded</th>' in page
+    plate = figures.plates(study(recording))[3]
+    above, below = plate.figure.axes
+    assert above.get_title(loc="right") == "demanded 200 %, applied 100 % of 0.105 V"
+    assert max(np.max(line.get_ydata()) for line in above.lines) == pytest.approx(0.21)
+    assert "demanded" not in below.get_title(loc="right")
+    assert "Thin orange lines are what was demanded." in plate.caption
+
+
+def test_power_that_holds_back_is_told_apart_and_stands_in_the_table(tmp_path):
+    declarations = {"plant": {"limits": {"power": {"value": 8.0, "unit": "W"}}}}
+    recording = cut(0.105, power=7.9, declarations=declarations)
+    assert warnings(recording) == [
+        "u1 was held back by its mean power of 8 W for 67 % of the run: demanded up to 50 % of 0.42 V; "
+        "the rig could not follow there."
+    ]
+    assert "7.9 of 8 W" in page_of(report(recording, tmp_path)).text
+
+
+BUDGET = {
+    "sentence": "Mend first: friction (chi 0.03 -> 0.01 without it).",
+    "chi": {"x1": 0.03, "x2": 0.03, "x3": 0.03},
+    "rms": 0.03,
+    "rows": [
+        {"cause": "springs", "chi": {"x1": "inf", "x2": "inf", "x3": "inf"}, "rms": "inf", "note": "it stopped"},
+        {"cause": "friction", "chi": {"x1": 0.01, "x2": 0.01, "x3": 0.01}, "rms": 0.01, "remedy": "align the coil"},
+        {"cause": "sampling", "chi": {"x1": 0.03, "x2": 0.03, "x3": 0.03}, "rms": 0.03, "remedy": "a higher rate"},
+    ],
+    "without_all": {"cause": "all of these", "chi": {"x1": 0.0, "x2": 0.0, "x3": 0.0}, "rms": 0.0},
+}
+
+
+def test_what_limits_fidelity_is_drawn_and_tabulated(tmp_path):
+    recording = duffing(2000, observer={"kind": "kalman"}, budget=BUDGET)
+    result = report(recording, tmp_path)
+    assert [path.stem for path in result.figures] == [*FIGURES, "budget"]
+    assert BUDGET["sentence"] in result.summary
+    text = page_of(result).text
+    assert "Mend first: friction (χ 0.03 → 0.01 without it)." in text
+    assert (
+        "without friction0.010.010.010.01\N{MINUS SIGN}67 %align the coil"
+        "sampled faster0.030.030.030.030 %"
+        "without springsinfinfinfinfdivergesit stopped"
+        "without all0000\N{MINUS SIGN}100 %"
+    ) in text
+    axes = figures.plates(study(recording))[-1].figure.axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        "without friction", "sampled faster", "without springs", "without all",
+    ]  # fmt: skip
+    assert "diverges" in [text.get_text() for text in axes.texts]
+
+
+def test_a_budget_that_is_lacking_is_noted_only_where_there_could_be_one(tmp_path):
+    said = "What limits fidelity. Not shown: "
+    assert said in page_of(report(duffing(500, observer={"kind": "kalman"}), tmp_path)).text
+    assert said not in page_of(report(duffing(500), tmp_path)).text
+
+
 def test_there_is_no_warning_without_a_reason():
     assert warnings(duffing(2000)) == []
     assert warnings(duffing(2000, 0.02, mode="continuous", rate=None)) == []

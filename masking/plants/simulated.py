@@ -1,0 +1,88 @@
+"""The twin of a rig behind the interface of a plant: it moves by one sample with each command that it is given."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from masking.errors import CommandError
+from masking.loop import substeps_of
+from masking.plants.interface import APPLIED, Array, LifeCycle, Sample, Settings, check_command
+from masking.twin import Twin
+
+
+@final
+class SimulatedPlant:
+    """A twin that starts at rest and unpowered, and moves for one sample under each command.
+
+    A command acts after as many samples as the twin declares of delay; `masking.loop.run_twin` computes the same.
+
+    Args:
+        twin: the rig.
+        seed: of the sensors' noise.
+    """
+
+    owns_clock = False
+
+    def __init__(self, twin: Twin, seed: int = 0) -> None:
+        self.twin, self.seed = twin, seed
+        self.sensors, self.actuators = twin.sensors, twin.actuators
+        self._life = LifeCycle()
+        self._y = twin.rest(np.zeros(len(twin.model.coordinates)))
+        self._queue = np.zeros((twin.delay + 1, len(twin.actuators)))
+        self._acting = np.zeros(len(twin.actuators))
+        self._tick, self._is_moved = 0, True
+
+    def configure(self, settings: Settings) -> None:
+        """Go back to rest, for a number of samples per second."""
+        self._life.configure()
+        twin = self.twin
+        self._rate, self._substeps, self._p = settings.rate, substeps_of(twin, settings.rate), twin.values()
+        self._generator = np.random.default_rng(self.seed)
+        self._y = twin.rest(np.zeros(len(twin.model.coordinates)))
+        self._queue[:] = 0.0
+        self._acting[:] = 0.0
+        self._tick, self._is_moved = -1, False
+        self._readings = np.zeros(len(twin.sensors))
+        twin.kernels.sense.prepare()
+        twin.kernels.advance.prepare()
+
+    def activate(self) -> None:
+        """Enable the outputs, at zero."""
+        self._life.activate()
+
+    def read(self) -> Sample:
+        """Return the sample after the last command, or the same again where no command came."""
+        self._life.need_active("read")
+        if self._tick < 0 or self._is_moved:
+            self._tick += 1
+            self._is_moved = False
+            noise = self._generator.standard_normal(len(self.sensors))
+            self.twin.kernels.sense(self._tick / self._rate, self._y, self._p, noise, self._readings)
+        return Sample(self._tick, self._readings.copy())
+
+    def write(self, index: int, command: Array) -> None:
+        """Let the rig move by one sample, and this command (actuators,) act after the delay."""
+        self._life.need_active("write")
+        check_command(command, self.actuators)
+        if self._tick < 0:
+            raise CommandError("write: there is no sample to answer yet; call read first")
+        del index  # the oldest command under way acts, whatever sample it answers
+        self._queue[-1] = command
+        self._acting[:] = self._queue[0]
+        kernels, h = self.twin.kernels, 1.0 / self._rate
+        kernels.advance(self._tick * h, self._y, self._acting, self._p, h, self._substeps)
+        self._queue[:-1] = self._queue[1:].copy()
+        self._is_moved = True
+
+    def deactivate(self) -> None:
+        """Set the outputs to zero."""
+        self._life.deactivate()
+        self._queue[:] = 0.0
+        self._acting[:] = 0.0
+
+    def telemetry(self) -> dict[str, float]:
+        """Return the outputs that acted last and the twin's states, by name."""
+        told = {APPLIED + name: float(value) for name, value in zip(self.actuators, self._acting, strict=True)}
+        return told | {name: float(value) for name, value in zip(self.twin.state_names, self._y, strict=True)}
