@@ -21,10 +21,12 @@ if TYPE_CHECKING:
     import tqdm
 
     from masking import budget, experiment, reporting
+    from masking import rig as rigs
 else:
     budget = lazy.load("masking.budget", suppress_warning=True)
     experiment = lazy.load("masking.experiment", suppress_warning=True)
     reporting = lazy.load("masking.reporting", suppress_warning=True)
+    rigs = lazy.load("masking.rig", suppress_warning=True)
     tqdm = lazy.load("tqdm")
 
 INTERRUPTED = 130
@@ -94,7 +96,60 @@ def _parser() -> argparse.ArgumentParser:
     report = add(_report, "report", "write the report of a recording")
     report.add_argument("record", metavar="RECORD", help="the folder of a recording")
     report.add_argument("--out", metavar="DIR", help="where to write (default: beside the recording)")
+    rig = found.add_parser("rig", help="run on a plant that runs by itself, or serve a twin that stands in for one")
+    verb_of_rig = rig.add_subparsers(title="verbs", metavar="VERB", required=True)
+
+    def add_to_rig(verb: Callable[[argparse.Namespace], int], name: str, text: str) -> argparse.ArgumentParser:
+        sub = verb_of_rig.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        sub.add_argument("--json", action="store_true", help="print JSON")
+        sub.add_argument("--lockstep", action="store_true", help="each side waits for the other; no clock")
+        sub.set_defaults(verb=verb)
+        return sub
+
+    serving = add_to_rig(_rig_serve, "serve", "serve the twin of a plant over UDP, on a clock of its own")
+    serving.add_argument("plant", metavar="PLANT", help="a YAML file, or a name that 'masking list' shows")
+    serving.add_argument("--address", default="udp://127.0.0.1:5005", help="udp://host:port (default: %(default)s)")
+    serving.add_argument("--record", metavar="DIR", help="folder for the twin's own record of each session")
+    serving.add_argument("--seed", type=int, default=0, help="of the sensors' noise (default: 0)")
+    serving.add_argument("--sessions", type=int, metavar="N", help="end after so many sessions")
+    running = add_to_rig(_rig_run, "run", "run an experiment on a plant that runs by itself, and write its report")
+    running.add_argument("experiment", metavar="EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
+    running.add_argument("--plant", metavar="ADDRESS", required=True, help="such as udp://127.0.0.1:5005")
+    running.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT_rig)")
     return parser
+
+
+def _rig_serve(chosen: argparse.Namespace) -> int:
+    folders = rigs.serve(
+        chosen.plant,
+        chosen.address,
+        lockstep=chosen.lockstep,
+        record=chosen.record,
+        seed=chosen.seed,
+        sessions=chosen.sessions,
+        ready=lambda address: print(f"{chosen.plant} is served at {address}", file=sys.stderr, flush=True),
+    )
+    if chosen.json:
+        print(json.dumps({"records": [str(folder) for folder in folders]}, indent=2))
+    else:
+        print("\n".join(f"record: {folder}" for folder in folders))
+    return 0
+
+
+def _rig_run(chosen: argparse.Namespace) -> int:
+    made = experiment.Experiment.load(chosen.experiment)
+    out = Path(chosen.out or f"results/{made.stem}_rig")
+    verbs.check_folder(out)
+    recording = rigs.run(made, rigs.connect(chosen.plant), lockstep=chosen.lockstep)
+    recording.save(out)
+    written = reporting.report(recording, out)
+    if chosen.json:
+        told = {"fidelity": recording.manifest["fidelity"], "rig": recording.manifest["rig"], "recording": str(out)}
+        print(json.dumps(told, indent=2))
+    else:
+        print(written.summary)
+        print(f"report: {written.path}")
+    return 0
 
 
 def _list(chosen: argparse.Namespace) -> int:

@@ -26,8 +26,10 @@ def setup_dynamics():
     rows = [
         [-stiffness[0], 0, stiffness[0], -damping[0], 0, damping[0]],
         [0, -stiffness[1], stiffness[1], 0, -damping[1], damping[1]],
-        [MU[0] * stiffness[0], MU[1] * stiffness[1], -MU @ stiffness[:2] - stiffness[2]]
-        + [MU[0] * damping[0], MU[1] * damping[1], -MU @ damping[:2] - damping[2]],
+        [
+            *(MU[0] * stiffness[0], MU[1] * stiffness[1], -MU @ stiffness[:2] - stiffness[2]),
+            *(MU[0] * damping[0], MU[1] * damping[1], -MU @ damping[:2] - damping[2]),
+        ],
     ]
     return np.vstack([np.hstack([np.zeros((3, 3)), np.eye(3)]), rows])
 
