@@ -291,15 +291,15 @@ class Experiment:
         return max(1, round(rate / record.rate)) if rate is not None and record else 1
 
     def _ideal(self, times: Array) -> Array:
-        """Return the virtual system integrated by itself, at times of the rig (m,), as states (m, 2 k)."""
+        """Return the virtual system integrated by itself from time 0, at times of the rig (m,), as states (m, 2 k)."""
         found = self.virtual.kernels.integrate(
-            times / self.time_scale,
+            np.concatenate([[0.0], times]) / self.time_scale,
             self.virtual.initial_state(self.declaration.initial),
             np.zeros(len(self.virtual.inputs)),
             self.virtual.values(),
             tolerance=min(self.declaration.tolerance, 1e-12),
         )
-        return found.states
+        return found.states[1:]
 
     def record_rig(self, run: TwinRun, *, lockstep: bool, told: Mapping[str, object]) -> Recording:
         """Return the recording of a run on a plant that runs by itself.

@@ -136,7 +136,7 @@ def _check(experiment: Experiment) -> None:
 
 def _prepare(sampled: SampledController) -> None:
     """Compile and load everything before the plant is touched."""
-    for name in ("control", "still", "transforms"):
+    for name in ("control", "skip", "still", "transforms"):
         getattr(sampled.kernels, name).prepare()
     _ = sampled.gain
 

@@ -136,8 +136,11 @@ class SampledController:
             module.add(signature, lowered.graph, results, loads, returns)
         text = CONTROL_WITH_MODEL if self.has_model else CONTROL_WITH_DIFFERENCES
         sizes = self.sizes
+        module.functions.append(text.format(sizes=sizes).strip())
         rows, width = sizes.work
-        module.add_kernel(text.format(sizes=sizes), "d", (rows, max(width, len(self.instruments.sensors))))
+        work = (rows, max(width, len(self.instruments.sensors)))
+        module.add_kernel(CONTROL, "d", work)
+        module.add_kernel(SKIP, "", work)
         module.add_kernel(TRANSFORMS.format(count=sizes.coordinates), "")
 
     def begin(self, readings: Array) -> Memory:
@@ -171,6 +174,8 @@ class Memory:
         x: its memory, as `masking.sampling.Sizes.power` says.
         p: its parameter array.
         holding: the commands (actuators,) that hold the rig where it was found.
+
+    Beside them, `demanded` and `applied` are the last commands before and after the limits.
     """
 
     controller: SampledController
@@ -178,20 +183,27 @@ class Memory:
     p: Array
     holding: Array
     demanded: Array = field(init=False)
+    applied: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        self.demanded = np.zeros(self.controller.sizes.actuators)
+        self.demanded, self.applied = np.zeros(self.controller.sizes.actuators), self.holding.copy()
         self._gain, self._limits = self.controller.gain, self.controller.limits
-        self._control = self.controller.kernels.control
+        self._control, self._skip = self.controller.kernels.control, self.controller.kernels.skip
+        self._next: int | None = None
 
     def step(self, index: int, readings: Array) -> Array:
         """Return the commands (actuators,) that answer the readings (sensors,) of a sample; 0 is the release.
+
+        Samples that were missed since the last are taken to have had its command.
 
         Raises:
             ModelError: the commands are not finite.
         """
         h = 1.0 / self.controller.rate
-        applied = np.empty_like(self.demanded)
+        for missed in range(index if self._next is None else self._next, index):
+            self._skip(missed * h, h, self.x, self.p, self._limits, self.applied)
+        self._next = index + 1
+        self.applied = applied = np.empty_like(self.demanded)
         self._control(index * h, h, readings, self.x, self.p, self._gain, self._limits, self.demanded, applied)
         if not np.isfinite(applied).all():
             names = self.controller.instruments.actuators
@@ -213,19 +225,21 @@ def transforms(times, states, p, virtual):
 """
 CONTROL_WITH_MODEL = """
 _control = sampling.control_with_model(law, rate, measure, allocate, wire, sampling.{sizes})
-
-
+_skip = sampling.skip_with_model(rate, wire, sampling.{sizes})
+"""
+CONTROL_WITH_DIFFERENCES = """
+_control = sampling.control_with_differences(law, allocate, sampling.{sizes})
+_skip = sampling.skip_with_differences(sampling.{sizes})
+"""
+CONTROL = """
 @compiled
 def control(t, dt, s, x, p, gain, table, demanded, applied, work):
     return _control(t, dt, s, x, p, gain, table, demanded, applied, work)
 """
-CONTROL_WITH_DIFFERENCES = """
-_control = sampling.control_with_differences(law, allocate, sampling.{sizes})
-
-
+SKIP = """
 @compiled
-def control(t, dt, s, x, p, gain, table, demanded, applied, work):
-    return _control(t, dt, s, x, p, gain, table, demanded, applied, work)
+def skip(t, dt, x, p, table, command, work):
+    _skip(t, dt, x, p, table, command, work)
 """
 Results = list[tuple[str, Node]]
 

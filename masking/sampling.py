@@ -176,26 +176,50 @@ def limiter(sizes: Sizes) -> Kernel:
     """Make the last step before the actuators: largest command, then largest mean power.
 
     The mean power P of an actuator whose power is `heating` times its squared command c follows
-    P' = (heating c^2 - P) / time; a command is made so small that P stays within its limit at the next sample.
+    P' = (heating c^2 - P) / time, solved exactly over a sample in which c is held; a command is made so small that P
+    stays within its limit at the next sample.
 
     Returns:
         `limit(demanded, table, power, h, applied)`, with `table` (actuators, 4) and the mean powers `power`, which
         are brought to the next sample.
     """
-    count = sizes.actuators
+    count, warm = sizes.actuators, heat(sizes)
 
     @compiled
     def limit(demanded, table, power, h, applied):
         for i in range(count):
             most = table[i, LARGEST]
-            heating, part = table[i, HEATING], h / table[i, TIME]
+            heating, part = table[i, HEATING], -math.expm1(-h / table[i, TIME])
             if heating > 0.0:
                 free = max(0.0, (table[i, POWER] - (1.0 - part) * power[i]) / (part * heating))
                 most = min(most, math.sqrt(free))
             applied[i] = min(max(demanded[i], -most), most)
-            power[i] += part * (heating * applied[i] * applied[i] - power[i])
+        warm(applied, table, h, power)
 
     return limit
+
+
+def heat(sizes: Sizes) -> Kernel:
+    """Make the step of the mean powers: `heat(command, table, h, power)`, for a command (actuators,) held over h."""
+    count = sizes.actuators
+
+    @compiled
+    def warm(command, table, h, power):
+        for i in range(count):
+            part = -math.expm1(-h / table[i, TIME])
+            power[i] += part * (table[i, HEATING] * command[i] * command[i] - power[i])
+
+    return warm
+
+
+@compiled
+def advance_queue(queue, u, m):
+    """Take the oldest inputs (m,) from those under way, and add the newest."""
+    last = queue.size - m
+    for j in range(last):
+        queue[j] = queue[j + m]
+    if last >= 0:
+        copy(u, queue[last:], m)
 
 
 def control_with_model(
@@ -234,13 +258,54 @@ def control_with_model(
         wire(applied, p, u)
         if delay == 0:
             step(t, z, u, p, h, k, y)
-        else:
-            for j in range((delay - 1) * m):
-                queue[j] = queue[j + m]
-            copy(u, queue[(delay - 1) * m :], m)
+        advance_queue(queue, u, m)
         return health
 
     return control
+
+
+def skip_with_model(rate: Kernel, wire: Kernel, sizes: Sizes) -> Kernel:
+    """Make the step of a sample that was missed: nothing corrects the estimate, and the last command holds on.
+
+    Returns:
+        `skip(t, h, x, p, table, command, work)` for a missed sample at time t; `command` (actuators,) is the last.
+    """
+    m, length, next_one, fixed = sizes.inputs, sizes.estimate, sizes.estimate + sizes.actuators, sizes.fixed
+    step, warm = predict(rate, sizes), heat(sizes)
+
+    @compiled
+    def skip(t, h, x, p, table, command, work):
+        now, power, z, queue = x[:length], x[length:next_one], x[next_one:fixed], x[fixed:]
+        delay = queue.size // m
+        u, acting = work[12][:m], work[2][:m]
+        wire(command, p, u)
+        copy(queue if delay > 0 else u, acting, m)
+        copy(z, now, length)
+        step(t, z, acting, p, h, work[13:17], work[17])
+        advance_queue(queue, u, m)
+        warm(command, table, h, power)
+
+    return skip
+
+
+def skip_with_differences(sizes: Sizes) -> Kernel:
+    """Make the step of a sample that was missed: the rig is taken to move on at its last velocity.
+
+    Returns:
+        `skip` with the arguments of that of `skip_with_model`.
+    """
+    n, length, fixed = sizes.coordinates, sizes.estimate, sizes.fixed
+    next_one, warm = length + sizes.actuators, heat(sizes)
+
+    @compiled
+    def skip(t, h, x, p, table, command, work):
+        now, power, z = x[:length], x[length:next_one], x[next_one:fixed]
+        for i in range(n):
+            z[i] += h * z[n + i]
+        copy(z, now, length)
+        warm(command, table, h, power)
+
+    return skip
 
 
 def control_with_differences(law: Kernel, allocate: Kernel, sizes: Sizes) -> Kernel:

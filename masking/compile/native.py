@@ -36,7 +36,7 @@ ARGUMENTS: dict[str, str] = {
     **dict.fromkeys(("t", "tolerance", "fixed_step", "dt", "first", "since"), "d"),
     **dict.fromkeys(("begin", "count", "substeps", "every"), "i"),
     **dict.fromkeys(("y", "q", "v", "u", "p", "out", "dy", "times"), "v"),
-    **dict.fromkeys(("s", "x", "d", "r", "g", "noise", "control_p", "demanded", "applied"), "v"),
+    **dict.fromkeys(("s", "x", "d", "r", "g", "noise", "control_p", "demanded", "applied", "command"), "v"),
     **dict.fromkeys(("c", "states", "virtual", "inputs", "out_y", "out_u", "work"), "m"),
     **dict.fromkeys(("gain", "table", "queue", "noises", "estimates", "readings", "demands", "commands"), "m"),
 }

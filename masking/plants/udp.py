@@ -50,6 +50,7 @@ class UdpPlant:
         self._session = 0
         self._last = -1
         self._lockstep = False
+        self._first: Frame | None = None  # came in answer to the start
 
     def configure(self, settings: Settings) -> None:
         """Open a session and learn the names of the channels.
@@ -62,6 +63,7 @@ class UdpPlant:
         self._life.configure()
         self.deactivate()
         self._session, self._last, self._lockstep = secrets.randbits(64), -1, settings.lockstep
+        self._first = None
         self._silence = LOCKSTEP_TIMEOUT if settings.lockstep else max(self._timeout, PERIODS / settings.rate)
         self.counters.clear()
         try:
@@ -88,8 +90,12 @@ class UdpPlant:
         give_up = time.monotonic() + max(self._silence, self._patience)
         while time.monotonic() < give_up:
             self._send(Kind.START)
-            if self._waits(TRY):
-                return
+            again = time.monotonic() + TRY
+            while (frame := self._receive(again - time.monotonic())) is not None:
+                if frame.kind in (Kind.SENSORS, Kind.STOP):
+                    self._first = frame
+                    return
+                self.counters["unexpected"] += 1
         self._lost(f"did not start within {max(self._silence, self._patience):g} s")
 
     def read(self) -> Sample:
@@ -101,7 +107,7 @@ class UdpPlant:
         self._life.need_active("read")
         newest = None
         deadline = time.monotonic() + self._silence
-        while (frame := self._receive(0.0 if newest else deadline - time.monotonic())) is not None:
+        while (frame := self._following(0.0 if newest else deadline - time.monotonic())) is not None:
             if frame.kind is Kind.STOP:
                 raise PlantLostError(f"the plant at {self._address} ended the session: {frame.text}")
             if not self._is_next(frame):
@@ -144,6 +150,11 @@ class UdpPlant:
             except PlantLostError:  # nobody listens there yet
                 time.sleep(max(0.0, min(again, give_up) - time.monotonic()))
         raise PlantLostError(f"no plant answers at {self._address}; start it with 'masking rig serve PLANT'")
+
+    def _following(self, wait: float) -> Frame | None:
+        """Return what came in answer to the start, else the next frame within so many seconds."""
+        first, self._first = self._first, None
+        return first or self._receive(wait)
 
     def _is_next(self, frame: Frame) -> bool:
         """Tell whether a frame is a sample newer than the last, else count why not."""
