@@ -10,7 +10,7 @@ together with them. Their arguments, with y = [q, v, s] the rig's state (coordin
 * `measure(t, y, p, s)` writes what the sensors would read;
 * `allocate(u, p, out)` writes the actuators' commands that give inputs u, and `wire(out, p, u)` the reverse.
 """
-# ruff: noqa: ANN001, ANN202, PLR0917
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0917
 # The types are numba's to infer.
 
 from __future__ import annotations
