@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 else:
     linalg = lazy.load("scipy.linalg", suppress_warning=True)
 
-# A command that is late by a sample for each of delay and hold turns the phase of a signal at the bandwidth by half a
-# radian where the bandwidth is this part of the rate over the samples of lateness.
-FASTEST_PART = 0.5
+# A command that is late by a sample for each of delay and hold turns the phase of a signal at the bandwidth by 0.7
+# radian (40 degrees) where the bandwidth is this part of the rate over the samples of lateness.
+FASTEST_PART = 0.7
 # Beyond this part, an observer is refused: it would estimate faster than it is told.
 REFUSED_PART = 1.0
 # The noise of a command that the observer's noise makes, as a part of the actuator's largest command.
@@ -70,8 +70,13 @@ class Plan:
 
     @property
     def fastest(self) -> float:
-        """Return the largest bandwidth that the rule chooses, rad/s: half the rate over (1 + delay) samples."""
-        return FASTEST_PART / (self.period * (1 + self.delay))
+        """Return the largest bandwidth that the rule chooses, rad/s: 0.7 of the rate over (1 + delay) samples."""
+        return FASTEST_PART / self.late
+
+    @property
+    def late(self) -> float:
+        """Return the samples of delay and hold, s."""
+        return self.period * (1 + self.delay)
 
 
 @dataclass(frozen=True)
@@ -141,8 +146,8 @@ Observer = Differences | Kalman | Disturbance
 def bandwidths(plan: Plan, order: int, chosen: float | tuple[float, ...] | None) -> Array:
     """Return the bandwidth for each coordinate, rad/s (n,).
 
-    The rule: as fast as the sampling allows, half the rate over (1 + delay), so that the phase that is lost at the
-    bandwidth stays within half a radian; then lower, coordinate by coordinate, until the noise of the readings makes no
+    The rule: as fast as the sampling allows, 0.7 rate / (1 + delay), so that the phase that is lost at the
+    bandwidth stays within 40 degrees; then lower, coordinate by coordinate, until the noise of the readings makes no
     more noise in a command than 2 % of its largest value. A chosen bandwidth overrides the rule.
 
     Raises:
@@ -150,7 +155,7 @@ def bandwidths(plan: Plan, order: int, chosen: float | tuple[float, ...] | None)
     """
     fastest = plan.fastest
     if chosen is not None:
-        refused = fastest * REFUSED_PART / FASTEST_PART
+        refused = REFUSED_PART / plan.late
         fast = float(np.max(chosen))
         if fast > refused:
             raise ModelError(

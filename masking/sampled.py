@@ -22,7 +22,7 @@ from masking.instruments import Instruments
 from masking.kernels import Array, Kernels
 from masking.lowering import LoweredEquations
 from masking.observer import Differences, Observer
-from masking.sampling import LARGEST, Sizes
+from masking.sampling import HEATING, LARGEST, TIME, Sizes
 from masking.twin import Twin
 
 
@@ -161,7 +161,9 @@ class SampledController:
             inputs[:] = 0.0
         command = np.clip(self.instruments.allocation @ inputs, -self.limits[:, LARGEST], self.limits[:, LARGEST])
         acting = self.instruments.wiring @ command
-        x = np.concatenate([estimate, np.zeros(sizes.actuators), estimate, np.tile(acting, self.delay)])
+        warmed = -np.expm1(-self.delay / (self.rate * self.limits[:, TIME]))  # by the commands under way
+        power = warmed * self.limits[:, HEATING] * command**2
+        x = np.concatenate([estimate, power, estimate, np.tile(acting, self.delay)])
         return Memory(self, x, p, command)
 
 

@@ -158,7 +158,7 @@ def test_poles_lie_on_a_circle_of_the_bandwidth_in_butterworths_pattern(order):
 @pytest.mark.parametrize(("delay", "period"), [(0, 1e-3), (1, 1e-3), (3, 1e-3), (1, 2.5e-4)])
 def test_quiet_sensors_are_followed_as_fast_as_sampling_allows(delay, period):
     found = Disturbance(2).bandwidths(plan(noise=1e-12, period=period, delay=delay))
-    np.testing.assert_allclose(found, 0.5 / (period * (1 + delay)))
+    np.testing.assert_allclose(found, 0.7 / (period * (1 + delay)))
     np.testing.assert_array_equal(found, Disturbance(2).bandwidths(plan(noise=0.0, period=period, delay=delay)))
 
 

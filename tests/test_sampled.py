@@ -421,8 +421,8 @@ def test_approach_begins_and_goes_on_without_a_jump(approached):
     assert jumps.max() < 2e-3
     noisy = rows["demanded"], approached["noisy"][1]["demanded"]
     assert (
-        np.abs(noisy[0][: before - 1] - noisy[1][: before - 1]).max() / 0.42 < 6 * 0.02
-    )  # six deviations of the rule's 2 %
+        np.abs(noisy[0][: before - 1] - noisy[1][: before - 1]).max() / 0.42 < 7 * 0.02
+    )  # seven deviations of the rule's 2 %
     # At the release, inputs that held the rig let it go: J c du is the wanted acceleration (T is bent: J = dT/dx).
     jacobian = np.diag([1 + 0.4 * BENT_START[0], np.cosh(BENT_START[1]), 1.0])
     jacobian[2, :2] = 0.1 * BENT_START[1::-1]
@@ -450,7 +450,7 @@ def test_bent_transform_at_another_pace_is_followed(approached):
     tau = np.arange(len(eta)) * 1e-3 / PACE
     assert relative(eta, ideal(tau)) < 3e-5
     eta = bent(approached["noisy"][1]["state"][release:, :3])
-    assert relative(eta, ideal(tau)) < 3e-3
+    assert relative(eta, ideal(tau)) < 5e-3
 
 
 # Regulation.
