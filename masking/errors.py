@@ -101,14 +101,16 @@ class ActuationError(MaskingError):
 class SingularityError(MaskingError):
     """A matrix that must be inverted became singular on the way; holds the time and the state at which it did."""
 
-    def __init__(self, message: str, time: float, state: Mapping[str, float]) -> None:
+    def __init__(self, message: str, time: float, state: Mapping[str, float], mend: str = "") -> None:
         self.time = time
         self.state: dict[str, float] = dict(state)
-        super().__init__(message, self.time, self.state)
+        self.mend = mend
+        super().__init__(message, self.time, self.state, mend)
 
     def __str__(self) -> str:
         state = ", ".join(f"{name} = {value:.6g}" for name, value in self.state.items())
-        return f"{self.args[0]} at t = {self.time:.6g}" + (f" ({state})" if state else "")
+        mend = f"; {self.mend}" if self.mend else ""
+        return f"{self.args[0]} at t = {self.time:.6g}" + (f" ({state})" if state else "") + mend
 
 
 class IntegrationError(MaskingError):

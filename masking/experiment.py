@@ -181,6 +181,7 @@ class Experiment:
         """
         for model in (self.plant, self.controller.model, self.virtual):
             model.validate()
+        self.twin.validate()
         problems = [*registry.check_units(self.assembly), *self._check_size()]
         if problems:
             raise DeclarationError(problems)

@@ -22,7 +22,7 @@ from masking.declaration.operations import CONSTANTS, OPERATIONS, Step
 from masking.errors import DeclarationError, IntegrationError, MaskingError, Problem, SingularityError
 from masking.experiment import Experiment
 from masking.kernels import Array
-from masking.loop import rig_state
+from masking.loop import INVERTIBLE, rig_state
 from masking.sampling import HEATING, LARGEST, POWER, TIME
 
 if TYPE_CHECKING:
@@ -436,7 +436,7 @@ def _problem(experiment: Experiment, error: MaskingError) -> Problem:
     if isinstance(error, SingularityError) or _can_follow_virtual(experiment):
         path = "transform"
         message = f"the transform or the decoupling matrix becomes singular on the way: {error}"
-        mend = "choose a transform that is invertible, and that the actuators can follow, over the whole motion"
+        mend = INVERTIBLE
     else:
         path = "initial"
         message = f"the virtual motion cannot be followed to its end: {error}"

@@ -12,7 +12,7 @@ from masking.declaration import schema
 from masking.errors import ActuationError, ModelError
 from masking.kernels import Array
 from masking.model import Model
-from masking.observer import Plan, check_sensing
+from masking.observer import Plan, check_rate, check_sensing
 from masking.sampling import HEATING, LARGEST, POWER, TIME
 from masking.twin import wiring
 
@@ -114,10 +114,11 @@ class Instruments:
             noise: standard deviation of every reading; that of the plant file where it is None.
 
         Raises:
-            ModelError: the sensors do not tell every coordinate, or their noise is not known.
+            ModelError: the sensors do not tell every coordinate, their noise is not known, or the rate is too low.
         """
         n = len(self.model.coordinates)
         dynamics, driven = self._linear()
+        check_rate(rate, dynamics)
         sensing = self._sensing()
         check_sensing(sensing[:, :n], self.model.coordinates, self.sensors)
         unknown = [name for name in self.sensors if noise is None and name not in self.noise]

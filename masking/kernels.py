@@ -122,12 +122,12 @@ class Kernels:
                 progress((piece[-1] + 1) / len(times))
         return Trajectory(times, out, tuple(self.meta["coordinates"]), steps, tuple(self.meta.get("states", ())))
 
-    def stop(self, status: int, time: float, state: Sequence[float] | Array) -> None:
-        """Raise the error that a kernel's status stands for."""
+    def stop(self, status: int, time: float, state: Sequence[float] | Array, mend: str = "") -> None:
+        """Raise the error that a kernel's status stands for; `mend` says what to do about a singular matrix."""
         names = self.meta["coordinates"]
         internal = self.meta.get("states", ())
         at = dict(zip([*names, *(f"{n}'" for n in names), *internal], map(float, state), strict=True))
         if status == SINGULAR:
-            raise SingularityError(MESSAGES[status], time, at)
+            raise SingularityError(MESSAGES[status], time, at, mend)
         where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
         raise IntegrationError(f"{MESSAGES[status]}, at t = {time:.6g} ({where})")

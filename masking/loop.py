@@ -24,6 +24,7 @@ PIECES = 100
 STEPS_PER_RADIAN = 50.0
 # A twin takes at least so many steps between samples: contacts and friction are not seen from its rest.
 TWIN_STEPS = 2
+INVERTIBLE = "choose a transform that is invertible, and that the actuators can follow, over the whole motion"
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ def run_sampled(
                 f"at {rate:g} Hz, inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
             )
         if status != REACHED:
-            loop.kernels.stop(status, (begin + done) / rate, y)
+            loop.kernels.stop(status, (begin + done) / rate, y, INVERTIBLE)
         if progress is not None:
             progress((begin + count) / samples)
     found = _complete(loop, rows / rate, out_y, p)
@@ -201,7 +202,7 @@ def run_twin(
                 "controller.observer.bandwidth, correct controller.model, or raise controller.rate"
             )
         if status != REACHED:
-            kernels.stop(status, (begin + done) / rate, y)
+            kernels.stop(status, (begin + done) / rate, y, INVERTIBLE)
         noise = noise[:0]
         if progress is not None:
             progress((end + before) / (samples + before))

@@ -284,6 +284,25 @@ def _command_noise(plan: Plan, order: int, bandwidth: Array) -> Array:
     return np.abs(plan.command) * spread
 
 
+def check_rate(rate: float, dynamics: Array) -> None:
+    """Refuse a rate at which the rig moves on by more than a radian from one sample to the next.
+
+    Args:
+        rate: samples per second.
+        dynamics: (2 n, 2 n), d [q, v] / dt = dynamics [q, v] of the model at rest.
+
+    Raises:
+        ModelError: says which rate would do.
+    """
+    fastest = float(np.abs(np.linalg.eigvals(dynamics)).max())
+    if rate < fastest:
+        raise ModelError(
+            f"controller.rate {rate:g} Hz is too low for this rig: its fastest free motion, {fastest:.3g} rad/s, would "
+            f"be sampled less than once in a radian; give at least {fastest:.3g} Hz, better ten times "
+            "as much"
+        )
+
+
 def check_sensing(sensing: Array, coordinates: Sequence[str], sensors: Sequence[str]) -> None:
     """Refuse sensors that do not tell every coordinate.
 

@@ -367,7 +367,7 @@ class SampledLoop:
     def _build(self) -> Module:
         controller = self.sampled.controller
         check_actuation(controller.model, controller.transform)
-        meta = {"kind": "sampled loop", "coordinates": list(self.twin.state_names)}
+        meta = {"kind": "sampled loop", **self.twin.state_kinds}
         module = Module(f"{self.twin.declaration.name}, masked as {controller.virtual.name}", meta)
         self.twin.add_to(module)
         self.sampled.add_to(module)

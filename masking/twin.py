@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
@@ -17,7 +18,7 @@ import numpy as np
 from masking.compile import store
 from masking.compile.graph import Graph, Node
 from masking.compile.source import Module
-from masking.declaration import schema, units
+from masking.declaration import registry, schema, units
 from masking.declaration.expression import Expression
 from masking.effects import EFFECTS, Effect, attach, expressions
 from masking.errors import DeclarationError, Problem, nearest
@@ -56,6 +57,20 @@ class Twin:
     declaration: schema.PlantDeclaration
     base: schema.ModelDeclaration
     changes: Mapping[str, schema.EffectChange] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> Twin:
+        """Load a plant and the model that it names; a packaged name or a file."""
+        declaration = registry.load_plant(name_or_path)
+        return cls(declaration, registry.load_model(declaration.model, registry.refer(declaration, "model")))
+
+    def validate(self) -> None:
+        """Refuse effects and wiring that do not fit the model.
+
+        Raises:
+            DeclarationError: tells of all effects or of all wires that do not.
+        """
+        _ = self.effects, self.wiring, self.attached
 
     @cached_property
     def effects(self) -> tuple[PlacedEffect, ...]:
@@ -168,9 +183,14 @@ class Twin:
     @property
     def state_names(self) -> tuple[str, ...]:
         """Return the names of y: coordinates, velocities, internal states of the model, of actuators and sensors."""
-        model = self.model
-        names = [*model.coordinates, *(f"{c}'" for c in model.coordinates), *model.declaration.states]
-        return (*names, *(f"{effect.label}_{name}" for effect, name in self.chain_states))
+        coordinates, internal = self.state_kinds.values()
+        return (*coordinates, *(f"{c}'" for c in coordinates), *internal)
+
+    @property
+    def state_kinds(self) -> dict[str, list[str]]:
+        """Return the names of the coordinates, and of the internal states as `states`."""
+        chain = [f"{effect.label}_{name}" for effect, name in self.chain_states]
+        return {"coordinates": [*self.model.coordinates], "states": [*self.model.declaration.states, *chain]}
 
     @cached_property
     def wiring(self) -> Array:
@@ -243,7 +263,7 @@ class Twin:
         return Kernels(store.load(store.key({"twin": self.structure()}), self._build))
 
     def _build(self) -> Module:
-        module = Module(self.declaration.name, {"kind": "twin", "coordinates": list(self.state_names)})
+        module = Module(self.declaration.name, {"kind": "twin", **self.state_kinds})
         self.add_to(module)
         return module
 

@@ -15,7 +15,7 @@ from masking.errors import DeclarationError, MaskingError, ModelError, Place, Pr
 
 if TYPE_CHECKING:
     from masking import budget as budgets
-    from masking import describe, experiment, model, recording, reporting
+    from masking import describe, experiment, model, recording, reporting, twin
     from masking import feasibility as feasibilities
     from masking.declaration import registry
     from masking.declaration import schema as schemas
@@ -29,6 +29,7 @@ else:  # each verb loads only what it needs
     registry = lazy.load("masking.declaration.registry", suppress_warning=True)
     reporting = lazy.load("masking.reporting", suppress_warning=True)
     schemas = lazy.load("masking.declaration.schema", suppress_warning=True)
+    twin = lazy.load("masking.twin", suppress_warning=True)
 
 KINDS = ("model", "plant", "experiment")
 
@@ -199,6 +200,7 @@ def _check(file: str | Path, kind: str, compiling: Callable[[], None] | None) ->
             model.load_model(file).validate()
         elif kind == "plant":
             registry.check_plant_file(file)
+            twin.Twin.load(file).validate()
         else:
             wanted = experiment.Experiment.load(file)
             wanted.validate()

@@ -10,7 +10,7 @@ import yaml
 
 import masking
 from masking import cli
-from masking.declaration import catalogue
+from masking.declaration import catalogue, registry
 
 SHORT = """\
 name: short
@@ -119,6 +119,20 @@ def test_check_tells_wrong_dimensions(capsys, tmp_path):
     assert status == 2
     assert "m/s**2" in out
     assert "m/s" in out
+
+
+def test_check_tells_effects_that_do_not_fit_a_plant(capsys, tmp_path):
+    path = tmp_path / "worn.yaml"
+    (packaged,) = registry.load_plant("linear_rig").files
+    text = Path(packaged).read_text(encoding="utf-8")
+    text = text.replace("effect: noise", "effect: noize").replace(
+        "at: spring2, parameters: {fc", "at: spring2, parameters: {f"
+    )
+    path.write_text(text, encoding="utf-8")
+    status, out, _ = run(capsys, "check", path)
+    assert status == 2
+    assert "effects.noise.effect: there is no effect 'noize'; did you mean 'noise'?" in out
+    assert "effects.friction2: the effect dry_friction needs fc" in out
 
 
 @pytest.mark.parametrize("kind", ["model", "plant", "experiment"])

@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 from masking import sampling
 from masking.declaration import registry, schema
-from masking.errors import ModelError
+from masking.errors import ModelError, SingularityError
 from masking.experiment import Experiment
 from masking.loop import run_twin, substeps_of
 from masking.sampled import SampledLoop
@@ -500,3 +500,24 @@ def test_regulation_holds_an_energy_in_phase():
     held = energy(last[:, :3], last[:, 3:] / OMEGA)
     assert held.std() / held.mean() < 0.2
     assert held.mean() == pytest.approx(0.02, rel=0.3)
+
+
+# Refusals.
+
+
+def test_a_rate_too_low_for_the_rig_is_refused_with_one_that_does():
+    """The fastest free motion of the set-up: 14.7 rad/s, that of oscillator 2 against the beam."""
+    jacobian = np.array([free(*np.split(x, 2)) for x in np.eye(6)]).T
+    fastest = np.abs(np.linalg.eigvals(np.vstack([np.eye(6)[3:], jacobian]))).max()
+    mend = rf"controller.rate 5 Hz is too low for this rig: .* give at least {fastest:.3g} Hz, better ten times as much"
+    with pytest.raises(ModelError, match=mend):
+        experiment(controller={"rate": "5 Hz"}).validate()
+    experiment(controller={"rate": f"{1.01 * fastest} Hz"}).validate()
+
+
+def test_a_transform_that_becomes_singular_on_the_way_stops_the_run_with_the_state():
+    folded = schema.Transform.model_validate({"expressions": {"x1": "x1**2", "x2": "x2", "x3": "x3"}})
+    with pytest.raises(SingularityError, match="choose a transform that is invertible") as error:
+        run(experiment(transform=folded, initial={"x1": 0.3}), 1.0)
+    assert abs(error.value.state["x1"]) < 0.1 * LENGTH
+    assert set(error.value.state) >= {"x1", "x2", "x3", "x1'", "x2'", "x3'"}
