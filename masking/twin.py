@@ -20,7 +20,7 @@ from masking.compile.graph import Graph, Node
 from masking.compile.source import Module
 from masking.declaration import registry, schema, units
 from masking.declaration.expression import Expression
-from masking.effects import EFFECTS, Effect, attach, expressions
+from masking.effects import EFFECTS, Attachment, Effect, attach_all, expressions
 from masking.errors import DeclarationError, Problem, nearest
 from masking.kernels import Array, Kernels
 from masking.lowering import LoweredEquations
@@ -135,11 +135,9 @@ class Twin:
     @cached_property
     def attached(self) -> schema.ModelDeclaration:
         """Return the declaration of the rig's model with the effects of its elements."""
-        declaration = self.base
-        for effect in self._of("element"):
-            given = {name: p.text if isinstance(p, Expression) else p for name, p in effect.parameters.items()}
-            declaration = attach(declaration, effect.kind, effect.at, effect.label, given)
-        return declaration
+        return attach_all(
+            self.base, [Attachment(e.kind, e.at, e.label, _as_text(e.parameters)) for e in self._of("element")]
+        )
 
     @cached_property
     def model(self) -> Model:
@@ -396,6 +394,10 @@ def wiring(plant: schema.PlantDeclaration, model: schema.ModelDeclaration, param
     if problems:
         raise DeclarationError(problems)
     return rows
+
+
+def _as_text(parameters: Mapping[str, float | Expression]) -> dict[str, float | str]:
+    return {name: p.text if isinstance(p, Expression) else p for name, p in parameters.items()}
 
 
 def _parameters(effect: PlacedEffect) -> list[str]:

@@ -1,19 +1,22 @@
 """Physical effects that a model may lack: what each is, where it may sit, and how it is put there.
 
-`EFFECTS` is the dictionary of all of them; `attach` puts one into an element of a declared model; `expressions`,
-`parameters` and `unit_of` give the parts from which those of a sensor or an actuator are compiled.
+`EFFECTS` is the dictionary of all of them; `attach` puts one into an element of a declared model, `attach_all`
+several; `expressions`, `parameters` and `unit_of` give the parts from which those of a sensor or an actuator are
+compiled.
 """
 
-from masking.effects.attachment import Setting, attach, expressions, find, parameters, unit_of
+from masking.effects.attachment import Attachment, Setting, attach, attach_all, expressions, find, parameters, unit_of
 from masking.effects.entries import EFFECTS, Effect, EffectParameter, EffectState
 
 __all__ = [
     "EFFECTS",
+    "Attachment",
     "Effect",
     "EffectParameter",
     "EffectState",
     "Setting",
     "attach",
+    "attach_all",
     "expressions",
     "find",
     "parameters",

@@ -11,7 +11,7 @@ import math
 import numbers
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from masking.declaration.checks import check_model
@@ -128,10 +128,41 @@ def attach(
         DeclarationError: the effect, the element or a parameter is not known, a value is missing, or the model that
             results is wrong; says what is meant or needed.
     """
+    return attach_all(declaration, [Attachment(effect, at, label, parameters or {})])
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """One effect to attach: the arguments of `attach`."""
+
+    effect: str
+    at: str
+    label: str | None
+    parameters: Mapping[str, Setting]
+
+
+def attach_all(declaration: ModelDeclaration, attachments: Iterable[Attachment]) -> ModelDeclaration:
+    """Return a model with effects in its elements, one after the other; see `attach`."""
+    dimensions, result = symbol_dimensions(declaration), declaration
+    if dimensions is None:
+        raise DeclarationError(check_dimensions(declaration))
+    for attachment in attachments:
+        result = _with_effect(result, attachment, dimensions)
+    problems = check_model(result) or check_dimensions(result) if result is not declaration else []
+    if problems:
+        raise DeclarationError(problems)
+    return result
+
+
+def _with_effect(
+    declaration: ModelDeclaration, attachment: Attachment, dimensions: Mapping[str, Dimension | None]
+) -> ModelDeclaration:
+    """Return a model with one more effect; `dimensions` are those of the symbols that its elements may use."""
+    effect, at, label = attachment.effect, attachment.at, attachment.label
     entry, element = find(effect), _element(declaration, effect, at)
     label = f"{at}_{effect}" if label is None else label
     _check_label(declaration, label)
-    units = _units(declaration, element, at)
+    units = _units(declaration, element, at, dimensions)
     names = {key: f"{label}_{key}" for key in (*entry.parameters, *entry.states)}
     names |= {"d": f"{label}_d", "d_rate": f"{label}_v"}
     force = Expression(entry.expression, path=label)
@@ -150,9 +181,9 @@ def attach(
         Expression(f"{names[state]}'", path=label): Expression(_renamed(rate, names), path=label)
         for state, rate in rates.items()
     }
-    all_parameters = _parameters(effect, label, parameters or {}, units)
+    all_parameters = parameters(effect, label, attachment.parameters, units)
     _check_free(declaration, label, [*new_states, *all_parameters, *definitions])
-    result = changed.model_copy(
+    return changed.model_copy(
         update={
             "states": {**declaration.states, **new_states},
             "parameters": {**declaration.parameters, **all_parameters},
@@ -160,13 +191,6 @@ def attach(
             "equations": {**changed.equations, **new_equations},
         }
     )
-    problems = check_model(result) or check_dimensions(result)
-    if problems:
-        raise DeclarationError(problems)
-    return result
-
-
-_parameters = parameters  # where an argument has that name
 
 
 def _element(declaration: ModelDeclaration, effect: str, at: str) -> Element:
@@ -197,13 +221,12 @@ def _check_free(declaration: ModelDeclaration, label: str, names: Iterable[str])
             raise _refusal(label, f"the name '{taken[0]}' is already used in {section}", "give another label")
 
 
-def _units(declaration: ModelDeclaration, element: Element, at: str) -> dict[str, str]:
+def _units(
+    declaration: ModelDeclaration, element: Element, at: str, symbols: Mapping[str, Dimension | None]
+) -> dict[str, str]:
     """Return the units that stand for F, D and s in an element."""
     if is_plain(declaration):
         return {"F": "1", "D": "1", "s": "1"}
-    symbols = symbol_dimensions(declaration)
-    if symbols is None:
-        raise DeclarationError(check_dimensions(declaration))
     displacement = dimension_in(element.displacement, symbols)
     if displacement is None or symbols["t"] is None:
         raise _refusal(f"elements.{at}.displacement", "the displacement has no unit")
