@@ -63,6 +63,18 @@ class Experiment:
             declaration = declaration.model_copy(update={"parameters": {**declaration.parameters, **changes}})
         return cls(registry.assemble(declaration, plant))
 
+    def changed(self, **sections: object) -> Experiment:
+        """Return the experiment with sections of its file replaced, each as YAML would give it.
+
+            experiment.changed(controller={"rate": "1 kHz", "observer": "differences"}, duration=100)
+
+        Raises:
+            DeclarationError: as for a file.
+        """
+        declaration = registry.changed_experiment(self.declaration, sections)
+        here = None if "plant" in sections else next(iter(self.assembly.plant.files), None)
+        return Experiment(registry.assemble(declaration, here))
+
     @property
     def declaration(self) -> schema.ExperimentDeclaration:
         """Return the content of the experiment file."""

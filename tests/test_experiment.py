@@ -193,3 +193,21 @@ def test_progress_is_told_and_ends_at_one(tmp_path):
     load(tmp_path).run(told.append)
     assert told == sorted(told)
     assert told[-1] == 1.0
+
+
+def test_sections_of_an_experiment_are_changed_as_if_its_file_said_so():
+    found = Experiment.load("huygens_rig").changed(
+        controller={"rate": "2 kHz", "observer": "differences"}, duration=10, effects={"noise": False}
+    )
+    assert found.declaration.controller.rate == 2000.0
+    assert found.declaration.duration == 10.0
+    assert not found.twin.noise()["s1"] > 1.0e-4
+    assert found.twin.declaration.name == Experiment.load("huygens_rig").twin.declaration.name
+    assert Experiment.load("duffing", plant="linear_rig").changed(duration=5).assembly.plant.name == "linear rig"
+
+
+def test_a_wrong_section_of_a_changed_experiment_is_refused_as_in_its_file():
+    with pytest.raises(DeclarationError) as error:
+        Experiment.load("huygens_rig").changed(controler={}, duration=-1)
+    assert "the key 'controler' is not known; did you mean 'controller'?" in str(error.value)
+    assert "duration: must be greater than 0, not -1" in str(error.value)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from masking.declaration import registry, schema
+from masking.declaration import registry
 from masking.errors import IntegrationError
 from masking.experiment import Experiment
 from masking.loop import run_twin
@@ -22,16 +22,9 @@ THESIS = {"rate": "1 kHz", "observer": "differences"}
 OSCILLATORS = ("x1", "x2")
 
 
-def experiment(name, plant, controller, *, effects=None, **changes):
-    """Return a packaged experiment on a plant; `effects` maps labels to True, False, or values of parameters."""
-    given = {
-        label: schema.EffectChange(enabled=change)
-        if isinstance(change, bool)
-        else schema.EffectChange.model_validate({"enabled": True, "parameters": change})
-        for label, change in (effects or {}).items()
-    }
-    changes |= {"controller": schema.ControllerSettings.model_validate(controller), "effects": given, "record": None}
-    return Experiment(registry.assemble(registry.load_experiment(name).model_copy(update=changes), str(plant)))
+def experiment(name, plant, controller, **changes):
+    """Return a packaged experiment on a plant, with sections of its file changed."""
+    return Experiment.load(name, plant=str(plant)).changed(controller=controller, record=None, **changes)
 
 
 def chi(controller, *, plant="linear_rig", **changes):
@@ -45,7 +38,7 @@ def chi(controller, *, plant="linear_rig", **changes):
 @pytest.mark.parametrize(("sigma", "bar"), [(1e-4, 0.01), (1e-3, 0.03)])
 def test_noise_hardly_moves_the_oscillators(sigma, bar):
     """`sigma` is in parts of the stroke of 5 mm, which reads 1 V."""
-    noise = {"noise": {"sigma": sigma}}
+    noise = {"noise": {"parameters": {"sigma": sigma}}}
     ours, thesis = (chi(way, effects=noise, duration=600) for way in (OURS, THESIS))
     assert max(ours[name] for name in OSCILLATORS) <= bar
     assert min(thesis[name] for name in OSCILLATORS) > 1.0
@@ -56,8 +49,9 @@ def test_noise_hardly_moves_the_oscillators(sigma, bar):
 
 def wrong(damping, gains):
     """Return effects that change damping and gains by so many parts, with dry friction of 0.005."""
-    changes = {f"damping{i}": {"c": f"{damping}*2*z{i}*w{i}"} for i in (1, 2, 3)}
-    return {**changes, **dict.fromkeys(("friction1", "friction2", "friction3"), True), "gains": {"e": gains}}
+    changes = {f"damping{i}": {"c": f"{damping}*2*z{i}*w{i}"} for i in (1, 2, 3)} | {"gains": {"e": gains}}
+    wrong = {name: {"enabled": True, "parameters": values} for name, values in changes.items()}
+    return wrong | dict.fromkeys(("friction1", "friction2", "friction3"), True)
 
 
 @pytest.mark.parametrize("damping", [0.05, -0.05])
@@ -112,7 +106,7 @@ class Clocks:
 @cache
 def clocks(way, *, listed_only):
     controller = {"springs": SPRINGS, "thesis": THESIS}[way]
-    found = experiment("huygens_rig", "tue_rig", controller, effects=UNLISTED if listed_only else None).run()
+    found = experiment("huygens_rig", "tue_rig", controller, effects=UNLISTED if listed_only else {}).run()
     last = found.t / found.manifest["time_scale"] > 390.0
     th1, th2, ideal = (found[name][last] for name in ("virtual.th1", "virtual.th2", "ideal.th1"))
     amplitude = np.abs(th1).max()

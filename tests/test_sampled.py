@@ -62,11 +62,9 @@ def relative(found, reference):
     return float(np.linalg.norm(found - reference) / np.linalg.norm(reference))
 
 
-def experiment(name="duffing", plant="linear_rig", *, controller=None, effects=None, **changes):
+def experiment(name="duffing", plant="linear_rig", *, controller=None, **changes):
     settings = {"rate": "1 kHz", "observer": {"kind": "disturbance", "noise": 1e-7}, **(controller or {})}
-    given = {label: schema.EffectChange.model_validate(change) for label, change in (effects or {}).items()}
-    changes |= {"controller": schema.ControllerSettings.model_validate(settings), "effects": given, "record": None}
-    return Experiment(registry.assemble(registry.load_experiment(name).model_copy(update=changes), str(plant)))
+    return Experiment.load(name, plant=str(plant)).changed(controller=settings, record=None, **changes)
 
 
 def run(found, seconds, *, sampled=None, every=1, seed=0):
@@ -395,7 +393,7 @@ def bent(q):
 @pytest.fixture(scope="module")
 def approached():
     made = {}
-    transform = schema.Transform.model_validate({"expressions": BENT})
+    transform = {"expressions": BENT}
     for name, effects, noise in (("quiet", QUIET, 1e-7), ("noisy", {}, 1e-4)):
         found = experiment(
             controller={"approach": 3.0, "observer": {"kind": "disturbance", "noise": noise}},
@@ -516,7 +514,7 @@ def test_a_rate_too_low_for_the_rig_is_refused_with_one_that_does():
 
 
 def test_a_transform_that_becomes_singular_on_the_way_stops_the_run_with_the_state():
-    folded = schema.Transform.model_validate({"expressions": {"x1": "x1**2", "x2": "x2", "x3": "x3"}})
+    folded = {"expressions": {"x1": "x1**2", "x2": "x2", "x3": "x3"}}
     with pytest.raises(SingularityError, match="choose a transform that is invertible") as error:
         run(experiment(transform=folded, initial={"x1": 0.3}), 1.0)
     assert abs(error.value.state["x1"]) < 0.1 * LENGTH

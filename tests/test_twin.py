@@ -299,10 +299,7 @@ def loop_run():
 
     def make(seconds, seed=0, **effects):
         settings = {"rate": "1 kHz", "observer": {"kind": "disturbance", "noise": 1e-4}}
-        given = {name: schema.EffectChange.model_validate(change) for name, change in effects.items()}
-        changes = {"controller": schema.ControllerSettings.model_validate(settings), "effects": given}
-        declaration = registry.load_experiment("duffing").model_copy(update=changes)
-        found = Experiment(registry.assemble(declaration, "linear_rig"))
+        found = Experiment.load("duffing", plant="linear_rig").changed(controller=settings, effects=effects)
         return run_twin(found.sampled_loop, found.sampled.end, duration=seconds, seed=seed)
 
     return make

@@ -26,6 +26,14 @@ class Places:
         self.values: dict[str, Place] = {}
         self.keys: dict[str, Place] = {}
 
+    @classmethod
+    def of(cls, declaration: Declaration, *, without: Collection[str]) -> Places:
+        """Return the places of a declaration, without those of some of its sections."""
+        made = cls()
+        for mine, theirs in ((made.values, declaration._places), (made.keys, declaration._keys)):
+            mine.update({path: place for path, place in theirs.items() if path.partition(".")[0] not in without})
+        return made
+
     def add(self, node: Node) -> None:
         """Add a node and everything inside it; what is there already stays behind what comes later."""
         self.values[node.path] = node.place

@@ -34,6 +34,7 @@ __all__ = [
     "Assembly",
     "Reference",
     "assemble",
+    "changed_experiment",
     "check_plant_file",
     "check_units",
     "find",
@@ -122,6 +123,13 @@ def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
 def load_experiment(name_or_path: str | Path, reference: Reference = NOWHERE) -> ExperimentDeclaration:
     """Load an experiment; its plant and its virtual system are files of their own."""
     return _load(ExperimentDeclaration, name_or_path, reference)
+
+
+def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str, object]) -> ExperimentDeclaration:
+    """Return an experiment with some sections of its file replaced, checked as if the file said so."""
+    places = Places.of(experiment, without=sections)
+    data = {**experiment.canonical(), **sections}
+    return read(ExperimentDeclaration, data, places, experiment.files, lambda *_: [])
 
 
 def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Assembly:

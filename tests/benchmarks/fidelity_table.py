@@ -12,7 +12,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 
-from masking.declaration import registry, schema
 from masking.errors import MaskingError
 from masking.experiment import Experiment
 from masking.recording import Recording
@@ -28,9 +27,7 @@ WAYS = {
 
 def experiment(name: str, way: str) -> Experiment:
     """Return a packaged experiment on the full twin, controlled in one of the ways."""
-    controller = schema.ControllerSettings.model_validate(WAYS[way])
-    declaration = registry.load_experiment(name).model_copy(update={"controller": controller, "record": None})
-    return Experiment(registry.assemble(declaration, "tue_rig"))
+    return Experiment.load(name, plant="tue_rig").changed(controller=WAYS[way], record=None)
 
 
 def _limited(found: Experiment, run: Recording) -> float:

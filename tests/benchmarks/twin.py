@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from masking import sampling
-from masking.declaration import registry, schema
 from masking.experiment import Experiment
 from masking.loop import substeps_of
 from tests.benchmarks.table import Row, interleaved, judged, missing, ratio, told
@@ -29,9 +28,8 @@ WHAT = "sampled loop with twin and disturbance observer"
 def rows() -> Iterator[Row]:
     """Measure the Duffing experiment on both packaged rigs at 1 kHz."""
     for plant in ("linear_rig", "tue_rig"):
-        controller = schema.ControllerSettings.model_validate({"rate": "1 kHz", "observer": "disturbance"})
-        declaration = registry.load_experiment("duffing").model_copy(update={"controller": controller, "record": None})
-        found = Experiment(registry.assemble(declaration, plant))
+        controller = {"rate": "1 kHz", "observer": "disturbance"}
+        found = Experiment.load("duffing", plant=plant).changed(controller=controller, record=None)
         loops = {"whole": Whole(found), "equations": Equations(found), "boxes": Boxes(found), "step": Step(found)}
         loops["boxes"]()  # compiles
         seconds = interleaved(loops, ROUNDS)
