@@ -35,7 +35,7 @@ CAUSES: Final[Mapping[str, frozenset[str]]] = {
     "end stop": frozenset({"stop"}),
     "actuator gains": frozenset({"actuator_gain", "actuator_offset"}),
     "actuator dynamics": frozenset({"actuator_lag", "dead_zone", "dac_quantisation"}),
-    "saturation": frozenset({"saturation"}),
+    "saturation": frozenset({"saturation", "thermal"}),
     "sensor errors": frozenset({"sensor_offset", "sensor_gain", "sensor_saturation", "sensor_lag"}),
     "quantisation": frozenset({"quantisation"}),
     "noise": frozenset({"noise"}),
@@ -99,7 +99,7 @@ class Budget:
         now, left = _chi(self.whole.rms), _chi(self.without_all.rms)
         best = min(self.rows, key=lambda row: row.rms)
         if best.rms <= _WORTH * self.whole.rms:
-            how = f"sampled at {FASTER * self.rate / 1e3:g} kHz" if best.cause == SAMPLING else "without it"
+            how = f"sampled at {FASTER * self.rate / 1e3:g} kHz" if best.cause == SAMPLING else "without"
             return f"Mend first: {best.cause} (chi {now} -> {_chi(best.rms)} {how})."
         if self.without_all.rms <= _WORTH * self.whole.rms:
             return f"No single cause limits the fidelity; all together do (chi {now} -> {left} without any of them)."
@@ -149,7 +149,8 @@ def run(experiment: Experiment, wanted: bool | None = None, progress: Progress |
         )
     recording = experiment.run(progress)
     if wanted is None:
-        wanted = experiment.has_observer and expected_time(experiment, recording) < LONGEST
+        is_free = experiment.declaration.controller.regulate is None  # else chi is of another motion
+        wanted = experiment.has_observer and is_free and expected_time(experiment, recording) < LONGEST
     if not wanted:
         return recording
     told = budget(experiment, progress).as_dict()

@@ -19,6 +19,7 @@ from masking.blocks import Transform, check_actuation
 from masking.closed_loop import ClosedLoop
 from masking.controller import Controller
 from masking.declaration import meeting, registry, schema
+from masking.effects import EFFECTS
 from masking.errors import DeclarationError, ModelError, Problem
 from masking.fidelity import fidelity
 from masking.instruments import Instruments
@@ -28,7 +29,7 @@ from masking.model import Model
 from masking.observer import Differences, Disturbance, Kalman, Observer
 from masking.recording import Recording
 from masking.sampled import SampledController, SampledLoop
-from masking.twin import Twin
+from masking.twin import PlacedEffect, Twin
 
 # A continuous run is recorded so many times per unit of virtual time, where nothing else is asked for.
 ROWS_PER_UNIT = 10
@@ -329,7 +330,16 @@ class Experiment:
     def _record(self, made: Columns, timing: Mapping[str, float]) -> Recording:
         columns = made.columns
         chi = {c: fidelity(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in self.virtual.coordinates}
-        return Recording(columns, self._manifest(made.units, chi, timing))
+        return Recording(columns, {**self._manifest(made.units, chi, timing), **self._start_told(columns)})
+
+    def _start_told(self, columns: Mapping[str, Array]) -> dict[str, Any]:
+        """Return where an approach should have brought the rig, and where it did, for the manifest."""
+        if self.declaration.controller.approach is None:
+            return {}
+        wanted = self.virtual.initial_state(self.declaration.initial)
+        names = self.virtual.coordinates
+        reached = {name: float(columns[f"virtual.{name}"][0]) for name in names}
+        return {"start": {"wanted": dict(zip(names, map(float, wanted), strict=False)), "reached": reached}}
 
     def _observer_told(self) -> dict[str, Any]:
         """Return what the observer is, for the manifest."""
@@ -342,6 +352,16 @@ class Experiment:
             told["noise"] = dict(zip(self.instruments.sensors, plan.noise, strict=True))
             told["bandwidth"] = dict(zip(self.plant.coordinates, speeds, strict=True))
         return told
+
+    def _limit_told(self, name: str, limit: schema.Limit) -> dict[str, Any]:
+        """Return a limit of an actuator in the unit of its commands, for the manifest."""
+        instruments = self.instruments
+        unit = instruments.unit(name) if name in instruments.actuators else limit.unit
+        return {"max": limit.max * instruments.factors[limit.unit] / instruments.factors[unit], "unit": unit}
+
+    def _acts(self, effect: PlacedEffect) -> bool:
+        """Tell whether an effect acts in a run: one outside the rig does not, where the true state is known."""
+        return self.has_observer or EFFECTS[effect.kind].where == "element"
 
     def _manifest(
         self, columns: Mapping[str, Mapping[str, str]], chi: Mapping[str, float], timing: Mapping[str, float]
@@ -375,8 +395,8 @@ class Experiment:
             "oscillators": list(self.virtual.oscillators),
             "mode": "continuous" if rate is None else "sampled",
             "rate": rate,
-            "limits": {name: {"max": limit.max, "unit": limit.unit} for name, limit in limits.items()},
-            "effects": {effect.label: effect.enabled for effect in self.twin.effects},
+            "limits": {name: self._limit_told(name, limit) for name, limit in limits.items()},
+            "effects": {effect.label: effect.enabled and self._acts(effect) for effect in self.twin.effects},
             "observer": self._observer_told() if self.has_observer else None,
             "fidelity": dict(chi),
             "timing": dict(timing),

@@ -100,7 +100,7 @@ class Mend:
     def __str__(self) -> str:
         if self.factor is None or self.shown is None:
             why = "; ".join(map(str, self.left))
-            return f"no {_NOTHING[self.what]} does: {why} at best"
+            return f"{_NOTHING[self.what]} not help: {why} even then"
         if self.what == "time_scale":
             change = (
                 f"{self.shown:g} times slower" if self.factor > 1.0 else f"{_digits(1.0 / self.shown)} times faster"
@@ -111,7 +111,11 @@ class Mend:
         return f"initial values x {self.shown:g}"
 
 
-_NOTHING = {"time_scale": "time scale", "transform": "mapping to less stroke", "initial": "smaller initial motion"}
+_NOTHING = {
+    "time_scale": "another time_scale alone does",
+    "transform": "a mapping to less stroke alone does",
+    "initial": "smaller initial values alone do",
+}
 
 
 @dataclass(frozen=True)

@@ -160,8 +160,8 @@ def bandwidths(plan: Plan, order: int, chosen: float | tuple[float, ...] | None)
         if fast > refused:
             raise ModelError(
                 f"observer.bandwidth {fast:g} rad/s is faster than the sampling allows: at {1.0 / plan.period:g} Hz "
-                f"and a delay of {plan.delay} samples it is at most {refused:g} rad/s; lower it, or raise "
-                "controller.rate"
+                f"and {plan.delay} sample{'s' * (plan.delay != 1)} of delay it is at most {refused:g} rad/s; lower it, "
+                "or raise controller.rate"
             )
         return np.broadcast_to(np.asarray(chosen, dtype=float), (plan.coordinates,)).copy()
     found = np.full(plan.coordinates, fastest)

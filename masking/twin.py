@@ -252,7 +252,7 @@ class Twin:
             "sensors": {n: [s.measures.text, s.gain.unit, s.unit] for n, s in self.declaration.sensors.items()},
             "actuators": list(self.actuators),
             "chain": [[effect.label, effect.kind, effect.at] for effect in self._chain],
-            "units": sorted(_units(self.declaration)),
+            "units": sorted(_units(self.declaration, self.base)),
         }
 
     @cached_property
@@ -267,7 +267,7 @@ class Twin:
 
     def add_to(self, module: Module) -> None:
         """Add `sense(t, y, p, noise, s)`, `twin_derivative(t, y, u, p, dy)` and `advance` to a generated module."""
-        module.meta["factors"] = {unit: units.factor_of(unit) for unit in _units(self.declaration)}
+        module.meta["factors"] = {unit: units.factor_of(unit) for unit in _units(self.declaration, self.base)}
         lowered = _Lowered(self)
         module.add("sense(t, y, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
         module.add("twin_derivative(t, y, u, p, dy)", lowered.graph, lowered.derivatives, lowered.loads, lowered.health)
@@ -408,12 +408,12 @@ def _states(effect: PlacedEffect) -> list[str]:
     return [*EFFECTS[effect.kind].states]
 
 
-def _units(plant: schema.PlantDeclaration) -> set[str]:
-    """Return the text of every unit in a plant file."""
+def _units(plant: schema.PlantDeclaration, model: schema.ModelDeclaration) -> set[str]:
+    """Return the text of every unit in a plant file, and of the inputs of its model."""
     limits = plant.limits
     found = {"1", *(a.unit for a in plant.actuators.values()), *(x.unit for x in limits.inputs.values())}
     found |= {x.unit for s in plant.sensors.values() for x in (s, s.gain)}
-    found |= {x.unit for x in limits.coordinates.values()}
+    found |= {x.unit for x in limits.coordinates.values()} | {x.unit for x in model.inputs.values()}
     if limits.power is not None:
         found |= {limits.power.unit, limits.power.heating.unit if limits.power.heating else "1"}
     return found

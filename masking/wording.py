@@ -14,6 +14,7 @@ from masking.study import InputUse, Parameter, PhasePair, Study, parameters, per
 _SUMMARY_LINES = 14
 _TRUE, _ROUGH = 0.01, 0.3  # chi up to which the rig moved as, or roughly as, the virtual system
 _OWNED = frozenset({"the", "a", "an", "my", "our", "your", "his", "her", "its", "their", "this", "that"})
+_AWAY = 0.02  # of the largest initial coordinate: what an approach may leave
 _MUCH = 1.1  # times its limit: from here on an input is told in multiples, below in percent
 _NEAR = 0.1  # of pi: how near to 0 or pi counts as in-phase or anti-phase
 _WITH_MODEL = frozenset({"kalman", "disturbance"})  # observers that predict what is late
@@ -32,10 +33,27 @@ def warnings(recording: Recording, uses: Iterable[InputUse], chi: Mapping[str, f
         late = 0.5 / rate
         late_words = f"{number(late)} s" if late >= 1.0 else f"{number(1e3 * late)} ms"
         found.append(
-            f"Sampled at {rate_words(rate)}, inputs act half a sample ({late_words}) late on average; 'rate: "
-            "continuous' shows the error that is not due to sampling, and a higher controller.rate lowers it."
+            f"Sampled at {rate_words(rate)}, inputs act half a sample ({late_words}) late on average, which nothing "
+            "here predicts; 'observer: disturbance' does, and a higher controller.rate makes it less."
         )
+    if missed(manifest):
+        found.append(missed(manifest))
     return found
+
+
+def missed(manifest: Mapping[str, Any]) -> str:
+    """Say where the approach left the rig, if that is not where it should begin; nothing where it is."""
+    told = manifest.get("start") or {}
+    wanted, reached = told.get("wanted") or {}, told.get("reached") or {}
+    size = max((abs(value) for value in wanted.values()), default=0.0)
+    short = [name for name, value in wanted.items() if abs(reached.get(name, value) - value) > _AWAY * size]
+    if not short:
+        return ""
+    away = ", ".join(f"{name} = {number(reached[name])} instead of {number(wanted[name])}" for name in short)
+    return (
+        f"The approach did not reach the initial state: {away}; give it more time (controller.approach), or begin with "
+        "less (initial)."
+    )
 
 
 def exceeded(uses: Iterable[InputUse]) -> str:
@@ -107,11 +125,14 @@ def headline(facts: Study) -> list[str]:
     else:
         chi = facts.chi[worst]
         size = f"= {number(chi, 2)}" if len(facts.chi) == 1 or chi == 0 else f"<= {number(chi, 2)} in each coordinate"
+        held = regulation(manifest)
         how = "as" if chi <= _TRUE else "roughly as"
         verb = f"moved {how}" if possible else f"would move {how}"
         if not chi <= _ROUGH:
             verb = "did not move as" if possible else "would not move as"
         sentences = [f"{plant} {verb} {virtual}: fidelity chi {size} {length}."]
+        if held:
+            sentences = [f"{plant} {'moved' if possible else 'would move'} as {virtual} {held}, {length}."]
     if still:
         sentences.append("Nothing moved.")
     sentences += [_phase_sentence(pair) for pair in facts.pairs[:1]]
@@ -121,6 +142,15 @@ def headline(facts: Study) -> list[str]:
     if facts.budget is not None:
         sentences.append(facts.budget.sentence)
     return sentences
+
+
+def regulation(manifest: Mapping[str, Any]) -> str:
+    """Say what the controller held besides the wanted dynamics; nothing where it held nothing."""
+    declared = (manifest.get("declarations") or {}).get("experiment") or {}
+    wanted = (declared.get("controller") or {}).get("regulate") or {}
+    parts = [f"an energy of {number(wanted['energy'])}"] if wanted.get("energy") is not None else []
+    parts += [f"{wanted['phase']}-phase motion"] if wanted.get("phase") else []
+    return f"regulated to {' and '.join(parts)}" if parts else ""
 
 
 def _phase_sentence(pair: PhasePair) -> str:
@@ -153,7 +183,8 @@ def summary(facts: Study) -> str:
     if changed:
         rows.append(("changed", ", ".join(changed)))
     if facts.chi:
-        rows.append(("fidelity", "  ".join(f"{name} {number(chi, 2)}" for name, chi in facts.chi.items())))
+        against = ", against the system without regulation" if regulation(manifest) else ""
+        rows.append(("fidelity", "  ".join(f"{name} {number(chi, 2)}" for name, chi in facts.chi.items()) + against))
     if facts.anti_phase is not None and facts.anti_phase.alpha > 0:
         fit = facts.anti_phase
         rows.append(("anti-phase", f"alpha = {fit.alpha:.4f}, eps = {number(fit.eps)} over the last fifth"))
@@ -230,7 +261,7 @@ def _duration(facts: Study) -> str:
 def length(facts: Study) -> tuple[str, str]:
     """Give the length of the record and its unit."""
     unit = "units of time" if facts.recording.manifest.get("time_scale") else facts.unit("t")
-    return number(facts.tau[-1] - facts.tau[0], 6), unit or "units of time"
+    return number(facts.tau[-1] - facts.tau[0], 4), unit or "units of time"
 
 
 def rate_words(rate: Any) -> str:  # noqa: ANN401  # a number of the manifest

@@ -91,7 +91,7 @@ class TestDictionary:
         assert rates.keys() == effect.states.keys()
         assert all(rate.symbols <= allowed for rate in rates.values())
         used = result.symbols.union(*(rate.symbols for rate in rates.values()))
-        assert effect.parameters.keys() - used <= ({"limit"} if name == "thermal" else set())
+        assert effect.parameters.keys() - used <= set()
 
     @pytest.mark.parametrize("name", IN_ELEMENTS)
     @pytest.mark.parametrize("element", ["spring1", "beam"])
@@ -281,8 +281,17 @@ class TestSensorsAndActuators:
 
     def test_a_coil_warms_up_to_its_mean_power(self):
         rate = effects.expressions("thermal")[1]["P"]
-        assert rate.evaluate({"u": 0.5, "r": 8.0, "tau": 4.0, "P": 0.0}) == 0.5
-        assert rate.evaluate({"u": 0.5, "r": 8.0, "tau": 4.0, "P": 2.0}) == 0.0
+        coil = {"u": 0.5, "r": 8.0, "tau": 4.0, "limit": 3.0}
+        assert rate.evaluate({**coil, "P": 0.0}) == 0.5
+        assert rate.evaluate({**coil, "P": 2.0}) == 0.0
+
+    def test_a_hot_coil_gets_what_keeps_its_mean_power_and_no_more(self):
+        result, rates = effects.expressions("thermal")
+        hot = {"r": 8.0, "tau": 4.0, "limit": 2.0, "P": 2.0, "on": 1.0}
+        assert result.evaluate({**hot, "u": -3.0}) == -0.5
+        assert result.evaluate({**hot, "u": 0.4}) == 0.4
+        assert result.evaluate({**hot, "u": -3.0, "P": 1.9}) == -3.0
+        assert rates["P"].evaluate({**hot, "u": -3.0}) == 0.0
 
 
 class TestSwitch:

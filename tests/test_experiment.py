@@ -2,6 +2,7 @@
 
 import json
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -211,3 +212,35 @@ def test_a_wrong_section_of_a_changed_experiment_is_refused_as_in_its_file():
         Experiment.load("huygens_rig").changed(controler={}, duration=-1)
     assert "the key 'controler' is not known; did you mean 'controller'?" in str(error.value)
     assert "duration: must be greater than 0, not -1" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("regulate", "said"),
+    [
+        ({}, "controller.regulate: nothing is regulated; give 'energy: 0.02', 'phase: anti', or both"),
+        ({"coupling": 0.2}, "controller.regulate: nothing is regulated"),
+        ({"energy": 0.02, "coupling": 0.2}, "controller.regulate.coupling: coupling has no effect without phase"),
+        ({"phase": "in", "rate": 0.2}, "controller.regulate.rate: rate has no effect without energy"),
+    ],
+)
+def test_a_regulation_that_does_nothing_is_refused(regulate, said):
+    with pytest.raises(DeclarationError) as error:
+        Experiment.load("huygens_rig").changed(controller={"rate": "1 kHz", "regulate": regulate})
+    assert said in str(error.value)
+
+
+def test_limits_are_told_in_the_unit_of_the_commands(tmp_path):
+    (packaged,) = registry.load_plant("linear_rig").files
+    text = Path(packaged).read_text(encoding="utf-8").replace("{max: 0.42, unit: V}", "{max: 420, unit: mV}")
+    (tmp_path / "rig.yaml").write_text(text, encoding="utf-8")
+    found = Experiment.load("duffing", plant=str(tmp_path / "rig.yaml")).changed(
+        controller={"rate": "1 kHz", "observer": "disturbance"}, duration=10, record=None
+    )
+    assert found.run().manifest["limits"]["V1"] == {"max": pytest.approx(0.42), "unit": "V"}
+
+
+def test_only_effects_that_act_are_told_as_on():
+    """A controller that knows the true state needs no sensors, and its commands are not late."""
+    told = Experiment.load("duffing", plant="linear_rig").changed(duration=5, effects={"friction1": True}).run()
+    assert told.manifest["effects"]["friction1"]
+    assert not told.manifest["effects"]["delay"]

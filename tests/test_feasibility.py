@@ -149,7 +149,7 @@ def test_no_time_scale_mends_a_stroke_that_is_too_long(write):
     time, transform, initial = found.mends
     assert time.factor is None
     assert [use.label for use in time.left] == ["x"]
-    assert str(time) == "no time scale does: x needs 250 % of 200 mm at best"
+    assert str(time) == "another time_scale alone does not help: x needs 250 % of 200 mm even then"
     assert transform.factor == pytest.approx(0.4, rel=1e-3)
     assert initial.factor == pytest.approx(0.4, rel=1e-3)
 
@@ -164,7 +164,7 @@ def test_a_limit_cycle_is_not_made_smaller_by_its_initial_values(write, tmp_path
     )
     initial = find(path).mends[2]
     assert initial.factor is None
-    assert str(initial).startswith("no smaller initial motion does: u needs ")
+    assert str(initial).startswith("smaller initial values alone do not help: u needs ")
 
 
 def test_a_transform_that_becomes_singular_on_the_way_is_a_problem_with_its_place(write, capsys):

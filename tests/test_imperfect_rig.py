@@ -96,7 +96,7 @@ UNLISTED = dict.fromkeys(
 
 @dataclass(frozen=True)
 class Clocks:
-    """How the clocks go in the last 10 of 400 units of time."""
+    """How the clocks go in the last 10 units of time."""
 
     together: float  # largest |th1 + th2| over the amplitude
     amplitude: float
@@ -106,8 +106,9 @@ class Clocks:
 @cache
 def clocks(way, *, listed_only):
     controller = {"springs": SPRINGS, "thesis": THESIS}[way]
-    found = experiment("huygens_rig", "tue_rig", controller, effects=UNLISTED if listed_only else {}).run()
-    last = found.t / found.manifest["time_scale"] > 390.0
+    changes = {"effects": UNLISTED, "duration": 400} if listed_only else {}
+    found = experiment("huygens_rig", "tue_rig", {**controller, "approach": 3}, **changes).run()
+    last = found.t > found.t[-1] - 10.0 * found.manifest["time_scale"]
     th1, th2, ideal = (found[name][last] for name in ("virtual.th1", "virtual.th2", "ideal.th1"))
     amplitude = np.abs(th1).max()
     return Clocks(np.abs(th1 + th2).max() / amplitude, amplitude, np.abs(ideal).max())
@@ -115,7 +116,10 @@ def clocks(way, *, listed_only):
 
 @pytest.mark.parametrize(("listed_only", "bar"), [(True, 0.02), (False, 0.05)])
 def test_clocks_synchronise_in_anti_phase(listed_only, bar):
-    """On the full twin the sensors' offset is most of what remains."""
+    """With the errors that chapter 6 lists, after 400 units of time; with all of the twin's, after 500.
+
+    On the full twin the sensors' offset is most of what remains.
+    """
     found = clocks("springs", listed_only=listed_only)
     assert found.together <= bar
     assert found.amplitude == pytest.approx(found.ideal, rel=0.4)
@@ -149,12 +153,12 @@ def test_saturation_never_winds_up_and_the_controller_recovers():
 
 
 def test_no_coil_ever_exceeds_its_mean_power(tmp_path):
-    """Coils that 0.42 V heats with 100 times 8 W: the limit binds, and the twin's own coils stay below it."""
+    """Coils that 0.42 V heats with 100 times 8 W, and drivers that let all through: the controller sees to it."""
     (file,) = registry.load_plant("tue_rig").files
     text = Path(file).read_text()
     assert text.count("45.35") == 2, "the limit, and the coils of the twin"
     path = tmp_path / "hot_rig.yaml"
-    for old, new in (("45.35", "4535"), ("time: 10}", "time: 2}"), ("tau: 10, limit", "tau: 2, limit")):
+    for old, new in (("45.35", "4535"), ("time: 10}", "time: 2}"), ("tau: 10, limit: 8", "tau: 2, limit: 1e6")):
         text = text.replace(old, new)
     path.write_text(text)
     made = experiment("duffing", path, SPRINGS, initial={"x1": -1.1, "x2": -1.0})
@@ -169,10 +173,10 @@ def test_no_coil_ever_exceeds_its_mean_power(tmp_path):
 
 
 def regulated(phase, energy):
-    """Return the angles of the clocks in the last 100 of 400 units of time, with an energy held in a phase."""
+    """Return the angles of the clocks in the last 100 units of time, with an energy held in a phase."""
     wanted = {"energy": energy, "rate": 0.1, "phase": phase, "coupling": 0.1}
     found = experiment("huygens_rig", "tue_rig", {**SPRINGS, "regulate": wanted}).run()
-    last = found.t / found.manifest["time_scale"] > 300.0
+    last = found.t > found.t[-1] - 100.0 * found.manifest["time_scale"]
     return found["virtual.th1"][last], found["virtual.th2"][last]
 
 

@@ -229,7 +229,7 @@ def test_a_chosen_bandwidth_overrides_the_rule():
 
 def test_a_bandwidth_faster_than_sampling_is_refused():
     message = (
-        r"observer\.bandwidth 501 rad/s is faster than the sampling allows: at 1000 Hz and a delay of 1 samples it is "
+        r"observer\.bandwidth 501 rad/s is faster than the sampling allows: at 1000 Hz and 1 sample of delay it is "
         r"at most 500 rad/s; lower it, or raise controller\.rate"
     )
     with pytest.raises(ModelError, match=message):

@@ -259,8 +259,8 @@ def test_an_input_at_its_limit_does_not_exceed_it():
 )
 def test_the_cost_of_sampling_is_named(rate, words, half, tmp_path):
     said = (
-        f"Sampled at {words}, inputs act half a sample ({half}) late on average; 'rate: continuous' shows the error "
-        "that is not due to sampling, and a higher controller.rate lowers it."
+        f"Sampled at {words}, inputs act half a sample ({half}) late on average, which nothing here predicts; "
+        "'observer: disturbance' does, and a higher controller.rate makes it less."
     )
     recording = duffing(2000, 0.02, rate=rate)
     assert warnings(recording) == [said]
@@ -339,7 +339,7 @@ def test_power_that_holds_back_is_told_apart_and_stands_in_the_table(tmp_path):
 
 
 BUDGET = {
-    "sentence": "Mend first: friction (chi 0.03 -> 0.01 without it).",
+    "sentence": "Mend first: friction (chi 0.03 -> 0.01 without).",
     "chi": {"x1": 0.03, "x2": 0.03, "x3": 0.03},
     "rms": 0.03,
     "rows": [
@@ -357,7 +357,7 @@ def test_what_limits_fidelity_is_drawn_and_tabulated(tmp_path):
     assert [path.stem for path in result.figures] == [*FIGURES, "budget"]
     assert BUDGET["sentence"] in result.summary
     text = page_of(result).text
-    assert "Mend first: friction (χ 0.03 → 0.01 without it)." in text
+    assert "Mend first: friction (χ 0.03 → 0.01 without)." in text
     assert (
         "without friction0.010.010.010.01\N{MINUS SIGN}67 %align the coil"
         "sampled faster0.030.030.030.030 %"
@@ -633,3 +633,25 @@ def test_symbols(name, typeset):
 
 def test_percentages():
     assert [percent(part) for part in (0.5, 0.0123, 1.234, 0.0, None)] == ["50 %", "1.2 %", "120 %", "0 %", ""]
+
+
+def test_an_approach_that_falls_short_is_told():
+    reached = {"wanted": {"x1": -0.6, "x2": -0.5, "x3": 0.0}, "reached": {"x1": -0.3, "x2": -0.499, "x3": 0.001}}
+    said = (
+        "The approach did not reach the initial state: x1 = -0.3 instead of -0.6; give it more time "
+        "(controller.approach), or begin with less (initial)."
+    )
+    assert warnings(duffing(2000, start=reached)) == [said]
+    reached["reached"]["x1"] = -0.599
+    assert warnings(duffing(2000, start=reached)) == []
+
+
+def test_a_regulated_motion_is_not_blamed_for_what_it_holds():
+    regulate = {"energy": 0.02, "phase": "anti"}
+    recording = duffing(2000, 0.5, declarations={"experiment": {"controller": {"regulate": regulate}}})
+    lines = summary(recording).splitlines()
+    assert lines[0] == (
+        "The ideal rig moved as coupled Duffing oscillators regulated to an energy of 0.02 and anti-phase motion, over "
+        "2500 units of time."
+    )
+    assert any(line.endswith("against the system without regulation") for line in lines)

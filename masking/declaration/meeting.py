@@ -169,6 +169,7 @@ def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
             message = f"{name} is for a controller that runs at a rate"
             mend = "write 'rate: 1 kHz', or leave it out"
             yield problem_at(experiment, f"controller.{name}", message, mend, at_key=True)
+    yield from _regulation(experiment)
     observer = settings.observer
     if observer is not None and observer.kind == "exact" and settings.approach is not None:
         message, mend = "an exact observer places the rig where it starts", "leave approach out, or take an observer"
@@ -177,6 +178,21 @@ def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
         message = f"{observer.order} is not an order of a disturbance"
         mend = "allowed: 1 (a constant), 2 (a straight line)"
         yield problem_at(experiment, "controller.observer.order", message, mend)
+
+
+def _regulation(experiment: ExperimentDeclaration) -> Iterator[Problem]:
+    """Check that something is regulated, and that what tells how is about something that is."""
+    wanted = experiment.controller.regulate
+    if wanted is None:
+        return
+    if wanted.energy is None and wanted.phase is None:
+        message, mend = "nothing is regulated", "give 'energy: 0.02', 'phase: anti', or both; or leave it out"
+        yield problem_at(experiment, "controller.regulate", message, mend, at_key=True)
+        return
+    for name, needs, value in (("rate", "energy", wanted.energy), ("coupling", "phase", wanted.phase)):
+        if value is None and name in wanted.model_fields_set:
+            message, mend = f"{name} has no effect without {needs}", f"give {needs}, or leave {name} out"
+            yield problem_at(experiment, f"controller.regulate.{name}", message, mend, at_key=True)
 
 
 def _initial(experiment: ExperimentDeclaration, model: ModelDeclaration) -> Iterator[Problem]:

@@ -376,9 +376,9 @@ EFFECTS: dict[str, Effect] = {
     ),
     "thermal": Effect(
         "thermal",
-        "The coil warms up: its mean power, which must stay below a limit; what it is told passes unchanged.",
+        "The coil warms up; its driver lets no more through than keeps its mean power at a limit.",
         "actuator",
-        "u",
+        "where(P < limit, u, min(max(u, -sqrt(limit/r)), sqrt(limit/r)))",
         {
             "r": EffectParameter("W/U**2", "power per squared value", (1e-3, 1e3), 10.0, None, _NOT_NEGATIVE),
             "tau": EffectParameter("s", "thermal time constant", (1.0, 1e3), 10.0, 10.0, _POSITIVE),
@@ -387,7 +387,9 @@ EFFECTS: dict[str, Effect] = {
         cause="the resistance of the coil turns current into heat faster than it is carried away",
         remedy="run for shorter or at smaller amplitude, cool the coil",
         source="Incropera and DeWitt (2002), Fundamentals of Heat and Mass Transfer, section 5.1",
-        states={"P": EffectState("(r*u**2 - P)/tau", "W", "mean power of the coil")},
+        states={
+            "P": EffectState("(where(P < limit, r*u**2, min(r*u**2, limit)) - P)/tau", "W", "mean power of the coil")
+        },
     ),
     "delay": Effect(
         "delay",
