@@ -253,9 +253,9 @@ def test_settings_and_channels_survive_the_wire():
         (wire.read_channels, '{"sensors": ["a", "a"], "actuators": ["u"]}', "does not name its sensors"),
         (wire.read_channels, '{"sensors": ["a"], "actuators": []}', "does not name its actuators"),
         (wire.read_channels, '{"sensors": ["a"]}', "does not name its actuators"),
-        (wire.parse_address, "http://127.0.0.1:1", "write it as udp://127.0.0.1:9750"),
-        (wire.parse_address, "udp://127.0.0.1", "write it as udp://127.0.0.1:9750"),
-        (wire.parse_address, "udp://127.0.0.1:99999", "write it as udp://127.0.0.1:9750"),
+        (wire.parse_address, "http://127.0.0.1:1", "write it as udp://127.0.0.1:5005"),
+        (wire.parse_address, "udp://127.0.0.1", "write it as udp://127.0.0.1:5005"),
+        (wire.parse_address, "udp://127.0.0.1:99999", "write it as udp://127.0.0.1:5005"),
     ],
 )
 def test_what_the_other_side_says_is_checked(read, text, said):

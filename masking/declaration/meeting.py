@@ -80,6 +80,10 @@ def check_experiment(
     problems += _transform(experiment, plant_model, virtual_model)
     if not virtual_model.coordinates:
         problems.append(problem_at(experiment, "virtual", f"the model {virtual_model.name} has no coordinates"))
+    if virtual_model.states:
+        message = f"the model {virtual_model.name} has internal states ({', '.join(virtual_model.states)})"
+        mend = "a controller keeps no such states; choose a system without them"
+        problems.append(problem_at(experiment, "virtual", message, mend))
     if not plant_model.inputs:
         problems.append(problem_at(experiment, "plant", f"the model {plant_model.name} of the plant has no inputs"))
     return problems

@@ -185,7 +185,7 @@ def parse_address(address: str) -> tuple[str, int]:
             return parts.hostname, parts.port
     except ValueError:  # a port that is no number, or too large
         pass
-    raise PlantMismatchError(f"'{address}' is no address of a plant; write it as udp://127.0.0.1:9750")
+    raise PlantMismatchError(f"'{address}' is no address of a plant; write it as udp://127.0.0.1:5005")
 
 
 def _object(text: str) -> dict[str, Any]:
