@@ -20,11 +20,13 @@ from masking.errors import DeclarationError, MaskingError, Problem
 if TYPE_CHECKING:
     import tqdm
 
-    from masking import budget, experiment, reporting
+    from masking import budget, experiment, realtime, reporting
     from masking import rig as rigs
+    from masking.recording import Recording
 else:
     budget = lazy.load("masking.budget", suppress_warning=True)
     experiment = lazy.load("masking.experiment", suppress_warning=True)
+    realtime = lazy.load("masking.realtime", suppress_warning=True)
     reporting = lazy.load("masking.reporting", suppress_warning=True)
     rigs = lazy.load("masking.rig", suppress_warning=True)
     tqdm = lazy.load("tqdm")
@@ -140,16 +142,32 @@ def _rig_run(chosen: argparse.Namespace) -> int:
     made = experiment.Experiment.load(chosen.experiment)
     out = Path(chosen.out or f"results/{made.stem}_rig")
     verbs.check_folder(out)
-    recording = rigs.run(made, rigs.connect(chosen.plant), lockstep=chosen.lockstep)
-    recording.save(out)
-    written = reporting.report(recording, out)
-    if chosen.json:
-        told = {"fidelity": recording.manifest["fidelity"], "rig": recording.manifest["rig"], "recording": str(out)}
-        print(json.dumps(told, indent=2))
-    else:
-        print(written.summary)
-        print(f"report: {written.path}")
-    return 0
+    bar = tqdm.tqdm(total=1.0, desc="running", delay=1.0, leave=False, disable=None, bar_format=BAR)
+
+    def progress(part: float) -> None:
+        bar.update(part - bar.n)
+
+    def keep(recording: Recording) -> None:
+        bar.close()
+        recording.save(out)
+        written = reporting.report(recording, out)
+        if chosen.json:
+            told = {"fidelity": recording.manifest["fidelity"], "rig": recording.manifest["rig"], "recording": str(out)}
+            print(json.dumps(told, indent=2))
+        else:
+            print(written.summary)
+            print(f"report: {written.path}")
+
+    try:
+        plant = rigs.connect(chosen.plant)
+        recording = rigs.run(made, plant, lockstep=chosen.lockstep, progress=progress, keep=keep)
+    finally:
+        bar.close()
+    keep(recording)
+    end = recording.manifest["rig"]["end"]
+    if end != realtime.FINISHED:
+        print(f"masking: the run was {end}; the record ends there", file=sys.stderr)
+    return int(end != realtime.FINISHED)
 
 
 def _list(chosen: argparse.Namespace) -> int:

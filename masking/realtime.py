@@ -76,6 +76,7 @@ def run_rig(
     limits: Array,
     watchdog: float = 0.02,
     lockstep: bool = False,
+    accept: Callable[[Plant], None] | None = None,
     on_tick: Callable[[int], None] | None = None,
     stop: Stop | None = None,
     on_end: Callable[[RigRun], None] | None = None,
@@ -92,6 +93,7 @@ def run_rig(
         limits: (actuators,), largest magnitude of each command, positive.
         watchdog: seconds without a command after which the plant goes to zero by itself.
         lockstep: run as fast as both sides can, each waiting for the other.
+        accept: called with the configured plant before it is activated; raises what it refuses the plant with.
         on_tick: called with the row after each tick, within the tick's time.
         stop: looked at before each tick.
         on_end: called with what was recorded once the plant is at zero, also before an error is raised.
@@ -107,6 +109,8 @@ def run_rig(
         with asked_to_stop() as asked, contextlib.ExitStack() as way_out:
             way_out.callback(plant.deactivate)
             plant.configure(settings)
+            if accept is not None:
+                accept(plant)
             rows = _Rows(samples, plant, _checked(limits, plant))
             note = way_out.enter_context(undisturbed(priority=not lockstep))
             way_out.callback(plant.deactivate)  # first of all on the way out

@@ -7,23 +7,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from masking.declaration import registry
-from masking.errors import ModelError, RecordError
+from masking.errors import MaskingError, ModelError, PlantMismatchError
 from masking.experiment import Experiment
 from masking.kernels import Array
 from masking.loop import TwinRun
 from masking.plants import serve as serving
-from masking.plants.interface import Plant, Stop
+from masking.plants.interface import Plant, Settings, Stop
 from masking.plants.simulated import SimulatedPlant
 from masking.plants.udp import UdpPlant
-from masking.realtime import RigRun, run_rig
+from masking.realtime import FAILED, FINISHED, LOST, REFUSED, STOPPED, RigRun, run_rig
 from masking.recording import Recording
 from masking.sampled import Memory, SampledController
 from masking.sampling import LARGEST
 from masking.twin import Twin
 
-# Kept beside the samples that are planned: an approach begins where the plant's clock stands.
 WATCHDOG = 0.02
 
 
@@ -58,9 +57,9 @@ def serve(
     Returns:
         the folders of the records.
     """
-    declaration = registry.load_plant(plant)
-    twin = Twin(declaration, registry.load_model(declaration.model, registry.refer(declaration, "model")))
-    served = SimulatedPlant(twin, seed)
+    served = SimulatedPlant(Twin.load(plant), seed)
+    served.configure(Settings(rate=1000.0))  # compiles what a controller would not wait for; any rate does
+    served.deactivate()
     return serving.serve(
         served,
         address,
@@ -80,8 +79,12 @@ def run(
     watchdog: float = WATCHDOG,
     progress: Callable[[float], None] | None = None,
     stop: Stop | None = None,
+    keep: Callable[[Recording], None] | None = None,
 ) -> Recording:
     """Run an experiment on a plant, from rest through the approach to the end.
+
+    SIGINT, SIGTERM and SIGHUP end the run in order; what there is since the release is returned. The manifest's
+    `rig.end` says why the run ended: "finished", "interrupted", "stopped", "plant lost", "command refused" or "failed".
 
     Args:
         experiment: with a sampled controller, an observer and an approach.
@@ -90,21 +93,34 @@ def run(
         watchdog: seconds without a command after which the plant goes to zero by itself.
         progress: called with the part done.
         stop: looked at before each tick.
+        keep: called with what there is since the release where the run ends in an error, before it is raised.
 
     Returns:
         what the controller saw and did since the release; the rig's states are estimates.
 
     Raises:
         ModelError: the experiment does not run on sensors, or has no approach.
-        RecordError: the run ended before the release.
         PlantError: the plant is lost, refuses, or has other channels.
+        MaskingError: the run was stopped before the release.
     """
     _check(experiment)
     sampled = experiment.sampled
     before = round(sampled.approach * sampled.rate) + sampled.delay
     after = int(np.floor(experiment.declaration.duration * experiment.time_scale * sampled.rate * (1.0 + 1e-12))) + 1
     _prepare(sampled)
-    keeper = _Keeper(sampled, before, before + after)
+    keeper = _Keeper(sampled, before, after)
+
+    def is_over() -> bool:
+        return keeper.is_over or (stop is not None and stop())
+
+    def made(ran: RigRun) -> Recording:
+        reason = FINISHED if ran.reason == STOPPED and keeper.is_over else ran.reason
+        return experiment.record_rig(keeper.rows(ran, experiment.every), lockstep=lockstep, told=_told(ran, reason))
+
+    def on_end(ran: RigRun) -> None:
+        if ran.reason in {LOST, REFUSED, FAILED} and keep is not None and keeper.is_released:
+            keep(made(ran))
+
     ran = run_rig(
         keeper.step,
         plant,
@@ -113,10 +129,14 @@ def run(
         limits=sampled.limits[:, LARGEST],
         watchdog=watchdog,
         lockstep=lockstep,
+        accept=lambda found: _check_channels(experiment, found),
         on_tick=None if progress is None else _every(progress, before + after),
-        stop=stop,
+        stop=is_over,
+        on_end=on_end,
     )
-    return experiment.record_rig(keeper.rows(ran), lockstep=lockstep, told=_told(ran))
+    if not keeper.is_released:
+        raise MaskingError(f"the run was {ran.reason} in the approach, before the release; nothing was recorded")
+    return made(ran)
 
 
 def _check(experiment: Experiment) -> None:
@@ -134,9 +154,24 @@ def _check(experiment: Experiment) -> None:
     experiment.validate()
 
 
+def _check_channels(experiment: Experiment, plant: Plant) -> None:
+    """Refuse a plant whose channels are not those of the experiment's plant file."""
+    declared, instruments = experiment.assembly.plant, experiment.instruments
+    wanted = Path(next(iter(declared.files), declared.name)).stem
+    for kind, theirs, ours in (
+        ("sensors", plant.sensors, instruments.sensors),
+        ("actuators", plant.actuators, instruments.actuators),
+    ):
+        if theirs != ours:
+            raise PlantMismatchError(
+                f"the plant's {kind} are {', '.join(theirs)}; the experiment is for {wanted}, whose {kind} are "
+                f"{', '.join(ours)}, in this order: run it on that plant, or write the plant that is there into it"
+            )
+
+
 def _prepare(sampled: SampledController) -> None:
     """Compile and load everything before the plant is touched."""
-    for name in ("control", "skip", "still", "transforms"):
+    for name in ("control", "still", "transforms", *([] if sampled.has_model else ["skip"])):
         getattr(sampled.kernels, name).prepare()
     _ = sampled.gain
 
@@ -152,9 +187,9 @@ def _every(progress: Callable[[float], None], samples: int) -> Callable[[int], N
     return told
 
 
-def _told(ran: RigRun) -> dict[str, object]:
-    """Return what the manifest tells of a run on a plant."""
-    told: dict[str, object] = {"end": ran.reason, "counters": dict(ran.counters)}
+def _told(ran: RigRun, reason: str) -> dict[str, object]:
+    """Return what the manifest tells of a run on a plant, and why it ended."""
+    told: dict[str, object] = {"end": reason, "counters": dict(ran.counters)}
     if ran.note:
         told["note"] = ran.note
     return told
@@ -167,26 +202,41 @@ class _Keeper:
     Args:
         sampled: the controller.
         before: samples before the release.
-        samples: samples in all.
+        after: samples from the release on.
     """
 
     sampled: SampledController
     before: int
-    samples: int
+    after: int
     memory: Memory | None = None
     first: int = 0
     row: int = 0
     estimates: Array = field(init=False)
     demanded: Array = field(init=False)
     power: Array = field(init=False)
-    index: Array = field(init=False)
+    index: NDArray[np.int64] = field(init=False)
 
     def __post_init__(self) -> None:
-        sizes = self.sampled.sizes
-        self.estimates = np.zeros((self.samples, sizes.states))
-        self.demanded = np.zeros((self.samples, sizes.actuators))
-        self.power = np.zeros((self.samples, sizes.actuators))
-        self.index = np.zeros(self.samples)
+        sizes, samples = self.sampled.sizes, self.before + self.after
+        self.estimates = np.zeros((samples, sizes.states))
+        self.demanded = np.zeros((samples, sizes.actuators))
+        self.power = np.zeros((samples, sizes.actuators))
+        self.index = np.zeros(samples, dtype=np.int64)
+
+    @property
+    def last(self) -> int:
+        """The last sample that was answered; 0 is the release."""
+        return int(self.index[self.row - 1]) if self.row else -self.before - 1
+
+    @property
+    def is_released(self) -> bool:
+        """Tell whether there is a sample since the release."""
+        return self.last >= 0
+
+    @property
+    def is_over(self) -> bool:
+        """Tell whether the planned time has passed, which it may have with fewer rows where samples were missed."""
+        return self.last >= self.after - 1
 
     def step(self, tick: int, readings: Array) -> Array:
         """Return the commands (actuators,) that answer the readings (sensors,) of a tick of the plant."""
@@ -202,17 +252,12 @@ class _Keeper:
         self.power[row] = self.memory.x[self.sampled.sizes.power]
         return applied
 
-    def rows(self, ran: RigRun) -> TwinRun:
-        """Return what happened since the release.
-
-        Raises:
-            RecordError: the run ended before it.
-        """
-        kept = np.flatnonzero(self.index[: self.row] >= 0)
-        if not len(kept):
-            raise RecordError(f"the run ended before the release ({ran.reason}): there is nothing to record")
+    def rows(self, ran: RigRun, every: int) -> TwinRun:
+        """Return what happened from the release to the planned end, of `every` so many samples one."""
+        index = self.index[: self.row]
+        kept = np.flatnonzero((index >= 0) & (index < self.after) & (index % every == 0))
         return TwinRun(
-            self.index[kept] / self.sampled.rate,
+            index[kept] / self.sampled.rate,
             self.estimates[kept],
             self.estimates[kept],
             ran.sensors[kept],

@@ -140,7 +140,8 @@ class SampledController:
         rows, width = sizes.work
         work = (rows, max(width, len(self.instruments.sensors)))
         module.add_kernel(CONTROL, "d", work)
-        module.add_kernel(SKIP, "", work)
+        if not self.has_model:
+            module.add_kernel(SKIP, "", work)
         module.add_kernel(TRANSFORMS.format(count=sizes.coordinates), "")
 
     def begin(self, readings: Array) -> Memory:
@@ -190,20 +191,18 @@ class Memory:
     def __post_init__(self) -> None:
         self.demanded, self.applied = np.zeros(self.controller.sizes.actuators), self.holding.copy()
         self._gain, self._limits = self.controller.gain, self.controller.limits
-        self._control, self._skip = self.controller.kernels.control, self.controller.kernels.skip
+        self._control, self._blind = self.controller.kernels.control, np.zeros_like(self._gain)
         self._next: int | None = None
 
     def step(self, index: int, readings: Array) -> Array:
         """Return the commands (actuators,) that answer the readings (sensors,) of a sample; 0 is the release.
-
-        Samples that were missed since the last are taken to have had its command.
 
         Raises:
             ModelError: the commands are not finite.
         """
         h = 1.0 / self.controller.rate
         for missed in range(index if self._next is None else self._next, index):
-            self._skip(missed * h, h, self.x, self.p, self._limits, self.applied)
+            self._miss(missed * h, h, readings)
         self._next = index + 1
         self.applied = applied = np.empty_like(self.demanded)
         self._control(index * h, h, readings, self.x, self.p, self._gain, self._limits, self.demanded, applied)
@@ -212,6 +211,22 @@ class Memory:
             bad = ", ".join(n for n, value in zip(names, applied, strict=True) if not np.isfinite(value))
             raise ModelError(f"the controller's command of {bad} is no longer finite, at sample {index}")
         return applied
+
+    def _miss(self, t: float, h: float, readings: Array) -> None:
+        """Step over a sample that was missed, at time t.
+
+        A model goes on as is wanted, with the commands that it would have been given. In truth the last one held on,
+        and the rig fell behind; the observer finds that as a disturbance of a moment, and makes up for it. measured:
+        ten times 15 samples missed in 7000 cost 0.003 of fidelity; told the truth, it made up for nothing: 0.39.
+        """
+        limits, power, command = self._limits, self.x[self.controller.sizes.power], self.applied
+        if not self.controller.has_model:
+            self.controller.kernels.skip(t, h, self.x, self.p, limits, command)
+            return
+        before, scratch = power.copy(), np.empty_like(command)
+        self._control(t, h, readings, self.x, self.p, self._blind, limits, scratch, scratch.copy())
+        part = -np.expm1(-h / limits[:, TIME])
+        power[:] = before + part * (limits[:, HEATING] * command**2 - before)
 
     @property
     def estimate(self) -> Array:
@@ -227,7 +242,6 @@ def transforms(times, states, p, virtual):
 """
 CONTROL_WITH_MODEL = """
 _control = sampling.control_with_model(law, rate, measure, allocate, wire, sampling.{sizes})
-_skip = sampling.skip_with_model(rate, wire, sampling.{sizes})
 """
 CONTROL_WITH_DIFFERENCES = """
 _control = sampling.control_with_differences(law, allocate, sampling.{sizes})

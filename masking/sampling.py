@@ -264,35 +264,11 @@ def control_with_model(
     return control
 
 
-def skip_with_model(rate: Kernel, wire: Kernel, sizes: Sizes) -> Kernel:
-    """Make the step of a sample that was missed: nothing corrects the estimate, and the last command holds on.
-
-    Returns:
-        `skip(t, h, x, p, table, command, work)` for a missed sample at time t; `command` (actuators,) is the last.
-    """
-    m, length, next_one, fixed = sizes.inputs, sizes.estimate, sizes.estimate + sizes.actuators, sizes.fixed
-    step, warm = predict(rate, sizes), heat(sizes)
-
-    @compiled
-    def skip(t, h, x, p, table, command, work):
-        now, power, z, queue = x[:length], x[length:next_one], x[next_one:fixed], x[fixed:]
-        delay = queue.size // m
-        u, acting = work[12][:m], work[2][:m]
-        wire(command, p, u)
-        copy(queue if delay > 0 else u, acting, m)
-        copy(z, now, length)
-        step(t, z, acting, p, h, work[13:17], work[17])
-        advance_queue(queue, u, m)
-        warm(command, table, h, power)
-
-    return skip
-
-
 def skip_with_differences(sizes: Sizes) -> Kernel:
     """Make the step of a sample that was missed: the rig is taken to move on at its last velocity.
 
     Returns:
-        `skip` with the arguments of that of `skip_with_model`.
+        `skip(t, h, x, p, table, command, work)` for a missed sample at time t; `command` (actuators,) is the last.
     """
     n, length, fixed = sizes.coordinates, sizes.estimate, sizes.fixed
     next_one, warm = length + sizes.actuators, heat(sizes)

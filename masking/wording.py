@@ -197,6 +197,8 @@ def summary(facts: Study) -> str:
         rows.append(("inputs", "  ".join(use_words(use) for use in facts.inputs)))
     if observer(facts):
         rows.append(("observer", observer(facts)))
+    if manifest.get("rig"):
+        rows.append(("rig", ticks(manifest)))
     energy = manifest.get("energy") or {}
     if "virtual" in energy:
         rows.append(("energy", f"drift of the virtual system {number(energy['virtual'])}"))
@@ -238,7 +240,20 @@ def record_words(facts: Study) -> str:
         words += f", {manifest.get('mode') or 'sampled'} at {rate_words(manifest['rate'])}"
     elif manifest.get("mode"):
         words += f", {manifest['mode']}"
-    return words + (f", seed {manifest['seed']}" if manifest.get("seed") is not None else "")
+    if manifest.get("rig") or manifest.get("seed") is None:  # a rig makes its own noise
+        return words
+    return f"{words}, seed {manifest['seed']}"
+
+
+def ticks(manifest: Mapping[str, Any]) -> str:
+    """Say how well a run on a plant kept its time, and what its motion is known from."""
+    told = manifest["rig"]
+    counts = told.get("counters") or {}
+    parts = [f"{told.get('end')}"]
+    parts += [f"{counts[name]} samples {name}" for name in ("late", "missed", "clamped") if counts.get(name)]
+    if len(parts) == 1:
+        parts.append("every sample in time")
+    return f"{', '.join(parts)}; its motion is {manifest.get('states') or 'measured'}"
 
 
 def use_words(use: InputUse) -> str:

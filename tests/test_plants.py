@@ -26,7 +26,7 @@ from masking.errors import (
 from masking.plants import serve as serving
 from masking.plants import wire
 from masking.plants.conformance import check
-from masking.plants.interface import LifeCycle, Sample, Settings, check_channels, check_command
+from masking.plants.interface import LifeCycle, Sample, Settings, check_command
 from masking.plants.serve import serve
 from masking.plants.udp import UdpPlant
 from masking.plants.wire import Kind
@@ -347,15 +347,6 @@ def test_the_life_cycle_says_what_to_call_first():
         plant.configure(LOCKSTEP)
     with pytest.raises(CommandError, match="the command for u2 is nan; give a finite number"):
         plant.write(0, np.array([0.0, np.nan]))
-
-
-def test_other_channels_are_named():
-    plant = MassSpring()
-    check_channels(plant, sensors=("x1", "x2"), actuators=("u1", "u2"))
-    with pytest.raises(PlantMismatchError, match=r"no sensor 'x3'; did you mean 'x"):
-        check_channels(plant, sensors=("x1", "x3"), actuators=("u1", "u2"))
-    with pytest.raises(PlantMismatchError, match="the plant's actuators are u1, u2, the controller's are u2, u1"):
-        check_channels(plant, sensors=("x1", "x2"), actuators=("u2", "u1"))
 
 
 # --- over the wire ----------------------------------------------------------------------------------------------------

@@ -655,3 +655,12 @@ def test_a_regulated_motion_is_not_blamed_for_what_it_holds():
         "2500 units of time."
     )
     assert any(line.endswith("against the system without regulation") for line in lines)
+
+
+def test_a_run_on_a_plant_tells_how_it_kept_its_time():
+    told = {"end": "finished", "counters": {"late": 3, "missed": 5, "clamped": 0}}
+    lines = summary(duffing(2000, rig=told, states="estimated", mode="real time", rate=1000.0)).splitlines()
+    assert "  rig        finished, 3 samples late, 5 samples missed; its motion is estimated" in lines
+    assert not any("seed" in line for line in lines)
+    lines = summary(duffing(2000, rig={"end": "finished", "counters": {}}, states="estimated")).splitlines()
+    assert "  rig        finished, every sample in time; its motion is estimated" in lines

@@ -241,7 +241,8 @@ class _Server:
                 settings = wire.read_settings(frame.text)
                 if settings.lockstep != (self.clock == "lockstep"):
                     wanted = "lockstep" if settings.lockstep else "real"
-                    message = f"its clock is '{self.clock}', the controller wants '{wanted}'; change one of them"
+                    mend = "start both in lockstep, or both without"
+                    message = f"its clock is '{self.clock}', the controller wants '{wanted}'; {mend}"
                     raise PlantMismatchError(message)
                 self.plant.configure(settings)
                 session = _Session(frame.session, address, settings, self.plant)

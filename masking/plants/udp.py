@@ -149,7 +149,8 @@ class UdpPlant:
                     self.counters["unexpected"] += 1
             except PlantLostError:  # nobody listens there yet
                 time.sleep(max(0.0, min(again, give_up) - time.monotonic()))
-        raise PlantLostError(f"no plant answers at {self._address}; start it with 'masking rig serve PLANT'")
+        mend = f"start it with 'masking rig serve PLANT --address {self._address}', or correct the address"
+        raise PlantLostError(f"no plant answers at {self._address}; {mend}")
 
     def _following(self, wait: float) -> Frame | None:
         """Return what came in answer to the start, else the next frame within so many seconds."""
