@@ -132,6 +132,18 @@ def test_clocks_never_synchronise_the_thesis_way(listed_only):
     assert found.together > 0.8
 
 
+# Other virtual systems, on the full twin.
+
+
+@pytest.mark.parametrize("name", ["discs", "setup_undamped"])
+def test_other_systems_move_truly_where_the_thesis_way_does_not(name):
+    ours, thesis = (
+        experiment(name, "tue_rig", way, duration=200).run().manifest["fidelity"] for way in (SPRINGS, THESIS)
+    )
+    assert max(ours.values()) < 0.1
+    assert max(thesis.values()) > 5 * max(ours.values())
+
+
 # Limits.
 
 
