@@ -52,11 +52,13 @@ class Twin:
         declaration: the content of a plant file.
         base: the model that it names.
         changes: what an experiment changes of its effects, by their names.
+        chosen: values of parameters of effects in sensors and actuators at one place, such as `offset_s1_e0`.
     """
 
     declaration: schema.PlantDeclaration
     base: schema.ModelDeclaration
     changes: Mapping[str, schema.EffectChange] = field(default_factory=dict)
+    chosen: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Twin:
@@ -212,6 +214,8 @@ class Twin:
         return found
 
     def _value(self, effect: PlacedEffect, name: str) -> float:
+        if f"{effect.label}_{name}" in self.chosen:
+            return self.chosen[f"{effect.label}_{name}"]
         value = effect.parameters.get(name, EFFECTS[effect.kind].parameters[name].value)
         if isinstance(value, Expression):
             return value.evaluate(self.model.parameter_values())
@@ -223,6 +227,30 @@ class Twin:
         switches = [float(effect.enabled) for effect in self._chain]
         gains = [self._gain(name) for name in self.sensors]
         return np.concatenate([self.model.values(), self.wiring.ravel(), gains, rest, switches])
+
+    @cached_property
+    def parameter_names(self) -> dict[str, tuple[PlacedEffect, str] | None]:
+        """Return the parameters that may be changed by name: None for those of the model, else effect and parameter."""
+        model = {name: None for name in self.model.parameters if not name.endswith("_on")}
+        chain = {f"{e.label}_{name}": (e, name) for e in self._chain for name in _parameters(e)}
+        return {**model, **chain}
+
+    def parameter_value(self, name: str) -> float:
+        """Return a parameter in its declared unit."""
+        found = self.parameter_names[name]
+        if found is not None:
+            return self._value(*found)
+        unit = self.model.declaration.parameters[name].unit
+        return self.model.value(name) / self.model.units.conversions[unit].factor
+
+    def with_parameters(self, values: Mapping[str, float]) -> Twin:
+        """Return the twin with other values of parameters, in their declared units; nothing is recompiled."""
+        model = {name: value for name, value in values.items() if self.parameter_names[name] is None}
+        chain = {name: value for name, value in values.items() if self.parameter_names[name] is not None}
+        plant = self.declaration.model_copy(update={"parameters": {**self.declaration.parameters, **model}})
+        made = replace(self, declaration=plant, chosen={**self.chosen, **chain})
+        vars(made)["attached"], vars(made)["kernels"] = self.attached, self.kernels
+        return made
 
     @property
     def _chain(self) -> list[PlacedEffect]:
@@ -268,7 +296,7 @@ class Twin:
     def add_to(self, module: Module) -> None:
         """Add `sense(t, y, p, noise, s)`, `twin_derivative(t, y, u, p, dy)` and `advance` to a generated module."""
         module.meta["factors"] = {unit: units.factor_of(unit) for unit in _units(self.declaration, self.base)}
-        lowered = _Lowered(self)
+        lowered = LoweredTwin(self)
         module.add("sense(t, y, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
         module.add("twin_derivative(t, y, u, p, dy)", lowered.graph, lowered.derivatives, lowered.loads, lowered.health)
         size = len(self.state_names)
@@ -286,8 +314,8 @@ def advance(t, y, u, p, dt, substeps, work):
 """
 
 
-class _Lowered:
-    """A twin as nodes of a graph."""
+class LoweredTwin:
+    """A twin as nodes of a graph: `readings` of the sensors and `derivatives` of the state, with their `loads`."""
 
     def __init__(self, twin: Twin) -> None:
         graph, self.twin = Graph(), twin

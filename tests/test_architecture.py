@@ -20,7 +20,7 @@ ROWS = (
     {"lowering"},
     {"model"},
     {"blocks", "twin", "observer"},
-    {"controller", "instruments"},
+    {"controller", "instruments", "sensitivity"},
     {"closed_loop", "sampled"},
     {"loop"},
     {"plants"},

@@ -1,0 +1,284 @@
+"""Sensitivity: what the sensors of a twin would read under recorded commands, and how that depends on its parameters.
+
+Sensors are simulated from an initial state, together with their derivatives with respect to chosen parameters and the
+initial state, which follow from the equations by the chain rule and are compiled with them. What a least-squares fit
+needs of them, the normal equations, is summed up on the way, so that long records take no memory.
+Source: Ljung, System Identification (1999), section 10.3; Hairer, Norsett and Wanner (1993), section I.14.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from masking.compile import store
+from masking.compile.source import Module
+from masking.compile.tangent import derivatives
+from masking.errors import IntegrationError, ModelError, nearest
+from masking.kernels import Array, Kernels
+from masking.twin import LoweredTwin, Twin
+
+_STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """What a record tells of parameters and initial state, the columns in this order.
+
+    Args:
+        matrix: J^T W J (k + states, k + states) for the derivatives J of the readings.
+        gradient: J^T W r (k + states,) for the residuals r, measured less simulated.
+        squares: sum of squared residuals of each sensor (sensors,).
+        end: the state at the end of the record (states,).
+    """
+
+    matrix: Array
+    gradient: Array
+    squares: Array
+    end: Array
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """A twin with the parameters that may change.
+
+    Args:
+        twin: the rig.
+        names: parameters of its model, those of the effects in its elements included (`friction1_fc`), and of effects
+            in its sensors and actuators (`offset_s1_e0`).
+    """
+
+    twin: Twin
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for name in self.names:
+            if name not in self.twin.parameter_names:
+                mend = nearest(name, self.twin.parameter_names)
+                raise ModelError(f"{self.twin.declaration.name} has no parameter '{name}'; {mend}")
+
+    def twin_with(self, values: Mapping[str, float]) -> Twin:
+        """Return the twin with other values of parameters, in the units in which they are declared."""
+        return self.twin.with_parameters(values)
+
+    def start(self) -> Array:
+        """Return the values of the parameters (k,) that the twin declares, in declared units."""
+        return np.array([self.twin.parameter_value(name) for name in self.names])
+
+    def parameters(self, theta: Array) -> Array:
+        """Return the twin's parameter array for values (k,) of the parameters."""
+        return self.twin_with(dict(zip(self.names, map(float, theta), strict=True))).values()
+
+    def basis(self, theta: Array) -> tuple[Array, Array]:
+        """Return the twin's parameter array, and how its entries depend on the parameters (affected, k)."""
+        p = self.parameters(theta)
+        columns = []
+        for i, value in enumerate(theta):
+            step = _STEP * (abs(value) or 1.0)
+            ahead, behind = theta.copy(), theta.copy()
+            ahead[i] += step
+            behind[i] -= step
+            columns.append((self.parameters(ahead) - self.parameters(behind)) / (2.0 * step))
+        found = np.array(columns).T if columns else np.zeros((len(p), 0))
+        return p, np.ascontiguousarray(found[list(self.affected)])
+
+    @cached_property
+    def affected(self) -> tuple[int, ...]:
+        """Return the indices in the twin's parameter array of all that depend on the parameters."""
+        theta, touched = self.start(), set[int]()
+        before = self.parameters(theta)
+        for i, value in enumerate(theta):
+            for step in (_STEP * (abs(value) or 1.0), -_STEP * (abs(value) or 1.0)):
+                changed = theta.copy()
+                changed[i] += step
+                touched |= set(np.flatnonzero(self.parameters(changed) != before).tolist())
+        return tuple(sorted(touched))
+
+    @property
+    def states(self) -> int:
+        """Return the length of the twin's state."""
+        return len(self.twin.state_names)
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """Return the compiled functions; from the cache on disk where they have been made before."""
+        key = store.key({"sensitivity": self.twin.structure(), "affected": list(self.affected)})
+        return Kernels(store.load(key, self._build))
+
+    def _build(self) -> Module:
+        module = Module(
+            f"{self.twin.declaration.name}, with derivatives", {"kind": "sensitivity", **self.twin.state_kinds}
+        )
+        lowered = LoweredTwin(self.twin)
+        graph, loads = lowered.graph, lowered.loads
+        by_text = {text: name for name, text in loads.items()}
+        y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in range(self.states) if f"y[{i}]" in by_text]
+        at = [i for i in range(self.states) if f"y[{i}]" in by_text]
+        p = [graph.symbol(by_text.get(f"p[{i}]", f"unused_{i}"), varying=False) for i in self.affected]
+        rates = [node for _, node in lowered.derivatives]
+        readings = [node for _, node in lowered.readings]
+
+        def jacobian(name: str, nodes: list[int], symbols: list[int], columns: Sequence[int]) -> list[tuple[str, int]]:
+            rows = derivatives(graph, nodes, symbols)
+            return [
+                (f"{name}[{i}, {column}]", node)
+                for i, row in enumerate(rows)
+                for column, node in zip(columns, row, strict=True)
+            ]
+
+        columns = range(len(p))
+        slopes = [*lowered.derivatives, *jacobian("jy", rates, y, at), *jacobian("jp", rates, p, columns)]
+        module.add("slopes(t, y, u, p, dy, jy, jp)", graph, slopes, loads)
+        sensed = [*lowered.readings, *jacobian("jy", readings, y, at), *jacobian("jp", readings, p, columns)]
+        module.add("sensed(t, y, p, noise, s, jy, jp)", graph, sensed, loads)
+        self.twin.add_to(module)
+        module.add_kernel(SIMULATE, "", (5, self.states + len(readings)))
+        text = NORMAL.format(
+            states=self.states, affected=len(p), sensors=len(readings), actuators=len(self.twin.actuators)
+        )
+        return self._with_kernels(module, text, len(p), len(readings))
+
+    def _with_kernels(self, module: Module, text: str, affected: int, sensors: int) -> Module:
+        width = max(self.states + len(self.names), affected, sensors, len(self.twin.actuators))
+        module.add_kernel(text, "i", (7 * self.states + 2 * sensors + 12, width))
+        return module
+
+    def simulate(self, theta: Array, start: Array, commands: Array, *, rate: float, substeps: int) -> Array:
+        """Return what the sensors would read (m, sensors) without noise.
+
+        Args:
+            theta: values of the parameters (k,), in declared units.
+            start: the twin's state (states,) at the first sample.
+            commands: of the actuators, held from each sample to the next (m, actuators).
+            rate: samples per second.
+            substeps: integration steps between samples.
+
+        Raises:
+            IntegrationError: the motion is no longer finite.
+        """
+        readings, y = np.empty((len(commands), len(self.twin.sensors))), np.array(start, dtype=float)
+        held = np.ascontiguousarray(commands, dtype=float)
+        self.kernels.simulate(len(held), 1.0 / rate, substeps, y, self.parameters(theta), held, readings)
+        if not np.isfinite(readings).all():
+            raise IntegrationError("the simulated motion is no longer finite")
+        return readings
+
+    def normal_equations(
+        self,
+        theta: Array,
+        start: Array,
+        commands: Array,
+        readings: Array,
+        weights: Array,
+        *,
+        rate: float,
+        substeps: int,
+    ) -> NormalEquations:
+        """Return what a record tells, at values of the parameters and of the initial state.
+
+        Args:
+            theta: values of the parameters (k,), in declared units.
+            start: the twin's state (states,) at the first sample.
+            commands: of the actuators, held from each sample to the next (m, actuators).
+            readings: of the sensors (m, sensors).
+            weights: of squared residuals of each sensor (sensors,): 1 / variance.
+            rate: samples per second.
+            substeps: integration steps between samples.
+
+        Raises:
+            IntegrationError: the motion is no longer finite.
+        """
+        p, basis = self.basis(theta)
+        k = len(self.names)
+        size = k + self.states
+        matrix, gradient, squares = np.zeros((size, size)), np.zeros(size), np.zeros(len(self.twin.sensors))
+        y = np.array(start, dtype=float)
+        sens = np.hstack([np.zeros((self.states, k)), np.eye(self.states)])
+        status = self.kernels.normal(
+            len(commands), 1.0 / rate, substeps, y, sens, p, basis,
+            np.ascontiguousarray(commands, dtype=float), np.ascontiguousarray(readings, dtype=float),
+            np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares,
+        )  # fmt: skip
+        if status:
+            raise IntegrationError("the simulated motion is no longer finite")
+        matrix += np.tril(matrix, -1).T
+        return NormalEquations(matrix, gradient, squares, y)
+
+
+SIMULATE = """
+@compiled
+def simulate(count, dt, substeps, y, p, commands, readings, work):
+    noise = np.zeros(readings.shape[1])
+    for index in range(count):
+        sense(index * dt, y, p, noise, readings[index])
+        advance(index * dt, y, commands[index], p, dt, substeps, work)
+"""
+NORMAL = """
+@compiled
+def _move(t, y, sens, u, p, basis, h, work):
+    n, affected, k, width = {states}, {affected}, basis.shape[1], sens.shape[1]
+    ks, ss, jy, jp = work[: 4 * n], work[4 * n : 5 * n], work[5 * n : 6 * n], work[6 * n : 7 * n]
+    ky, state = work[7 * n : 7 * n + 4], work[7 * n + 4]
+    for stage in range(4):
+        c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+        for i in range(n):
+            state[i] = y[i] + (c * h * ky[stage - 1, i] if stage > 0 else 0.0)
+            for j in range(width):
+                ss[i, j] = sens[i, j] + (c * h * ks[(stage - 1) * n + i, j] if stage > 0 else 0.0)
+        slopes(t + c * h, state, u, p, ky[stage], jy, jp)
+        for i in range(n):
+            for j in range(width):
+                total = 0.0
+                for l in range(n):
+                    total += jy[i, l] * ss[l, j]
+                ks[stage * n + i, j] = total
+            for j in range(k):
+                total = 0.0
+                for l in range(affected):
+                    total += jp[i, l] * basis[l, j]
+                ks[stage * n + i, j] += total
+    for i in range(n):
+        y[i] += h / 6.0 * (ky[0, i] + 2.0 * (ky[1, i] + ky[2, i]) + ky[3, i])
+        for j in range(width):
+            sens[i, j] += h / 6.0 * (ks[i, j] + 2.0 * (ks[n + i, j] + ks[2 * n + i, j]) + ks[3 * n + i, j])
+
+
+@compiled
+def normal(count, dt, substeps, y, sens, p, basis, commands, readings, weights, matrix, gradient, squares, work):
+    n, affected, sensors, k, width = {states}, {affected}, {sensors}, basis.shape[1], sens.shape[1]
+    top = 7 * n + 5
+    jy, jp = work[top : top + sensors], work[top + sensors : top + 2 * sensors]
+    top += 2 * sensors
+    noise, s, row = work[top][:sensors], work[top + 1][:sensors], work[top + 2]
+    h = dt / substeps
+    work[:] = 0.0
+    for index in range(count):
+        t = index * dt
+        sensed(t, y, p, noise, s, jy, jp)
+        for o in range(sensors):
+            residual = readings[index, o] - s[o]
+            if not math.isfinite(residual):
+                return 1
+            squares[o] += residual * residual
+            for j in range(width):
+                total = 0.0
+                for l in range(n):
+                    total += jy[o, l] * sens[l, j]
+                row[j] = total
+            for j in range(k):
+                total = 0.0
+                for l in range(affected):
+                    total += jp[o, l] * basis[l, j]
+                row[j] += total
+            for i in range(width):
+                weighted = weights[o] * row[i]
+                gradient[i] += weighted * residual
+                for j in range(i + 1):
+                    matrix[i, j] += weighted * row[j]
+        for step in range(substeps):
+            _move(t + step * h, y, sens, commands[index], p, basis, h, work)
+    return 0
+"""

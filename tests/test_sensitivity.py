@@ -1,0 +1,115 @@
+"""Sensitivities of a twin's readings, against exact solutions and central differences."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from masking.declaration import schema
+from masking.errors import IntegrationError, ModelError
+from masking.sensitivity import Sensitivity
+from masking.twin import Twin
+
+RATE = 1000.0
+NAMES = ("w1", "z1", "w2", "z2", "w3", "z3", "c1", "c2", "c3", "mu1", "mu2")
+
+
+def commands(samples, seed=0, size=0.02):
+    """Return three sums of sines (samples, 3), V."""
+    generator = np.random.default_rng(seed)
+    t = np.arange(samples) / RATE
+    lines = 2 * np.pi * np.linspace(0.4, 8.0, 12)
+    return size * np.array([np.sin(lines * t[:, None] + generator.uniform(0, 7, 12)).sum(axis=1) for _ in range(3)]).T
+
+
+@pytest.fixture(scope="module")
+def linear():
+    return Sensitivity(Twin.load("linear_rig"), NAMES)
+
+
+def test_readings_are_those_of_the_exact_solution(linear):
+    """The set-up's linear equations under held commands, stepped by a matrix exponential."""
+    w, z = np.array([12.5521, 14.0337, 9.7369]), np.array([0.3362, 0.4296, 0.0409])
+    c, mu = np.array([20.9218, 23.2465, 1.2589]), np.array([0.0411, 0.0578])
+    flow = np.zeros((9, 9))
+    flow[:3, 3:6] = np.eye(3)
+    for i in (0, 1):
+        row = np.zeros(6)
+        row[[i, 2, 3 + i, 5]] = -(w[i] ** 2), w[i] ** 2, -2 * z[i] * w[i], 2 * z[i] * w[i]
+        flow[3 + i, :6] = row
+        flow[5, :6] -= mu[i] * row
+    flow[5, [2, 5]] -= w[2] ** 2, 2 * z[2] * w[2]
+    flow[3:6, 6:] = np.diag(c) @ [[1, 0, 0], [0, 1, 0], [-1, -1, 1]]
+    step, u = linalg.expm(flow / RATE), commands(3000)
+    y, expected = np.zeros(6), []
+    for command in u:
+        expected.append(200.0 * np.array([y[0] - y[2], y[1] - y[2], y[2]]))
+        y = step[:6, :6] @ y + step[:6, 6:] @ command
+    found = linear.simulate(linear.start(), np.zeros(6), u, rate=RATE, substeps=2)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * np.abs(expected).max())
+
+
+def by_differences(sensitivity, theta, start, u):
+    """Return the derivatives of all readings (m, sensors, k + states) by central differences."""
+    columns = []
+    for i in range(len(theta) + len(start)):
+        at = []
+        for sign in (1, -1):
+            values, state = theta.copy(), start.copy()
+            step = 1e-5 * (abs(theta[i]) or 1.0) if i < len(theta) else 1e-7
+            (values if i < len(theta) else state)[i if i < len(theta) else i - len(theta)] += sign * step
+            at.append(sensitivity.simulate(values, state, u, rate=RATE, substeps=2))
+        columns.append((at[0] - at[1]) / (2 * step))
+    return np.moveaxis(np.array(columns), 0, -1)
+
+
+@pytest.fixture(scope="module")
+def full():
+    """The full twin without what has no derivative: the steps of its converter and its stop."""
+    off = {name: schema.EffectChange(enabled=False) for name in ("steps", "red_stop", "red_friction")}
+    twin = Twin.load("tue_rig").changed(off)
+    return Sensitivity(twin, ("w1", "z3", "mu2", "friction1_fc", "hysteresis3_k", "strong_gain_V1_e", "offset_s2_e0"))
+
+
+@pytest.mark.parametrize("which", ["linear", "full"])
+def test_normal_equations_are_those_of_differences(which, request):
+    found = request.getfixturevalue(which)
+    theta, u, weights = found.start(), commands(600), np.array([1.0, 4.0, 0.25])
+    start = found.twin.rest(np.array([1e-3, -5e-4, 2e-4]))
+    readings = found.simulate(theta * 1.02, start, u, rate=RATE, substeps=2)
+    told = found.normal_equations(theta, start, u, readings, weights, rate=RATE, substeps=2)
+    jacobian = by_differences(found, theta, start, u)
+    residuals = readings - found.simulate(theta, start, u, rate=RATE, substeps=2)
+    matrix = np.einsum("mok,o,mol->kl", jacobian, weights, jacobian)
+    gradient = np.einsum("mok,o,mo->k", jacobian, weights, residuals)
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    np.testing.assert_allclose(told.matrix / scale / scale[:, None], matrix / scale / scale[:, None], rtol=0, atol=1e-4)
+    np.testing.assert_allclose(
+        told.gradient / scale, gradient / scale, rtol=0, atol=1e-4 * np.abs(gradient / scale).max()
+    )
+    np.testing.assert_allclose(told.squares, (residuals**2).sum(axis=0), rtol=1e-9)
+
+
+def test_a_parameter_acts_on_all_that_is_declared_by_it(full):
+    """The twin's damping is 5 % of that of the model: 2 z3 w3 stands in two places."""
+    twin = full.twin.with_parameters({"z3": 0.08})
+    assert twin.model.value("damping3_c") == pytest.approx(2 * full.twin.model.value("damping3_c") * 0.08 / 0.0818)
+
+
+def test_effects_at_one_place_are_changed_there_alone(full):
+    twin = full.twin.with_parameters({"strong_gain_V1_e": 0.5})
+    assert twin.parameter_value("strong_gain_V1_e") == 0.5
+    assert twin.parameter_value("strong_gain_V3_e") == 0.03
+
+
+def test_an_unknown_parameter_is_refused():
+    with pytest.raises(ModelError, match="linear rig has no parameter 'w9'; did you mean 'w"):
+        Sensitivity(Twin.load("linear_rig"), ("w9",))
+
+
+def test_a_motion_that_is_not_finite_is_refused(linear):
+    """Steps of a second are far too long for an integrator of motions of 14 rad/s."""
+    u, weights = commands(3000), np.ones(3)
+    with pytest.raises(IntegrationError, match="no longer finite"):
+        linear.simulate(linear.start(), np.zeros(6), u, rate=1.0, substeps=1)
+    with pytest.raises(IntegrationError, match="no longer finite"):
+        linear.normal_equations(linear.start(), np.zeros(6), u, u, weights, rate=1.0, substeps=1)
