@@ -68,6 +68,12 @@ class Sensitivity:
         """Return the values of the parameters (k,) that the twin declares, in declared units."""
         return np.array([self.twin.parameter_value(name) for name in self.names])
 
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the least and the largest allowed value of each parameter (k,), in declared units."""
+        pairs = [self.twin.parameter_bounds(name) for name in self.names]
+        low = np.array([-np.inf if a is None else a for a, _ in pairs])
+        return low, np.array([np.inf if b is None else b for _, b in pairs])
+
     def parameters(self, theta: Array) -> Array:
         """Return the twin's parameter array for values (k,) of the parameters."""
         return self.twin_with(dict(zip(self.names, map(float, theta), strict=True))).values()
@@ -105,7 +111,8 @@ class Sensitivity:
     @cached_property
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
-        key = store.key({"sensitivity": self.twin.structure(), "affected": list(self.affected)})
+        made_from = {"sensitivity": self.twin.structure(), "affected": list(self.affected), "count": len(self.names)}
+        key = store.key(made_from)
         return Kernels(store.load(key, self._build))
 
     def _build(self) -> Module:
@@ -136,14 +143,10 @@ class Sensitivity:
         module.add("sensed(t, y, p, noise, s, jy, jp)", graph, sensed, loads)
         self.twin.add_to(module)
         module.add_kernel(SIMULATE, "", (5, self.states + len(readings)))
-        text = NORMAL.format(
-            states=self.states, affected=len(p), sensors=len(readings), actuators=len(self.twin.actuators)
-        )
-        return self._with_kernels(module, text, len(p), len(readings))
-
-    def _with_kernels(self, module: Module, text: str, affected: int, sensors: int) -> Module:
-        width = max(self.states + len(self.names), affected, sensors, len(self.twin.actuators))
-        module.add_kernel(text, "i", (7 * self.states + 2 * sensors + 12, width))
+        sizes = {"states": self.states, "coordinates": len(self.twin.model.coordinates)}
+        text = NORMAL.format(**sizes, affected=len(p), sensors=len(readings))
+        width = max(self.states + len(self.names), len(p), len(readings), len(self.twin.actuators))
+        module.add_kernel(text, "i", (7 * self.states + 2 * len(readings) + 12, width))
         return module
 
     def simulate(self, theta: Array, start: Array, commands: Array, *, rate: float, substeps: int) -> Array:
@@ -168,7 +171,7 @@ class Sensitivity:
 
     def normal_equations(
         self,
-        theta: Array,
+        basis: tuple[Array, Array],
         start: Array,
         commands: Array,
         readings: Array,
@@ -180,7 +183,7 @@ class Sensitivity:
         """Return what a record tells, at values of the parameters and of the initial state.
 
         Args:
-            theta: values of the parameters (k,), in declared units.
+            basis: what `basis` returns for values of the parameters.
             start: the twin's state (states,) at the first sample.
             commands: of the actuators, held from each sample to the next (m, actuators).
             readings: of the sensors (m, sensors).
@@ -191,14 +194,14 @@ class Sensitivity:
         Raises:
             IntegrationError: the motion is no longer finite.
         """
-        p, basis = self.basis(theta)
+        p, columns = basis
         k = len(self.names)
         size = k + self.states
         matrix, gradient, squares = np.zeros((size, size)), np.zeros(size), np.zeros(len(self.twin.sensors))
         y = np.array(start, dtype=float)
         sens = np.hstack([np.zeros((self.states, k)), np.eye(self.states)])
         status = self.kernels.normal(
-            len(commands), 1.0 / rate, substeps, y, sens, p, basis,
+            len(commands), 1.0 / rate, substeps, y, sens, p, columns,
             np.ascontiguousarray(commands, dtype=float), np.ascontiguousarray(readings, dtype=float),
             np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares,
         )  # fmt: skip
@@ -219,7 +222,7 @@ def simulate(count, dt, substeps, y, p, commands, readings, work):
 NORMAL = """
 @compiled
 def _move(t, y, sens, u, p, basis, h, work):
-    n, affected, k, width = {states}, {affected}, basis.shape[1], sens.shape[1]
+    n, coordinates, affected, k, width = {states}, {coordinates}, {affected}, basis.shape[1], sens.shape[1]
     ks, ss, jy, jp = work[: 4 * n], work[4 * n : 5 * n], work[5 * n : 6 * n], work[6 * n : 7 * n]
     ky, state = work[7 * n : 7 * n + 4], work[7 * n + 4]
     for stage in range(4):
@@ -229,17 +232,23 @@ def _move(t, y, sens, u, p, basis, h, work):
             for j in range(width):
                 ss[i, j] = sens[i, j] + (c * h * ks[(stage - 1) * n + i, j] if stage > 0 else 0.0)
         slopes(t + c * h, state, u, p, ky[stage], jy, jp)
-        for i in range(n):
+        for i in range(coordinates):
             for j in range(width):
-                total = 0.0
-                for l in range(n):
-                    total += jy[i, l] * ss[l, j]
-                ks[stage * n + i, j] = total
-            for j in range(k):
-                total = 0.0
-                for l in range(affected):
-                    total += jp[i, l] * basis[l, j]
-                ks[stage * n + i, j] += total
+                ks[stage * n + i, j] = ss[coordinates + i, j]
+        for i in range(coordinates, n):
+            row = stage * n + i
+            for j in range(width):
+                ks[row, j] = 0.0
+            for l in range(n):
+                by = jy[i, l]
+                if by != 0.0:
+                    for j in range(width):
+                        ks[row, j] += by * ss[l, j]
+            for l in range(affected):
+                by = jp[i, l]
+                if by != 0.0:
+                    for j in range(k):
+                        ks[row, j] += by * basis[l, j]
     for i in range(n):
         y[i] += h / 6.0 * (ky[0, i] + 2.0 * (ky[1, i] + ky[2, i]) + ky[3, i])
         for j in range(width):

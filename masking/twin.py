@@ -243,6 +243,14 @@ class Twin:
         unit = self.model.declaration.parameters[name].unit
         return self.model.value(name) / self.model.units.conversions[unit].factor
 
+    def parameter_bounds(self, name: str) -> tuple[float | None, float | None]:
+        """Return the bounds of a parameter, in its declared unit; None where there is none."""
+        found = self.parameter_names[name]
+        if found is not None:
+            effect, parameter = found
+            return EFFECTS[effect.kind].parameters[parameter].bounds
+        return self.model.declaration.parameters[name].bounds
+
     def with_parameters(self, values: Mapping[str, float]) -> Twin:
         """Return the twin with other values of parameters, in their declared units; nothing is recompiled."""
         model = {name: value for name, value in values.items() if self.parameter_names[name] is None}

@@ -61,7 +61,7 @@ RULES: dict[str, Rule] = {
     "atan2": lambda g, _, a: _angle(g, a),
     "abs": lambda g, _, a: (g.apply("sign", a[0]),),
     "sign": lambda g, _, a: (None,),
-    "floor": lambda g, _, a: (None,),
+    "floor": lambda g, _, a: (g.number(1.0),),  # that of its mean, x - 1/2: steps are seen from afar
     "heaviside": lambda g, _, a: (None,),
     "lt": lambda g, _, a: (None, None),
     "le": lambda g, _, a: (None, None),
@@ -80,7 +80,8 @@ SWITCHES: dict[str, Callable[[Graph, tuple[Node, ...]], tuple[Node, Node, Node]]
 def derivatives(graph: Graph, nodes: Sequence[Node], symbols: Sequence[Node]) -> list[list[Node]]:
     """Return d node / d symbol for each node (rows) and symbol (columns).
 
-    At a switch, such as the corner of `abs` or the step of `sign`, they are those of one side.
+    At a switch, such as the corner of `abs` or the step of `sign`, they are those of one side. A stair (`floor`) counts
+    as the line through it.
 
     Args:
         graph: the graph, to which they are added.

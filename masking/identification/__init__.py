@@ -1,0 +1,1 @@
+"""Identification: from recordings of a rig to what its parts are."""

@@ -1,0 +1,146 @@
+"""Data: a record as an identification wants it, commands and readings at one steady rate; refused where it is not."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from masking.errors import RecordError, nearest
+from masking.kernels import Array
+from masking.recording import Recording
+from masking.twin import Twin
+
+_STEADY = 1e-3  # of a period: how far an instant may be from a steady clock
+_STILL = 4.0  # deviations of the noise: readings that vary by less do not move
+
+
+@dataclass(frozen=True)
+class Data:
+    """Commands and readings of one record.
+
+    Args:
+        name: of the record, for messages.
+        rate: samples per second.
+        commands: of the actuators, in their units (m, actuators); each holds until the next.
+        readings: of the sensors, in their units (m, sensors).
+        delay: samples after which a command acts.
+    """
+
+    name: str
+    rate: float
+    commands: Array
+    readings: Array
+    delay: int = 0
+
+    @classmethod
+    def of(cls, recording: Recording, twin: Twin, name: str = "the record") -> Data:
+        """Return what a recording holds of a plant's actuators and sensors.
+
+        An actuator V1 is read from the column `input.V1`, or else `V1`; a sensor s1 from `sensor.s1`, or else `s1`.
+
+        Raises:
+            RecordError: a column is missing or not finite, time is not steady, nothing moves, or the record is too
+                short.
+        """
+        commands = _columns(recording, "input", twin.actuators, name)
+        readings = _columns(recording, "sensor", twin.sensors, name)
+        rate = _rate(np.asarray(recording.t, dtype=float), name)
+        found = cls(name, rate, commands, readings, twin.delay)
+        found.check(twin)
+        return found
+
+    def check(self, twin: Twin) -> None:
+        """Refuse a record that tells nothing of a plant."""
+        for names, table in ((twin.actuators, self.commands), (twin.sensors, self.readings)):
+            for column, values in zip(names, table.T, strict=True):
+                wrong = np.flatnonzero(~np.isfinite(values))
+                if len(wrong):
+                    raise RecordError(
+                        f"{self.name}: {column} is {values[wrong[0]]} at sample {wrong[0]}, and not finite at "
+                        f"{len(wrong)} samples in all; cut these out, and give what is left as records of their own"
+                    )
+        if not np.ptp(self.commands, axis=0).any() and not self._moves:
+            raise RecordError(
+                f"{self.name}: nothing moves: the commands are constant, and the readings vary no more than their "
+                "noise; excite the rig, or let it go from somewhere else than rest"
+            )
+
+    @property
+    def _moves(self) -> bool:
+        noise = self.noise
+        return bool(np.any(np.ptp(self.readings, axis=0) > 2.0 * _STILL * np.maximum(noise, 1e-300)))
+
+    @property
+    def noise(self) -> Array:
+        """Return the standard deviation of white noise in each reading (sensors,), from third differences.
+
+        Source: von Neumann et al., Annals of Mathematical Statistics 12 (1941), 153-162, for higher differences.
+        """
+        thirds = np.diff(self.readings, n=3, axis=0)
+        return np.asarray(np.sqrt((thirds**2).mean(axis=0) / 20.0)) if len(thirds) else np.zeros(self.readings.shape[1])
+
+    @property
+    def acting(self) -> Array:
+        """Return the commands that act at each sample (m, actuators)."""
+        if not self.delay:
+            return self.commands
+        first = np.repeat(self.commands[:1], self.delay, axis=0)
+        return np.concatenate([first, self.commands[: -self.delay]])
+
+    def __len__(self) -> int:
+        return len(self.readings)
+
+    def first(self, seconds: float) -> Data:
+        """Return the first part of the record."""
+        count = round(seconds * self.rate)
+        return replace(self, commands=self.commands[:count], readings=self.readings[:count])
+
+    def windows(self, seconds: float) -> list[Data]:
+        """Return the record in pieces of about so many seconds, each long enough to begin a piece by itself."""
+        count = max(1, round(len(self) / (seconds * self.rate)))
+        bounds = [len(self) * i // count for i in range(count + 1)]
+        acting = self.acting
+        return [
+            replace(self, commands=acting[a:b], readings=self.readings[a:b], delay=0)
+            for a, b in itertools.pairwise(bounds)
+        ]
+
+
+def _columns(recording: Recording, prefix: str, names: Sequence[str], where: str) -> Array:
+    found = []
+    for name in names:
+        column = next((c for c in (f"{prefix}.{name}", name) if c in recording.columns), None)
+        if column is None:
+            raise RecordError(
+                f"{where}: there is no column {prefix}.{name} or {name}; {nearest(name, list(recording.columns))}"
+            )
+        found.append(np.asarray(recording[column], dtype=float))
+    return np.ascontiguousarray(np.array(found).T)
+
+
+def _rate(t: Array, name: str) -> float:
+    """Return the samples per second of a steady clock."""
+    if len(t) < 4:
+        raise RecordError(f"{name}: it has {len(t)} samples; give a longer record")
+    steps = np.diff(t)
+    period = float(np.median(steps))
+    back = np.flatnonzero(steps <= 0.0)
+    if len(back):
+        raise RecordError(f"{name}: time goes back after t = {t[back[0]]:g} s; give records of different clocks apart")
+    gaps = np.flatnonzero(steps > 1.5 * period)
+    if len(gaps):
+        at, lacking = gaps[0], round(float(steps[gaps[0]]) / period) - 1
+        raise RecordError(
+            f"{name}: {lacking} samples are missing after t = {t[at]:g} s, and there are {len(gaps)} such gaps; cut "
+            "the record there, and give the parts as records of their own"
+        )
+    off = np.flatnonzero(np.abs(steps - period) > max(_STEADY * period, 4e-16 * float(np.abs(t).max())))
+    if len(off):
+        raise RecordError(
+            f"{name}: samples are {period:g} s apart, but {steps[off[0]]:g} s after t = {t[off[0]]:g} s: two clocks; "
+            "resample it to one, or give the parts as records of their own"
+        )
+    return (len(t) - 1) / float(t[-1] - t[0])

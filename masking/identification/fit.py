@@ -1,0 +1,375 @@
+"""Fit: parameters of a twin that reproduce its records best, with how well they are known.
+
+Sensors are simulated over each record and compared with what they read: output error, by the Levenberg-Marquardt method
+with derivatives from the equations. The initial state of each record is estimated too. Cut into windows, each with an
+initial state of its own, a record is fitted even where the simulation of the whole would leave it.
+Source: Ljung, System Identification (1999), chapters 7 to 10; Nocedal and Wright (2006), section 10.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from masking.errors import IntegrationError, ModelError, RecordError
+from masking.identification.data import Data
+from masking.kernels import Array
+from masking.loop import substeps_of
+from masking.sensitivity import Sensitivity
+from masking.twin import Twin
+
+Progress = Callable[[float], None]
+
+MOST_ROUNDS = 60
+CONVERGED = 1e-9  # part of the cost that a step may still take off
+REWEIGHTED = 3  # rounds in which the noise of each sensor is found from what is left
+FLAT = 1e-7  # eigenvalue of the scaled information below which a direction is not told by the record
+CLOSE = 0.99  # correlation from which two parameters are hardly told apart
+SLOPE_SAMPLES = 20  # readings that the first velocity is guessed from
+COARSE = 30.0  # s of the first record that the fit of a longer one begins with
+FEWEST = 5  # samples of each sensor for each unknown
+T_95 = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Parameters that reproduce records, and how well they are known.
+
+    Args:
+        twin: the plant with these parameters.
+        names: of the parameters.
+        values: in the units in which they are declared (k,).
+        covariance: of the values (k, k).
+        sigma: standard deviation of what is left in each reading (sensors,).
+        chi: relative error of each sensor in the records together, by name.
+        floor: chi that the noise of the record alone makes, by name.
+        validation: chi in records that were not fitted, by name; empty where there are none.
+        rounds: of the method.
+        notes: what must be known to trust the values.
+    """
+
+    twin: Twin
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    sigma: Array
+    chi: dict[str, float]
+    floor: dict[str, float]
+    validation: dict[str, float] = field(default_factory=dict)
+    rounds: int = 0
+    notes: tuple[str, ...] = ()
+
+    @property
+    def std(self) -> Array:
+        """Return the standard deviation of each value (k,)."""
+        found: Array = np.sqrt(np.diag(self.covariance))
+        return found
+
+    @property
+    def intervals(self) -> Array:
+        """Return the 95 % confidence intervals (k, 2)."""
+        half = T_95 * self.std
+        return np.array([self.values - half, self.values + half]).T
+
+    @property
+    def correlation(self) -> Array:
+        """Return the correlation of the values (k, k)."""
+        std = np.maximum(self.std, 1e-300)
+        return self.covariance / np.outer(std, std)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fit as JSON can hold it."""
+        pairs = zip(self.names, self.values, self.std, strict=True)
+        return {
+            "parameters": {name: {"value": float(value), "std": float(std)} for name, value, std in pairs},
+            "chi": {"train": self.chi, "validation": self.validation},
+            "floor": self.floor,
+            "notes": list(self.notes),
+        }
+
+    def __str__(self) -> str:
+        width = max(map(len, self.names), default=0)
+        rows = [
+            f"  {name:{width}}  {value:<12.6g} +- {T_95 * std:.2g}"
+            for name, value, std in zip(self.names, self.values, self.std, strict=True)
+        ]
+        told = [f"chi {', '.join(f'{name} {value:.3g}' for name, value in self.chi.items())}"]
+        if self.validation:
+            told.append(f"on unseen data {', '.join(f'{n} {v:.3g}' for n, v in self.validation.items())}")
+        told.append(f"the noise alone {', '.join(f'{name} {value:.3g}' for name, value in self.floor.items())}")
+        return "\n".join([*rows, "; ".join(told), *self.notes])
+
+
+def fit(
+    twin: Twin,
+    records: Data | Sequence[Data],
+    names: Sequence[str],
+    *,
+    validation: Data | Sequence[Data] = (),
+    horizon: float | None = None,
+    progress: Progress | None = None,
+) -> Fit:
+    """Fit parameters of a twin to records.
+
+    Args:
+        twin: the plant, with the values to begin from.
+        records: one or several.
+        names: of the parameters, as `Twin.parameter_names` has them.
+        validation: records that the fit is judged by.
+        horizon: seconds of the windows into which records are cut at first; none by default.
+        progress: called with the part done.
+
+    Raises:
+        ModelError: a parameter is not known or named twice.
+        RecordError: the records are too short for so many parameters.
+        IntegrationError: the motion is not finite with the values to begin from; a shorter horizon may help.
+    """
+    records, unseen = _several(records), _several(validation)
+    if len(set(names)) < len(names):
+        raise ModelError(
+            f"parameters are named twice: {', '.join(sorted({n for n in names if list(names).count(n) > 1}))}"
+        )
+    sensitivity = Sensitivity(twin, tuple(names))
+    theta = sensitivity.start()
+    stages = [[window for record in records for window in record.windows(horizon)]] if horizon else []
+    if not horizon and records and len(records[0]) > 2 * COARSE * records[0].rate:
+        stages.append([records[0].first(COARSE)])
+    stages.append(list(records))
+    told = [0.0]
+
+    def tell(part: float) -> None:
+        told[0] = max(told[0], part)
+        if progress is not None:
+            progress(told[0])
+
+    problem = None
+    for number, pieces in enumerate(stages):
+        problem = _Problem(sensitivity, pieces)
+        theta = problem.solve(theta, _part(tell, number, len(stages)))
+    assert problem is not None  # noqa: S101  # there is at least one stage
+    made = problem.result(theta)
+    judged = {}
+    if unseen:
+        check = _Problem(Sensitivity(made.twin, ()), list(unseen))
+        check.solve(np.empty(0), lambda part: None)
+        judged = check.chi()
+    tell(1.0)
+    return Fit(
+        made.twin, made.names, made.values, made.covariance, made.sigma, made.chi, made.floor, judged, made.rounds,
+        made.notes,
+    )  # fmt: skip
+
+
+def _several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
+    return (records,) if isinstance(records, Data) else tuple(records)
+
+
+def _part(tell: Progress, number: int, count: int) -> Progress:
+    """Return what tells of the part done of one of several stages."""
+    return lambda part: tell((number + part) / count)
+
+
+class _Problem:
+    """Records to be reproduced: the parameters are shared, the initial state is each record's own."""
+
+    def __init__(self, sensitivity: Sensitivity, pieces: list[Data]) -> None:
+        self.sensitivity, self.pieces = sensitivity, pieces
+        self.k = len(sensitivity.names)
+        self.moving = 2 * len(sensitivity.twin.model.coordinates)  # states that are estimated: the others begin at rest
+        sensors, samples = len(sensitivity.twin.sensors), sum(map(len, pieces))
+        unknown = self.k + self.moving * len(pieces)
+        if samples * sensors < FEWEST * unknown:
+            raise RecordError(
+                f"{samples} samples of {sensors} sensors are too few for {unknown} unknowns ({self.k} parameters, and "
+                f"{self.moving} of the initial state for each of {len(pieces)} pieces); give longer records, or fewer "
+                "parameters"
+            )
+        self.substeps = [substeps_of(sensitivity.twin, piece.rate) for piece in pieces]
+        self.acting = [piece.acting for piece in pieces]
+        self.starts = [self._guess(piece) for piece in pieces]
+        noise = np.array([piece.noise for piece in pieces])
+        declared = np.array([sensitivity.twin.noise().get(name, 0.0) for name in sensitivity.twin.sensors])
+        self.sigma = np.where(declared > 0.0, declared, np.sqrt((noise**2).mean(axis=0)))
+        self.sigma = np.where(self.sigma > 0.0, self.sigma, 1e-9 * self._size())
+        self.rounds = 0
+        self.bounds = sensitivity.bounds()
+        self.squares = np.zeros(sensors)
+
+    def _size(self) -> Array:
+        mean = np.mean([np.mean(piece.readings**2, axis=0) for piece in self.pieces], axis=0)
+        return np.asarray(np.maximum(np.sqrt(mean), 1e-300))
+
+    def _guess(self, piece: Data) -> Array:
+        """Return a first guess of a piece's initial state: positions and velocities from the first readings."""
+        twin, n = self.sensitivity.twin, len(self.sensitivity.twin.model.coordinates)
+        count = min(SLOPE_SAMPLES, len(piece))
+        t = np.arange(count) / piece.rate
+        rest = twin.rest(np.zeros(n))
+        told = np.empty(len(twin.sensors))
+        none, p = np.zeros(len(twin.sensors)), twin.values()
+        twin.kernels.sense(0.0, rest, p, none, told)
+        sensing = np.empty((len(told), n))
+        for i, length in enumerate(self._lengths()):
+            at, read = rest.copy(), np.empty(len(told))
+            at[i] = length
+            twin.kernels.sense(0.0, at, p, none, read)
+            sensing[:, i] = (read - told) / length
+        slope, start = np.polyfit(t, piece.readings[:count] - told, 1) if count > 1 else (0.0 * told, piece.readings[0])
+        inverse = np.linalg.pinv(sensing)
+        rest[:n], rest[n : 2 * n] = inverse @ start, inverse @ slope
+        return rest
+
+    def _lengths(self) -> Array:
+        model = self.sensitivity.twin.model
+        return np.array([1e-3 * model.units.size(c.unit, {}) for c in model.declaration.coordinates.values()])
+
+    def equations(
+        self, theta: Array, starts: list[Array]
+    ) -> tuple[Array, Array, list[tuple[Array, Array, Array]], Array]:
+        """Return matrix (k, k) and gradient (k,) of the parameters, what each piece adds, and the sums of squares."""
+        k, m = self.k, self.moving
+        matrix, gradient = np.zeros((k, k)), np.zeros(k)
+        own, squares, weights = [], np.zeros(len(self.sigma)), self.sigma**-2
+        basis = self.sensitivity.basis(theta)
+        for piece, acting, start, substeps in zip(self.pieces, self.acting, starts, self.substeps, strict=True):
+            found = self.sensitivity.normal_equations(
+                basis, start, acting, piece.readings, weights, rate=piece.rate, substeps=substeps
+            )
+            matrix += found.matrix[:k, :k]
+            gradient += found.gradient[:k]
+            own.append((found.matrix[k : k + m, k : k + m], found.matrix[k : k + m, :k], found.gradient[k : k + m]))
+            squares += found.squares
+        return matrix, gradient, own, squares
+
+    def solve(self, theta: Array, tell: Progress) -> Array:
+        """Return the parameters (k,) that reproduce the records best; keeps the initial states."""
+        for again in range(REWEIGHTED):
+            theta, settled = self._minimise(theta, _part(tell, again, REWEIGHTED))
+            before, samples = self.sigma, sum(map(len, self.pieces))
+            self.sigma = np.maximum(np.sqrt(self.squares / samples), 1e-12 * self._size())
+            if settled and np.allclose(self.sigma, before, rtol=0.02):
+                break
+        return theta
+
+    def _minimise(self, theta: Array, tell: Progress) -> tuple[Array, bool]:
+        damping, starts = 1e-3, self.starts
+        matrix, gradient, own, squares = self.equations(theta, starts)
+        cost = float((squares / self.sigma**2).sum())
+        for number in range(MOST_ROUNDS):
+            self.rounds += 1
+            tell(number / MOST_ROUNDS)
+            step, steps, gain = self._step(matrix, gradient, own, damping)
+            moved = [
+                start + np.concatenate([s, np.zeros(len(start) - self.moving)])
+                for start, s in zip(starts, steps, strict=True)
+            ]
+            try:
+                farther = self._within(theta, step)
+                tried = self.equations(farther, moved)
+                new = float((tried[3] / self.sigma**2).sum())
+            except (IntegrationError, ModelError):
+                new = np.inf
+            if not new < cost:
+                if gain < CONVERGED * cost or damping > 1e12:
+                    break
+                damping *= 10.0
+                continue
+            theta, starts, taken = farther, moved, cost - new
+            (matrix, gradient, own, squares), cost = tried, new
+            damping = max(damping / 10.0, 1e-12)
+            if taken < CONVERGED * cost:
+                break
+        self.starts, self.squares, self.last = starts, squares, (matrix, own)
+        return theta, number < MOST_ROUNDS - 1
+
+    def _within(self, theta: Array, step: Array) -> Array:
+        """Return the parameters after a step that goes no more than half-way to a bound."""
+        low, high = self.bounds
+        return np.clip(theta + step, np.where(np.isfinite(low), 0.5 * (theta + low), low),
+                       np.where(np.isfinite(high), 0.5 * (theta + high), high))  # fmt: skip
+
+    def _step(
+        self, matrix: Array, gradient: Array, own: list[tuple[Array, Array, Array]], damping: float
+    ) -> tuple[Array, list[Array], float]:
+        """Return the steps of parameters and initial states, and what they should take off the cost."""
+        matrix = matrix + damping * np.diag(np.diag(matrix))
+        rest, right = matrix.copy(), gradient.copy()
+        inverses = []
+        for square, cross, slope in own:
+            inverse = np.linalg.pinv(square + damping * np.diag(np.diag(square)), hermitian=True)
+            inverses.append(inverse)
+            rest -= cross.T @ inverse @ cross
+            right -= cross.T @ inverse @ slope
+        step = _solve(rest, right)
+        steps = [inverse @ (slope - cross @ step) for inverse, (_, cross, slope) in zip(inverses, own, strict=True)]
+        gain = float(gradient @ step + sum(slope @ s for (_, _, slope), s in zip(own, steps, strict=True)))
+        return step, steps, gain
+
+    def information(self) -> Array:
+        """Return the information on the parameters (k, k), initial states unknown."""
+        matrix, own = self.last
+        rest = matrix.copy()
+        for square, cross, _ in own:
+            rest -= cross.T @ np.linalg.pinv(square, hermitian=True) @ cross
+        return rest
+
+    def chi(self) -> dict[str, float]:
+        """Return the relative error of each sensor over all records."""
+        total = np.sum([np.sum(piece.readings**2, axis=0) for piece in self.pieces], axis=0)
+        return dict(
+            zip(
+                self.sensitivity.twin.sensors,
+                map(float, np.sqrt(self.squares / np.maximum(total, 1e-300))),
+                strict=True,
+            )
+        )
+
+    def floor(self) -> dict[str, float]:
+        """Return the relative error that the noise of the records alone makes."""
+        total = np.sum([np.sum(piece.readings**2, axis=0) for piece in self.pieces], axis=0)
+        noise = np.sum([len(piece) * piece.noise**2 for piece in self.pieces], axis=0)
+        return dict(
+            zip(self.sensitivity.twin.sensors, map(float, np.sqrt(noise / np.maximum(total, 1e-300))), strict=True)
+        )
+
+    def result(self, theta: Array) -> Fit:
+        """Return the fit."""
+        # The last equations had the noise of the round before.
+        matrix, _, own, self.squares = self.equations(theta, self.starts)
+        self.last = matrix, own
+        information = self.information()
+        names = self.sensitivity.names
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+        kept = np.where(values > FLAT, values, np.inf)
+        covariance = (vectors / kept) @ vectors.T / np.outer(scale, scale)
+        notes = [_flat(names, vectors[:, i]) for i in np.flatnonzero(values <= FLAT)]
+        correlation = covariance / np.sqrt(np.maximum(np.outer(np.diag(covariance), np.diag(covariance)), 1e-300))
+        notes += [
+            f"{names[i]} and {names[j]} are hardly told apart: their correlation is {correlation[i, j]:.3f}"
+            for i in range(len(names))
+            for j in range(i)
+            if abs(correlation[i, j]) > CLOSE and not notes
+        ]
+        twin = self.sensitivity.twin_with(dict(zip(names, map(float, theta), strict=True)))
+        return Fit(twin, names, theta, covariance, self.sigma, self.chi(), self.floor(), {}, self.rounds, tuple(notes))
+
+
+def _flat(names: tuple[str, ...], direction: Array) -> str:
+    """Say which parameters a flat direction makes up."""
+    strong = [name for name, part in zip(names, direction, strict=True) if abs(part) > 0.1 * np.abs(direction).max()]
+    if len(strong) == 1:
+        return f"these records do not tell {strong[0]}; excite what it belongs to, or leave it out"
+    told = f"{', '.join(strong[:-1])} and {strong[-1]}"
+    return f"{told} cannot be told apart from these records; fix one of them, or give records that excite each"
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    if not len(right):
+        return right
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    found = np.linalg.lstsq(matrix / np.outer(scale, scale), right / scale, rcond=1e-14)[0]
+    return np.asarray(found / scale)

@@ -1,0 +1,208 @@
+"""Fits: parameters that were hidden are found, as far off as is said; records that tell nothing are refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.optimize import least_squares
+
+from masking.declaration import schema
+from masking.errors import ModelError, RecordError
+from masking.identification.data import Data
+from masking.identification.fit import fit
+from masking.recording import Recording
+from masking.sensitivity import Sensitivity
+from masking.twin import Twin
+
+RATE = 500.0
+ALL = ("w1", "z1", "w2", "z2", "w3", "z3", "c1", "c2", "c3", "mu1", "mu2")
+
+
+def sines(seconds, seed=0, size=(0.04, 0.04, 0.25), rate=RATE):
+    """Return three sums of sines (samples, 3), V, from 0.3 to 6 Hz."""
+    generator = np.random.default_rng(seed)
+    t = np.arange(round(seconds * rate)) / rate
+    lines = 2 * np.pi * np.linspace(0.3, 6.0, 20)
+    waves = [np.sin(lines * t[:, None] + generator.uniform(0, 7, 20)).sum(axis=1) / np.sqrt(20) for _ in size]
+    return np.array(waves).T * size
+
+
+def recorded(twin, commands, *, noise=1e-3, seed=0, start=None, rate=RATE, name="the record"):
+    """Return what a twin reads under commands, with white noise; it begins at rest unless told otherwise."""
+    start = twin.rest(np.zeros(3)) if start is None else start
+    made = Data(name, rate, commands, np.zeros((len(commands), 3)), twin.delay)
+    clean = Sensitivity(twin, ()).simulate(np.empty(0), start, made.acting, rate=rate, substeps=2)
+    return replace(made, readings=clean + noise * np.random.default_rng(seed).standard_normal(clean.shape))
+
+
+@pytest.fixture(scope="module")
+def linear():
+    return Twin.load("linear_rig")
+
+
+@pytest.fixture(scope="module")
+def far(linear):
+    """The same with every parameter off by up to 10 %."""
+    off = 1.0 + 0.1 * np.random.default_rng(1).uniform(-1.0, 1.0, len(ALL))
+    return linear.with_parameters({n: linear.parameter_value(n) * f for n, f in zip(ALL, off, strict=True)})
+
+
+@pytest.fixture(scope="module")
+def repeats(linear, far):
+    """Return the truth, and 24 fits of eleven parameters to records that differ by their noise."""
+    commands = sines(20.0)
+    truth = np.array([linear.parameter_value(name) for name in ALL])
+    return truth, [fit(far, recorded(linear, commands, seed=seed), ALL) for seed in range(24)]
+
+
+def test_eleven_parameters_are_found(repeats):
+    truth, fits = repeats
+    off = np.array([found.values / truth - 1.0 for found in fits])
+    assert np.abs(off).max() < 5e-3
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(repeats):
+    """Of 264 intervals of 95 %, fewer than 238 would be a chance of 1 in 1000, and an error of 1.5 deviations."""
+    truth, fits = repeats
+    inside = [(f.intervals[:, 0] <= truth) & (truth <= f.intervals[:, 1]) for f in fits]
+    assert np.sum(inside) >= stats.binom.ppf(1e-3, np.size(inside), 0.95)
+    errors = np.array([(found.values - truth) / found.std for found in fits])
+    np.testing.assert_allclose(np.sqrt((errors**2).mean()), 1.0, atol=0.15)
+
+
+def test_what_is_left_is_the_noise(repeats):
+    for found in repeats[1]:
+        np.testing.assert_allclose(found.sigma, 1e-3, rtol=0.05)
+        for name, floor in found.floor.items():
+            assert found.chi[name] == pytest.approx(floor, rel=0.05)
+        assert found.notes == ()
+
+
+def test_it_is_the_optimum_of_an_independent_solver(linear, far):
+    """Against scipy's least squares with numerical derivatives, from the same start."""
+    names = ("w1", "z2", "c3")
+    start = linear.with_parameters({name: far.parameter_value(name) for name in names})
+    record = recorded(linear, sines(4.0))
+    found = fit(start, record, names)
+    sensitivity, scale = Sensitivity(start, names), np.array([1.0] * 3 + [1e-3] * 3 + [1e-2] * 3)
+
+    def residuals(x):
+        y = np.concatenate([x[3:] * scale[3:]])
+        simulated = sensitivity.simulate(x[:3], y, record.acting, rate=RATE, substeps=2)
+        return ((record.readings - simulated) / found.sigma).ravel()
+
+    theirs = least_squares(residuals, [*sensitivity.start(), *np.zeros(6)], x_scale="jac", xtol=1e-12, ftol=1e-14)
+    np.testing.assert_allclose(found.values, theirs.x[:3], rtol=1e-6)
+    covariance = np.linalg.inv(theirs.jac.T @ theirs.jac)
+    np.testing.assert_allclose(found.std, np.sqrt(np.diag(covariance))[:3], rtol=1e-3)
+
+
+def test_several_records_are_fitted_together_and_an_unseen_one_judges(linear, far):
+    records = [recorded(linear, sines(6.0, seed=i), seed=i, name=f"record {i}") for i in (1, 2)]
+    unseen = recorded(linear, sines(6.0, seed=3), seed=3)
+    both = fit(far, records, ALL, validation=unseen)
+    one = fit(far, records[0], ALL)
+    assert (both.std < one.std).all()
+    for name, floor in both.floor.items():
+        assert both.validation[name] < 1.5 * floor
+    assert fit(far, records[0], ("w1",), validation=unseen).validation["s1"] > 5 * both.validation["s1"]
+
+
+def test_free_motion_from_an_unknown_state_tells_parameters(linear, far):
+    start = linear.rest(np.array([2e-3, -1e-3, 1e-3]))
+    start[3:6] = 0.01, 0.02, -0.01
+    record = recorded(linear, np.zeros((3000, 3)), start=start, noise=1e-4)
+    names = ("w1", "z1", "w2", "z2", "w3", "z3", "mu1", "mu2")
+    begun = linear.with_parameters({name: far.parameter_value(name) for name in names})
+    found = fit(begun, record, names)
+    truth = np.array([linear.parameter_value(name) for name in names])
+    assert (np.abs(found.values - truth) < 4.5 * found.std).all()
+
+
+def test_windows_lead_where_the_whole_record_would_not(linear):
+    """Frequencies that are 60 % off put the simulation out of step with all but the first second."""
+    record = recorded(linear, sines(20.0, size=(0.05, 0.05, 0.3)))
+    wrong = linear.with_parameters({"w1": 20.0, "w2": 9.0, "w3": 16.0, "z1": 0.05, "z2": 0.05})
+    found = fit(wrong, record, ("w1", "z1", "w2", "z2", "w3"), horizon=0.5)
+    truth = np.array([linear.parameter_value(name) for name in found.names])
+    np.testing.assert_allclose(found.values, truth, rtol=5e-3)
+
+
+def test_effects_of_the_full_twin_are_found():
+    """Dry friction, a gain of an actuator and the offset of a sensor, with all else as it is."""
+    twin = Twin.load("tue_rig")
+    truth = {"friction1_fc": 1.2 * twin.parameter_value("friction1_fc"), "weak_gain_e": -0.05, "offset_s3_e0": 0.02}
+    record = recorded(twin.with_parameters(truth), sines(10.0, size=(0.1, 0.1, 0.3)), rate=RATE)
+    found = fit(twin, record, tuple(truth))
+    assert (np.abs(found.values - list(truth.values())) < 5 * found.std + 1e-4).all()
+
+
+# What cannot be told.
+
+
+def test_parameters_that_only_act_together_are_named(linear):
+    """Oscillator 1 is damped by 2 z1 w1, and by an effect with a coefficient of its own."""
+    twin = linear.changed({"damping1": schema.EffectChange(enabled=True, parameters={"c": 0.4})})
+    (note,) = fit(twin, recorded(twin, sines(6.0)), ("w1", "z1", "damping1_c")).notes
+    assert note.startswith("z1 and damping1_c cannot be told apart from these records; fix one of them")
+
+
+def test_a_parameter_that_is_not_excited_is_named(linear):
+    record = recorded(linear, sines(6.0, size=(0.04, 0.04, 0.0)))
+    still = replace(record, commands=record.commands * [1.0, 0.0, 0.0])
+    (note,) = fit(linear, recorded(linear, still.commands), ("w1", "c2")).notes
+    assert note.startswith("these records do not tell c2")
+
+
+def test_a_parameter_named_twice_is_refused(linear):
+    with pytest.raises(ModelError, match="parameters are named twice: w1"):
+        fit(linear, recorded(linear, sines(1.0)), ("w1", "z1", "w1"))
+
+
+def test_a_record_that_is_too_short_is_refused(linear):
+    with pytest.raises(
+        RecordError, match=r"20 samples of 3 sensors are too few for 17 unknowns \(11 parameters, and 6 of"
+    ):
+        fit(linear, recorded(linear, sines(0.04)), ALL)
+
+
+def saved(t, columns=None, **changes):
+    """Return a recording of the rig's six channels, with some of them changed."""
+    generator = np.random.default_rng(0)
+    names = ("input.V1", "input.V2", "input.V3", "sensor.s1", "sensor.s2", "sensor.s3")
+    made = {"t": t, **{name: generator.standard_normal(len(t)) for name in names}}
+    made |= {name.replace("_", "."): values for name, values in changes.items()}
+    return Recording({name: values for name, values in made.items() if values is not None}, {})
+
+
+T = np.arange(1000) / 500.0
+
+
+def test_columns_are_found_by_their_names(linear):
+    found = Data.of(saved(T), linear)
+    assert found.rate == pytest.approx(500.0, rel=1e-12)
+    np.testing.assert_array_equal(found.readings[:, 1], saved(T)["sensor.s2"])
+    np.testing.assert_array_equal(found.acting[1:], found.commands[:-1])
+
+
+GAP = np.concatenate([T[:400], T[417:]])
+CLOCKS = np.concatenate([T[:500], T[499] + np.arange(1, 501) / 400.0])
+
+
+@pytest.mark.parametrize(
+    ("t", "changes", "said"),
+    [
+        (T, {"sensor_s2": None}, r"there is no column sensor\.s2 or s2; allowed: t, input"),
+        (T, {"sensor_s2": np.where(T == 1.0, np.nan, 0.1)}, r"sensor\.s2' is nan in row 500"),
+        (GAP, {}, r"17 samples are missing after t = 0\.798 s, and there are 1 such gaps; cut the record there"),
+        (CLOCKS, {}, r"samples are 0\.00[0-9]* s apart, but 0\.00[0-9]* s after t = .*: two clocks"),
+        (np.concatenate([T, T]), {}, r"must increase strictly: row 1000 is 0 after 1\.998"),
+        (T[:3], {}, r"it has 3 samples; give a longer record"),
+        (T, {f"{kind}_{name}": np.full(len(T), 0.2) for kind, names in (("input", ("V1", "V2", "V3")),
+             ("sensor", ("s1", "s2", "s3"))) for name in names}, r"nothing moves: the commands are constant"),
+    ],
+)  # fmt: skip
+def test_a_record_that_cannot_be_fitted_is_refused(linear, t, changes, said):
+    with pytest.raises(RecordError, match=said):
+        Data.of(saved(t, **changes), linear)
