@@ -142,7 +142,7 @@ class Sensitivity:
         sensed = [*lowered.readings, *jacobian("jy", readings, y, at), *jacobian("jp", readings, p, columns)]
         module.add("sensed(t, y, p, noise, s, jy, jp)", graph, sensed, loads)
         self.twin.add_to(module)
-        module.add_kernel(SIMULATE, "", (5, self.states + len(readings)))
+        module.add_kernel(SIMULATE, "", (6, self.states + len(readings)))
         sizes = {"states": self.states, "coordinates": len(self.twin.model.coordinates)}
         text = NORMAL.format(**sizes, affected=len(p), sensors=len(readings))
         width = max(self.states + len(self.names), len(p), len(readings), len(self.twin.actuators))
@@ -214,7 +214,8 @@ class Sensitivity:
 SIMULATE = """
 @compiled
 def simulate(count, dt, substeps, y, p, commands, readings, work):
-    noise = np.zeros(readings.shape[1])
+    noise = work[5][: readings.shape[1]]
+    noise[:] = 0.0
     for index in range(count):
         sense(index * dt, y, p, noise, readings[index])
         advance(index * dt, y, commands[index], p, dt, substeps, work)

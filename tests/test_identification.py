@@ -9,8 +9,10 @@ from scipy.optimize import least_squares
 
 from masking.declaration import schema
 from masking.errors import ModelError, RecordError
+from masking.experiment import Experiment
 from masking.identification.data import Data
 from masking.identification.fit import fit
+from masking.identification.written import save
 from masking.recording import Recording
 from masking.sensitivity import Sensitivity
 from masking.twin import Twin
@@ -206,3 +208,35 @@ CLOCKS = np.concatenate([T[:500], T[499] + np.arange(1, 501) / 400.0])
 def test_a_record_that_cannot_be_fitted_is_refused(linear, t, changes, said):
     with pytest.raises(RecordError, match=said):
         Data.of(saved(t, **changes), linear)
+
+
+# What is written.
+
+
+def test_what_is_written_runs_and_has_the_values(linear, far, tmp_path):
+    record = recorded(linear, sines(6.0))
+    found = fit(far, record, ("w1", "z1", "c3"))
+    paths = save(found, tmp_path / "out")
+    twin = Twin.load(paths["plant"])
+    twin.validate()
+    for name, value, std in zip(found.names, found.values, found.std, strict=True):
+        assert twin.parameter_value(name) == pytest.approx(value, rel=1e-9)
+        assert twin.base.parameters[name].std == pytest.approx(std, rel=1e-9)
+    controller = {"rate": "1 kHz", "model": str(paths["model"]), "observer": "disturbance"}
+    experiment = Experiment.load("duffing", plant="linear_rig").changed(controller=controller, duration=20, record=None)
+    assert max(experiment.run().manifest["fidelity"].values()) < 0.01
+
+
+def test_effects_that_were_fitted_are_written_where_they_sit(tmp_path):
+    twin = Twin.load("tue_rig")
+    record = recorded(twin, sines(4.0, size=(0.1, 0.1, 0.3)))
+    found = fit(twin, record, ("friction1_fc", "strong_gain_V1_e", "offset_s2_e0"))
+    made = Twin.load(save(found, tmp_path)["plant"])
+    made.validate()
+    values = dict(zip(found.names, found.values, strict=True))
+    assert made.parameter_value("friction1_fc") == pytest.approx(values["friction1_fc"], rel=1e-8)
+    gains = {effect.at: made._value(effect, "e") for effect in made.effects if effect.kind == "actuator_gain"}
+    assert gains == pytest.approx({"V1": values["strong_gain_V1_e"], "V2": -0.03, "V3": 0.03}, rel=1e-8)
+    offsets = {effect.at: made._value(effect, "e0") for effect in made.effects if effect.kind == "sensor_offset"}
+    assert offsets == pytest.approx({"s1": 5e-4, "s2": values["offset_s2_e0"], "s3": 5e-4}, rel=1e-8)
+    assert [e.label for e in made.effects if e.kind == "noise"] == ["noise_s1", "noise_s2", "noise_s3"]

@@ -130,12 +130,16 @@ class Input(Block):
 
 
 class Parameter(Block):
-    """A number with a name, or an expression over other parameters; `bounds` are the least and the largest value."""
+    """A number with a name, or an expression over other parameters; `bounds` are the least and the largest value.
+
+    `std` is the standard deviation of a value that was identified, in its unit.
+    """
 
     value: Value
     unit: TextField = "1"
     meaning: TextField = ""
     bounds: tuple[Number | None, Number | None] = (None, None)
+    std: Positive | None = None
 
 
 class Output(Block):

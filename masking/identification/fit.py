@@ -72,13 +72,15 @@ class Fit:
     def intervals(self) -> Array:
         """Return the 95 % confidence intervals (k, 2)."""
         half = T_95 * self.std
-        return np.array([self.values - half, self.values + half]).T
+        found: Array = np.array([self.values - half, self.values + half]).T
+        return found
 
     @property
     def correlation(self) -> Array:
         """Return the correlation of the values (k, k)."""
         std = np.maximum(self.std, 1e-300)
-        return self.covariance / np.outer(std, std)
+        found: Array = self.covariance / np.outer(std, std)
+        return found
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fit as JSON can hold it."""
