@@ -12,6 +12,7 @@ ROWS = (
     {"errors", "status"},
     {"declaration", "parquet", "dop853", "linear"},
     {"recording", "scales", "fidelity", "integrate"},
+    {"signals"},
     {"sampling"},
     {"compile"},
     {"kernels"},
@@ -23,6 +24,7 @@ ROWS = (
     {"controller", "instruments", "sensitivity"},
     {"closed_loop", "sampled"},
     {"loop"},
+    {"identification"},
     {"plants"},
     {"realtime"},
     {"synchronisation"},
@@ -43,7 +45,6 @@ ROWS = (
 # A run and its study meet in the file on disk: only the verbs and the command line know both.
 ONLINE = {
     "blocks",
-    "twin",
     "observer",
     "instruments",
     "controller",
