@@ -95,6 +95,14 @@ def _parser() -> argparse.ArgumentParser:
         action=argparse.BooleanOptionalAction,
         help="find out what limits the fidelity, by runs without each cause (default: where they take a few seconds)",
     )
+    identify = add(_identify, "identify", "fit parameters of a plant to recordings of it")
+    identify.add_argument("records", metavar="RECORD", nargs="+", help="folders of recordings")
+    identify.add_argument("--plant", metavar="PLANT", required=True, help="the plant that was recorded: a name or file")
+    identify.add_argument("--model", metavar="MODEL", help="fit this model instead of the plant's own")
+    identify.add_argument("--parameters", metavar="A,B", default="", help="what to fit (default: all of the equations)")
+    identify.add_argument("--validate", metavar="RECORD", action="append", default=[], help="judge by this recording")
+    identify.add_argument("--horizon", metavar="SECONDS", type=float, help="begin with windows of so many seconds")
+    identify.add_argument("--out", metavar="DIR", help="where to save (default: results/identified)")
     report = add(_report, "report", "write the report of a recording")
     report.add_argument("record", metavar="RECORD", help="the folder of a recording")
     report.add_argument("--out", metavar="DIR", help="where to write (default: beside the recording)")
@@ -269,6 +277,38 @@ def _created(folder: Path) -> str | None:
         return str(json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["created"])
     except (OSError, ValueError, KeyError):
         return None
+
+
+def _identify(chosen: argparse.Namespace) -> int:
+    out = Path(chosen.out or "results/identified")
+    bar = tqdm.tqdm(total=1.0, desc="fitting", delay=1.0, leave=False, disable=None, bar_format=BAR)
+
+    def progress(part: float) -> None:
+        bar.update(part - bar.n)
+
+    try:
+        found = verbs.identify(
+            *chosen.records,
+            plant=chosen.plant,
+            model=chosen.model,
+            parameters=[name.strip() for name in chosen.parameters.split(",") if name.strip()],
+            validation=chosen.validate,
+            horizon=chosen.horizon,
+            out=out,
+            progress=progress,
+        )
+    finally:
+        bar.close()
+    if chosen.json:
+        print(
+            json.dumps(
+                {**found.as_dict(), "model": str(out / "model.yaml"), "plant": str(out / "plant.yaml")}, indent=2
+            )
+        )
+    else:
+        print(found)
+        print(f"written: {out / 'model.yaml'}, {out / 'plant.yaml'}")
+    return 0
 
 
 def _report(chosen: argparse.Namespace) -> int:

@@ -16,6 +16,9 @@ from masking.status import MESSAGES, REACHED, SINGULAR
 
 Array = NDArray[np.float64]
 
+# The classical Runge-Kutta method errs by 1e-9 per radian when a radian takes this many steps.
+STEPS_PER_RADIAN = 50.0
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -131,3 +134,25 @@ class Kernels:
             raise SingularityError(MESSAGES[status], time, at, mend)
         where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
         raise IntegrationError(f"{MESSAGES[status]}, at t = {time:.6g} ({where})")
+
+
+def steps_between(slope: Callable[[Array, Array], None], state: Array, lengths: Array, rate: float) -> int:
+    """Return the steps of the classical Runge-Kutta method between samples that resolve the fastest motion at a state.
+
+    Args:
+        slope: writes dy/dt of a state into its second argument.
+        state: y (n,).
+        lengths: a size of each state (n,), for differences.
+        rate: samples per second.
+    """
+    size = len(state)
+    jacobian, ahead, behind = np.empty((size, size)), np.empty(size), np.empty(size)
+    for i, step in enumerate(1e-6 * lengths):
+        change = step * np.eye(size)[i]
+        slope(state + change, ahead)
+        slope(state - change, behind)
+        jacobian[:, i] = (ahead - behind) / (2.0 * step)
+    if not np.all(np.isfinite(jacobian)):
+        return 1
+    fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian))))
+    return max(1, int(np.ceil(STEPS_PER_RADIAN * fastest / rate)))

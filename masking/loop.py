@@ -12,18 +12,13 @@ import numpy as np
 from masking.closed_loop import ClosedLoop
 from masking.controller import Controller
 from masking.errors import IntegrationError, ModelError
-from masking.kernels import Array, Kernels
+from masking.kernels import Array, Kernels, steps_between
 from masking.sampled import SampledLoop
 from masking.status import NOT_FINITE, REACHED
-from masking.twin import Twin
 
 Progress = Callable[[float], None]
 
 PIECES = 100
-# The classical Runge-Kutta method errs by 1e-9 per radian when a radian takes this many steps.
-STEPS_PER_RADIAN = 50.0
-# A twin takes at least so many steps between samples: contacts and friction are not seen from its rest.
-TWIN_STEPS = 2
 INVERTIBLE = "choose a transform that is invertible, and that the actuators can follow, over the whole motion"
 
 
@@ -176,7 +171,7 @@ def run_twin(
     before = round(sampled.approach * rate) + sampled.delay
     samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
     rows = np.arange(0, samples, every)
-    y, first, substeps = twin.rest(start), 0.0, substeps_of(twin, rate)
+    y, first, substeps = twin.rest(start), 0.0, twin.substeps(rate)
     noise = generator.standard_normal((1, len(twin.sensors)))
     reading = np.empty(len(twin.sensors))
     twin.kernels.sense(-before / rate, y, p, noise[0], reading)
@@ -211,18 +206,6 @@ def run_twin(
     return TwinRun(rows / rate, states, estimates, readings, demanded, applied, power)
 
 
-def substeps_of(twin: Twin, rate: float) -> int:
-    """Return the integration steps between samples that resolve a twin's fastest motion at rest."""
-    p, u, size = twin.values(), np.zeros(len(twin.actuators)), len(twin.state_names)
-    lengths = np.array([twin.model.units.size(c.unit, {}) for c in twin.model.declaration.coordinates.values()])
-    state = twin.rest(np.zeros(len(lengths)))
-
-    def slope(y: Array, out: Array) -> None:
-        twin.kernels.twin_derivative(0.0, y, u, p, out)
-
-    return max(TWIN_STEPS, _steps(slope, state, np.resize(lengths, size), rate))
-
-
 def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:
     """Return the integration steps between samples that resolve the plant's fastest motion near a state."""
     p, u = loop.values(), np.zeros(len(loop.plant.inputs))
@@ -230,21 +213,7 @@ def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:
     def slope(y: Array, out: Array) -> None:
         loop.kernels.plant_derivative(0.0, y, u, p, out)
 
-    return _steps(slope, state, np.resize(loop.controller.lengths, len(state)), rate)
-
-
-def _steps(slope: Callable[[Array, Array], None], state: Array, lengths: Array, rate: float) -> int:
-    size = len(state)
-    jacobian, ahead, behind = np.empty((size, size)), np.empty(size), np.empty(size)
-    for i, step in enumerate(1e-6 * lengths):
-        change = step * np.eye(size)[i]
-        slope(state + change, ahead)
-        slope(state - change, behind)
-        jacobian[:, i] = (ahead - behind) / (2.0 * step)
-    if not np.all(np.isfinite(jacobian)):
-        return 1
-    fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian))))
-    return max(1, int(np.ceil(STEPS_PER_RADIAN * fastest / rate)))
+    return steps_between(slope, state, np.resize(loop.controller.lengths, len(state)), rate)
 
 
 class Mapped(Protocol):

@@ -22,7 +22,7 @@ from masking.declaration import registry, schema, units
 from masking.declaration.expression import Expression
 from masking.effects import EFFECTS, Attachment, Effect, attach_all, expressions
 from masking.errors import DeclarationError, Problem, nearest
-from masking.kernels import Array, Kernels
+from masking.kernels import Array, Kernels, steps_between
 from masking.lowering import LoweredEquations
 from masking.model import Model
 
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     import sympy as sp
 else:
     sp = lazy.load("sympy")
+
+
+# Between samples at least so many: contacts and friction are not seen from rest.
+FEWEST_STEPS = 2
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,20 @@ class Twin:
         """Load a plant and the model that it names; a packaged name or a file."""
         declaration = registry.load_plant(name_or_path)
         return cls(declaration, registry.load_model(declaration.model, registry.refer(declaration, "model")))
+
+    def as_model(self, name_or_path: str | Path) -> Twin:
+        """Return the plant with another model, and without the effects in its elements."""
+        base = registry.load_model(name_or_path)
+        kept = {k: e for k, e in self.declaration.effects.items() if EFFECTS[e.effect].where != "element"}
+        named = name_or_path if isinstance(name_or_path, str) else str(name_or_path)
+        plant = self.declaration.model_copy(update={"model": named, "effects": kept, "parameters": {}})
+        return Twin(plant, base)
+
+    def equation_parameters(self) -> tuple[str, ...]:
+        """Return the parameters of the model that its equations of motion hold, without those of effects."""
+        equations = self.model.equations
+        held = equations.mass.free_symbols | equations.force.free_symbols
+        return tuple(s.name for s in equations.symbols.p if s in held and s.name in self.base.parameters)
 
     def validate(self) -> None:
         """Refuse effects and wiring that do not fit the model.
@@ -269,6 +287,17 @@ class Twin:
         declared = self.declaration.sensors[sensor]
         factors = self.kernels.meta["factors"]
         return float(declared.gain.value * factors[declared.gain.unit] / factors[declared.unit])
+
+    def substeps(self, rate: float) -> int:
+        """Return the integration steps between samples that resolve the fastest motion at rest."""
+        p, u, model = self.values(), np.zeros(len(self.actuators)), self.model
+        lengths = np.array([model.units.size(c.unit, {}) for c in model.declaration.coordinates.values()])
+        state = self.rest(np.zeros(len(lengths)))
+
+        def slope(y: Array, out: Array) -> None:
+            self.kernels.twin_derivative(0.0, y, u, p, out)
+
+        return max(FEWEST_STEPS, steps_between(slope, state, np.resize(lengths, len(state)), rate))
 
     def size(self, unit: str) -> float:
         """Return the size in SI units of a unit that the plant file uses."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,17 +19,22 @@ if TYPE_CHECKING:
     from masking import feasibility as feasibilities
     from masking.declaration import registry
     from masking.declaration import schema as schemas
+    from masking.identification import data, written
+    from masking.identification import fit as fits
 else:  # each verb loads only what it needs
     budgets = lazy.load("masking.budget", suppress_warning=True)
+    data = lazy.load("masking.identification.data", suppress_warning=True)
     describe = lazy.load("masking.describe", suppress_warning=True)
     experiment = lazy.load("masking.experiment", suppress_warning=True)
     feasibilities = lazy.load("masking.feasibility", suppress_warning=True)
+    fits = lazy.load("masking.identification.fit", suppress_warning=True)
     model = lazy.load("masking.model", suppress_warning=True)
     recording = lazy.load("masking.recording", suppress_warning=True)
     registry = lazy.load("masking.declaration.registry", suppress_warning=True)
     reporting = lazy.load("masking.reporting", suppress_warning=True)
     schemas = lazy.load("masking.declaration.schema", suppress_warning=True)
     twin = lazy.load("masking.twin", suppress_warning=True)
+    written = lazy.load("masking.identification.written", suppress_warning=True)
 
 KINDS = ("model", "plant", "experiment")
 
@@ -157,6 +162,51 @@ def run(
         made.save(Path(out))
         reporting.report(made, out)
     return made
+
+
+def identify(
+    *records: str | Path,
+    plant: str | Path,
+    model: str | Path | None = None,
+    parameters: Sequence[str] = (),
+    validation: Sequence[str | Path] = (),
+    horizon: float | None = None,
+    out: str | Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> fits.Fit:
+    """Fit parameters of a plant to recordings of it.
+
+    Args:
+        records: folders of recordings, or parquet files, with `input.*` and `sensor.*` of the plant.
+        plant: a plant file, or a packaged plant: its sensors, actuators, wiring and delay, and what is to be fitted.
+        model: a model that takes the place of the plant's own and of the effects in its elements.
+        parameters: what to fit: parameters of the model, and of effects as `<effect>_<parameter>`; all that the
+            equations of the model hold where none are given.
+        validation: recordings that are not fitted, and judge the fit.
+        horizon: seconds of the windows into which recordings are cut at first.
+        out: folder to save `model.yaml`, `plant.yaml` and `fit.json` in; nothing is saved where none is given.
+        progress: called with the part done.
+
+    Raises:
+        MaskingError: a declaration, a name or a recording is wrong; says what to do about it.
+    """
+    if not records:
+        raise RecordError("give at least one recording to fit")
+    if out is not None:
+        check_folder(out)
+    wanted = twin.Twin.load(plant) if model is None else twin.Twin.load(plant).as_model(model)
+    wanted.validate()
+
+    def read(paths: Sequence[str | Path]) -> tuple[data.Data, ...]:
+        return tuple(data.Data.of(recording.Recording.load(Path(path)), wanted, str(path)) for path in paths)
+
+    found = fits.fit(
+        wanted, read(records), parameters or wanted.equation_parameters(), validation=read(validation), horizon=horizon,
+        progress=progress,
+    )  # fmt: skip
+    if out is not None:
+        written.save(found, out)
+    return found
 
 
 def report(record: str | Path, out: str | Path | None = None) -> reporting.Report:

@@ -1,5 +1,6 @@
 """Fits: parameters that were hidden are found, as far off as is said; records that tell nothing are refused."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 from scipy import stats
 from scipy.optimize import least_squares
 
-from masking.declaration import schema
+from masking import cli
+from masking.declaration import registry, schema
 from masking.errors import ModelError, RecordError
 from masking.experiment import Experiment
 from masking.identification.data import Data
@@ -240,3 +242,58 @@ def test_effects_that_were_fitted_are_written_where_they_sit(tmp_path):
     offsets = {effect.at: made._value(effect, "e0") for effect in made.effects if effect.kind == "sensor_offset"}
     assert offsets == pytest.approx({"s1": 5e-4, "s2": values["offset_s2_e0"], "s3": 5e-4}, rel=1e-8)
     assert [e.label for e in made.effects if e.kind == "noise"] == ["noise_s1", "noise_s2", "noise_s3"]
+
+
+# The verb.
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory, linear):
+    """Return the folders of two recordings of the linear rig."""
+    made = []
+    for seed in (1, 2):
+        record = recorded(linear, sines(6.0, seed=seed), seed=seed)
+        columns = {"t": np.arange(len(record)) / RATE}
+        columns |= {f"input.{name}": column for name, column in zip(linear.actuators, record.commands.T, strict=True)}
+        columns |= {f"sensor.{name}": column for name, column in zip(linear.sensors, record.readings.T, strict=True)}
+        made.append(tmp_path_factory.mktemp("record") / f"r{seed}")
+        Recording(columns, {}).save(made[-1])
+    return made
+
+
+def test_identify_fits_all_that_the_equations_hold(folders, linear, tmp_path, capsys):
+    arguments = ["identify", folders[0], "--plant", "linear_rig", "--validate", folders[1], "--out", tmp_path, "--json"]
+    assert cli.main([*map(str, arguments)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["parameters"].keys() == set(ALL)
+    for name, found in told["parameters"].items():
+        assert abs(found["value"] - linear.parameter_value(name)) < 5 * found["std"]
+    for name, floor in told["floor"].items():
+        assert told["chi"]["train"][name] == pytest.approx(floor, rel=0.1)
+        assert told["chi"]["validation"][name] < 2 * floor
+    Twin.load(told["plant"]).validate()
+
+
+def test_identify_fits_another_model_through_the_plant(folders, capsys, tmp_path):
+    """The model of measured springs, with one coefficient free, is not the linear rig's."""
+    names = ["--parameters", "rho11,z1", "--out", str(tmp_path)]
+    assert cli.main(["identify", str(folders[0]), "--plant", "linear_rig", "--model", "setup_springs", *names]) == 0
+    out = capsys.readouterr().out
+    assert "rho11" in out
+    assert f"written: {tmp_path / 'model.yaml'}" in out
+    assert registry.load_model(tmp_path / "model.yaml").extends == "setup_springs"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--parameters", "w1,w9"], "linear rig has no parameter 'w9'; did you mean 'w"),
+        (["--plant", "nowhere"], "nowhere"),
+        (["--validate", "nothing"], "nothing"),
+    ],
+)
+def test_identify_refuses_and_writes_nothing(folders, tmp_path, capsys, arguments, said):
+    out = tmp_path / "out"
+    assert cli.main(["identify", str(folders[0]), "--plant", "linear_rig", "--out", str(out), *arguments]) != 0
+    assert said in capsys.readouterr().err
+    assert not out.exists()

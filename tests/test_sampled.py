@@ -19,7 +19,7 @@ from masking import sampling
 from masking.declaration import registry, schema
 from masking.errors import ModelError, SingularityError
 from masking.experiment import Experiment
-from masking.loop import run_twin, substeps_of
+from masking.loop import run_twin
 from masking.sampled import SampledLoop
 from masking.sampling import Sizes
 
@@ -329,7 +329,7 @@ def by_python(found, seconds, *, start, seed):
     sampled, twin, rate = found.sampled, found.twin, found.sampled.rate
     generator, p = np.random.default_rng(seed), found.twin.values()
     before = round(sampled.approach * rate) + sampled.delay
-    y, readings, substeps = twin.rest(start), np.empty(3), substeps_of(twin, rate)
+    y, readings, substeps = twin.rest(start), np.empty(3), twin.substeps(rate)
     noise = generator.standard_normal((before + int(seconds * rate * (1 + 1e-12)) + 1, 3))
     twin.kernels.sense(-before / rate, y, p, noise[0], readings)
     memory = sampled.begin(readings)

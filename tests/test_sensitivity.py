@@ -76,7 +76,7 @@ def test_normal_equations_are_those_of_differences(which, request):
     theta, u, weights = found.start(), commands(600), np.array([1.0, 4.0, 0.25])
     start = found.twin.rest(np.array([1e-3, -5e-4, 2e-4]))
     readings = found.simulate(theta * 1.02, start, u, rate=RATE, substeps=2)
-    told = found.normal_equations(theta, start, u, readings, weights, rate=RATE, substeps=2)
+    told = found.normal_equations(found.basis(theta), start, u, readings, weights, rate=RATE, substeps=2)
     jacobian = by_differences(found, theta, start, u)
     residuals = readings - found.simulate(theta, start, u, rate=RATE, substeps=2)
     matrix = np.einsum("mok,o,mol->kl", jacobian, weights, jacobian)
@@ -112,4 +112,4 @@ def test_a_motion_that_is_not_finite_is_refused(linear):
     with pytest.raises(IntegrationError, match="no longer finite"):
         linear.simulate(linear.start(), np.zeros(6), u, rate=1.0, substeps=1)
     with pytest.raises(IntegrationError, match="no longer finite"):
-        linear.normal_equations(linear.start(), np.zeros(6), u, u, weights, rate=1.0, substeps=1)
+        linear.normal_equations(linear.basis(linear.start()), np.zeros(6), u, u, weights, rate=1.0, substeps=1)

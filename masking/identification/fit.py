@@ -17,7 +17,6 @@ import numpy as np
 from masking.errors import IntegrationError, ModelError, RecordError
 from masking.identification.data import Data
 from masking.kernels import Array
-from masking.loop import substeps_of
 from masking.sensitivity import Sensitivity
 from masking.twin import Twin
 
@@ -27,7 +26,7 @@ MOST_ROUNDS = 60
 CONVERGED = 1e-9  # part of the cost that a step may still take off
 REWEIGHTED = 3  # rounds in which the noise of each sensor is found from what is left
 FLAT = 1e-7  # eigenvalue of the scaled information below which a direction is not told by the record
-CLOSE = 0.99  # correlation from which two parameters are hardly told apart
+CLOSE = 0.999  # correlation from which two parameters are hardly told apart
 SLOPE_SAMPLES = 20  # readings that the first velocity is guessed from
 COARSE = 30.0  # s of the first record that the fit of a longer one begins with
 FEWEST = 5  # samples of each sensor for each unknown
@@ -189,7 +188,7 @@ class _Problem:
                 f"{self.moving} of the initial state for each of {len(pieces)} pieces); give longer records, or fewer "
                 "parameters"
             )
-        self.substeps = [substeps_of(sensitivity.twin, piece.rate) for piece in pieces]
+        self.substeps = [sensitivity.twin.substeps(piece.rate) for piece in pieces]
         self.acting = [piece.acting for piece in pieces]
         self.starts = [self._guess(piece) for piece in pieces]
         noise = np.array([piece.noise for piece in pieces])

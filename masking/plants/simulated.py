@@ -7,7 +7,6 @@ from typing import final
 import numpy as np
 
 from masking.errors import CommandError
-from masking.loop import substeps_of
 from masking.plants.interface import APPLIED, Array, LifeCycle, Sample, Settings, check_command
 from masking.twin import Twin
 
@@ -38,7 +37,7 @@ class SimulatedPlant:
         """Go back to rest, for a number of samples per second."""
         self._life.configure()
         twin = self.twin
-        self._rate, self._substeps, self._p = settings.rate, substeps_of(twin, settings.rate), twin.values()
+        self._rate, self._substeps, self._p = settings.rate, twin.substeps(settings.rate), twin.values()
         self._generator = np.random.default_rng(self.seed)
         self._y = twin.rest(np.zeros(len(twin.model.coordinates)))
         self._queue[:] = 0.0

@@ -14,7 +14,6 @@ import numpy as np
 
 from masking import sampling
 from masking.experiment import Experiment
-from masking.loop import substeps_of
 from tests.benchmarks.table import Row, interleaved, judged, missing, ratio, told
 
 Rate = Callable[[float, np.ndarray, np.ndarray], None]
@@ -53,7 +52,7 @@ class Whole:
 
     def __init__(self, found: Experiment) -> None:
         self.found, self.sampled, self.twin = found, found.sampled, found.twin
-        self.substeps, self.p = substeps_of(self.twin, self.sampled.rate), self.twin.values()
+        self.substeps, self.p = self.twin.substeps(self.sampled.rate), self.twin.values()
         self.noise = np.random.default_rng(0).standard_normal((SAMPLES, len(self.twin.sensors)))
         self.reading = np.empty(len(self.twin.sensors))
         self.states = np.zeros((SAMPLES, len(self.twin.state_names)))
