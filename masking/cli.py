@@ -20,16 +20,21 @@ from masking.errors import DeclarationError, MaskingError, Problem
 if TYPE_CHECKING:
     import tqdm
 
-    from masking import budget, experiment, realtime, reporting
+    from masking import budget, calibration, experiment, realtime, reporting
     from masking import rig as rigs
+    from masking import twin as twins
+    from masking.plants import simulated
     from masking.recording import Recording
 else:
     budget = lazy.load("masking.budget", suppress_warning=True)
+    calibration = lazy.load("masking.calibration", suppress_warning=True)
     experiment = lazy.load("masking.experiment", suppress_warning=True)
     realtime = lazy.load("masking.realtime", suppress_warning=True)
     reporting = lazy.load("masking.reporting", suppress_warning=True)
     rigs = lazy.load("masking.rig", suppress_warning=True)
+    simulated = lazy.load("masking.plants.simulated", suppress_warning=True)
     tqdm = lazy.load("tqdm")
+    twins = lazy.load("masking.twin", suppress_warning=True)
 
 INTERRUPTED = 130
 BAR = "{desc} {percentage:3.0f}% {bar}"
@@ -106,6 +111,12 @@ def _parser() -> argparse.ArgumentParser:
     report = add(_report, "report", "write the report of a recording")
     report.add_argument("record", metavar="RECORD", help="the folder of a recording")
     report.add_argument("--out", metavar="DIR", help="where to write (default: beside the recording)")
+    _add_rig(found)
+    return parser
+
+
+def _add_rig(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the verbs of `masking rig`."""
     rig = found.add_parser("rig", help="run on a plant that runs by itself, or serve a twin that stands in for one")
     verb_of_rig = rig.add_subparsers(title="verbs", metavar="VERB", required=True)
 
@@ -126,7 +137,13 @@ def _parser() -> argparse.ArgumentParser:
     running.add_argument("experiment", metavar="EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
     running.add_argument("--plant", metavar="ADDRESS", required=True, help="such as udp://127.0.0.1:5005")
     running.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT_rig)")
-    return parser
+    text = "excite a rig, fit its plant file to the records, and judge the fit by one it has not seen"
+    calibrating = add_to_rig(_rig_calibrate, "calibrate", text)
+    calibrating.add_argument("plant", metavar="PLANT", help="the rig's plant file, or a packaged plant")
+    calibrating.add_argument("--at", metavar="ADDRESS", help="such as udp://127.0.0.1:5005 (default: the plant's twin)")
+    calibrating.add_argument("--model", metavar="MODEL", help="a model of the rig to fit beside that of the plant file")
+    calibrating.add_argument("--seconds", type=float, default=40.0, help="length of each record (default: 40)")
+    calibrating.add_argument("--out", metavar="DIR", help="records and result (default: results/PLANT_calibration)")
 
 
 def _rig_serve(chosen: argparse.Namespace) -> int:
@@ -176,6 +193,23 @@ def _rig_run(chosen: argparse.Namespace) -> int:
     if end != realtime.FINISHED:
         print(f"masking: the run was {end}; the record ends there", file=sys.stderr)
     return int(end != realtime.FINISHED)
+
+
+def _rig_calibrate(chosen: argparse.Namespace) -> int:
+    twin = twins.Twin.load(chosen.plant)
+    out = Path(chosen.out or f"results/{Path(chosen.plant).stem}_calibration")
+    verbs.check_folder(out)
+    found = calibration.calibrate(
+        twin,
+        rigs.connect(chosen.at) if chosen.at else simulated.SimulatedPlant(twin),
+        out,
+        model=chosen.model,
+        seconds=chosen.seconds,
+        lockstep=chosen.lockstep or not chosen.at,
+        say=lambda text: print(text, file=sys.stderr, flush=True),
+    )
+    print(json.dumps(found.as_dict(), indent=2) if chosen.json else found)
+    return 0
 
 
 def _list(chosen: argparse.Namespace) -> int:

@@ -27,6 +27,7 @@ ROWS = (
     {"identification"},
     {"plants"},
     {"realtime"},
+    {"calibration"},
     {"synchronisation"},
     {"study"},
     {"figures", "wording"},

@@ -26,6 +26,7 @@ MOST_ROUNDS = 60
 CONVERGED = 1e-9  # part of the cost that a step may still take off
 REWEIGHTED = 3  # rounds in which the noise of each sensor is found from what is left
 FLAT = 1e-7  # eigenvalue of the scaled information below which a direction is not told by the record
+INDEPENDENT = 1e-6  # part of its information that a parameter has for itself, to be fitted beside others
 CLOSE = 0.999  # correlation from which two parameters are hardly told apart
 SLOPE_SAMPLES = 20  # readings that the first velocity is guessed from
 COARSE = 30.0  # s of the first record that the fit of a longer one begins with
@@ -162,6 +163,32 @@ def fit(
         made.twin, made.names, made.values, made.covariance, made.sigma, made.chi, made.floor, judged, made.rounds,
         made.notes,
     )  # fmt: skip
+
+
+def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ...]:
+    """Return parameters that together tell all that the named ones do, with the values that the twin has.
+
+    Later names are taken first: what a model adds is declared after what it extends.
+
+    Args:
+        twin: the plant.
+        record: what they are to be told by.
+        names: of parameters.
+    """
+    order = tuple(reversed(names))
+    problem = _Problem(Sensitivity(twin, order), [record.first(COARSE)])
+    matrix, _, own, _ = problem.equations(problem.sensitivity.start(), problem.starts)
+    problem.last = matrix, own
+    information = problem.information()
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    left = information / np.outer(scale, scale)
+    left[np.diag(information) <= 0.0] = 0.0
+    kept = []
+    for i, name in enumerate(order):  # Cholesky, without those of which nothing is left
+        if left[i, i] > INDEPENDENT:
+            kept.append(name)
+            left = left - np.outer(left[:, i], left[i]) / left[i, i]
+    return tuple(name for name in names if name in kept)
 
 
 def _several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
