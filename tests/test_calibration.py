@@ -22,7 +22,9 @@ def full(tmp_path_factory):
     off = {"friction1_fc": 2e-3, "friction2_fc": 2e-3, "friction3_fc": 2e-3}
     off |= {f"hysteresis{i}_{name}": value for i in (1, 2, 3) for name, value in (("k", 2.0), ("zmax", 7e-4))}
     out = tmp_path_factory.mktemp("calibration") / "out"
-    return calibrate(rig.with_parameters(off), SimulatedPlant(rig, 3), out, model="setup_springs", lockstep=True), out
+    return calibrate(
+        rig.with_parameters(off), SimulatedPlant(rig, 3), out, model="setup_springs", seconds=20.0, lockstep=True
+    ), out
 
 
 def test_springs_and_friction_bring_the_error_on_unseen_data_near_the_noise(full):
