@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from masking.errors import ModelError, RecordError
+from masking.errors import MaskingError, ModelError, RecordError
 from masking.identification import written
 from masking.identification.data import Data
 from masking.identification.fit import Fit, fit, independent
 from masking.kernels import Array
 from masking.plants.interface import Plant
-from masking.realtime import run_rig
+from masking.realtime import FINISHED, run_rig
 from masking.recording import Recording
 from masking.signals import Multisine, minimise_crest
 from masking.twin import Twin
@@ -114,6 +114,7 @@ def calibrate(
     Raises:
         ModelError: the plant file has no limits to stay within.
         PlantError: the plant is lost, refuses, or has other channels.
+        MaskingError: a recording was interrupted.
         RecordError: the rig does not move, or a record in the folder cannot be read.
     """
     if seconds < PERIOD:
@@ -208,13 +209,15 @@ def _record(twin: Twin, plant: Plant, commands: Array, limits: Array, *, lockste
     columns = {"t": np.arange(len(at)) / RATE}
     columns |= {f"input.{name}": ran.applied[at, i] for i, name in enumerate(twin.actuators)}
     columns |= {f"sensor.{name}": ran.sensors[at, i] for i, name in enumerate(twin.sensors)}
+    if ran.reason != FINISHED:
+        raise MaskingError(f"the recording was {ran.reason} and is not kept; run the same again to go on from here")
     told = {"end": ran.reason, "counters": dict(ran.counters)}
     return Recording(columns, {"name": "calibration", "rate": RATE, "rig": told})
 
 
 def _stages(twin: Twin, model: str | Path | None, record: Data) -> Iterator[tuple[str, Twin, tuple[str, ...]]]:
     """Give the models to fit, from the simplest to all that the plant file declares, with their parameters."""
-    base = twin.as_model(twin.declaration.model)
+    base = twin.as_model()
     yield "the model alone", base, independent(base, record, base.equation_parameters())
     if model is not None:
         base = twin.as_model(model)

@@ -8,7 +8,7 @@ Source: Ljung, System Identification (1999), section 10.3; Hairer, Norsett and W
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -55,14 +55,17 @@ class Sensitivity:
     names: tuple[str, ...]
 
     def __post_init__(self) -> None:
+        twice = sorted({name for name in self.names if self.names.count(name) > 1})
+        if twice:
+            raise ModelError(f"parameters are named twice: {', '.join(twice)}")
         for name in self.names:
             if name not in self.twin.parameter_names:
                 mend = nearest(name, self.twin.parameter_names)
                 raise ModelError(f"{self.twin.declaration.name} has no parameter '{name}'; {mend}")
 
-    def twin_with(self, values: Mapping[str, float]) -> Twin:
-        """Return the twin with other values of parameters, in the units in which they are declared."""
-        return self.twin.with_parameters(values)
+    def twin_at(self, theta: Array) -> Twin:
+        """Return the twin with values (k,) of the parameters, in the units in which they are declared."""
+        return self.twin.with_parameters(dict(zip(self.names, map(float, theta), strict=True)))
 
     def start(self) -> Array:
         """Return the values of the parameters (k,) that the twin declares, in declared units."""
@@ -76,7 +79,7 @@ class Sensitivity:
 
     def parameters(self, theta: Array) -> Array:
         """Return the twin's parameter array for values (k,) of the parameters."""
-        return self.twin_with(dict(zip(self.names, map(float, theta), strict=True))).values()
+        return self.twin_at(theta).values()
 
     def basis(self, theta: Array) -> tuple[Array, Array]:
         """Return the twin's parameter array, and how its entries depend on the parameters (affected, k)."""

@@ -70,13 +70,17 @@ class Twin:
         declaration = registry.load_plant(name_or_path)
         return cls(declaration, registry.load_model(declaration.model, registry.refer(declaration, "model")))
 
-    def as_model(self, name_or_path: str | Path) -> Twin:
-        """Return the plant with another model, and without the effects in its elements."""
-        base = registry.load_model(name_or_path)
-        kept = {k: e for k, e in self.declaration.effects.items() if EFFECTS[e.effect].where != "element"}
-        named = name_or_path if isinstance(name_or_path, str) else str(name_or_path)
-        plant = self.declaration.model_copy(update={"model": named, "effects": kept, "parameters": {}})
-        return Twin(plant, base)
+    def as_model(self, name_or_path: str | Path | None = None) -> Twin:
+        """Return the plant with a model, by default its own, and without the effects in its elements."""
+        gone = {effect.path.removeprefix("effects.") for effect in self._of("element")}
+        kept = {name: use for name, use in self.declaration.effects.items() if name not in gone}
+        if name_or_path is None:
+            changes = {name: change for name, change in self.changes.items() if name in kept}
+            own = {name: value for name, value in self.declaration.parameters.items() if name in self.base.parameters}
+            plant = self.declaration.model_copy(update={"effects": kept, "parameters": own})
+            return replace(self, declaration=plant, changes=changes)
+        changed = {"model": str(name_or_path), "effects": kept, "parameters": {}}
+        return Twin(self.declaration.model_copy(update=changed), registry.load_model(name_or_path))
 
     def equation_parameters(self) -> tuple[str, ...]:
         """Return the parameters of the model that its equations of motion hold, without those of effects."""

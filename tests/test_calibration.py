@@ -1,6 +1,7 @@
 """Calibration, unattended: a rig whose plant file is wrong is excited, fitted, and judged by an unseen record."""
 
 import json
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from masking import cli
 from masking.calibration import calibrate
 from masking.declaration import registry
-from masking.errors import ModelError
+from masking.errors import MaskingError, ModelError
 from masking.plants.simulated import SimulatedPlant
 from masking.recording import Recording
 from masking.twin import Twin
@@ -74,6 +75,36 @@ def test_the_command_line_goes_on_where_it_stopped(tmp_path, capsys):
     again = capsys.readouterr()
     assert "fit: recorded before" in again.err
     assert json.loads(again.out) == json.loads(first.out)
+
+
+def test_a_rig_of_ones_own_is_calibrated_wherever_one_is(tmp_path):
+    """The plant file names its model by a path from itself, and gives a parameter a value of its own."""
+    (model,), (packaged,) = registry.load_model("setup").files, registry.load_plant("linear_rig").files
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "own_model.yaml").write_text(Path(model).read_text())
+    text = Path(packaged).read_text().replace("model: setup", "model: own_model.yaml\nparameters: {l: 6}")
+    (tmp_path / "mine" / "own_rig.yaml").write_text(text)
+    twin = Twin.load(tmp_path / "mine" / "own_rig.yaml")
+    found = calibrate(twin, SimulatedPlant(twin), tmp_path / "out", seconds=20.0, lockstep=True)
+    made = Twin.load(tmp_path / "out" / "plant.yaml")
+    assert made.model.value("l") == pytest.approx(0.006)
+    assert made.model.value("w1") == pytest.approx(12.5521, rel=5e-3)
+    assert max(found.best.fit.validation.values()) < 0.01
+
+
+def test_an_interrupted_recording_is_not_kept(tmp_path):
+    class Interrupting(SimulatedPlant):
+        """A twin during whose 500th sample an interrupt comes."""
+
+        def write(self, index, command):
+            super().write(index, command)
+            if index == 500:
+                signal.raise_signal(signal.SIGINT)
+
+    twin = Twin.load("linear_rig")
+    with pytest.raises(MaskingError, match="the recording was interrupted and is not kept; run the same again"):
+        calibrate(twin, Interrupting(twin), tmp_path / "out", seconds=20.0, lockstep=True)
+    assert not (tmp_path / "out" / "records" / "small").exists()
 
 
 def test_a_rig_without_limits_is_not_excited(tmp_path):

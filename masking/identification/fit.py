@@ -9,7 +9,7 @@ Source: Ljung, System Identification (1999), chapters 7 to 10; Nocedal and Wrigh
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -130,10 +130,6 @@ def fit(
         IntegrationError: the motion is not finite with the values to begin from; a shorter horizon may help.
     """
     records, unseen = _several(records), _several(validation)
-    if len(set(names)) < len(names):
-        raise ModelError(
-            f"parameters are named twice: {', '.join(sorted({n for n in names if list(names).count(n) > 1}))}"
-        )
     sensitivity = Sensitivity(twin, tuple(names))
     theta = sensitivity.start()
     stages = [[window for record in records for window in record.windows(horizon)]] if horizon else []
@@ -147,22 +143,16 @@ def fit(
         if progress is not None:
             progress(told[0])
 
-    problem = None
     for number, pieces in enumerate(stages):
         problem = _Problem(sensitivity, pieces)
         theta = problem.solve(theta, _part(tell, number, len(stages)))
-    assert problem is not None  # noqa: S101  # there is at least one stage
     made = problem.result(theta)
-    judged = {}
     if unseen:
         check = _Problem(Sensitivity(made.twin, ()), list(unseen))
         check.solve(np.empty(0), lambda part: None)
-        judged = check.chi()
+        made = replace(made, validation=check.chi())
     tell(1.0)
-    return Fit(
-        made.twin, made.names, made.values, made.covariance, made.sigma, made.chi, made.floor, judged, made.rounds,
-        made.notes,
-    )  # fmt: skip
+    return made
 
 
 def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ...]:
@@ -177,9 +167,7 @@ def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ..
     """
     order = tuple(reversed(names))
     problem = _Problem(Sensitivity(twin, order), [record.first(COARSE)])
-    matrix, _, own, _ = problem.equations(problem.sensitivity.start(), problem.starts)
-    problem.last = matrix, own
-    information = problem.information()
+    information = problem.information(problem.sensitivity.start())[0]
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     left = information / np.outer(scale, scale)
     left[np.diag(information) <= 0.0] = 0.0
@@ -310,7 +298,7 @@ class _Problem:
             damping = max(damping / 10.0, 1e-12)
             if taken < CONVERGED * cost:
                 break
-        self.starts, self.squares, self.last = starts, squares, (matrix, own)
+        self.starts, self.squares = starts, squares
         return theta, number < MOST_ROUNDS - 1
 
     def _within(self, theta: Array, step: Array) -> Array:
@@ -336,39 +324,31 @@ class _Problem:
         gain = float(gradient @ step + sum(slope @ s for (_, _, slope), s in zip(own, steps, strict=True)))
         return step, steps, gain
 
-    def information(self) -> Array:
-        """Return the information on the parameters (k, k), initial states unknown."""
-        matrix, own = self.last
-        rest = matrix.copy()
+    def information(self, theta: Array) -> tuple[Array, Array]:
+        """Return the information on the parameters (k, k), initial states unknown, and the sums of squares."""
+        matrix, _, own, squares = self.equations(theta, self.starts)
         for square, cross, _ in own:
-            rest -= cross.T @ np.linalg.pinv(square, hermitian=True) @ cross
-        return rest
+            matrix -= cross.T @ np.linalg.pinv(square, hermitian=True) @ cross
+        return matrix, squares
 
     def chi(self) -> dict[str, float]:
         """Return the relative error of each sensor over all records."""
-        total = np.sum([np.sum(piece.readings**2, axis=0) for piece in self.pieces], axis=0)
-        return dict(
-            zip(
-                self.sensitivity.twin.sensors,
-                map(float, np.sqrt(self.squares / np.maximum(total, 1e-300))),
-                strict=True,
-            )
-        )
+        return self._relative(self.squares)
 
     def floor(self) -> dict[str, float]:
         """Return the relative error that the noise of the records alone makes."""
+        return self._relative(np.sum([len(piece) * piece.noise**2 for piece in self.pieces], axis=0))
+
+    def _relative(self, squares: Array) -> dict[str, float]:
+        """Return the root of sums of squares (sensors,) in parts of the readings'."""
         total = np.sum([np.sum(piece.readings**2, axis=0) for piece in self.pieces], axis=0)
-        noise = np.sum([len(piece) * piece.noise**2 for piece in self.pieces], axis=0)
-        return dict(
-            zip(self.sensitivity.twin.sensors, map(float, np.sqrt(noise / np.maximum(total, 1e-300))), strict=True)
-        )
+        parts = np.sqrt(squares / np.maximum(total, 1e-300))
+        return dict(zip(self.sensitivity.twin.sensors, map(float, parts), strict=True))
 
     def result(self, theta: Array) -> Fit:
         """Return the fit."""
         # The last equations had the noise of the round before.
-        matrix, _, own, self.squares = self.equations(theta, self.starts)
-        self.last = matrix, own
-        information = self.information()
+        information, self.squares = self.information(theta)
         names = self.sensitivity.names
         scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
         values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
@@ -382,7 +362,7 @@ class _Problem:
             for j in range(i)
             if abs(correlation[i, j]) > CLOSE and not notes
         ]
-        twin = self.sensitivity.twin_with(dict(zip(names, map(float, theta), strict=True)))
+        twin = self.sensitivity.twin_at(theta)
         return Fit(twin, names, theta, covariance, self.sigma, self.chi(), self.floor(), {}, self.rounds, tuple(notes))
 
 

@@ -108,9 +108,6 @@ def extended_kalman(
         RecordError: the record has other channels than the plant, or fewer than 4 samples.
         IntegrationError: the estimate diverged, or the covariance lost its sign; says when, and what to change.
     """
-    if len(set(names)) < len(names):
-        twice = sorted({name for name in names if list(names).count(name) > 1})
-        raise ModelError(f"parameters are named twice: {', '.join(twice)}")
     if iterated < 1:
         raise ModelError(f"iterated is {iterated}: give the times that readings are made linear, 1 or more")
     _check(twin, record)
@@ -357,7 +354,7 @@ class _Run:
         chi = dict(zip(sensors, map(float, self._errors(start, theta) / values), strict=True))
         floor = record.noise * np.sqrt(len(record)) / values
         found = KalmanFit(
-            sensing.twin_with(dict(zip(sensing.names, map(float, theta), strict=True))),
+            sensing.twin_at(theta),
             sensing.names, theta, covariance[n:, n:], np.arange(len(record)) / record.rate,
             self.estimates[:, :k].copy(), self.estimates[:, k:].copy(), self.states,
             self.noises[:, : len(sensors)].copy(), self.noises[:, len(sensors) :].copy(), covariance,

@@ -49,7 +49,8 @@ def plant(fit: Fit) -> dict[str, Any]:
     """Return the content of a plant file with the fitted model, in the same folder, and the fitted effects."""
     twin = fit.twin
     made = twin.declaration.canonical() | {"name": f"{twin.declaration.name}, identified", "model": "model.yaml"}
-    made.pop("parameters", None)  # these values are the model's now
+    left = {n: v for n, v in made.pop("parameters", {}).items() if n in twin.base.parameters and n not in fit.names}
+    made |= {"parameters": left} if left else {}  # those that were fitted are the model's now
     effects: dict[str, Any] = {}
     for effect in twin.effects:
         key = effect.path.removeprefix("effects.")
