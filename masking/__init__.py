@@ -7,7 +7,8 @@ Four objects carry the package:
 * a plant: what is out there, simulated or real, declared in a plant file;
 * `Recording`: the series of one run and the manifest that says what they are, in one folder on disk.
 
-Each verb of the command line is a function here: `list`, `show`, `check`, `schema`, `run`, `report`.
+Each verb of the command line is a function here: `list`, `show`, `check`, `schema`, `run`, `report`,
+`identify`, `measure`.
 
     >>> import masking
     >>> recording = masking.run("duffing")
@@ -36,6 +37,6 @@ __getattr__, __dir__, __all__ = lazy.attach(
         "experiment": ["Experiment"],
         "model": ["Model", "load_model"],
         "recording": ["Recording"],
-        "verbs": ["check", "list", "report", "run", "schema", "show"],
+        "verbs": ["check", "identify", "list", "measure", "report", "run", "schema", "show"],
     },
 )

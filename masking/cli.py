@@ -7,10 +7,10 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 
@@ -37,6 +37,7 @@ else:
     twins = lazy.load("masking.twin", suppress_warning=True)
 
 INTERRUPTED = 130
+Option = tuple[str, Callable[[str], Any], str]  # of a procedure: what stands for its value, how it is read, help
 BAR = "{desc} {percentage:3.0f}% {bar}"
 
 
@@ -107,12 +108,76 @@ def _parser() -> argparse.ArgumentParser:
     identify.add_argument("--parameters", metavar="A,B", default="", help="what to fit (default: all of the equations)")
     identify.add_argument("--validate", metavar="RECORD", action="append", default=[], help="judge by this recording")
     identify.add_argument("--horizon", metavar="SECONDS", type=float, help="begin with windows of so many seconds")
+    text = "least squares, or one pass of the extended Kalman filter (default: %(default)s)"
+    identify.add_argument("--method", choices=verbs.METHODS, default=verbs.METHODS[0], help=text)
+    identify.add_argument("--square-root", action="store_true", help="of the filter: carry a root of the covariance")
+    identify.add_argument("--iterated", metavar="N", type=int, default=1, help="of the filter: linearise N times")
     identify.add_argument("--out", metavar="DIR", help="where to save (default: results/identified)")
     report = add(_report, "report", "write the report of a recording")
     report.add_argument("record", metavar="RECORD", help="the folder of a recording")
     report.add_argument("--out", metavar="DIR", help="where to write (default: beside the recording)")
+    _add_measure(found)
     _add_rig(found)
     return parser
+
+
+def _add_measure(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the procedures of `masking measure`."""
+    measure = found.add_parser("measure", help="do one procedure of the identification on a record made for it")
+    procedures = measure.add_subparsers(title="procedures", metavar="PROCEDURE", required=True)
+
+    def add(name: str, text: str, options: Mapping[str, Option]) -> None:
+        sub = procedures.add_parser(name, help=text.partition(":")[0], description=f"{text[0].upper()}{text[1:]}.")
+        is_one = verbs.PROCEDURES[name] == 1
+        what = "the folder of a recording" if is_one else "folders of recordings"
+        sub.add_argument("records", metavar="RECORD", nargs=1 if is_one else "+", help=what)
+        sub.add_argument("--plant", metavar="PLANT", help="what was recorded: readings become what its sensors measure")
+        for option, (metavar, kind, words) in options.items():
+            flag = {"inputs": "--input", "sensors": "--sensor"}.get(option, f"--{option.replace('_', '-')}")
+            sub.add_argument(flag, dest=option, metavar=metavar, type=kind, help=words)
+        sub.add_argument("--out", metavar="DIR", help=f"where to save (default: results/{name})")
+        sub.add_argument("--json", action="store_true", help="print JSON")
+        sub.set_defaults(verb=_measure, procedure=name, settings=[*options])
+
+    one: dict[str, Option] = {
+        "input": ("V1", str, "the input that pushes (default: the only one that moves)"),
+        "sensor": ("s1", str, "the sensor that shows the displacement (default: the only one)"),
+    }
+    text = "the curve of a spring from a slow ramp of force up and down, such as 60 s: Table B.4"
+    springs: dict[str, Option] = {
+        "order": ("N", int, "of the polynomial (default: 5)"),
+        "settle": ("SECONDS", float, "left out at the start (default: 2)"),
+        "scale": ("X", float, "unit of displacement of the coefficients (default: the plant's length, or 1)"),
+        "force_scale": ("F", float, "unit of force of the coefficients (default: the plant's, or 1)"),
+    }
+    add("springs", text, one | springs)
+    text = (
+        "the gain at which two actuators balance, from sines against each other with a swept gain: appendix C.5. The "
+        "oscillator must be held: on a free rig its spring carries a part of the force, and the balance goes astray"
+    )
+    actuators: dict[str, Option] = {
+        "first": ("V3", str, "the input with the sine of constant size"),
+        "second": ("V1", str, "the input with the swept gain"),
+        "sensor": ("s3", str, "the sensor that shows the motion of what both push (default: the only one)"),
+        "frequency": ("HZ", float, "of the sines (default: that of the first input)"),
+        "span": ("GAIN", float, "readings so near the balance are used (default: 0.3)"),
+    }
+    add("actuators", text, actuators)
+    text = (
+        "how far friction shifts the equilibrium, from saw-teeth, and where over the displacement it engages, from a "
+        "ramp: appendix C.6.2"
+    )
+    friction: dict[str, Option] = {"bins": ("N", int, "over the travel (default: 100)")}
+    add("friction", text, one | friction)
+    response: dict[str, Option] = {
+        "inputs": ("V1,V2", _names, "the inputs (default: all that move)"),
+        "sensors": ("s1,s2", _names, "the sensors (default: all)"),
+        "period": ("SECONDS", float, "of the excitation (default: what the record tells or repeats with)"),
+        "discard": ("N", int, "periods at the start that are left out (default: 1)"),
+    }
+    add(
+        "response", "frequency response from periods of a multisine, and distortion where lines are left free", response
+    )
 
 
 def _add_rig(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -199,15 +264,35 @@ def _rig_calibrate(chosen: argparse.Namespace) -> int:
     twin = twins.Twin.load(chosen.plant)
     out = Path(chosen.out or f"results/{Path(chosen.plant).stem}_calibration")
     verbs.check_folder(out)
-    found = calibration.calibrate(
-        twin,
-        rigs.connect(chosen.at) if chosen.at else simulated.SimulatedPlant(twin),
-        out,
-        model=chosen.model,
-        seconds=chosen.seconds,
-        lockstep=chosen.lockstep or not chosen.at,
-        say=lambda text: print(text, file=sys.stderr, flush=True),
-    )
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    bar = tqdm.tqdm(total=1.0, desc="calibrating", delay=1.0, leave=False, disable=None, bar_format=BAR)
+
+    def progress(part: float) -> None:
+        bar.update(part - bar.n)
+
+    def say(text: str) -> None:
+        with bar.external_write_mode(file=sys.stderr):
+            print(text, file=sys.stderr, flush=True)
+
+    try:
+        found = calibration.calibrate(
+            twin,
+            rigs.connect(chosen.at) if chosen.at else simulated.SimulatedPlant(twin),
+            out,
+            model=chosen.model,
+            seconds=chosen.seconds,
+            lockstep=chosen.lockstep or not chosen.at,
+            say=say,
+            progress=progress,
+        )
+    except KeyboardInterrupt:
+        bar.close()
+        print(f"masking: interrupted; the records stay in {out / 'records'}: run the same again to go on from there",
+              file=sys.stderr)  # fmt: skip
+        return INTERRUPTED
+    finally:
+        bar.close()
     print(json.dumps(found.as_dict(), indent=2) if chosen.json else found)
     return 0
 
@@ -325,9 +410,12 @@ def _identify(chosen: argparse.Namespace) -> int:
             *chosen.records,
             plant=chosen.plant,
             model=chosen.model,
-            parameters=[name.strip() for name in chosen.parameters.split(",") if name.strip()],
+            parameters=_names(chosen.parameters),
             validation=chosen.validate,
             horizon=chosen.horizon,
+            method=chosen.method,
+            square_root=chosen.square_root,
+            iterated=chosen.iterated,
             out=out,
             progress=progress,
         )
@@ -342,7 +430,28 @@ def _identify(chosen: argparse.Namespace) -> int:
     else:
         print(found)
         print(f"written: {out / 'model.yaml'}, {out / 'plant.yaml'}")
+        print(f"page: {out / 'fit.html'}")
     return 0
+
+
+def _measure(chosen: argparse.Namespace) -> int:
+    out = Path(chosen.out or f"results/{chosen.procedure}")
+    given = {name: value for name in chosen.settings if (value := getattr(chosen, name)) is not None}
+    found = verbs.measure(chosen.procedure, *chosen.records, plant=chosen.plant, out=out, **given)
+    page = out / f"{chosen.procedure}.html"
+    if chosen.json:
+        told = found.as_dict()
+        del told["series"]  # which the file has
+        print(json.dumps({**told, "page": str(page), "numbers": str(page.with_suffix(".json"))}, indent=2))
+    else:
+        print("\n".join([found.sentence, *(f"note: {note}" for note in found.notes)]))
+        print(f"page: {page}")
+    return 0
+
+
+def _names(text: str) -> tuple[str, ...]:
+    """Read names with commas between them."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def _report(chosen: argparse.Namespace) -> int:

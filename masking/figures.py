@@ -1,46 +1,40 @@
-"""Figures of a study: displacements, other coordinates, synchronisation, inputs, fidelity.
-
-Drawn through matplotlib's objects on the Agg canvas, without pyplot, so that nothing global is read or changed.
-Colours are Okabe and Ito's, distinguishable with any colour vision; what is ideal is always a thin dark dashed line.
-"""
+"""Figures of a study: displacements, other coordinates, synchronisation, inputs, fidelity."""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, LogLocator, MaxNLocator, NullLocator, ScalarFormatter
+from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 from numpy.typing import NDArray
 
+from masking.drawing import (
+    BARE,
+    BINS,
+    COLOURS,
+    INK,
+    LIMIT,
+    MUTED,
+    NOTE,
+    RIGHT,
+    SIZE,
+    WIDTH,
+    Plate,
+    Series,
+    envelope,
+    sheet,
+    symbol,
+    thin,
+    with_unit,
+)
 from masking.study import SUM_WINDOW_PERIODS, Study, percent
 from masking.synchronisation import principal, running_peak
 
-Series = NDArray[np.float64]
-
-COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-INK: Final = "#1b1f24"
-MUTED: Final = "#5b6470"
-GRID: Final = "#dfe3e8"
-LIMIT: Final = "#B22222"
-GREEK: Final = frozenset(
-    {"alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu"}
-    | {"xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}
-)
-
-_DPI = 160
-_WIDTH = 9.0  # inches, all figures
-_LEFT, _RIGHT, _BOTTOM, _GAP = 0.95, 0.22, 0.55, 0.24  # inches
-_LEGEND, _NOTE, _BARE = 0.52, 0.32, 0.14  # inches above the first axes: for a legend, a line of text, nothing
-_SIZE = 9.5  # points
-_BINS = 700  # across a whole record: about one for every two pixels
 _ENVELOPE_PERIODS = 60  # from this many periods on single ones cannot be told apart
 _ZOOM_PERIODS = 6
 _BAR, _WORDS, _VALUES = 0.27, 1.75, 0.98  # inches: height of a bar, room for words beside it and for its value
@@ -51,29 +45,9 @@ _LEAST = 1e-300  # of what a logarithmic axis shows
 _MOST_ROWS = len(COLOURS)
 
 
-@dataclass(frozen=True, slots=True)
-class Plate:
-    """One figure with its words; `figure` is None where there is nothing to draw, and `caption` then says why."""
-
-    name: str
-    title: str
-    caption: str
-    figure: Figure | None
-
-
 def plates(study: Study) -> list[Plate]:
     """Draw every figure of the report, in its order."""
     return [draw(study) for draw in _PLATES if draw is not _budget or _has_observer(study)]
-
-
-def symbol(name: str) -> str:
-    """Typeset a declared name for a figure: letters with a number become a symbol with an index."""
-    match = re.fullmatch(r"([A-Za-z]+)_?(\d*)", name)
-    letters, index = match.groups() if match else ("", "")
-    if letters in GREEK or len(letters) == 1:
-        letter = rf"\{letters}" if letters in GREEK else letters
-        return rf"${letter}_{{{index}}}$" if index else f"${letter}$"
-    return rf"$\mathit{{{letters}}}_{{{index}}}$" if index else name.replace("$", r"\$")
 
 
 def _displacements(study: Study) -> Plate:
@@ -81,7 +55,7 @@ def _displacements(study: Study) -> Plate:
     if not names:
         return Plate("displacements", title, "Not shown: the record holds no coordinates.", None)
     zoom = bool(study.tau[-1] - study.tau[0] > 2.5 * _ZOOM_PERIODS * study.period)  # False for a NaN
-    figure, rows = _sheet([1.15] * len(names) + [1.9] * zoom, zooms=zoom)
+    figure, rows = sheet([1.15] * len(names) + [1.9] * zoom, zooms=zoom)
     for name, axes, colour in zip(names, rows, COLOURS, strict=False):
         _motion(axes, study, name, colour)
     _same_range(rows[: len(names)], [study.unit(f"{study.prefix}.{name}") for name in names])
@@ -94,7 +68,7 @@ def _displacements(study: Study) -> Plate:
                 _lines(axes, study, name, colour, part)
             _symmetric(axes, [study.motion(name)[part] for name in names])
             axes.set_xlim(study.tau[part][0], study.tau[part][-1])
-            axes.set_title(f"{text} {_ZOOM_PERIODS} periods", loc="left", fontsize=_SIZE, color=MUTED)
+            axes.set_title(f"{text} {_ZOOM_PERIODS} periods", loc="left", fontsize=SIZE, color=MUTED)
             _time_label(axes, study)
     _legend(figure, study, [(symbol(name), colour) for name, colour in zip(names, COLOURS, strict=False)])
     left_out = len(study.oscillators) - len(names)
@@ -109,7 +83,7 @@ def _others(study: Study) -> Plate:
         title = words[0].upper() + words[1:]
     if not names:
         return Plate("others", title, "Not shown: every coordinate is among the displacements.", None)
-    figure, rows = _sheet([1.5 if len(names) == 1 else 1.15] * len(names))
+    figure, rows = sheet([1.5 if len(names) == 1 else 1.15] * len(names))
     for name, axes in zip(names, rows, strict=True):
         _motion(axes, study, name, COLOURS[2])
     _time_label(rows[-1], study)
@@ -121,7 +95,7 @@ def _synchronisation(study: Study) -> Plate:
     title = "Synchronisation"
     if study.no_phase or study.sum_peak is None:
         return Plate("synchronisation", title, f"Not shown: {study.no_phase}.", None)
-    figure, (above, below) = _sheet([1.7, 1.7], top=_NOTE if len(study.pairs) > 1 else _BARE)
+    figure, (above, below) = sheet([1.7, 1.7], top=NOTE if len(study.pairs) > 1 else BARE)
     for pair, colour in zip(study.pairs, COLOURS if len(study.pairs) > 1 else (INK,), strict=False):
         tau, phase = thin(study.tau, principal(pair.series) / np.pi)
         jumps = np.flatnonzero(np.abs(np.diff(phase)) > 1) + 1
@@ -130,7 +104,7 @@ def _synchronisation(study: Study) -> Plate:
     for level, text in ((0.0, "in-phase"), (1.0, "anti-phase")):
         above.axhline(level, color=MUTED, lw=0.8, ls=(0, (4, 3)), zorder=1)
         above.annotate(text, (0.995, level), (0, 3), ("axes fraction", "data"), "offset points", ha="right",
-                       fontsize=_SIZE - 1, color=MUTED)  # fmt: skip
+                       fontsize=SIZE - 1, color=MUTED)  # fmt: skip
     above.set_ylim(-0.5, 1.5)
     above.yaxis.set_major_locator(FixedLocator([-0.5, 0.0, 0.5, 1.0, 1.5]))
     above.set_yticklabels(["\N{MINUS SIGN}π/2", "0", "π/2", "π", "3π/2"])
@@ -138,7 +112,7 @@ def _synchronisation(study: Study) -> Plate:
     if len(study.pairs) > 1:
         above.legend(
             frameon=False,
-            fontsize=_SIZE - 1,
+            fontsize=SIZE - 1,
             ncols=len(study.pairs),
             borderaxespad=0.1,
             loc="lower right",
@@ -146,7 +120,7 @@ def _synchronisation(study: Study) -> Plate:
         )
     total = _sum_text(study.oscillators)
     _log_peaks(below, study.tau, study.sum_peak, INK)
-    below.set_ylabel(_with_unit(f"peak |{total}|", study.unit(f"{study.prefix}.{study.oscillators[0]}")))
+    below.set_ylabel(with_unit(f"peak |{total}|", study.unit(f"{study.prefix}.{study.oscillators[0]}")))
     for axes in (above, below):
         _whole_record(axes, study)
     _time_label(below, study)
@@ -161,7 +135,7 @@ def _inputs(study: Study) -> Plate:
     uses, title = study.inputs[:_MOST_ROWS], "Inputs against their limits"
     if not uses:
         return Plate("inputs", title, "Not shown: the record holds no inputs.", None)
-    figure, rows = _sheet([1.15] * len(uses), top=_NOTE)
+    figure, rows = sheet([1.15] * len(uses), top=NOTE)
     hidden = []
     for use, axes in zip(uses, rows, strict=True):
         reach = [use.series]
@@ -185,9 +159,9 @@ def _inputs(study: Study) -> Plate:
                 hidden.append(use.name)
         _symmetric(axes, reach)
         _whole_record(axes, study)
-        axes.set_ylabel(_with_unit(symbol(use.name), use.unit))
+        axes.set_ylabel(with_unit(symbol(use.name), use.unit))
         axes.set_title(
-            note, loc="right", fontsize=_SIZE - 1, color=LIMIT if use.is_exceeded or use.is_cut else MUTED, pad=3
+            note, loc="right", fontsize=SIZE - 1, color=LIMIT if use.is_exceeded or use.is_cut else MUTED, pad=3
         )
     _time_label(rows[-1], study)
     drawn = any(use.limit is not None and use.name not in hidden for use in uses)
@@ -207,12 +181,12 @@ def _fidelity(study: Study) -> Plate:
         return Plate("fidelity", title, "Not shown: the record holds no ideal motion to compare with.", None)
     if not any(np.any(error) for error in errors.values()):
         return Plate("fidelity", title, "Not shown: virtual and ideal are equal in every digit recorded.", None)
-    figure, (axes,) = _sheet([2.2], top=_NOTE)
+    figure, (axes,) = sheet([2.2], top=NOTE)
     for (name, error), colour in zip(errors.items(), COLOURS, strict=False):
         peaks = running_peak(study.tau, error, study.period) if math.isfinite(study.period) else error
         _log_peaks(axes, study.tau, peaks, colour, label=symbol(name))
-    axes.legend(frameon=False, fontsize=_SIZE, ncols=len(errors), loc="lower right", bbox_to_anchor=(1.0, 0.995))
-    axes.set_ylabel(_with_unit("|virtual \N{MINUS SIGN} ideal|", study.unit(f"virtual.{next(iter(errors))}")))
+    axes.legend(frameon=False, fontsize=SIZE, ncols=len(errors), loc="lower right", bbox_to_anchor=(1.0, 0.995))
+    axes.set_ylabel(with_unit("|virtual \N{MINUS SIGN} ideal|", study.unit(f"virtual.{next(iter(errors))}")))
     _whole_record(axes, study)
     _time_label(axes, study)
     caption = "Distance between the masked rig and the virtual system by itself, the largest over the period before."
@@ -225,9 +199,9 @@ def _budget(study: Study) -> Plate:
         return Plate("budget", title, "Not shown: it was not asked for; 'masking run --budget' finds it out.", None)
     rows = [*sorted(found.rows, key=lambda row: row.rms), found.without_all]
     whole = found.whole.rms
-    figure, (axes,) = _sheet([_BAR * (len(rows) + 0.7)], top=_NOTE)
+    figure, (axes,) = sheet([_BAR * (len(rows) + 0.7)], top=NOTE)
     box = axes.get_position()
-    axes.set_position((_WORDS / _WIDTH, box.y0, 1.0 - (_WORDS + _VALUES) / _WIDTH, box.height))
+    axes.set_position((_WORDS / WIDTH, box.y0, 1.0 - (_WORDS + _VALUES) / WIDTH, box.height))
     largest = max((row.rms for row in rows if math.isfinite(row.rms)), default=whole)
     most = 1.08 * min(max(largest, whole), 2.0 * whole) if math.isfinite(whole) and whole > 0.0 else 1.0
     start = min(whole, most)
@@ -238,10 +212,10 @@ def _budget(study: Study) -> Plate:
             axes.plot(most, place, ">", color=colour, ms=10, mew=0, clip_on=False, zorder=3)
         is_worse = row.rms > _WORSE * whole
         axes.annotate(_two_digits(row.rms), (1.0, place), (14, 0), ("axes fraction", "data"), "offset points",
-                      va="center", fontsize=_SIZE - 0.5, color=COLOURS[1] if is_worse else INK)  # fmt: skip
+                      va="center", fontsize=SIZE - 0.5, color=COLOURS[1] if is_worse else INK)  # fmt: skip
     axes.axvline(start, color=INK, lw=1.1, ls=(0, (4, 3)), zorder=4)
     axes.annotate(f"as it is: {_two_digits(whole)}", (start, 1.0), (0, 4), ("data", "axes fraction"), "offset points",
-                  ha="center", fontsize=_SIZE - 1, color=MUTED)  # fmt: skip
+                  ha="center", fontsize=SIZE - 1, color=MUTED)  # fmt: skip
     axes.axhline(len(rows) - 1.5, color=MUTED, lw=0.8)
     axes.set(xlim=(0.0, most), ylim=(len(rows) - 0.4, -0.6))
     axes.yaxis.set_major_locator(FixedLocator(range(len(rows))))
@@ -273,60 +247,13 @@ _PLATES: Final = (_displacements, _others, _synchronisation, _inputs, _fidelity,
 # ---- parts of a figure
 
 
-def _sheet(heights: Sequence[float], *, zooms: bool = False, top: float = _LEGEND) -> tuple[Figure, list[Axes]]:
-    """Make a figure of stacked axes of given heights in inches; with `zooms` the last row is two axes side by side."""
-    gaps = [_GAP] * (len(heights) - 1)
-    if zooms:
-        gaps[-1] = 0.85  # room for the tick labels above and the titles below
-    total = top + sum(heights) + sum(gaps) + _BOTTOM
-    figure = Figure(figsize=(_WIDTH, total), dpi=_DPI, facecolor="white")
-    FigureCanvasAgg(figure)
-    rows: list[Axes] = []
-    width, y = _WIDTH - _LEFT - _RIGHT, total - top
-    for index, height in enumerate(heights):
-        y -= height
-        halves = 2 if zooms and index == len(heights) - 1 else 1
-        between = 0.6
-        each = (width - between * (halves - 1)) / halves
-        for half in range(halves):
-            box = (_LEFT + half * (each + between), y, each, height)
-            rows.append(figure.add_axes((box[0] / _WIDTH, box[1] / total, box[2] / _WIDTH, box[3] / total)))
-        y -= gaps[index] if index < len(gaps) else 0
-    for axes in rows:
-        _dress(axes)
-    stacked = rows[:-2] if zooms else rows
-    for axes in stacked[:-1]:
-        axes.tick_params(labelbottom=False)
-    figure.align_ylabels(rows[:-1] if zooms else rows)
-    return figure, rows
-
-
-def _dress(axes: Axes) -> None:
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(MUTED)
-        axes.spines[side].set_linewidth(0.8)
-    axes.tick_params(colors=INK, labelsize=_SIZE - 1, width=0.8, length=3, color=MUTED)
-    axes.grid(visible=True, color=GRID, lw=0.6)
-    axes.set_axisbelow(True)
-    axes.xaxis.label.set(color=INK, fontsize=_SIZE)
-    axes.yaxis.label.set(color=INK, fontsize=_SIZE)
-    axes.xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
-    axes.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
-    formatter = ScalarFormatter(useMathText=True)
-    formatter.set_powerlimits((-3, 4))
-    axes.yaxis.set_major_formatter(formatter)
-    axes.yaxis.get_offset_text().set(fontsize=_SIZE - 1.5, color=MUTED)
-
-
 def _motion(axes: Axes, study: Study, name: str, colour: str) -> None:
     """Draw one coordinate over the whole record, as it moved and as it ideally moves."""
     _trace(axes, study, study.motion(name), colour, study.ideal(name))
     ideal = study.ideal(name)
     _symmetric(axes, [study.motion(name)] + ([ideal] if ideal is not None else []))
     _whole_record(axes, study)
-    axes.set_ylabel(_with_unit(symbol(name), study.unit(f"{study.prefix}.{name}")))
+    axes.set_ylabel(with_unit(symbol(name), study.unit(f"{study.prefix}.{name}")))
 
 
 def _trace(
@@ -337,7 +264,7 @@ def _trace(
         axes.plot(*thin(study.tau, series), color=colour, lw=0.9)
         return
     if cycles > _ENVELOPE_PERIODS:
-        bins = int(min(_BINS / 2, cycles / 1.5))
+        bins = int(min(BINS / 2, cycles / 1.5))
         tau, low, high = envelope(study.tau, series, bins)
         if not thin_line:
             axes.fill_between(tau, low, high, color=colour, alpha=0.3, lw=0)
@@ -369,7 +296,7 @@ def _lines(axes: Axes, study: Study, name: str, colour: str, part: NDArray[np.bo
 
 def _log_peaks(axes: Axes, tau: Series, values: Series, colour: str, label: str | None = None) -> None:
     """Draw the peak of each interval on a logarithmic axis; zeros, which it cannot show, are gaps."""
-    middle, _, peak = envelope(tau, values, _BINS // 2)
+    middle, _, peak = envelope(tau, values, BINS // 2)
     axes.set_yscale("log")
     marker = "o" if len(values) <= _FEW else None
     axes.plot(middle, np.where(peak > 0, peak, np.nan), color=colour, lw=1.3, label=label, marker=marker, ms=4)
@@ -404,8 +331,8 @@ def _legend(figure: Figure, study: Study, entries: Iterable[tuple[str, str]]) ->
         handles.append(Line2D([], [], color=INK, lw=1.1, ls=(0, (4, 3)), label=ideal))
     if handles:
         height = figure.get_size_inches()[1]
-        figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(1 - _RIGHT / _WIDTH, 1 - 0.1 / height),
-                      ncols=len(handles), frameon=False, fontsize=_SIZE, labelcolor=INK, borderaxespad=0)  # fmt: skip
+        figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(1 - RIGHT / WIDTH, 1 - 0.1 / height),
+                      ncols=len(handles), frameon=False, fontsize=SIZE, labelcolor=INK, borderaxespad=0)  # fmt: skip
 
 
 def _symmetric(axes: Axes, all_series: Iterable[Series]) -> None:
@@ -437,7 +364,7 @@ def _time_label(axes: Axes, study: Study) -> None:
     if study.recording.manifest.get("time_scale"):
         axes.set_xlabel("virtual time τ")
     else:
-        axes.set_xlabel(_with_unit("time t", study.unit("t")))
+        axes.set_xlabel(with_unit("time t", study.unit("t")))
 
 
 def _meanings(study: Study, names: Iterable[str]) -> str:
@@ -451,32 +378,3 @@ def _few(names: Sequence[str]) -> list[str]:
 
 def _sum_text(names: Sequence[str]) -> str:
     return " + ".join(symbol(name) if name != "…" else name for name in _few(names))
-
-
-def _with_unit(text: str, unit: str) -> str:
-    return f"{text} ({unit})" if unit else text
-
-
-# ---- fewer points, the same picture
-
-
-def envelope(tau: Series, series: Series, bins: int) -> tuple[Series, Series, Series]:
-    """Give (middle, least, greatest) of each of at most `bins` stretches of equally many samples."""
-    starts = np.unique(np.linspace(0, len(tau), max(1, min(bins, len(tau))), endpoint=False).astype(int))
-    last = np.append(starts[1:], len(tau)) - 1
-    middle = (tau[starts] + tau[last]) / 2
-    middle[0], middle[-1] = tau[0], tau[-1]
-    return middle, np.minimum.reduceat(series, starts), np.maximum.reduceat(series, starts)
-
-
-def thin(tau: Series, series: Series, bins: int = _BINS) -> tuple[Series, Series]:
-    """Keep the ends and, of each stretch, the least and the greatest sample in their order: a line looks the same."""
-    if len(tau) <= 4 * bins:
-        return tau, series
-    length = len(tau) // bins
-    body = series[: length * bins].reshape(bins, length)
-    offset = np.arange(bins) * length
-    extremes: Callable[..., NDArray[np.intp]] = np.concatenate
-    rest = np.arange(length * bins, len(tau))
-    keep = np.unique(extremes([[0], offset + body.argmin(1), offset + body.argmax(1), rest, [len(tau) - 1]]))
-    return tau[keep], series[keep]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -126,6 +126,38 @@ def run_rig(
     if on_end is not None:
         on_end(run)
     return run
+
+
+def check_channels(plant: Plant, sensors: Sequence[str], actuators: Sequence[str], whose: str, mend: str) -> None:
+    """Refuse a plant whose channels are not those wanted, in their order.
+
+    Args:
+        plant: configured.
+        sensors: the names that are wanted.
+        actuators: likewise.
+        whose: who wants them, such as "the experiment is for linear_rig".
+        mend: what to do about it.
+
+    Raises:
+        PlantMismatchError: names both.
+    """
+    for kind, theirs, ours in (("sensors", plant.sensors, sensors), ("actuators", plant.actuators, actuators)):
+        if tuple(theirs) != tuple(ours):
+            raise PlantMismatchError(
+                f"the plant's {kind} are {', '.join(theirs)}; {whose}, whose {kind} are {', '.join(ours)}, in this "
+                f"order: {mend}"
+            )
+
+
+def every(progress: Callable[[float], None], samples: int) -> Callable[[int], None]:
+    """Return what tells the part done some hundred times, within the time of a tick."""
+    step = max(1, samples // 100)
+
+    def told(row: int) -> None:
+        if row % step == 0:
+            progress((row + 1) / samples)
+
+    return told
 
 
 def _loop(

@@ -10,13 +10,14 @@ import lazy_loader as lazy
 
 from masking import wording
 from masking.errors import RecordError
-from masking.page import PAGE, page, png
+from masking.page import PAGE, page
 from masking.recording import Recording
 from masking.study import fidelities, input_uses, study
 
 if TYPE_CHECKING:
-    from masking import figures
+    from masking import drawing, figures
 else:
+    drawing = lazy.load("masking.drawing", suppress_warning=True)
     figures = lazy.load("masking.figures", suppress_warning=True)
 
 
@@ -33,7 +34,7 @@ def report(recording: Recording, folder: str | Path) -> Report:
     """Write `report.html`, which needs no other file, and its figures as PNG files into `folder`, made if need be."""
     folder, facts = Path(folder), study(recording)
     plates = figures.plates(facts)
-    images = {plate.name: png(plate) for plate in plates if plate.figure is not None}
+    images = {plate.name: drawing.png(plate) for plate in plates if plate.figure is not None}
     text = page(facts, plates, images, folder)
     written = []
     try:

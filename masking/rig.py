@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.errors import MaskingError, ModelError, PlantMismatchError
+from masking.errors import MaskingError, ModelError
 from masking.experiment import Experiment
 from masking.kernels import Array
 from masking.loop import TwinRun
@@ -17,13 +17,14 @@ from masking.plants import serve as serving
 from masking.plants.interface import Plant, Settings, Stop
 from masking.plants.simulated import SimulatedPlant
 from masking.plants.udp import UdpPlant
-from masking.realtime import FAILED, FINISHED, LOST, REFUSED, STOPPED, RigRun, run_rig
+from masking.realtime import FAILED, FINISHED, LOST, REFUSED, STOPPED, RigRun, check_channels, every, run_rig
 from masking.recording import Recording
 from masking.sampled import Memory, SampledController
 from masking.sampling import LARGEST
 from masking.twin import Twin
 
 WATCHDOG = 0.02
+_MEND = "run it on that plant, or write the plant that is there into it"
 
 
 def connect(address: str) -> UdpPlant:
@@ -109,6 +110,8 @@ def run(
     after = int(np.floor(experiment.declaration.duration * experiment.time_scale * sampled.rate * (1.0 + 1e-12))) + 1
     _prepare(sampled)
     keeper = _Keeper(sampled, before, after)
+    declared, instruments = experiment.assembly.plant, experiment.instruments
+    wanted = Path(next(iter(declared.files), declared.name)).stem
 
     def is_over() -> bool:
         return keeper.is_over or (stop is not None and stop())
@@ -129,8 +132,10 @@ def run(
         limits=sampled.limits[:, LARGEST],
         watchdog=watchdog,
         lockstep=lockstep,
-        accept=lambda found: _check_channels(experiment, found),
-        on_tick=None if progress is None else _every(progress, before + after),
+        accept=lambda found: check_channels(
+            found, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND
+        ),
+        on_tick=None if progress is None else every(progress, before + after),
         stop=is_over,
         on_end=on_end,
     )
@@ -154,37 +159,11 @@ def _check(experiment: Experiment) -> None:
     experiment.validate()
 
 
-def _check_channels(experiment: Experiment, plant: Plant) -> None:
-    """Refuse a plant whose channels are not those of the experiment's plant file."""
-    declared, instruments = experiment.assembly.plant, experiment.instruments
-    wanted = Path(next(iter(declared.files), declared.name)).stem
-    for kind, theirs, ours in (
-        ("sensors", plant.sensors, instruments.sensors),
-        ("actuators", plant.actuators, instruments.actuators),
-    ):
-        if theirs != ours:
-            raise PlantMismatchError(
-                f"the plant's {kind} are {', '.join(theirs)}; the experiment is for {wanted}, whose {kind} are "
-                f"{', '.join(ours)}, in this order: run it on that plant, or write the plant that is there into it"
-            )
-
-
 def _prepare(sampled: SampledController) -> None:
     """Compile and load everything before the plant is touched."""
     for name in ("control", "still", "transforms", *([] if sampled.has_model else ["skip"])):
         getattr(sampled.kernels, name).prepare()
     _ = sampled.gain
-
-
-def _every(progress: Callable[[float], None], samples: int) -> Callable[[int], None]:
-    """Return what tells the part done some hundred times, within the time of a tick."""
-    step = max(1, samples // 100)
-
-    def told(row: int) -> None:
-        if row % step == 0:
-            progress((row + 1) / samples)
-
-    return told
 
 
 def _told(ran: RigRun, reason: str) -> dict[str, object]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -22,6 +23,23 @@ from masking.kernels import Array, Kernels
 from masking.twin import LoweredTwin, Twin
 
 _STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other
+
+# How commands go from each sample to the next: held (zero-order hold), or in a straight line (first-order hold).
+Between = Literal["held", "straight"]
+
+
+def is_straight(between: str) -> bool:
+    """Tell whether commands go in straight lines between samples.
+
+    Raises:
+        ModelError: `between` is neither 'held' nor 'straight'.
+    """
+    if between not in get_args(Between):
+        raise ModelError(
+            f"between is '{between}': give 'held' for commands that act until the next sample, or 'straight' for "
+            "inputs that were measured, which go in straight lines between samples"
+        )
+    return between == "straight"
 
 
 @dataclass(frozen=True)
@@ -145,29 +163,36 @@ class Sensitivity:
         sensed = [*lowered.readings, *jacobian("jy", readings, y, at), *jacobian("jp", readings, p, columns)]
         module.add("sensed(t, y, p, noise, s, jy, jp)", graph, sensed, loads)
         self.twin.add_to(module)
-        module.add_kernel(SIMULATE, "", (6, self.states + len(readings)))
+        width = max(self.states, len(readings), len(self.twin.actuators))
+        module.add_kernel(SIMULATE.format(states=self.states), "", (8, width))
         sizes = {"states": self.states, "coordinates": len(self.twin.model.coordinates)}
         text = NORMAL.format(**sizes, affected=len(p), sensors=len(readings))
         width = max(self.states + len(self.names), len(p), len(readings), len(self.twin.actuators))
-        module.add_kernel(text, "i", (7 * self.states + 2 * len(readings) + 12, width))
+        module.add_kernel(text, "i", (7 * self.states + 2 * len(readings) + 10, width))
         return module
 
-    def simulate(self, theta: Array, start: Array, commands: Array, *, rate: float, substeps: int) -> Array:
+    def simulate(
+        self, theta: Array, start: Array, commands: Array, *, rate: float, substeps: int, between: Between = "held"
+    ) -> Array:
         """Return what the sensors would read (m, sensors) without noise.
 
         Args:
             theta: values of the parameters (k,), in declared units.
             start: the twin's state (states,) at the first sample.
-            commands: of the actuators, held from each sample to the next (m, actuators).
+            commands: of the actuators at each sample (m, actuators).
             rate: samples per second.
             substeps: integration steps between samples.
+            between: how commands go from each sample to the next.
 
         Raises:
             IntegrationError: the motion is no longer finite.
+            ModelError: `between` is not known.
         """
         readings, y = np.empty((len(commands), len(self.twin.sensors))), np.array(start, dtype=float)
-        held = np.ascontiguousarray(commands, dtype=float)
-        self.kernels.simulate(len(held), 1.0 / rate, substeps, y, self.parameters(theta), held, readings)
+        given = np.ascontiguousarray(commands, dtype=float)
+        self.kernels.simulate(
+            len(given), 1.0 / rate, substeps, is_straight(between), y, self.parameters(theta), given, readings
+        )
         if not np.isfinite(readings).all():
             raise IntegrationError("the simulated motion is no longer finite")
         return readings
@@ -182,20 +207,23 @@ class Sensitivity:
         *,
         rate: float,
         substeps: int,
+        between: Between = "held",
     ) -> NormalEquations:
         """Return what a record tells, at values of the parameters and of the initial state.
 
         Args:
             basis: what `basis` returns for values of the parameters.
             start: the twin's state (states,) at the first sample.
-            commands: of the actuators, held from each sample to the next (m, actuators).
+            commands: of the actuators at each sample (m, actuators).
             readings: of the sensors (m, sensors).
             weights: of squared residuals of each sensor (sensors,): 1 / variance.
             rate: samples per second.
             substeps: integration steps between samples.
+            between: how commands go from each sample to the next; after the last they are held.
 
         Raises:
             IntegrationError: the motion is no longer finite.
+            ModelError: `between` is not known.
         """
         p, columns = basis
         k = len(self.names)
@@ -204,7 +232,7 @@ class Sensitivity:
         y = np.array(start, dtype=float)
         sens = np.hstack([np.zeros((self.states, k)), np.eye(self.states)])
         status = self.kernels.normal(
-            len(commands), 1.0 / rate, substeps, y, sens, p, columns,
+            len(commands), 1.0 / rate, substeps, is_straight(between), y, sens, p, columns,
             np.ascontiguousarray(commands, dtype=float), np.ascontiguousarray(readings, dtype=float),
             np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares,
         )  # fmt: skip
@@ -214,18 +242,50 @@ class Sensitivity:
         return NormalEquations(matrix, gradient, squares, y)
 
 
+# `_between` writes the command at a sample, and its change over half an integration step, the time between the stages
+# of a step; `_follow` and `_move` leave the command at the end of their step in `u`.
 SIMULATE = """
 @compiled
-def simulate(count, dt, substeps, y, p, commands, readings, work):
-    noise = work[5][: readings.shape[1]]
+def _between(commands, index, substeps, straight, u, rise):
+    for j in range(commands.shape[1]):
+        u[j], rise[j] = commands[index, j], 0.0
+        if straight != 0 and index + 1 < commands.shape[0]:
+            rise[j] = (commands[index + 1, j] - commands[index, j]) / (2 * substeps)
+
+
+@compiled
+def _follow(t, y, u, rise, p, h, work):
+    state = work[4]
+    for stage in range(4):
+        c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+        for i in range({states}):
+            state[i] = y[i] + (c * h * work[stage - 1, i] if stage > 0 else 0.0)
+        if stage == 1 or stage == 3:
+            for j in range(u.shape[0]):
+                u[j] += rise[j]
+        twin_derivative(t + c * h, state, u, p, work[stage])
+    for i in range({states}):
+        y[i] += h / 6.0 * (work[0, i] + 2.0 * (work[1, i] + work[2, i]) + work[3, i])
+
+
+@compiled
+def simulate(count, dt, substeps, straight, y, p, commands, readings, work):
+    noise, channels, h = work[5][: readings.shape[1]], commands.shape[1], dt / substeps
+    u, rise = work[6][:channels], work[7][:channels]
     noise[:] = 0.0
     for index in range(count):
-        sense(index * dt, y, p, noise, readings[index])
-        advance(index * dt, y, commands[index], p, dt, substeps, work)
+        t = index * dt
+        sense(t, y, p, noise, readings[index])
+        if straight == 0:
+            advance(t, y, commands[index], p, dt, substeps, work)
+            continue
+        _between(commands, index, substeps, straight, u, rise)
+        for step in range(substeps):
+            _follow(t + step * h, y, u, rise, p, h, work)
 """
 NORMAL = """
 @compiled
-def _move(t, y, sens, u, p, basis, h, work):
+def _move(t, y, sens, u, rise, p, basis, h, work):
     n, coordinates, affected, k, width = {states}, {coordinates}, {affected}, basis.shape[1], sens.shape[1]
     ks, ss, jy, jp = work[: 4 * n], work[4 * n : 5 * n], work[5 * n : 6 * n], work[6 * n : 7 * n]
     ky, state = work[7 * n : 7 * n + 4], work[7 * n + 4]
@@ -235,6 +295,9 @@ def _move(t, y, sens, u, p, basis, h, work):
             state[i] = y[i] + (c * h * ky[stage - 1, i] if stage > 0 else 0.0)
             for j in range(width):
                 ss[i, j] = sens[i, j] + (c * h * ks[(stage - 1) * n + i, j] if stage > 0 else 0.0)
+        if stage == 1 or stage == 3:
+            for j in range(u.shape[0]):
+                u[j] += rise[j]
         slopes(t + c * h, state, u, p, ky[stage], jy, jp)
         for i in range(coordinates):
             for j in range(width):
@@ -260,12 +323,15 @@ def _move(t, y, sens, u, p, basis, h, work):
 
 
 @compiled
-def normal(count, dt, substeps, y, sens, p, basis, commands, readings, weights, matrix, gradient, squares, work):
+def normal(
+    count, dt, substeps, straight, y, sens, p, basis, commands, readings, weights, matrix, gradient, squares, work
+):
     n, affected, sensors, k, width = {states}, {affected}, {sensors}, basis.shape[1], sens.shape[1]
     top = 7 * n + 5
     jy, jp = work[top : top + sensors], work[top + sensors : top + 2 * sensors]
     top += 2 * sensors
     noise, s, row = work[top][:sensors], work[top + 1][:sensors], work[top + 2]
+    u, rise = work[top + 3][: commands.shape[1]], work[top + 4][: commands.shape[1]]
     h = dt / substeps
     work[:] = 0.0
     for index in range(count):
@@ -291,7 +357,8 @@ def normal(count, dt, substeps, y, sens, p, basis, commands, readings, weights, 
                 gradient[i] += weighted * residual
                 for j in range(i + 1):
                     matrix[i, j] += weighted * row[j]
+        _between(commands, index, substeps, straight, u, rise)
         for step in range(substeps):
-            _move(t + step * h, y, sens, commands[index], p, basis, h, work)
+            _move(t + step * h, y, sens, u, rise, p, basis, h, work)
     return 0
 """

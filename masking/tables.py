@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-import html
 import json
 import math
-import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
+from masking import markup
 from masking.recording import MANIFEST, TABLE
 from masking.study import BudgetRow, Parameter, Study, percent
 from masking.wording import STEADY, declared, number, observer, pi, record_words, sum_name, timing
 
-if TYPE_CHECKING:
-    from masking import figures
-else:
-    figures = lazy.load("masking.figures", suppress_warning=True)
-
 _SOURCE = "Rijlaarsdam (2008)"
 _HELPS = 0.98  # of chi: what a cause must bring it down to, for its remedy to be told
 _MINUS = "\N{MINUS SIGN}"
-_WORDY = frozenset({"meaning", "measure", "value", "what helps"})  # columns of words, which may run over several lines
-_GREEK = {"chi": "<var>&chi;</var>", "pi": "&pi;", "alpha": "<var>&alpha;</var>", "eps": "<var>&epsilon;</var>"}
 
 
 def phases(facts: Study) -> str:
@@ -84,7 +74,7 @@ def fidelity(facts: Study) -> str:
         return ""
     words = f"chi = ||virtual - ideal|| / ||ideal||, the relative rms error over the record; {_SOURCE}, (4.12)."
     table = _table(facts, ("coordinate", "meaning", "chi", "largest error"), rows, numbers=(2, 3))
-    return f'{table}<p class="missing">{prose(facts, words)}</p>'
+    return table + markup.paragraph(words, "missing", symbols(facts))
 
 
 def budget(facts: Study) -> str:
@@ -107,7 +97,7 @@ def budget(facts: Study) -> str:
     head = ["run", *names, "rms", "change", "what helps"]
     table = _table(facts, head, rows, numbers=range(1, len(names) + 3))
     words = "chi of each coordinate, and the root of their mean square, in further runs of the same twin."
-    return f'{table}<p class="missing">{prose(facts, words)}</p>'
+    return table + markup.paragraph(words, "missing", symbols(facts))
 
 
 def _signed(part: float) -> str:
@@ -149,44 +139,15 @@ def provenance(facts: Study, written: Iterable[str], folder: Path) -> str:
         ("energy drift", ", ".join(f"{name} {number(e)}" for name, e in (manifest.get("energy") or {}).items())),
         ("files", ", ".join([*(name for name in (TABLE, MANIFEST) if (folder / name).is_file()), *written])),
     ]  # fmt: skip
-    body = "".join(
-        f'<tr><th scope="row">{name}</th><td class="w">{html.escape(str(value))}</td></tr>'
-        for name, value in rows
-        if value
-    )
     declarations = manifest.get("declarations")
-    text = html.escape(json.dumps(declarations, indent=2, ensure_ascii=False, default=str))
-    details = f"<details><summary>All declarations</summary><pre>{text}</pre></details>" if declarations else ""
-    return f'<div class="scroll"><table><tbody>{body}</tbody></table></div>{details}'
+    text = json.dumps(declarations, indent=2, ensure_ascii=False, default=str)
+    return markup.provenance(rows) + (markup.details("All declarations", text) if declarations else "")
+
+
+def symbols(facts: Study) -> set[str]:
+    """Return the names that are typeset as symbols wherever they stand in a text."""
+    return {*facts.coordinates, *(use.name for use in facts.inputs)}
 
 
 def _table(facts: Study, head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int]) -> str:
-    kinds = [' class="n"' if i in numbers else ' class="t"' if text in _WORDY else "" for i, text in enumerate(head)]
-    top = "".join(f"<th{kind}>{prose(facts, text)}</th>" for kind, text in zip(kinds, head, strict=True))
-    body = "".join(
-        "<tr>" + "".join(f"<td{k}>{prose(facts, str(cell))}</td>" for k, cell in zip(kinds, row, strict=True)) + "</tr>"
-        for row in rows
-    )
-    return f'<div class="scroll" tabindex="0"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
-
-
-def prose(facts: Study, text: str) -> str:
-    """Escape a text for the page and typeset the symbols, powers of ten and Greek letters in it."""
-    names = {*facts.coordinates, *(use.name for use in facts.inputs)}
-
-    def typeset(match: re.Match[str]) -> str:
-        word = match.group()
-        if word in names:
-            letters, index = re.fullmatch(r"(.*?)_?(\d*)", word).groups()  # type: ignore[union-attr]  # matches any word
-            letters, index = (letters, index) if letters else (word, "")
-            letters = f"&{letters};" if letters in figures.GREEK else letters
-            return f"<var>{letters}</var>" + (f"<sub>{index}</sub>" if index else "")
-        return _GREEK.get(word, word)
-
-    escaped = re.sub(r"(?<![&\w])[A-Za-z_]\w*", typeset, html.escape(text))
-    escaped = re.sub(r"(?<=\d)e(-?)(\d+)\b", _power_of_ten, escaped)
-    return escaped.replace("&lt;=", "&le;").replace(" - ", " &minus; ").replace("-&gt;", "&rarr;")
-
-
-def _power_of_ten(match: re.Match[str]) -> str:
-    return f" &middot; 10<sup>{'&minus;' if match[1] else ''}{match[2]}</sup>"
+    return markup.table(head, rows, numbers, symbols(facts))

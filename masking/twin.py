@@ -385,6 +385,7 @@ class LoweredTwin:
         channel = [self._through("actuator", name, x) for name, x in zip(twin.actuators, commands, strict=True)]
         driven = [graph.total([graph.mul(w, x) for w, x in zip(row, channel, strict=True)]) for row in wires]
         model = LoweredEquations.of(equations, graph, known=dict(zip(equations.symbols.u, driven, strict=True)))
+        self.equations = model
         self.loads |= model.joined()
         self.health = model.health
         s = equations.symbols

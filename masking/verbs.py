@@ -1,42 +1,73 @@
-"""The verbs of the command line as functions: list, show, check, schema, run, report."""
+"""The verbs of the command line as functions: list, show, check, schema, run, report, identify, measure."""
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 
 from masking.declaration import catalogue, strict_yaml
-from masking.errors import DeclarationError, MaskingError, ModelError, Place, Problem, RecordError, nearest
+from masking.errors import (
+    DeclarationError,
+    IntegrationError,
+    MaskingError,
+    ModelError,
+    Place,
+    Problem,
+    RecordError,
+    nearest,
+)
 
 if TYPE_CHECKING:
     from masking import budget as budgets
-    from masking import describe, experiment, model, recording, reporting, twin
+    from masking import describe, drawing, experiment, model, recording, reporting, twin
     from masking import feasibility as feasibilities
     from masking.declaration import registry
     from masking.declaration import schema as schemas
-    from masking.identification import data, written
+    from masking.identification import (
+        channels,
+        data,
+        fit_figures,
+        innovations,
+        kalman,
+        measurement,
+        pages,
+        responses,
+        written,
+    )
     from masking.identification import fit as fits
+    from masking.identification import simulation as simulations
 else:  # each verb loads only what it needs
     budgets = lazy.load("masking.budget", suppress_warning=True)
     data = lazy.load("masking.identification.data", suppress_warning=True)
+    channels = lazy.load("masking.identification.channels", suppress_warning=True)
     describe = lazy.load("masking.describe", suppress_warning=True)
     experiment = lazy.load("masking.experiment", suppress_warning=True)
     feasibilities = lazy.load("masking.feasibility", suppress_warning=True)
+    fit_figures = lazy.load("masking.identification.fit_figures", suppress_warning=True)
     fits = lazy.load("masking.identification.fit", suppress_warning=True)
+    kalman = lazy.load("masking.identification.kalman", suppress_warning=True)
+    measurement = lazy.load("masking.identification.measurement", suppress_warning=True)
     model = lazy.load("masking.model", suppress_warning=True)
+    pages = lazy.load("masking.identification.pages", suppress_warning=True)
     recording = lazy.load("masking.recording", suppress_warning=True)
     registry = lazy.load("masking.declaration.registry", suppress_warning=True)
     reporting = lazy.load("masking.reporting", suppress_warning=True)
+    responses = lazy.load("masking.identification.responses", suppress_warning=True)
     schemas = lazy.load("masking.declaration.schema", suppress_warning=True)
+    simulations = lazy.load("masking.identification.simulation", suppress_warning=True)
     twin = lazy.load("masking.twin", suppress_warning=True)
     written = lazy.load("masking.identification.written", suppress_warning=True)
 
 KINDS = ("model", "plant", "experiment")
+METHODS = ("least-squares", "kalman")
+# Procedures of `measure`, and how many records each takes at most.
+PROCEDURES: dict[str, int | None] = {"springs": 1, "actuators": 1, "friction": None, "response": None}
 
 
 @dataclass(frozen=True)
@@ -171,27 +202,34 @@ def identify(
     parameters: Sequence[str] = (),
     validation: Sequence[str | Path] = (),
     horizon: float | None = None,
+    method: str = "least-squares",
+    square_root: bool = False,
+    iterated: int = 1,
     out: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
-) -> fits.Fit:
+) -> fits.Fit | innovations.KalmanFit:
     """Fit parameters of a plant to recordings of it.
 
     Args:
-        records: folders of recordings, or parquet files, with `input.*` and `sensor.*` of the plant.
+        records: folders of recordings, or parquet files, with `input.*` and `sensor.*` of the plant; one for a filter.
         plant: a plant file, or a packaged plant: its sensors, actuators, wiring and delay, and what is to be fitted.
         model: a model that takes the place of the plant's own and of the effects in its elements.
         parameters: what to fit: parameters of the model, and of effects as `<effect>_<parameter>`; all that the
             equations of the model hold where none are given.
         validation: recordings that are not fitted, and judge the fit.
-        horizon: seconds of the windows into which recordings are cut at first.
-        out: folder to save `model.yaml`, `plant.yaml` and `fit.json` in; nothing is saved where none is given.
+        horizon: seconds of the windows into which recordings are cut at first; not for a filter.
+        method: 'least-squares', or 'kalman' for one pass of the extended Kalman filter with the settings of 4.2.2.
+        square_root: let the filter carry a square root of its covariance.
+        iterated: times that the filter makes the readings of a sample linear.
+        out: folder to save `model.yaml`, `plant.yaml`, `fit.json`, `fit.html` and its figures in: `fit.png`,
+            `validation.png` where there is a validation, `estimates.png` of a filter; nothing is saved where none is
+            given.
         progress: called with the part done.
 
     Raises:
-        MaskingError: a declaration, a name or a recording is wrong; says what to do about it.
+        MaskingError: a declaration, a name, a setting or a recording is wrong; says what to do about it.
     """
-    if not records:
-        raise RecordError("give at least one recording to fit")
+    _check_method(method, records, horizon, other=square_root or iterated != 1)
     if out is not None:
         check_folder(out)
     wanted = twin.Twin.load(plant) if model is None else twin.Twin.load(plant).as_model(model)
@@ -200,12 +238,65 @@ def identify(
     def read(paths: Sequence[str | Path]) -> tuple[data.Data, ...]:
         return tuple(data.Data.of(recording.Recording.load(Path(path)), wanted, str(path)) for path in paths)
 
-    found = fits.fit(
-        wanted, read(records), parameters or wanted.equation_parameters(), validation=read(validation), horizon=horizon,
-        progress=progress,
-    )  # fmt: skip
+    names = parameters or wanted.equation_parameters()
+    train, unseen = read(records), read(validation)
+    found: fits.Fit | innovations.KalmanFit
+    if method == "kalman":
+        found = kalman.extended_kalman(
+            wanted, train[0], names, square_root=square_root, iterated=iterated, progress=progress
+        )
+        if unseen:
+            judged = fits.fit(found.twin, unseen, ())
+            found = replace(found, validation=judged.chi)
+    else:
+        found = fits.fit(wanted, train, names, validation=unseen, horizon=horizon, progress=progress)
     if out is not None:
+        plates, sentence = _fit_plates(found, train, unseen)
         written.save(found, out)
+        pages.save_fit(found, plates, sentence, out)
+    return found
+
+
+def measure(
+    procedure: str,
+    *records: str | Path,
+    plant: str | Path | None = None,
+    out: str | Path | None = None,
+    **settings: Any,  # noqa: ANN401  # those of the procedure
+) -> measurement.Measurement[Any]:
+    """Do one procedure of the identification on recordings made for it.
+
+    Args:
+        procedure: 'springs', 'actuators', 'friction' or 'response'.
+        records: folders of recordings, or parquet files, with `input.*` and `sensor.*`.
+        plant: a plant file, or a packaged plant, whose sensors turn readings into what they measure, such as a
+            displacement in m; without one, results are in the units of the readings.
+        out: folder to save `<procedure>.html`, `<procedure>.json` and PNG files in; nothing is saved where none is
+            given.
+        settings: those of `measurement.springs`, `measurement.actuators`, `measurement.friction` or
+            `responses.response`, such as `sensor="s1"`.
+
+    Raises:
+        MaskingError: there is no such procedure or setting, or a column, a plant or a recording is wrong.
+    """
+    if procedure not in PROCEDURES:
+        message = f"there is no procedure '{procedure}'"
+        raise DeclarationError(Problem(None, "", message, nearest(procedure, [*PROCEDURES])))
+    function = responses.response if procedure == "response" else getattr(measurement, procedure)
+    known = [n for n, p in inspect.signature(function).parameters.items() if p.kind is p.KEYWORD_ONLY]
+    for name in settings:
+        if name not in known:
+            raise DeclarationError(Problem(None, name, f"{procedure} has no such setting", nearest(name, known)))
+    most = PROCEDURES[procedure]
+    if not records or (most is not None and len(records) > most):
+        raise RecordError(f"{procedure} takes {'one record' if most else 'records'}; {len(records)} are given")
+    if out is not None:
+        check_folder(out)
+    known_plant = None if plant is None else twin.Twin.load(plant)
+    sources = [channels.Source(str(r), recording.Recording.load(Path(r)), known_plant) for r in records]
+    found: measurement.Measurement[Any] = function(*sources, **settings)
+    if out is not None:
+        pages.save(found, out)
     return found
 
 
@@ -236,6 +327,42 @@ def check_folder(out: str | Path) -> None:
         raise RecordError(f"{existing} is a file; name a folder to save in")
     if not os.access(existing, os.W_OK):
         raise RecordError(f"{existing} may not be written; name another folder to save in")
+
+
+def _check_method(method: str, records: Sequence[str | Path], horizon: float | None, *, other: bool) -> None:
+    """Refuse a method that there is not, and settings of the other one."""
+    if method not in METHODS:
+        raise DeclarationError(Problem(None, "method", f"there is no method '{method}'", nearest(method, METHODS)))
+    if not records:
+        raise RecordError("give at least one recording to fit")
+    if method == "kalman" and len(records) > 1:
+        raise RecordError(
+            f"the filter takes one record, {len(records)} are given; filter one after the other, or fit them together "
+            "by least squares"
+        )
+    if method == "kalman" and horizon is not None:
+        raise DeclarationError(Problem(None, "horizon", "a filter has no windows", "leave the horizon out"))
+    if method != "kalman" and other:
+        message = "square roots and iterations are settings of the filter"
+        raise DeclarationError(Problem(None, "method", message, "give the method kalman"))
+
+
+def _fit_plates(
+    found: fits.Fit | innovations.KalmanFit, train: Sequence[data.Data], unseen: Sequence[data.Data]
+) -> tuple[Sequence[drawing.Plate], str]:
+    """Return the figures of a fit and what they say; without a record whose simulation is not finite."""
+    is_filter = not isinstance(found, fits.Fit)
+    plates, sentence = [], "The simulation with the fitted values is not finite"
+    for record, was_fitted in ((train[0], True), *((record, False) for record in unseen[:1])):
+        try:
+            made = simulations.simulate(found.twin, record, () if is_filter or not was_fitted else found.names)
+        except IntegrationError:
+            continue
+        plates.append(fit_figures.fit(made, was_fitted=was_fitted))
+        sentence = fit_figures.verdict(made, was_fitted=was_fitted)
+    if not isinstance(found, fits.Fit) and found.names:
+        plates.append(fit_figures.estimates(found))
+    return plates, sentence
 
 
 def _kinds(file: str | Path) -> tuple[str, ...]:

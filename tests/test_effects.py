@@ -24,7 +24,7 @@ from masking.model import Model, load_model
 
 IN_ELEMENTS = [name for name, effect in EFFECTS.items() if effect.where == "element"]
 OUTSIDE = [name for name, effect in EFFECTS.items() if effect.where in {"sensor", "actuator"}]
-LETTERS = {"element": ("d", "d_rate"), "sensor": ("s", "xi"), "actuator": ("u",), "loop": ()}
+LETTERS = {"element": ("d", "d_rate", "t"), "sensor": ("s", "xi"), "actuator": ("u",), "loop": ()}
 SIZES = st.floats(-1.0, 1.0)
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import signal, stats
 from scipy.optimize import least_squares
 
 from masking import cli
@@ -140,6 +140,66 @@ def test_effects_of_the_full_twin_are_found():
     record = recorded(twin.with_parameters(truth), sines(10.0, size=(0.1, 0.1, 0.3)), rate=RATE)
     found = fit(twin, record, tuple(truth))
     assert (np.abs(found.values - list(truth.values())) < 5 * found.std + 1e-4).all()
+
+
+# Inputs that were measured, not commanded.
+
+
+OSCILLATOR = {
+    "name": "oscillator",
+    "coordinates": {"x": {}},
+    "inputs": {"u": {}},
+    "parameters": {"w": {"value": 6.0}, "z": {"value": 0.1}, "c": {"value": 30.0}},
+    "equations": {"x''": "-w**2*x - 2*z*w*x' + c*u"},
+}
+
+
+@pytest.fixture(scope="module")
+def oscillator():
+    plant = {"name": "rig", "model": "oscillator", "sensors": {"s": {"measures": "x", "gain": 1.0, "unit": "1"}}}
+    return Twin(schema.PlantDeclaration.model_validate(plant), schema.ModelDeclaration.model_validate(OSCILLATOR))
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """A record by scipy, of an oscillator with w = 6.3, z = 0.05, c = 40 under inputs in straight lines."""
+    generator, t = np.random.default_rng(0), np.arange(2000) / 10.0
+    u = generator.standard_normal(len(t))
+    system = ([[0.0, 1.0], [-(6.3**2), -2 * 0.05 * 6.3]], [[0.0], [40.0]], [[1.0, 0.0]], [[0.0]])
+    x = signal.lsim(system, u, t, [0.5, -1.0], interp=True)[1] + 1e-3 * generator.standard_normal(len(t))
+    return Data("the record", 10.0, u[:, None], x[:, None], between="straight")
+
+
+def test_straight_inputs_are_fitted_without_bias(oscillator, measured):
+    """From all of the record, and from windows of it; inputs that are held are half a sample late."""
+    truth = np.array([6.3, 0.05, 40.0])
+    for horizon in (None, 5.0):
+        found = fit(oscillator, measured, ("w", "z", "c"), horizon=horizon)
+        assert (np.abs(found.values - truth) < 4 * found.std).all()
+        np.testing.assert_allclose(found.sigma, 1e-3, rtol=0.05)
+    held = fit(oscillator, replace(measured, between="held"), ("w", "z", "c"))
+    assert held.sigma[0] > 100 * found.sigma[0]
+
+
+def test_parts_of_a_record_keep_how_its_commands_go(measured):
+    assert {part.between for part in (measured.first(5.0), *measured.windows(5.0), measured)} == {"straight"}
+    with pytest.raises(ModelError, match=r"between is 'cubic': give 'held' for .* or 'straight' for inputs that were"):
+        replace(measured, between="cubic")
+
+
+def test_measured_inputs_act_when_they_are_measured(linear):
+    """The delay of a plant is that of its commands."""
+    found = Data.of(saved(T), linear, between="straight")
+    np.testing.assert_array_equal(found.acting, found.commands)
+
+
+@pytest.mark.parametrize(("part", "exact"), [(0.02, 1e-9), (0.1, 1e-5), (0.25, 1e-2)])
+def test_band_limited_inputs_lose_nothing(part, exact):
+    """Straight lines between samples of a sine carry sinc^2 of it; the ends of a record apart."""
+    u = np.sin(2 * np.pi * part * np.arange(200))[:, None]
+    made = Data("sine", 1.0, u, u).band_limited()
+    np.testing.assert_allclose(made.commands[3:-3] * np.sinc(part) ** 2, u[3:-3], atol=exact)
+    assert made.between == "straight"
 
 
 # What cannot be told.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import linalg, stats
 from scipy.optimize import least_squares
-from test_identification import ALL, recorded, sines
+from test_identification import ALL, measured, oscillator, recorded, sines  # noqa: F401 (fixtures)
 
 from masking.declaration import schema
 from masking.errors import IntegrationError, ModelError, RecordError
@@ -111,6 +111,18 @@ def test_of_a_linear_rig_it_is_the_kalman_filter(linear, truth, square_root, pro
     np.testing.assert_allclose(found.innovations, innovations, atol=exact)
     np.testing.assert_allclose(found.nis, nis, atol=1e3 * exact)
     assert (np.abs(found.final - last) < 10 * exact * np.sqrt(np.outer(np.diag(last), np.diag(last)))).all()
+
+
+@pytest.mark.parametrize("square_root", [False, True])
+def test_measured_inputs_are_filtered_as_they_are_fitted(oscillator, measured, square_root):  # noqa: F811 (fixtures)
+    """Begun at the optimum of least squares, without noise of the process, innovations are the noise of 1e-3."""
+    least = fit(oscillator, measured, ("w", "z", "c"))
+    settings = {"measurement": 1e-6, "process": 0.0, "parameters": 1e-4, "initial": 1.0, "square_root": square_root}
+    found = extended_kalman(least.twin, measured, ("w", "z", "c"), **settings)
+    assert (np.abs(found.values - least.values) < least.std).all()
+    assert found.innovations[10:].std() == pytest.approx(1e-3, rel=0.05)
+    held = extended_kalman(least.twin, replace(measured, between="held"), (), **settings)
+    assert held.innovations[10:].std() > 0.1
 
 
 def test_a_second_pass_agrees_with_least_squares(again, record):

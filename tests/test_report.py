@@ -461,7 +461,7 @@ def test_a_logarithmic_axis_holds_two_powers_of_ten(exponent, decades):
 
 @pytest.mark.parametrize("peak", [1.1, 0.0999, 3.0, 1e-9, 2.4e17, 5e-324])
 def test_a_constant_peak_has_two_labels(peak):
-    _, (axes,) = figures._sheet([2.0])
+    _, (axes,) = figures.sheet([2.0])
     figures._log_peaks(axes, np.arange(30.0), np.full(30, peak), figures.INK)
     axes.figure.canvas.draw()
     low, high = axes.get_ylim()

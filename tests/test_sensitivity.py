@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import linalg, signal
 
 from masking.declaration import schema
 from masking.errors import IntegrationError, ModelError
@@ -48,7 +48,64 @@ def test_readings_are_those_of_the_exact_solution(linear):
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * np.abs(expected).max())
 
 
-def by_differences(sensitivity, theta, start, u):
+# Inputs that go in straight lines between samples.
+
+
+@pytest.fixture(scope="module")
+def oscillator():
+    """A mass on a spring with 9.9 samples in a period, driven through a lag; its parameters are w, z and c."""
+    model = {
+        "name": "oscillator",
+        "coordinates": {"x": {}},
+        "inputs": {"u": {}},
+        "parameters": {"w": {"value": 6.3}, "z": {"value": 0.05}, "c": {"value": 40.0}},
+        "equations": {"x''": "-w**2*x - 2*z*w*x' + c*u"},
+    }
+    plant = {
+        "name": "rig",
+        "model": "oscillator",
+        "actuators": {"V": {"unit": "1"}},
+        "wiring": {"u": "V"},
+        "sensors": {"s": {"measures": "x", "gain": 2.0, "unit": "1"}},
+        "effects": {"lag": {"effect": "actuator_lag", "at": "V", "parameters": {"tau": 0.1}}},
+    }
+    twin = Twin(schema.PlantDeclaration.model_validate(plant), schema.ModelDeclaration.model_validate(model))
+    return Sensitivity(twin, ("w", "z", "c", "lag_tau"))
+
+
+OSCILLATOR = {"rate": 9.9 * 6.3 / (2 * np.pi)}
+
+
+def first_order_hold(theta, start, u):
+    """Return the oscillator's exact readings (m, 1) under inputs in straight lines, from scipy."""
+    w, z, c, tau = theta
+    a = [[0.0, 1.0, 0.0], [-(w**2), -2 * z * w, c], [0.0, 0.0, -1.0 / tau]]
+    system = (a, [[0.0], [0.0], [1.0 / tau]], [[2.0, 0.0, 0.0]], [[0.0]])
+    return signal.lsim(system, u, np.arange(len(u)) / OSCILLATOR["rate"], start, interp=True)[1][:, None]
+
+
+def test_straight_commands_are_a_first_order_hold(oscillator):
+    """Against the exact solution: within 1e-9, and 16 times closer with steps of half the length."""
+    theta, start = oscillator.start(), np.array([0.3, -1.0, 0.2])
+    u = np.random.default_rng(0).standard_normal((400, 1))
+    exact = first_order_hold(theta, start, u)
+    off = [
+        np.abs(oscillator.simulate(theta, start, u, substeps=n, between="straight", **OSCILLATOR) - exact).max()
+        for n in (4, 8, 16, 128)
+    ]
+    assert off[-1] < 1e-9 * np.abs(exact).max()
+    np.testing.assert_allclose(np.log2(np.divide(off[:2], off[1:3])), 4.0, atol=0.3)
+    held = oscillator.simulate(theta, start, u, substeps=64, **OSCILLATOR)
+    assert np.abs(held - exact).max() > 0.1 * np.abs(exact).max()
+
+
+def test_a_hold_that_is_not_known_is_refused(oscillator):
+    u = np.zeros((10, 1))
+    with pytest.raises(ModelError, match="between is 'linear': give 'held' for commands that act until the next"):
+        oscillator.simulate(oscillator.start(), np.zeros(3), u, rate=1.0, substeps=1, between="linear")
+
+
+def by_differences(sensitivity, theta, start, u, between):
     """Return the derivatives of all readings (m, sensors, k + states) by central differences."""
     columns = []
     for i in range(len(theta) + len(start)):
@@ -57,7 +114,7 @@ def by_differences(sensitivity, theta, start, u):
             values, state = theta.copy(), start.copy()
             step = 1e-5 * (abs(theta[i]) or 1.0) if i < len(theta) else 1e-7
             (values if i < len(theta) else state)[i if i < len(theta) else i - len(theta)] += sign * step
-            at.append(sensitivity.simulate(values, state, u, rate=RATE, substeps=2))
+            at.append(sensitivity.simulate(values, state, u, rate=RATE, substeps=2, between=between))
         columns.append((at[0] - at[1]) / (2 * step))
     return np.moveaxis(np.array(columns), 0, -1)
 
@@ -70,15 +127,17 @@ def full():
     return Sensitivity(twin, ("w1", "z3", "mu2", "friction1_fc", "hysteresis3_k", "strong_gain_V1_e", "offset_s2_e0"))
 
 
+@pytest.mark.parametrize("between", ["held", "straight"])
 @pytest.mark.parametrize("which", ["linear", "full"])
-def test_normal_equations_are_those_of_differences(which, request):
+def test_normal_equations_are_those_of_differences(which, between, request):
     found = request.getfixturevalue(which)
     theta, u, weights = found.start(), commands(600), np.array([1.0, 4.0, 0.25])
     start = found.twin.rest(np.array([1e-3, -5e-4, 2e-4]))
-    readings = found.simulate(theta * 1.02, start, u, rate=RATE, substeps=2)
-    told = found.normal_equations(found.basis(theta), start, u, readings, weights, rate=RATE, substeps=2)
-    jacobian = by_differences(found, theta, start, u)
-    residuals = readings - found.simulate(theta, start, u, rate=RATE, substeps=2)
+    settings = {"rate": RATE, "substeps": 2, "between": between}
+    readings = found.simulate(theta * 1.02, start, u, **settings)
+    told = found.normal_equations(found.basis(theta), start, u, readings, weights, **settings)
+    jacobian = by_differences(found, theta, start, u, between)
+    residuals = readings - found.simulate(theta, start, u, **settings)
     matrix = np.einsum("mok,o,mol->kl", jacobian, weights, jacobian)
     gradient = np.einsum("mok,o,mo->k", jacobian, weights, residuals)
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))

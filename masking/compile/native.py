@@ -34,13 +34,14 @@ else:
 # float64, int64, vector and matrix of float64
 ARGUMENTS: dict[str, str] = {
     **dict.fromkeys(("t", "tolerance", "fixed_step", "dt", "first", "since"), "d"),
-    **dict.fromkeys(("begin", "count", "substeps", "every"), "i"),
+    **dict.fromkeys(("begin", "count", "substeps", "every", "straight", "kind", "state"), "i"),
     **dict.fromkeys(("y", "q", "v", "u", "p", "out", "dy", "times"), "v"),
     **dict.fromkeys(("s", "x", "d", "r", "g", "noise", "control_p", "demanded", "applied", "command"), "v"),
     **dict.fromkeys(("c", "states", "virtual", "inputs", "out_y", "out_u", "work"), "m"),
     **dict.fromkeys(("jy", "jp", "sens", "basis", "matrix"), "m"),
-    **dict.fromkeys(("weights", "gradient", "squares"), "v"),
+    **dict.fromkeys(("weights", "gradient", "squares", "theta", "rate"), "v"),
     **dict.fromkeys(("gain", "table", "queue", "noises", "estimates", "readings", "demands", "commands"), "m"),
+    **dict.fromkeys(("slots", "columns", "features"), "m"),
 }
 C_TYPES: dict[str, tuple[Any, ...]] = {
     "d": (ctypes.c_double,),

@@ -6,7 +6,8 @@ compiled.
 """
 
 from masking.effects.attachment import Attachment, Setting, attach, attach_all, expressions, find, parameters, unit_of
-from masking.effects.entries import EFFECTS, Effect, EffectParameter, EffectState
+from masking.effects.entries import EFFECTS
+from masking.effects.entry import Effect, EffectParameter, EffectState
 
 __all__ = [
     "EFFECTS",

@@ -21,7 +21,8 @@ from masking.declaration.fields import NAME_PATTERN
 from masking.declaration.rates import rate_of
 from masking.declaration.schema import Element, ModelDeclaration, Parameter, State
 from masking.declaration.units import Dimension, describe, dimension_of
-from masking.effects.entries import EFFECTS, Effect, EffectParameter
+from masking.effects.entries import EFFECTS
+from masking.effects.entry import Effect, EffectParameter
 from masking.errors import DeclarationError, Problem, nearest
 
 # A number in the parameter's unit, an expression over the model's parameters, or either with a unit:

@@ -252,7 +252,14 @@ class _Problem:
         basis = self.sensitivity.basis(theta)
         for piece, acting, start, substeps in zip(self.pieces, self.acting, starts, self.substeps, strict=True):
             found = self.sensitivity.normal_equations(
-                basis, start, acting, piece.readings, weights, rate=piece.rate, substeps=substeps
+                basis,
+                start,
+                acting,
+                piece.readings,
+                weights,
+                rate=piece.rate,
+                substeps=substeps,
+                between=piece.between,
             )
             matrix += found.matrix[:k, :k]
             gradient += found.gradient[:k]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
@@ -39,6 +39,7 @@ class KalmanFit:
             not a number where that motion is not finite.
         floor: chi that the noise of the record alone makes, by name.
         notes: what must be known to trust the values.
+        validation: relative error of each sensor in a record that was not filtered, by name; empty where there is none.
     """
 
     twin: Twin
@@ -55,6 +56,7 @@ class KalmanFit:
     chi: dict[str, float]
     floor: dict[str, float]
     notes: tuple[str, ...] = ()
+    validation: dict[str, float] = field(default_factory=dict)
 
     @property
     def std(self) -> Array:
@@ -102,9 +104,10 @@ class KalmanFit:
         """Return the fit as JSON can hold it; what is over time is left out."""
         mean, low, high = self.consistency
         pairs = zip(self.names, self.values, self.std, strict=True)
+        train = {name: value if np.isfinite(value) else None for name, value in self.chi.items()}
         return {
             "parameters": {name: {"value": float(value), "std": float(std)} for name, value, std in pairs},
-            "chi": {"train": {name: value if np.isfinite(value) else None for name, value in self.chi.items()}},
+            "chi": {"train": train, "validation": self.validation},
             "floor": self.floor,
             "nis": {"mean": mean, "low": low, "high": high},
             "whiteness": self.whiteness,
@@ -119,5 +122,7 @@ class KalmanFit:
         ]
         mean, low, high = self.consistency
         told = f"chi {', '.join(f'{name} {value:.3g}' for name, value in self.chi.items())}"
+        if self.validation:
+            told += f"; on unseen data {', '.join(f'{name} {value:.3g}' for name, value in self.validation.items())}"
         told += f"; the noise alone {', '.join(f'{name} {value:.3g}' for name, value in self.floor.items())}"
         return "\n".join([*rows, told, f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}", *self.notes])

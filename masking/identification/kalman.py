@@ -31,7 +31,7 @@ from masking.identification.data import Data
 from masking.identification.innovations import KalmanFit
 from masking.identification.steps import LOOP, STEPS
 from masking.kernels import Array, Kernels
-from masking.sensitivity import Sensitivity
+from masking.sensitivity import Sensitivity, is_straight
 from masking.twin import Twin
 
 if TYPE_CHECKING:
@@ -238,7 +238,7 @@ class _Filter(Sensitivity):
         n, k, sensors = self.states, len(self.names), len(self.twin.sensors)
         width = max(3 * n, n + k, len(self.affected), sensors, len(self.twin.actuators))
         for text in self._texts:
-            module.add_kernel(text, "ii", (7 * n + 5 + 3 * sensors + (n + k) + 2 * n + 11, width))
+            module.add_kernel(text, "ii", (7 * n + 5 + 3 * sensors + (n + k) + 2 * n + 12, width))
         return module
 
     @cached_property
@@ -310,7 +310,7 @@ class _Run:
         )
         theta = np.clip(theta, low, high)
         acting, readings = np.ascontiguousarray(record.acting), np.ascontiguousarray(record.readings)
-        substeps = sensing.twin.substeps(record.rate)
+        substeps, straight = sensing.twin.substeps(record.rate), is_straight(record.between)
         sens = np.zeros((sensing.states, len(theta) + sensing.states))
         p, basis = self._basis(theta)
         at = 0
@@ -322,8 +322,8 @@ class _Run:
                 moved = MOVED * np.maximum(np.abs(theta), 0.1 * self.scales.parameters)
                 table = np.array([low, high, np.full_like(theta, np.inf) if sensing.is_affine else moved])
                 status, at = kernel(
-                    at, end - at, 1.0 / record.rate, substeps, y, theta, p, basis, matrix, sens, acting, readings,
-                    self.r, self.q, table, self.states, self.estimates, self.noises,
+                    at, end - at, 1.0 / record.rate, substeps, straight, y, theta, p, basis, matrix, sens, acting,
+                    readings, self.r, self.q, table, self.states, self.estimates, self.noises,
                 )  # fmt: skip
                 if status in (_NOT_FINITE, _NOT_POSITIVE):
                     raise IntegrationError(self._mend(status, at, len(theta)))
@@ -370,7 +370,7 @@ class _Run:
             try:
                 made = self.sensing.normal_equations(
                     basis, y, self.record.acting, self.record.readings, 1.0 / self.r, rate=self.record.rate,
-                    substeps=self.sensing.twin.substeps(self.record.rate),
+                    substeps=self.sensing.twin.substeps(self.record.rate), between=self.record.between,
                 )  # fmt: skip
             except IntegrationError:
                 break

@@ -166,8 +166,8 @@ def _variance_root(matrix, i):
 LOOP = """
 @compiled
 def filter_{form}(
-    begin, count, dt, substeps, y, x, p, basis, matrix, sens, commands, readings, r, q, table, states, estimates,
-    noises, work
+    begin, count, dt, substeps, straight, y, x, p, basis, matrix, sens, commands, readings, r, q, table, states,
+    estimates, noises, work
 ):
     n, k, sensors, affected, size = {n}, {k}, {sensors}, {affected}, {n} + {k}
     top = 7 * n + 5
@@ -177,6 +177,7 @@ def filter_{form}(
     top += size + 2 * n
     noise, s, residual, before, change = work[top], work[top + 1], work[top + 2], work[top + 3], work[top + 4]
     gain, seen, since, shift, origin = work[top + 5], work[top + 6], work[top + 7], work[top + 8], work[top + 9]
+    u, rise = work[top + 10][: commands.shape[1]], work[top + 11][: commands.shape[1]]
     h, last = dt / substeps, readings.shape[0] - 1
     work[:] = 0.0
     for j in range(k):
@@ -246,8 +247,9 @@ def filter_{form}(
         for i in range(n):
             for j in range(n + k):
                 sens[i, j] = 1.0 if j == k + i else 0.0
+        _between(commands, index, substeps, straight, u, rise)
         for step in range(substeps):
-            _move(t + step * h, y, sens, commands[index], p, basis, h, work)
+            _move(t + step * h, y, sens, u, rise, p, basis, h, work)
         _carry_{form}(matrix, sens, q, dt, k, carried)
         if moved:
             return 3, index + 1

@@ -11,12 +11,13 @@ import yaml
 
 from masking.declaration import catalogue
 from masking.identification.fit import Fit
+from masking.identification.innovations import KalmanFit
 from masking.twin import Twin
 
 _DIGITS = 10
 
 
-def save(fit: Fit, folder: str | Path) -> dict[str, Path]:
+def save(fit: Fit | KalmanFit, folder: str | Path) -> dict[str, Path]:
     """Write `model.yaml`, `plant.yaml` and `fit.json` into a folder; return their paths.
 
     The model extends the one that was fitted; the plant has it, and the fitted values of effects.
@@ -34,7 +35,7 @@ def save(fit: Fit, folder: str | Path) -> dict[str, Path]:
     return paths
 
 
-def model(fit: Fit, folder: Path) -> dict[str, Any]:
+def model(fit: Fit | KalmanFit, folder: Path) -> dict[str, Any]:
     """Return the content of a model file that extends the fitted model."""
     twin = fit.twin
     own = [i for i, name in enumerate(fit.names) if name in twin.base.parameters]
@@ -45,7 +46,7 @@ def model(fit: Fit, folder: Path) -> dict[str, Any]:
     return {"name": f"{twin.base.name}, identified", "extends": _reference(twin, folder), "parameters": values}
 
 
-def plant(fit: Fit) -> dict[str, Any]:
+def plant(fit: Fit | KalmanFit) -> dict[str, Any]:
     """Return the content of a plant file with the fitted model, in the same folder, and the fitted effects."""
     twin = fit.twin
     made = twin.declaration.canonical() | {"name": f"{twin.declaration.name}, identified", "model": "model.yaml"}

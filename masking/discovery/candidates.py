@@ -1,0 +1,195 @@
+"""Candidates: every effect of the dictionary at every place where it may sit, with values to begin from.
+
+Of each effect some parameters enter its force as factors; the others are its shape, for which a few values are tried
+that are spread over the motion of the record.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from masking.discovery import laws
+from masking.discovery.opened import OpenRig, Slot
+from masking.effects import EFFECTS
+from masking.kernels import Array
+
+
+@dataclass(frozen=True)
+class Span:
+    """How far a place, sensor or actuator goes in a record.
+
+    Args:
+        low, high: least and largest value.
+        size: largest magnitude.
+        rate: root mean square of its rate.
+        tones: frequencies in Hz of what is left, the strongest first.
+    """
+
+    low: float
+    high: float
+    size: float
+    rate: float
+    tones: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at a place: its slots for the shapes that are tried.
+
+    Args:
+        effect: its name.
+        at: the place.
+        factors: indices of the parameters that are factors.
+        free: indices of all that are estimated.
+        slots: one for each shape, with factors 0 or as the shape wants them.
+        variant: tells several candidates of the same effect at the same place apart.
+    """
+
+    effect: str
+    at: str
+    factors: tuple[int, ...]
+    free: tuple[int, ...]
+    slots: tuple[Slot, ...]
+    variant: str = ""
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Return effect and place."""
+        return self.effect, self.at
+
+
+Shapes = Callable[[Span], list[Mapping[str, float]]]
+
+
+@dataclass(frozen=True)
+class _Recipe:
+    """How an effect is tried: factors, shape parameters that are estimated, and shapes to begin with."""
+
+    factors: tuple[str, ...]
+    shape: tuple[str, ...] = ()
+    shapes: Shapes = lambda span: [{}]
+    variant: str = ""
+
+
+def _parts(name: str, *parts: float) -> Shapes:
+    return lambda span: [{name: part * span.size} for part in parts]
+
+
+def _edges(span: Span, **more: float) -> list[Mapping[str, float]]:
+    up = [
+        {"side": 1.0, "edge": part * span.high, **more}
+        for part in (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)
+        if span.high > 0
+    ]
+    down = [
+        {"side": -1.0, "edge": part * span.low, **more}
+        for part in (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)
+        if span.low < 0
+    ]
+    return [*up, *down, {"side": 1.0, "edge": 0.0, **more}, {"side": -1.0, "edge": 0.0, **more}]
+
+
+def _rates(name: str, *parts: float) -> Shapes:
+    return lambda span: [{name: part * span.rate} for part in parts]
+
+
+RECIPES: dict[str, tuple[_Recipe, ...]] = {
+    "constant_force": (_Recipe(("f0",)),),
+    "linear_spring": (_Recipe(("k",)),),
+    "polynomial_spring": (
+        _Recipe(("k2",), variant="quadratic"),
+        _Recipe(("k2", "k3"), variant="cubic"),
+        _Recipe(("k2", "k3", "k4", "k5")),
+    ),
+    "hardening_spring": (_Recipe(("k3",)),),
+    "viscous_damping": (_Recipe(("c",)),),
+    "quadratic_damping": (_Recipe(("c",)),),
+    "dry_friction": (_Recipe(("fc",)),),
+    "asymmetric_friction": (_Recipe(("fp", "fm")),),
+    "stribeck_friction": (_Recipe(("fc", "fs"), ("vst",), _rates("vst", 0.05, 0.15, 0.4, 0.8)),),
+    "lugre_friction": (
+        _Recipe(
+            ("s0",),
+            ("fc", "fs", "vst"),
+            lambda span: [
+                {"fc": 1.0, "fs": more, "vst": 0.2 * span.rate, "s0": 1.0 / (part * span.size)}
+                for part in (0.005, 0.02, 0.08)
+                for more in (1.2, 2.0)
+            ],
+        ),
+    ),
+    "dahl_friction": (_Recipe(("fc",), ("x0",), _parts("x0", 0.003, 0.01, 0.03, 0.1, 0.3)),),
+    "hysteresis": (_Recipe(("k",), ("zmax",), _parts("zmax", 0.01, 0.03, 0.08, 0.2, 0.4, 0.8)),),
+    "backlash": (_Recipe(("k",), ("gap",), _parts("gap", 0.05, 0.15, 0.3, 0.5, 0.8, 1.2)),),
+    "stop": (_Recipe(("k",), ("edge",), _edges),),
+    "local_friction": (_Recipe(("fc",), ("edge",), lambda span: _edges(span, width=0.04 * span.size)),),
+    "gravity_force": (_Recipe(("a",), ("r",), _parts("r", 0.12, 0.2, 0.35, 0.6, 1.2, 3.0)),),
+    "periodic_force": (_Recipe(("a", "b"), ("nu",), lambda span: [{"nu": tone} for tone in span.tones]),),
+    "stiffness_drift": (_Recipe(("k",)),),
+    "sensor_offset": (_Recipe(("e0",)),),
+    "sensor_gain": (_Recipe(("e",)),),
+    "sensor_saturation": (_Recipe((), ("limit",), _parts("limit", 0.3, 0.5, 0.7, 0.85, 0.95)),),
+    "sensor_lag": (_Recipe((), ("tau",), lambda span: [{"tau": 1e-3}, {"tau": 5e-3}]),),
+    "sensor_cubic": (_Recipe(("c",)),),
+    "sensor_rectification": (_Recipe(("r",)),),
+    "actuator_offset": (_Recipe(("u0",)),),
+    "actuator_gain": (_Recipe(("e",)),),
+    "saturation": (_Recipe((), ("limit",), _parts("limit", 0.3, 0.45, 0.6, 0.75, 0.9)),),
+    "dead_zone": (_Recipe((), ("width",), _parts("width", 0.01, 0.03, 0.08, 0.2)),),
+    "actuator_cubic": (_Recipe(("c",)),),
+    "dac_quantisation": (_Recipe((), ("step",), _parts("step", 0.02, 0.05, 0.1, 0.2, 0.4)),),
+    "actuator_lag": (_Recipe((), ("tau",), lambda span: [{"tau": 1e-3}, {"tau": 5e-3}, {"tau": 2e-2}]),),
+}
+PAIRS = ("linear_spring", "viscous_damping", "hardening_spring", "dry_friction")  # between coordinates not joined
+
+
+def candidates(rig: OpenRig, spans: Mapping[str, Span], period: float) -> Iterator[Candidate]:
+    """Give every candidate.
+
+    Args:
+        rig: the rig.
+        spans: of each place, sensor and actuator by name.
+        period: time between samples, s.
+    """
+    for place in rig.places:
+        kinds = [e for e in RECIPES if EFFECTS[e].where == "element"]
+        for effect in kinds if place.declared or place.coordinate else PAIRS:
+            yield from _of(effect, place.name, spans[place.name])
+    for where, names in (("sensor", rig.twin.sensors), ("actuator", rig.twin.actuators)):
+        for effect in [e for e in RECIPES if EFFECTS[e].where == where]:
+            for name in names:
+                yield from _of(effect, name, spans[name])
+    for at in ("", *rig.twin.actuators):
+        slots = tuple(Slot(laws.DELAY, at, (samples * period,), (0,)) for samples in (1.0, 5.0))
+        yield Candidate(laws.DELAY, at, (), (0,), slots)
+
+
+def _of(effect: str, at: str, span: Span) -> Iterator[Candidate]:
+    names = list(EFFECTS[effect].parameters)
+    for recipe in RECIPES[effect]:
+        factors = tuple(names.index(name) for name in recipe.factors)
+        free = tuple(sorted((*factors, *(names.index(name) for name in recipe.shape))))
+        slots = []
+        for shape in recipe.shapes(span):
+            values = {n: (0.0 if p.value is None else p.value) for n, p in EFFECTS[effect].parameters.items()}
+            values |= dict.fromkeys(recipe.factors, 0.0) | dict(shape)
+            slots.append(Slot(effect, at, tuple(values.values()), free))
+        if slots:
+            yield Candidate(effect, at, factors, free, tuple(slots), recipe.variant)
+
+
+def with_values(slot: Slot, at: tuple[int, ...], values: Array) -> Slot:
+    """Return a slot with other values of some of its parameters."""
+    made = list(slot.values)
+    for i, value in zip(at, values, strict=True):
+        made[i] = float(value)
+    return replace(slot, values=tuple(made))
+
+
+def free_values(slots: tuple[Slot, ...]) -> Array:
+    """Return the values of the free parameters of slots, one after the other (f,)."""
+    return np.array([*itertools.chain.from_iterable([s.values[i] for i in s.free] for s in slots)])

@@ -1,0 +1,287 @@
+"""Discover: from a record and a model to the effect that the model is missing, and how sure that is.
+
+Source of the method: output-error identification with candidate terms, Ljung (1999), System Identification, chapters 7
+and 16; the terms are physical effects with parameters and states of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from masking.discovery import fitting
+from masking.discovery.evidence import Belief, Evidence
+from masking.discovery.fitting import Hypothesis
+from masking.discovery.opened import OpenRig, Slot
+from masking.discovery.search import SAME, Explanation, Found, Search, probabilities
+from masking.effects import EFFECTS
+from masking.errors import IntegrationError, RecordError
+from masking.identification.data import Data
+from masking.kernels import Array
+from masking.twin import Twin
+
+Verdict = Literal["none", "parameter", "named", "ambiguous", "unknown"]
+Tell = Callable[[str, float], None]
+
+TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
+SURE = 0.9  # probability from which a name is given
+REST = 0.3  # part of the gap beyond noise that may be left by a cause that is named
+CLEAN = 1.05  # of the noise: a gap that is closed
+SHARE = 0.7  # part of what is left that each further effect must take
+HELD_OUT = 0.3  # of a record, where no other is given to judge by
+LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "actuator_gain", "constant_force")
+
+
+@dataclass(frozen=True)
+class Named:
+    """A cause with its parameters as value and standard deviation, its probability, and what it may be instead."""
+
+    name: str
+    on: str
+    parameters: dict[str, tuple[float, float]]
+    probability: float
+    alternatives: tuple[tuple[str, str, float], ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the cause as JSON can hold it."""
+        return {
+            "name": self.name,
+            "on": self.on,
+            "parameters": {n: {"value": value, "std": std} for n, (value, std) in self.parameters.items()},
+            "probability": self.probability,
+            "alternatives": [{"name": n, "on": on, "probability": p} for n, on, p in self.alternatives],
+        }
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Relative error of each sensor, by name: before and after, in the record and in the one that judges; and noise."""
+
+    train: tuple[dict[str, float], dict[str, float]]
+    validation: tuple[dict[str, float], dict[str, float]]
+    floor: dict[str, float]
+    validation_floor: dict[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the gap as JSON can hold it."""
+        return {
+            "train": {"before": self.train[0], "after": self.train[1]},
+            "validation": {"before": self.validation[0], "after": self.validation[1]},
+            "floor": self.floor,
+        }
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """What was found.
+
+    Args:
+        verdict: `none`, `parameter`, `named`, `ambiguous` or `unknown`.
+        effects: causes, in the order in which they were found.
+        gap: before and after.
+        rest: part of the gap beyond noise that is left on the record.
+        twin: the rig as it was believed to be.
+        explanation: the one that was chosen.
+        found: the whole search.
+        record: that was explained.
+        judge: that it was judged by.
+        before, after: the rig without and with the causes on the record that judges.
+    """
+
+    verdict: Verdict
+    effects: tuple[Named, ...]
+    gap: Gap
+    rest: float
+    twin: Twin
+    rig: OpenRig
+    explanation: Explanation
+    found: Found
+    record: Data
+    judge: Data
+    before: Hypothesis
+    after: Hypothesis
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the discovery as JSON can hold it."""
+        return {
+            "verdict": self.verdict,
+            "effects": [effect.as_dict() for effect in self.effects],
+            "gap": self.gap.as_dict(),
+            "rest": self.rest,
+        }
+
+
+def discover(
+    twin: Twin,
+    record: Data,
+    validation: Data | None = None,
+    *,
+    parameters: Sequence[str] = (),
+    tolerance: float = TOLERANCE,
+    rig: OpenRig | None = None,
+    tell: Tell | None = None,
+) -> Discovery:
+    """Find out what a model of a rig is missing.
+
+    Args:
+        twin: the rig as it is believed to be.
+        record: commands and readings that it does not reproduce.
+        validation: another record to judge by; the last part of the record where none is given.
+        parameters: of the model that may be off; all that its equations hold where none are given.
+        tolerance: relative standard deviation of a parameter for which the model declares none.
+        rig: the twin with its places open, where it has been made before.
+        tell: told what is done, and the part done.
+
+    Raises:
+        RecordError: the record is too short, clipped, or its readings carry no noise to judge by.
+        IntegrationError: the rig cannot be simulated along the record.
+    """
+    names = tuple(parameters) or twin.equation_parameters()
+    rig = rig or OpenRig(twin, names)
+    train, judge = _split(record) if validation is None else (record, validation)
+    sigma = noise_of(twin, train)
+    substeps = max(1, rig.substeps(train.rate) // 2)
+    belief = believed(twin, rig, tolerance)
+    evidence = Evidence(rig, train, belief, sigma, substeps)
+    with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
+        found = Search(evidence, tell or (lambda text, part: None)).run()
+        judged = replace(evidence, record=judge, sigma=noise_of(twin, judge))
+        chosen = _chosen(found, judged, train.readings.size)
+        before, after = _judged(judged, found.base.hypothesis), _judged(judged, chosen.hypothesis)
+    size = train.readings.size
+    excess, left = (max(e.hypothesis.cost - size, 0.0) for e in (found.base, chosen))
+    rest = left / excess if excess > 0.0 else 0.0
+    gap = Gap(
+        (_chi(found.base.hypothesis, train, twin), _chi(chosen.hypothesis, train, twin)),
+        (_chi(before, judge, twin), _chi(after, judge, twin)),
+        _floor(train, sigma, twin),
+        _floor(judge, judged.sigma, twin),
+    )
+    verdict, effects = _verdict(rig, found, chosen, rest, size)
+    return Discovery(verdict, effects, gap, rest, twin, rig, chosen, found, train, judge, before, after)
+
+
+def believed(twin: Twin, rig: OpenRig, tolerance: float) -> Belief:
+    """Return the declared values of the rig's parameters and how far they may be off."""
+    declared = twin.model.declaration.parameters
+    deviations = []
+    for name, value in zip(rig.names, rig.start, strict=True):
+        std = declared[name].std if name in declared else None
+        deviations.append(std or tolerance * (abs(float(value)) or 1.0))
+    return Belief(rig.start.copy(), np.array(deviations))
+
+
+def noise_of(twin: Twin, record: Data) -> Array:
+    """Return the standard deviation of the noise of each reading (sensors,), from the record.
+
+    Raises:
+        RecordError: readings carry no noise, so that nothing can be said to be beyond it.
+    """
+    found = record.noise
+    size = np.sqrt((record.readings**2).mean(axis=0))
+    for name, value in zip(twin.sensors, size, strict=True):
+        if value == 0.0:
+            raise RecordError(
+                f"{record.name}: {name} reads 0 throughout; look at its wiring, or leave it out of the plant"
+            )
+    floor: Array = np.maximum(found, 1e-6 * size)
+    return floor
+
+
+def _judged(evidence: Evidence, hypothesis: Hypothesis) -> Hypothesis:
+    """Return a hypothesis on a record that judges: only its initial state is estimated."""
+    return fitting.fit(evidence, hypothesis.slots, theta=hypothesis.theta, frozen=True, rounds=6)
+
+
+def _cost(evidence: Evidence, hypothesis: Hypothesis) -> float:
+    try:
+        return float(_judged(evidence, hypothesis).squares @ evidence.weights)
+    except IntegrationError:
+        return np.inf
+
+
+def _split(record: Data) -> tuple[Data, Data]:
+    seconds = len(record) / record.rate
+    train = record.first((1.0 - HELD_OUT) * seconds)
+    return train, record.windows(HELD_OUT * seconds)[-1]
+
+
+def _chosen(found: Found, judged: Evidence, size: int) -> Explanation:
+    """Return the last step that is needed, and that shrinks the gap in the record that judges."""
+    chosen, excess = found.base, max(found.base.hypothesis.cost - size, 0.0)
+    start, before = excess, _cost(judged, found.base.hypothesis)
+    for step in found.steps:
+        left, after = max(step.hypothesis.cost - size, 0.0), _cost(judged, step.hypothesis)
+        explained = chosen is not found.base and excess <= REST * start
+        enough = left <= (1.0 - SHARE) * excess or left < (CLEAN**2 - 1.0) * size
+        if not after < before or (explained and not enough):
+            break
+        chosen, excess, before = step, left, after
+    return chosen
+
+
+def _verdict(
+    rig: OpenRig, found: Found, chosen: Explanation, rest: float, size: int
+) -> tuple[Verdict, tuple[Named, ...]]:
+    temperature = found.temperature
+    if chosen.kind == "none":
+        if found.base.hypothesis.cost > CLEAN**2 * size:
+            return "unknown", ()
+        return "none", ()
+    rivals = found.rivals if chosen is found.best else (chosen,)
+    weights = probabilities(rivals, temperature)
+    at = next(i for i, rival in enumerate(rivals) if rival is chosen)
+    others = [
+        (*rival.names[-1], float(weight))
+        for i, (rival, weight) in enumerate(zip(rivals, weights, strict=True))
+        if i != at and weight > 1e-4
+    ]
+    causes = _causes(rig, chosen, float(weights[at]), tuple(others))
+    closed = chosen.hypothesis.cost <= CLEAN**2 * size
+    if rest > REST and not closed:
+        return "unknown", causes
+    if chosen.kind == "parameter" or all(_is_parameter(c, chosen) for c in causes):
+        return "parameter", causes
+    return ("named" if weights[at] >= SURE else "ambiguous"), causes
+
+
+def _is_parameter(cause: Named, chosen: Explanation) -> bool:
+    return cause.name in LIKE_PARAMETERS and chosen.own < SAME
+
+
+def _causes(
+    rig: OpenRig, chosen: Explanation, probability: float, others: tuple[tuple[str, str, float], ...]
+) -> tuple[Named, ...]:
+    hypothesis, k = chosen.hypothesis, len(rig.names)
+    deviations = hypothesis.deviations
+    if chosen.kind == "parameter":
+        ((name, _),) = chosen.names
+        i = rig.names.index(name)
+        return (Named(name, "", {name: (float(hypothesis.theta[i]), float(deviations[i]))}, probability, others),)
+    causes, used = [], k
+    for number, slot in enumerate(hypothesis.slots):
+        values = {}
+        for name, i in zip(slot.names, slot.free, strict=True):
+            values[name] = (float(slot.values[i]), float(deviations[used]))
+            used += 1
+        last = number == len(hypothesis.slots) - 1
+        causes.append(Named(slot.effect, slot.at, values, probability if last else 1.0, others if last else ()))
+    return tuple(causes)
+
+
+def _chi(hypothesis: Hypothesis, record: Data, twin: Twin) -> dict[str, float]:
+    size = (record.readings**2).sum(axis=0)
+    parts = np.sqrt(hypothesis.squares / np.maximum(size, 1e-300))
+    return dict(zip(twin.sensors, map(float, parts), strict=True))
+
+
+def _floor(record: Data, sigma: Array, twin: Twin) -> dict[str, float]:
+    size = (record.readings**2).mean(axis=0)
+    return dict(zip(twin.sensors, map(float, sigma / np.sqrt(np.maximum(size, 1e-300))), strict=True))
+
+
+__all__ = ["EFFECTS", "Discovery", "Slot", "discover"]

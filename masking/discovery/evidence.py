@@ -1,0 +1,54 @@
+"""Evidence: a record, the rig that it is held against, and what is believed of both before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from masking.discovery.opened import OpenRig
+from masking.identification.data import Data
+from masking.kernels import Array
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is believed of the rig's parameters before the record: mean (k,) and standard deviation (k,)."""
+
+    mean: Array
+    deviation: Array
+
+    def released(self, index: int) -> Belief:
+        """Return the belief with one parameter free."""
+        deviation = self.deviation.copy()
+        deviation[index] *= 1e3
+        return Belief(self.mean, deviation)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A record and the rig that it is held against.
+
+    Args:
+        rig: the rig.
+        record: commands and readings.
+        belief: of the rig's parameters.
+        sigma: standard deviation of the noise of each reading (sensors,).
+        substeps: integration steps between samples.
+    """
+
+    rig: OpenRig
+    record: Data
+    belief: Belief
+    sigma: Array
+    substeps: int
+
+    @property
+    def weights(self) -> Array:
+        """Return the weights of squared residuals (sensors,)."""
+        return np.asarray(self.sigma**-2.0)
+
+    @property
+    def dt(self) -> float:
+        """Return the time between samples in s."""
+        return 1.0 / self.record.rate

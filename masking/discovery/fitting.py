@@ -1,0 +1,196 @@
+"""Fitting: the rig with effects at some places, brought as near to its records as its parameters let it.
+
+The parameters of the rig are held near their declared values by how far these may be off; the initial state of each
+record is estimated. Source: as `masking.identification.fit`, with a normal prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.discovery import laws
+from masking.discovery.evidence import Evidence
+from masking.discovery.opened import Equations, Slot
+from masking.effects import EFFECTS
+from masking.errors import IntegrationError
+from masking.kernels import Array
+
+MOST_ROUNDS = 40
+CONVERGED = 0.02  # of the cost, in units of -2 log likelihood, that a step may still take off
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """The rig with effects, fitted.
+
+    Args:
+        slots: the effects with fitted values.
+        theta: parameters of the rig (k,).
+        start: initial state (states,).
+        cost: -2 log likelihood and belief, up to a constant: squared residuals over their variance.
+        squares: of each sensor (sensors,).
+        covariance: of rig's parameters and free parameters of the effects (k + f, k + f).
+        residuals: of each sample (m, sensors).
+    """
+
+    slots: tuple[Slot, ...]
+    theta: Array
+    start: Array
+    cost: float
+    squares: Array
+    covariance: Array
+    residuals: Array
+
+    @property
+    def added(self) -> Array:
+        """Return the free parameters of the effects (f,)."""
+        return np.array([s.values[i] for s in self.slots for i in s.free])
+
+    @property
+    def deviations(self) -> Array:
+        """Return the standard deviations of rig's parameters and of those of the effects (k + f,)."""
+        found: Array = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return found
+
+
+def fit(
+    evidence: Evidence,
+    slots: Sequence[Slot] = (),
+    *,
+    theta: Array | None = None,
+    start: Array | None = None,
+    rounds: int = MOST_ROUNDS,
+    frozen: bool = False,
+) -> Hypothesis:
+    """Fit a rig with effects to a record.
+
+    Args:
+        evidence: the record and the rig.
+        slots: effects with values to begin from.
+        theta: parameters to begin from; those believed where none are given.
+        start: initial state to begin from; from the first readings where none is given.
+        rounds: most rounds.
+        frozen: whether only the initial state is estimated.
+
+    Raises:
+        IntegrationError: the motion is not finite from where it begins.
+    """
+    x = evidence.belief.mean.copy() if theta is None else theta.copy()
+    state = first_state(evidence, x) if start is None else start.copy()
+    added = np.array([s.values[i] for s in slots for i in s.free])
+    return _Problem(evidence, tuple(slots)).solve(x, added, state, rounds, frozen=frozen)
+
+
+def first_state(evidence: Evidence, theta: Array, samples: int = 20) -> Array:
+    """Return a first guess of the initial state: positions from the first readings, velocities 0."""
+    rig, record = evidence.rig, evidence.record
+    from_rest = rig.twin.rest(np.zeros(len(rig.coordinates)))
+    n = len(rig.coordinates)
+    told, sensing = rig.reading(theta, from_rest)
+    read = record.readings[:samples].mean(axis=0)
+    from_rest[:n] = np.linalg.pinv(sensing[:, :n]) @ (read - told)
+    return from_rest
+
+
+@dataclass(frozen=True)
+class _Problem:
+    evidence: Evidence
+    slots: tuple[Slot, ...]
+
+    def solve(self, theta: Array, added: Array, start: Array, rounds: int, *, frozen: bool) -> Hypothesis:
+        k, f, moving = len(theta), len(added), 2 * len(self.evidence.rig.coordinates)
+        held = np.zeros(k + f + moving, dtype=bool)
+        held[: k + f] = frozen
+        damping = 1e-6
+        found = self._equations(theta, added, start)
+        cost = self._cost(found, theta)
+        low, high = self._bounds()
+        for _ in range(rounds):
+            matrix, gradient = self._with_belief(found, theta)
+            step, gain = _step(matrix, gradient, damping, held)
+            if gain < CONVERGED:
+                break
+            after = np.clip(
+                added + step[k : k + f],
+                np.where(np.isfinite(low), np.maximum(low, added - 0.7 * np.abs(added - low)), -np.inf),
+                np.where(np.isfinite(high), added + 0.7 * np.abs(high - added), np.inf),
+            )
+            moved = start.copy()
+            moved[:moving] += step[k + f :]
+            try:
+                tried = self._equations(theta + step[:k], after, moved)
+                new = self._cost(tried, theta + step[:k])
+            except IntegrationError:
+                new = np.inf
+            if new < cost:
+                theta, added, start, found = theta + step[:k], after, moved, tried
+                taken, cost = cost - new, new
+                damping = max(damping / 10.0, 1e-9)
+                if taken < CONVERGED:
+                    break
+            else:
+                damping *= 10.0
+                if damping > 1e8:
+                    break
+        matrix, _ = self._with_belief(found, theta)
+        values, used = [], 0
+        for slot in self.slots:
+            made = list(slot.values)
+            for i in slot.free:
+                made[i] = float(added[used])
+                used += 1
+            values.append(Slot(slot.effect, slot.at, tuple(made), slot.free))
+        return Hypothesis(
+            tuple(values), theta, start, cost, found.squares, _covariance(matrix)[: k + f, : k + f],
+            self.evidence.record.readings - found.simulated,
+        )  # fmt: skip
+
+    def _equations(self, theta: Array, added: Array, start: Array) -> Equations:
+        return self.evidence.rig.equations(self.evidence, theta, start, self.slots, added)
+
+    def _cost(self, found: Equations, theta: Array) -> float:
+        off = (theta - self.evidence.belief.mean) / self.evidence.belief.deviation
+        return float(found.squares @ self.evidence.weights + off @ off)
+
+    def _with_belief(self, found: Equations, theta: Array) -> tuple[Array, Array]:
+        k, matrix, gradient = len(theta), found.matrix.copy(), found.gradient.copy()
+        matrix[:k, :k] += np.diag(self.evidence.belief.deviation**-2.0)
+        gradient[:k] += (self.evidence.belief.mean - theta) / self.evidence.belief.deviation**2
+        return matrix, gradient
+
+    def _bounds(self) -> tuple[Array, Array]:
+        pairs = [bounds(slot)[i] for slot in self.slots for i in range(len(slot.free))]
+        return np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])
+
+
+def bounds(slot: Slot) -> list[tuple[float, float]]:
+    """Return the least and largest value of each free parameter of a slot; infinite where there is none."""
+    if slot.effect == laws.DELAY:
+        return [(0.0, np.inf)]
+    every = list(EFFECTS[slot.effect].parameters.values())
+    return [
+        (-np.inf if low is None else low, np.inf if high is None else high)
+        for low, high in (every[i].bounds for i in slot.free)
+    ]
+
+
+def _step(matrix: Array, gradient: Array, damping: float, held: NDArray[np.bool_]) -> tuple[Array, float]:
+    """Return the step of Levenberg and Marquardt, and what it should take off the cost."""
+    free = np.flatnonzero(~held)
+    scale = np.sqrt(np.maximum(np.diag(matrix)[free], 1e-300))
+    scaled = matrix[np.ix_(free, free)] / np.outer(scale, scale)
+    right = gradient[free] / scale
+    found = np.linalg.lstsq(scaled + damping * np.eye(len(free)), right, rcond=1e-13)[0]
+    step = np.zeros(len(gradient))
+    step[free] = found / scale
+    return step, float(right @ found)
+
+
+def _covariance(matrix: Array) -> Array:
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    found: Array = np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True, rcond=1e-13) / np.outer(scale, scale)
+    return found

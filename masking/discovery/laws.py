@@ -1,0 +1,85 @@
+"""Laws: the effects of the dictionary as compiled functions with derivatives, told apart by a number.
+
+Each function takes what the effect acts on (displacement and rate of an element, or the value of a sensor or actuator),
+its internal state and its parameters, and gives a row for the force or value, and one for the rate of the state: the
+value itself, then its derivatives by displacement, rate, state and parameters. They do not know any model, so that an
+effect is put anywhere in one without compiling.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+
+from masking.compile.graph import Graph
+from masking.compile.printers import statements
+from masking.compile.source import DECORATOR
+from masking.compile.tangent import derivatives
+from masking.declaration.expression import Expression
+from masking.effects import EFFECTS, Effect
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+MOST_PARAMETERS = 6
+WIDTH = 4 + MOST_PARAMETERS  # of a row: value, by displacement, by rate, by state, by each parameter
+FIRST_PARAMETER = 4
+SUBJECTS = {"element": "d", "sensor": "s", "actuator": "u"}
+DELAY = "delay"  # has no expression: the commands are read earlier
+
+
+def known() -> tuple[str, ...]:
+    """Return the effects that can be tried, in the order of their numbers: at most one state, and an expression."""
+    return tuple(
+        name
+        for name, effect in EFFECTS.items()
+        if effect.where in SUBJECTS and len(effect.states) < 2 and len(effect.parameters) <= MOST_PARAMETERS
+    )
+
+
+def number(effect: str) -> int:
+    """Return the number of an effect; that of a delay is -1."""
+    return -1 if effect == DELAY else known().index(effect)
+
+
+def text(kinds: Sequence[str]) -> str:
+    """Return the source of `law(kind, t, x, rate, z, theta, rows)` over the effects that are known."""
+    functions = [_function(name, EFFECTS[name]) for name in kinds]
+    lines = [DECORATOR, "def _law(kind, t, x, rate, z, theta, rows):"]
+    lines += ["    for i in range(2):", f"        for j in range({WIDTH}):", "            rows[i, j] = 0.0"]
+    for i, name in enumerate(kinds):
+        lines.append(f"    {'elif' if i else 'if'} kind == {i}:")
+        lines.append(f"        _law_{name}(t, x, rate, z, theta, rows)")
+    return "\n\n\n".join([*functions, "\n".join(lines)])
+
+
+def _function(name: str, effect: Effect) -> str:
+    graph = Graph()
+    subject = SUBJECTS[effect.where]
+    reads = {"t": "t", subject: "x", "d_rate": "rate", **dict.fromkeys(effect.states, "z"), "xi": "0.0"}
+    reads |= {p: f"theta[{i}]" for i, p in enumerate(effect.parameters)}
+    nodes = {symbol: graph.symbol(f"s_{symbol}", varying=True) for symbol in reads}
+    symbols = {symbol: sp.Symbol(symbol, real=True) for symbol in reads}
+    by_symbol = {symbols[symbol]: node for symbol, node in nodes.items()}
+
+    def lower(expression: str) -> int:
+        return graph.lower(Expression(expression, path=name).to_sympy(symbols), by_symbol)
+
+    rows = [lower(effect.expression), *(lower(state.rate) for state in effect.states.values())]
+    wanted = {subject: 1, "d_rate": 2, **dict.fromkeys(effect.states, 3)}
+    wanted |= {p: FIRST_PARAMETER + i for i, p in enumerate(effect.parameters)}
+    columns = derivatives(graph, rows, [nodes[symbol] for symbol in wanted])
+    results = [(f"rows[{i}, 0]", node) for i, node in enumerate(rows)]
+    results += [
+        (f"rows[{i}, {column}]", node)
+        for i, row in enumerate(columns)
+        for column, node in zip(wanted.values(), row, strict=True)
+        if not graph.is_number(node, 0.0)
+    ]
+    loads = [f"s_{symbol} = {read}" for symbol, read in reads.items()]
+    body = [*loads, *statements(graph, results)]
+    return "\n".join([DECORATOR, f"def _law_{name}(t, x, rate, z, theta, rows):", *(f"    {line}" for line in body)])

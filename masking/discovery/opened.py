@@ -1,0 +1,300 @@
+"""Open rig: a twin whose places are open, so that any effect can be put anywhere in it without compiling anew.
+
+A force port at each place and an offset in front of each actuator are compiled in; effects are laws of their own, which
+drive these ports while the rig is simulated, together with the derivatives by all parameters.
+Source: as `masking.sensitivity`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from masking.compile import store
+from masking.compile.source import Module
+from masking.compile.tangent import derivatives
+from masking.declaration.schema import EffectUse
+from masking.discovery import laws, steps
+from masking.discovery.places import Place, identifier, opened
+from masking.effects import EFFECTS
+from masking.errors import IntegrationError
+from masking.kernels import Array, Kernels
+from masking.sensitivity import Sensitivity, is_straight
+from masking.twin import LoweredTwin, Twin
+
+if TYPE_CHECKING:
+    from masking.discovery.evidence import Evidence
+
+NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives
+MOST_STATES = 6  # of effects together
+MOST_COLUMNS = 96  # features that are spread at once
+WHERE = {"element": steps.ELEMENT, "actuator": steps.ACTUATOR, "sensor": steps.SENSOR}
+
+
+@dataclass(frozen=True)
+class Slot:
+    """An effect at a place with values of all its parameters, and which of them are estimated.
+
+    Args:
+        effect: its name in the dictionary, or `delay`.
+        at: name of the place, sensor or actuator; '' for a delay of all actuators.
+        values: of its parameters, in the order of the dictionary, in coherent units of the place.
+        free: indices of those that are estimated.
+    """
+
+    effect: str
+    at: str
+    values: tuple[float, ...]
+    free: tuple[int, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the estimated parameters."""
+        every = ("tau",) if self.effect == laws.DELAY else tuple(EFFECTS[self.effect].parameters)
+        return tuple(every[i] for i in self.free)
+
+
+@dataclass(frozen=True)
+class Equations:
+    """What a record tells: J^T W J (w, w), J^T W r (w,), squared residuals (sensors,), and what is simulated.
+
+    Columns: parameters of the rig, free parameters of the slots, then the initial positions and velocities.
+    """
+
+    matrix: Array
+    gradient: Array
+    squares: Array
+    simulated: Array
+
+
+@dataclass(frozen=True)
+class OpenRig:
+    """A twin with open places.
+
+    Args:
+        twin: the rig as it is believed to be.
+        names: its parameters that may be adjusted.
+    """
+
+    twin: Twin
+    names: tuple[str, ...]
+
+    @cached_property
+    def _opened(self) -> tuple[Twin, tuple[Place, ...]]:
+        base, found = opened(self.twin.base)
+        ports = {
+            f"port_{identifier(p.name)}": _use("constant_force", p.name if p.declared else identifier(p.name), "f0")
+            for p in found
+        }
+        commands = {f"port_{name}": _use("actuator_offset", name, "u0") for name in self.twin.actuators}
+        effects = {**commands, **ports, **self.twin.declaration.effects}
+        declaration = self.twin.declaration.model_copy(update={"effects": effects})
+        return Twin(declaration, base, self.twin.changes, self.twin.chosen), found
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Return the places where a force may sit."""
+        return self._opened[1]
+
+    @property
+    def affected(self) -> int:
+        """Return the number of entries of the parameter array that depend on parameters and ports."""
+        return len(self._sensitivity.affected)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Return the coordinates of the rig."""
+        return tuple(self.twin.model.coordinates)
+
+    @cached_property
+    def _sensitivity(self) -> Sensitivity:
+        twin, found = self._opened
+        forces = [f"port_{identifier(p.name)}_f0" for p in found]
+        commands = [f"port_{name}_u0" for name in self.twin.actuators]
+        return Sensitivity(twin, (*self.names, *forces, *commands))
+
+    @cached_property
+    def start(self) -> Array:
+        """Return the declared values of the parameters (k,), in declared units."""
+        return self._sensitivity.start()[: len(self.names)]
+
+    @cached_property
+    def _basis(self) -> tuple[Array, Array]:
+        """Return the parameter array as declared, and how its affected entries depend on names and ports."""
+        return self._sensitivity.basis(self._sensitivity.start())
+
+    def basis(self, theta: Array, more: int = 0) -> tuple[Array, Array]:
+        """Return the parameter array for values (k,), and how it depends on them (affected, k + more)."""
+        p, columns = self._basis
+        k, affected = len(self.names), list(self._sensitivity.affected)
+        made = p.copy()
+        made[affected] += columns[:, :k] @ (theta - self.start)
+        return made, np.ascontiguousarray(np.hstack([columns[:, :k], np.zeros((len(affected), more))]))
+
+    @cached_property
+    def columns(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+        """Return p-indices of the force ports, and columns of force ports and commands among the affected entries."""
+        sensitivity, k, many = self._sensitivity, len(self.names), len(self.places)
+        _, basis = self._basis
+        at = [int(np.flatnonzero(basis[:, k + i])[0]) for i in range(basis.shape[1] - k)]
+        return tuple(sensitivity.affected[i] for i in at[:many]), tuple(at[:many]), tuple(at[many:])
+
+    @cached_property
+    def coordinate_places(self) -> tuple[int, ...]:
+        """Return for each coordinate the index of the place that it is."""
+        by = {place.coordinate: i for i, place in enumerate(self.places) if place.coordinate}
+        return tuple(by[name] for name in self.coordinates)
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """Return the compiled functions; from the cache on disk where they have been made before."""
+        twin, _ = self._opened
+        texts = {e: [EFFECTS[e].expression, *(s.rate for s in EFFECTS[e].states.values())] for e in laws.known()}
+        made_from = {
+            "discovery": twin.structure(), "affected": list(self._sensitivity.affected), "laws": texts,
+            "steps": [steps.FLOW, steps.RUN, *steps.OTHERS],
+            "columns": self.columns, "forces": self.coordinate_places,
+        }  # fmt: skip
+        return Kernels(store.load(store.key(made_from), self._build))
+
+    def _build(self) -> Module:
+        twin, found = self._opened
+        module = Module(f"{twin.declaration.name}, open", {"kind": "discovery", **twin.state_kinds})
+        lowered = LoweredTwin(twin)
+        graph, loads = lowered.graph, lowered.loads
+        by_text = {text: name for name, text in loads.items()}
+        n, moving = len(twin.state_names), len(self.coordinates)
+        at = [i for i in range(n) if f"y[{i}]" in by_text]
+        y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
+        affected = self._sensitivity.affected
+        p = [graph.symbol(by_text.get(f"p[{i}]", f"unused_{i}"), varying=False) for i in affected]
+
+        def jacobian(name: str, nodes: list[int], symbols: list[int], columns: Sequence[int]) -> list[tuple[str, int]]:
+            rows = derivatives(graph, nodes, symbols)
+            return [
+                (f"{name}[{i}, {c}]", node) for i, row in enumerate(rows) for c, node in zip(columns, row, strict=True)
+            ]
+
+        rates, readings = [x for _, x in lowered.derivatives], [x for _, x in lowered.readings]
+        every = range(len(p))
+        results = [*lowered.derivatives, *jacobian("jy", rates, y, at), *jacobian("jp", rates, p, every)]
+        module.add("slopes(t, y, u, p, dy, jy, jp)", graph, results, loads)
+        results = [*lowered.readings, *jacobian("jy", readings, y, at), *jacobian("jp", readings, p, every)]
+        module.add("sensed(t, y, p, noise, s, jy, jp)", graph, results, loads)
+        equations = twin.model.equations
+        texts = [lowered.equations.lower(equations.symbolic(place.element.displacement)) for place in found]
+        velocities = [graph.symbol(by_text[f"y[{moving + i}]"], varying=True) for i in range(moving)]
+        positions = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in range(moving)]
+        rate = [
+            graph.total([graph.mul(by, v) for by, v in zip(row, velocities, strict=True)])
+            for row in derivatives(graph, texts, positions)
+        ]
+        nodes = [*texts, *rate]
+        results = [(f"d[{i}]", node) for i, node in enumerate(nodes)]
+        module.add("placed(t, y, p, d, jy)", graph, [*results, *jacobian("jy", nodes, y, at)], loads)
+        module.functions.append(laws.text(laws.known()))
+        force_p, force_column, command_column = self.columns
+        many = {
+            "n": n, "moving": moving, "forces": moving, "places": len(found), "channels": len(twin.actuators),
+            "sensors": len(twin.sensors), "affected": len(affected), "force_p": force_p, "force_column": force_column,
+            "command_column": command_column, "coordinate_ports": tuple(force_p[i] for i in self.coordinate_places),
+        }  # fmt: skip
+        size = n + MOST_STATES
+        width = max(len(self.names) + 4 * laws.MOST_PARAMETERS + n, len(affected), MOST_COLUMNS, size)
+        rows = 10 * size + 8 * len(found) + 16 * len(readings) + 4 * len(twin.actuators) + 40
+        module.add_kernel(steps.FLOW.format(**many) + steps.RUN.format(**many), "i", (rows, width))
+        for text in steps.OTHERS:
+            result, work = ("i" if text is steps.FOLLOW else ""), (None if text is steps.BACK else (rows, width))
+            module.add_kernel(text.format(**many), result, work)
+        return module
+
+    def reading(self, theta: Array, state: Array) -> tuple[Array, Array]:
+        """Return what the sensors read in a state (sensors,), and how that depends on it (sensors, states)."""
+        sensors = len(self.twin.sensors)
+        p, _ = self.basis(theta)
+        s, js, jps = np.zeros(sensors), np.zeros((sensors, len(state))), np.zeros((sensors, self.affected))
+        self.kernels.sensed(0.0, state, p, np.zeros(sensors), s, js, jps)
+        return s, js
+
+    def substeps(self, rate: float) -> int:
+        """Return the integration steps between samples."""
+        return self.twin.substeps(rate)
+
+    def slots(self, slots: Sequence[Slot], theta: Array) -> tuple[Array, Array, Array, int]:
+        """Return the tables of slots and columns, their parameters, and how many states they have.
+
+        Args:
+            slots: the effects.
+            theta: their free parameters, one after the other (f,).
+        """
+        table, columns = np.zeros((len(slots), 5)), np.full((len(slots), laws.MOST_PARAMETERS), -1.0)
+        values: list[float] = []
+        used, states = 0, 0
+        n, k = len(self.twin.state_names), len(self.names)
+        for i, slot in enumerate(slots):
+            first = len(values)
+            values += slot.values
+            for j in slot.free:
+                values[first + j] = float(theta[used])
+                columns[i, j] = k + used
+                used += 1
+            if slot.effect == laws.DELAY:
+                at = self.twin.actuators.index(slot.at) if slot.at else -1
+                table[i] = -1, steps.ACTUATOR, at, first, -1
+                continue
+            effect = EFFECTS[slot.effect]
+            table[i] = laws.number(slot.effect), WHERE[effect.where], self.index(slot), first, -1
+            if effect.states:
+                table[i, 4] = n + states
+                states += 1
+        # Laws read as many parameters as they have from where theirs begin.
+        return table, columns, np.array([*values, *np.zeros(laws.MOST_PARAMETERS)]), states
+
+    def index(self, slot: Slot) -> int:
+        """Return the index of a slot's place among the places, sensors or actuators."""
+        where = EFFECTS[slot.effect].where
+        names = {"element": [p.name for p in self.places], "sensor": self.twin.sensors, "actuator": self.twin.actuators}
+        return list(names[where]).index(slot.at)
+
+    def equations(
+        self, evidence: Evidence, theta: Array, start: Array, slots: Sequence[Slot], added: Array
+    ) -> Equations:
+        """Return what a record tells at values of the parameters.
+
+        Args:
+            evidence: the record.
+            theta: parameters of the rig (k,), in declared units.
+            start: state at the first sample (states,).
+            slots: effects, one after the other.
+            added: their free parameters (f,).
+
+        Raises:
+            IntegrationError: the motion is no longer finite.
+        """
+        record = evidence.record
+        table, columns, values, states = self.slots(slots, added)
+        p, basis = self.basis(theta, len(added))
+        k, moving = basis.shape[1], 2 * len(self.coordinates)
+        y = np.concatenate([start, np.full(states, NEARLY_ZERO)])
+        sens = np.zeros((len(y), k + moving))
+        sens[:moving, k:] = np.eye(moving)
+        width = k + moving
+        matrix, gradient, squares = np.zeros((width, width)), np.zeros(width), np.zeros(len(self.twin.sensors))
+        simulated = np.empty_like(record.readings)
+        status = self.kernels.run(
+            len(record), evidence.dt, evidence.substeps, is_straight(record.between), y, sens, p, basis, table, columns,
+            values, np.ascontiguousarray(record.acting), record.readings, evidence.weights, matrix, gradient, squares,
+            simulated,
+        )  # fmt: skip
+        if status or not np.isfinite(squares).all() or not np.isfinite(matrix).all():
+            raise IntegrationError("the simulated motion is no longer finite")
+        matrix += np.tril(matrix, -1).T
+        return Equations(matrix, gradient, squares, simulated)
+
+
+def _use(effect: str, at: str, parameter: str) -> EffectUse:
+    return EffectUse(effect=effect, at=(at,), parameters={parameter: 0.0})

@@ -1,0 +1,394 @@
+"""Screening: how much of the gap each candidate could close, to first order along the motion that was measured.
+
+The force that an effect would have made along the measured motion is passed through the rig to its sensors and compared
+with what is left of the record. Where the rig is linear and the motion known, this is not an approximation, however
+strong the effect is. What the rig's own parameters and the initial state could explain is taken out first.
+Source: Frisch and Waugh (1933), Econometrica 1(4), for regression with some columns taken out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from masking.discovery import laws
+from masking.discovery.candidates import Candidate, with_values
+from masking.discovery.evidence import Evidence
+from masking.discovery.fitting import Hypothesis, bounds
+from masking.discovery.opened import MOST_COLUMNS, Slot
+from masking.discovery.smoothing import Motion
+from masking.effects import EFFECTS
+from masking.kernels import Array
+
+HIGHEST = 60.0  # Hz; what is faster is averaged away
+NEAR = 0.5  # of the best gain: candidates whose shapes are sharpened
+MOST_SHARPENED, SHARPENINGS = 24, 8
+SCALED = (laws.DELAY, "sensor_lag", "actuator_lag")  # their effect grows in proportion to their time
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What a candidate could take off the cost, with the slot from which to begin.
+
+    Args:
+        candidate: the candidate.
+        slot: with the best shape, and its factors.
+        gain: of the cost (-2 log likelihood).
+        own: part of its effect on the sensors that parameters of the rig could not have.
+    """
+
+    candidate: Candidate
+    slot: Slot
+    gain: float
+    own: float
+
+
+class Screen:
+    """A record with what the rig's own parameters explain taken out.
+
+    Args:
+        evidence: the record and the rig.
+        base: a fit of the rig, whose residuals are looked at.
+        motion: the smoothed record.
+        found: effects that were found before; what they and their parameters explain is taken out too.
+        taken: whether these effects are in the fit already.
+    """
+
+    def __init__(
+        self, evidence: Evidence, base: Hypothesis, motion: Motion, found: Sequence[Slot] = (), *, taken: bool = False
+    ) -> None:
+        self.rig, self.record, self.base, self.motion = evidence.rig, evidence.record, base, motion
+        rig, record, belief, sigma = evidence.rig, evidence.record, evidence.belief, evidence.sigma
+        self.thin = max(1, int(record.rate / (6.0 * HIGHEST)))
+        self.every = self.thin * max(1, int(record.rate / (2.0 * HIGHEST) / self.thin))
+        self.blocks = len(record) // self.every
+        self._states = _thinned(motion.states, self.thin)
+        self._commands = _thinned(record.acting, self.thin)
+        self.scale = np.sqrt(self.every) / sigma
+        k, moving = len(base.theta), 2 * len(rig.coordinates)
+        affected = rig.affected
+        wanted = [i for i in range(affected) if rig.basis(base.theta)[1][i].any()]
+        coarse = len(self._states)
+        columns = self._spread(np.ones((coarse, len(wanted))), np.array(wanted, dtype=np.float64))
+        basis = rig.basis(base.theta)[1][wanted]
+        of_parameters = np.einsum("bsm,mk->bsk", columns, basis)
+        start = self._spread(np.zeros((coarse, moving)), np.array([-1.0 - i for i in range(moving)]))
+        values, slopes = self._found(found)
+        own = self._rows(np.concatenate([of_parameters, start, slopes], axis=2))
+        prior = np.zeros((k, own.shape[1]))
+        prior[:, :k] = np.diag(1.0 / belief.deviation)
+        whole = np.vstack([own, prior])
+        size = np.linalg.norm(whole, axis=0)
+        u, s, _ = np.linalg.svd(whole / np.where(size > 0.0, size, 1.0), full_matrices=False)
+        self.taken = u[:, s > 1e-9 * s[0]]
+        u, s, _ = np.linalg.svd(own / np.where(size > 0.0, size, 1.0), full_matrices=False)
+        self.possible = u[:, s > 1e-7 * s[0]]
+        left = self._rows((self._means(base.residuals) - (0.0 if taken else values))[:, :, None])[:, 0]
+        self.left = self._out(np.concatenate([left, (belief.mean - base.theta) / belief.deviation]))
+        self.total = float(self.left @ self.left)
+
+    def _found(self, slots: Sequence[Slot]) -> tuple[Array, Array]:
+        """Return what effects that were found do to the sensors (blocks, sensors), and its derivatives (..., f)."""
+        sensors = len(self.rig.twin.sensors)
+        values, slopes = np.zeros((self.blocks, sensors)), [np.zeros((self.blocks, sensors, 0))]
+        wholes = [Candidate(slot.effect, slot.at, slot.free, slot.free, (slot,)) for slot in slots]
+        for made in self._effects([*zip(wholes, slots, strict=True)]):
+            values += made[:, :, 0]
+            slopes.append(made[:, :, 1:])
+        return values, np.concatenate(slopes, axis=2)
+
+    def _effects(self, jobs: Sequence[tuple[Candidate, Slot]]) -> list[Array]:
+        """Return what effects with given values do to the sensors, and its derivatives (blocks, sensors, 1 + f)."""
+        features, at = [], []
+        for _, slot in jobs:
+            made, columns = self._with_slopes(slot)
+            features.append(_thinned(made, self.thin))
+            at.append(columns)
+        found: list[Array] = []
+        first = 0
+        while first < len(jobs):
+            last, many = first, 0
+            while last < len(jobs) and many + features[last].shape[1] <= MOST_COLUMNS:
+                many += features[last].shape[1]
+                last += 1
+            inside = [i for i in range(first, last) if where_of(jobs[i][0].effect) != "sensor"]
+            tables: dict[int, Array] = {}
+            if inside:
+                spread = self._spread(np.hstack([features[i] for i in inside]), np.concatenate([at[i] for i in inside]))
+                edge = 0
+                for i in inside:
+                    tables[i] = spread[:, :, edge : edge + features[i].shape[1]]
+                    edge += features[i].shape[1]
+            for i in range(first, last):
+                if i not in tables:
+                    tables[i] = np.zeros((self.blocks, len(self.rig.twin.sensors), features[i].shape[1]))
+                    tables[i][:, int(at[i][0])] = self._means(features[i], self.every // self.thin)
+                elif jobs[i][0].effect == laws.DELAY:
+                    half = tables[i].shape[2] // 2
+                    tables[i] = np.stack(
+                        [tables[i][:, :, :half].sum(axis=2), tables[i][:, :, half:].sum(axis=2)], axis=2
+                    )
+                found.append(tables[i])
+            first = last
+        return found
+
+    def _with_slopes(self, slot: Slot) -> tuple[Array, Array]:
+        """Return what a slot adds where it acts, with derivatives by its free parameters (m, c), and columns (c,)."""
+        if slot.effect == laws.DELAY:
+            whole = Candidate(slot.effect, slot.at, (), slot.free, (slot,))
+            late, at = self._features(whole, slot)
+            more, _ = self._features(
+                whole, with_values(slot, (0,), np.array([slot.values[0] + 0.5 / self.record.rate]))
+            )
+            return np.hstack([late, (more - late) * 2.0 * self.record.rate]), np.concatenate([at, at])
+        x, rate, column = self._subject(slot)
+        made = self._along(slot, x, rate, slot.free)
+        if EFFECTS[slot.effect].where != "element":
+            made[:, 0] -= x
+        return made, np.full(made.shape[1], column)
+
+    def promises(self, candidates: Sequence[Candidate]) -> list[Promise]:
+        """Return what each candidate could take off, the best first."""
+        jobs = [(candidate, slot) for candidate in candidates for slot in candidate.slots]
+        found: dict[int, Promise] = {}
+        chunk: list[tuple[Candidate, Slot, Array, Array]] = []
+        many = 0
+        for candidate, slot in jobs:
+            features, at = self._features(candidate, slot)
+            features = _thinned(features, self.thin)
+            if many + features.shape[1] > MOST_COLUMNS:
+                self._settle(chunk, found)
+                chunk, many = [], 0
+            chunk.append((candidate, slot, features, at))
+            many += features.shape[1]
+        self._settle(chunk, found)
+        best = max((promise.gain for promise in found.values()), default=0.0)
+        near = [p for p in found.values() if p.gain > NEAR * best and set(p.candidate.free) - set(p.candidate.factors)]
+        sharper = self._sharpened(sorted(near, key=lambda promise: -promise.gain)[:MOST_SHARPENED])
+        kept = [sharper.get(id(promise.candidate), promise) for promise in found.values()]
+        return sorted(kept, key=lambda promise: -promise.gain)
+
+    def _sharpened(self, promises: Sequence[Promise]) -> dict[int, Promise]:
+        """Return promises whose shapes are brought to their best values, by the method of Levenberg and Marquardt."""
+        best = {id(promise.candidate): promise for promise in promises}
+        slots = {key: promise.slot for key, promise in best.items()}
+        dampings = dict.fromkeys(best, 1e-3)
+        active = [promise.candidate for promise in promises]
+        for number in range(SHARPENINGS):
+            columns = self._effects([(candidate, slots[id(candidate)]) for candidate in active])
+            going = []
+            for candidate, table in zip(active, columns, strict=True):
+                key = id(candidate)
+                slot, before = slots[key], best[key]
+                if number == 0:  # the grid's own gain is of the same rows
+                    before = replace(before, gain=-np.inf)
+                rows = self._rows(table)
+                if not np.isfinite(rows).all():
+                    continue
+                left = self.left[: len(rows)]
+                known = self.taken[: len(rows)].T @ rows
+                gram, right = rows.T @ rows - known.T @ known, rows.T @ left
+                gain = 2.0 * float(right[0]) - float(gram[0, 0])
+                if gain > before.gain:
+                    best[key] = replace(before, slot=slot, gain=max(gain, 0.0))
+                    dampings[key] /= 10.0
+                else:
+                    dampings[key] *= 100.0
+                    slots[key] = before.slot
+                    if dampings[key] > 1e3:
+                        continue
+                    going.append(candidate)
+                    continue
+                scale = np.sqrt(np.maximum(np.diag(gram)[1:], 1e-300))
+                matrix = gram[1:, 1:] / np.outer(scale, scale) + dampings[key] * np.eye(len(scale))
+                step = np.linalg.lstsq(matrix, (right[1:] - gram[1:, 0]) / scale, rcond=1e-12)[0] / scale
+                slots[key] = _stepped(slot, step)
+                going.append(candidate)
+            active = going
+        return best
+
+    def _settle(self, chunk: list[tuple[Candidate, Slot, Array, Array]], found: dict[int, Promise]) -> None:
+        inside = [job for job in chunk if where_of(job[0].effect) != "sensor"]
+        tables: dict[int, Array] = {}
+        if inside:
+            columns = self._spread(np.hstack([job[2] for job in inside]), np.concatenate([job[3] for job in inside]))
+            first = 0
+            for job in inside:
+                count = job[2].shape[1]
+                tables[id(job[1])] = columns[:, :, first : first + count]
+                first += count
+        for candidate, slot, features, at in chunk:
+            if where_of(candidate.effect) == "sensor":
+                table = np.zeros((self.blocks, len(self.rig.twin.sensors), features.shape[1]))
+                table[:, int(at[0])] = self._means(features, self.every // self.thin)
+                tables[id(slot)] = table
+            elif candidate.effect == laws.DELAY:
+                tables[id(slot)] = tables[id(slot)].sum(axis=2, keepdims=True)
+        if not chunk:
+            return
+        sizes = [tables[id(job[1])].shape[2] for job in chunk]
+        rows = self._rows(np.concatenate([tables[id(job[1])] for job in chunk], axis=2))
+        rows[:, ~np.isfinite(rows).all(axis=0)] = 0.0
+        # Products of columns once what rig and belief explain is taken out of them, without making these columns.
+        known, possible = self.taken[: len(rows)].T @ rows, self.possible.T @ rows
+        squares = np.einsum("ij,ij->j", rows, rows)
+        gram, right = rows.T @ rows - known.T @ known, rows.T @ self.left[: len(rows)]
+        beyond = np.maximum(squares - (possible**2).sum(axis=0), 0.0)
+        first = 0
+        for (candidate, slot, _, _), count in zip(chunk, sizes, strict=True):
+            part = slice(first, first + count)
+            first += count
+            total = float(squares[part].sum())
+            own = float(np.sqrt(beyond[part].sum() / total)) if total > 0.0 else 0.0
+            promise = self._judge(Promise(candidate, slot, 0.0, own), gram[part, part], right[part], squares[part])
+            before = found.get(id(candidate))
+            if before is None or promise.gain > before.gain:
+                found[id(candidate)] = promise
+
+    def _judge(self, nothing: Promise, gram: Array, right: Array, squares: Array) -> Promise:
+        """Return what a slot takes off.
+
+        Args:
+            nothing: the candidate and its slot.
+            gram: products of its columns (c, c).
+            right: products of its columns with what is left (c,).
+            squares: of its columns, with what rig and belief explain (c,).
+        """
+        candidate, slot, own = nothing.candidate, nothing.slot, nothing.own
+        diagonal = np.diag(gram)
+        keep = diagonal > 1e-12 * squares
+        if not keep.any():
+            return nothing
+        if not candidate.factors:  # a shape without factors: the size of its effect tells how near it is
+            gain = 2.0 * float(right[0]) - float(diagonal[0])
+            if candidate.effect in SCALED:
+                factor = float(right[0] / diagonal[0])
+                if factor <= 0.0:
+                    return nothing
+                gain = max(gain, factor * float(right[0]))
+                slot = with_values(slot, (0,), np.array([min(factor, 20.0) * slot.values[0]]))
+            elif candidate.effect == "dac_quantisation":
+                gain = max(gain, float(right[0]) ** 2 / float(diagonal[0])) if right[0] > 0.0 else 0.0
+            return Promise(candidate, slot, max(gain, 0.0), own)
+        scale = np.sqrt(diagonal[keep])
+        factors = np.zeros(len(keep))
+        scaled = gram[np.ix_(keep, keep)] / np.outer(scale, scale)
+        factors[keep] = np.linalg.lstsq(scaled, right[keep] / scale, rcond=1e-10)[0] / scale
+        if candidate.effect == "lugre_friction":  # its one factor scales forces and stiffness together
+            if factors[0] <= 0.0:
+                return nothing
+            slot = with_values(slot, (0, 1, 3), factors[0] * np.array([slot.values[i] for i in (0, 1, 3)]))
+        else:
+            entries = list(EFFECTS[candidate.effect].parameters.values())
+            lows = [entries[i].bounds[0] for i in candidate.factors]
+            if any(low is not None and factor < low for low, factor in zip(lows, factors, strict=True)):
+                if (factors <= 0.0).all():
+                    return nothing
+                factors = np.maximum(factors, 1e-3 * np.abs(factors).max())
+            slot = with_values(slot, candidate.factors, factors)
+        return Promise(candidate, slot, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
+
+    def _features(self, candidate: Candidate, slot: Slot) -> tuple[Array, Array]:
+        """Return what a candidate does along the motion (m, c), by its factors, and the columns where it acts (c,)."""
+        rig, record = self.rig, self.record
+        m, command = len(record), rig.columns[2]
+        if candidate.effect == laws.DELAY:
+            samples = slot.values[0] * record.rate
+            acting = record.acting
+            early = np.clip(np.arange(m) - samples, 0.0, None)
+            low = np.floor(early).astype(int)
+            share = (early - low)[:, None]
+            late = (1.0 - share) * acting[low] + share * acting[np.minimum(low + 1, m - 1)]
+            at = range(len(command)) if not slot.at else [rig.twin.actuators.index(slot.at)]
+            # One column of each actuator; `_judge` takes their sum.
+            whole = (late - acting)[:, list(at)]
+            return whole, np.array([command[i] for i in at], dtype=float)
+        x, rate, column = self._subject(slot)
+        where = EFFECTS[candidate.effect].where
+        if not candidate.factors or candidate.effect == "lugre_friction":
+            value = self._along(slot, x, rate, ())
+            return (value[:, :1] - (0.0 if where == "element" else x[:, None])), np.array([column])
+        slot = with_values(slot, candidate.factors, np.zeros(len(candidate.factors)))
+        if candidate.effect in {"stribeck_friction", "asymmetric_friction", "dry_friction"}:
+            slot = with_values(slot, candidate.factors, np.ones(len(candidate.factors)))
+        made = self._along(slot, x, rate, candidate.factors)
+        return made[:, 1:], np.full(len(candidate.factors), column)
+
+    def _subject(self, slot: Slot) -> tuple[Array, Array, float]:
+        """Return what an effect acts on and its rate (m,), and the column where it acts."""
+        rig, record, motion = self.rig, self.record, self.motion
+        where, at = EFFECTS[slot.effect].where, rig.index(slot)
+        nothing = np.zeros(len(record))
+        if where == "element":
+            x, rate, column = motion.displacement[:, at], motion.rate[:, at], float(rig.columns[1][at])
+        elif where == "actuator":
+            x, rate, column = record.acting[:, at], nothing, float(rig.columns[2][at])
+        else:
+            x, rate, column = (record.readings - self.base.residuals)[:, at], nothing, float(at)
+        return np.ascontiguousarray(x), np.ascontiguousarray(rate), column
+
+    def _along(self, slot: Slot, x: Array, rate: Array, factors: tuple[int, ...]) -> Array:
+        features = np.empty((len(x), 1 + len(factors)))
+        theta = np.array([*slot.values, *np.zeros(laws.MOST_PARAMETERS)])
+        columns = np.array([factors], dtype=float) if factors else np.zeros((1, 1))
+        kind, states = laws.number(slot.effect), len(EFFECTS[slot.effect].states)
+        self.rig.kernels.along(len(x), 1.0 / self.record.rate, kind, states, x, rate, columns, theta, features)
+        return features
+
+    def _spread(self, features: Array, at: Array) -> Array:
+        """Return what forces (m, M) at columns (M,) do to the sensors, in means (blocks, sensors, M)."""
+        rig, record = self.rig, self.record
+        sensors, many = len(rig.twin.sensors), features.shape[1]
+        found = np.empty((self.blocks, sensors * many))
+        p, _ = rig.basis(self.base.theta)
+        every = self.every // self.thin
+        rig.kernels.spread(
+            self.blocks * every, self.thin / record.rate, every, at, self._states, self._commands, p,
+            np.ascontiguousarray(features), found,
+        )  # fmt: skip
+        return found.reshape(self.blocks, sensors, many)
+
+    def _means(self, table: Array, every: int = 0) -> Array:
+        """Return means over blocks (blocks, columns) of a table (m, columns)."""
+        every = every or self.every
+        found: Array = table[: self.blocks * every].reshape(self.blocks, every, -1).mean(axis=1)
+        return found
+
+    def _rows(self, columns: Array) -> Array:
+        """Return columns (blocks, sensors, c) in standard deviations, as rows (blocks * sensors, c)."""
+        found: Array = (columns * self.scale[None, :, None]).reshape(-1, columns.shape[2])
+        return found
+
+    def _out(self, x: Array) -> Array:
+        """Return what is left of columns once what rig and belief explain is taken out."""
+        return x - self.taken @ (self.taken.T @ x)
+
+
+def _stepped(slot: Slot, step: Array) -> Slot:
+    """Return a slot after a step of its free parameters that goes no more than 0.7 of the way to a bound."""
+    values = []
+    for i, change, (low, high) in zip(slot.free, step, bounds(slot), strict=True):
+        value = slot.values[i]
+        least = value - 0.7 * abs(value - low) if np.isfinite(low) else -np.inf
+        most = value + 0.7 * abs(high - value) if np.isfinite(high) else np.inf
+        values.append(float(np.clip(value + change, least, most)))
+    return with_values(slot, slot.free, np.array(values))
+
+
+def _thinned(table: Array, thin: int) -> Array:
+    """Return means over `thin` samples of a table (m, c)."""
+    if thin == 1:
+        return np.ascontiguousarray(table)
+    cut = table[: len(table) // thin * thin]
+    total = cut[0::thin].copy()
+    for i in range(1, thin):
+        total += cut[i::thin]
+    found: Array = np.ascontiguousarray(total / thin)
+    return found
+
+
+def where_of(effect: str) -> str:
+    """Return where an effect sits; a delay sits in the actuators."""
+    return "actuator" if effect == laws.DELAY else EFFECTS[effect].where

@@ -1,0 +1,397 @@
+"""Steps: the kernels of discovery as text, compiled behind the equations of a rig whose places are open for effects.
+
+A slot is an effect at a place: a row of `slots` (number of the effect, kind of place, place, first of its parameters in
+`theta`, index of its state or -1) and a row of `columns` (where each of its parameters is estimated, or -1).
+"""
+
+from __future__ import annotations
+
+ELEMENT, ACTUATOR, SENSOR = range(3)
+
+FLOW = """
+@compiled
+def _flow(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, w):
+    n, moving, places, channels, sensors, affected = {n}, {moving}, {places}, {channels}, {sensors}, {affected}
+    size, width, k = y.shape[0], sens.shape[1], basis.shape[1]
+    jy, jp, top = w[0:n], w[n : 2 * n], 2 * n
+    js, jps, top = w[top : top + sensors], w[top + sensors : top + 2 * sensors], top + 2 * sensors
+    jd, top = w[top : top + 2 * places], top + 2 * places
+    df, dv, top = w[top : top + places], w[top + places : top + places + channels], top + places + channels
+    rows, d, v, s, noise = w[top : top + 2], w[top + 2], w[top + 3], w[top + 4], w[top + 5]
+    for e in range(places):
+        p[{force_p}[e]] = 0.0
+        for j in range(width):
+            df[e, j] = 0.0
+    for a in range(channels):
+        v[a] = u[a]
+        for j in range(width):
+            dv[a, j] = 0.0
+        if lead[1, a] >= 0.0:
+            dv[a, int(lead[1, a])] = lead[0, a]
+    elements, inner = False, False
+    for i in range(slots.shape[0]):
+        if slots[i, 1] == 0.0:
+            elements = True
+        if slots[i, 1] == 2.0 and slots[i, 4] >= 0.0:
+            inner = True
+    if elements:
+        placed(t, y, p, d, jd)
+    if inner:
+        sensed(t, y, p, noise, s, js, jps)
+    for i in range(slots.shape[0]):
+        kind, where, at = int(slots[i, 0]), int(slots[i, 1]), int(slots[i, 2])
+        first, z = int(slots[i, 3]), int(slots[i, 4])
+        if kind < 0 or (where == 2 and z < 0):
+            continue
+        own = y[z] if z >= 0 else 0.0
+        if where == 0:
+            _law(kind, t, d[at], d[places + at], own, theta[first:], rows)
+            p[{force_p}[at]] += rows[0, 0]
+        elif where == 1:
+            _law(kind, t, v[at], 0.0, own, theta[first:], rows)
+            v[at] = rows[0, 0]
+        else:
+            _law(kind, t, s[at], 0.0, own, theta[first:], rows)
+        if z >= 0:
+            dy[z] = rows[1, 0]
+        for j in range(width):
+            by = 0.0
+            rate = 0.0
+            if where == 0:
+                for l in range(n):
+                    by += jd[at, l] * sens[l, j]
+                    rate += jd[places + at, l] * sens[l, j]
+            elif where == 1:
+                by = dv[at, j]
+            else:
+                for l in range(n):
+                    by += js[at, l] * sens[l, j]
+                if j < k:
+                    for l in range(affected):
+                        by += jps[at, l] * basis[l, j]
+            inside = sens[z, j] if z >= 0 else 0.0
+            total = rows[0, 1] * by + rows[0, 2] * rate + rows[0, 3] * inside
+            if where == 0:
+                df[at, j] += total
+            elif where == 1:
+                dv[at, j] = total
+            if z >= 0:
+                ds[z, j] = rows[1, 1] * by + rows[1, 2] * rate + rows[1, 3] * inside
+        for l in range(columns.shape[1]):
+            j = int(columns[i, l])
+            if j >= 0:
+                if where == 0:
+                    df[at, j] += rows[0, 4 + l]
+                elif where == 1:
+                    dv[at, j] += rows[0, 4 + l]
+                if z >= 0:
+                    ds[z, j] += rows[1, 4 + l]
+    slopes(t, y, v, p, dy, jy, jp)
+    for i in range(moving):
+        for j in range(width):
+            ds[i, j] = sens[moving + i, j]
+    for i in range(moving, n):
+        for j in range(width):
+            ds[i, j] = 0.0
+        for l in range(n):
+            by = jy[i, l]
+            if by != 0.0:
+                for j in range(width):
+                    ds[i, j] += by * sens[l, j]
+        for l in range(affected):
+            by = jp[i, l]
+            if by != 0.0:
+                for j in range(k):
+                    ds[i, j] += by * basis[l, j]
+        for e in range(places):
+            by = jp[i, {force_column}[e]]
+            if by != 0.0:
+                for j in range(width):
+                    ds[i, j] += by * df[e, j]
+        for a in range(channels):
+            by = jp[i, {command_column}[a]]
+            if by != 0.0:
+                for j in range(width):
+                    ds[i, j] += by * dv[a, j]
+
+
+@compiled
+def _go(t, y, sens, u, lead, p, basis, slots, columns, theta, h, work):
+    size, width = y.shape[0], sens.shape[1]
+    ks, ss, top = work[: 4 * size], work[4 * size : 5 * size], 5 * size
+    ky, state, w = work[top : top + 4], work[top + 4], work[top + 5 :]
+    for stage in range(4):
+        c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+        for i in range(size):
+            state[i] = y[i] + (c * h * ky[stage - 1, i] if stage > 0 else 0.0)
+            for j in range(width):
+                ss[i, j] = sens[i, j] + (c * h * ks[(stage - 1) * size + i, j] if stage > 0 else 0.0)
+        _flow(
+            t + c * h, state[:size], ss[:size, :width], u, lead, p, basis, slots, columns, theta, ky[stage],
+            ks[stage * size : (stage + 1) * size], w,
+        )
+    for i in range(size):
+        y[i] += h / 6.0 * (ky[0, i] + 2.0 * (ky[1, i] + ky[2, i]) + ky[3, i])
+        for j in range(width):
+            sens[i, j] += h / 6.0 * (ks[i, j] + 2.0 * (ks[size + i, j] + ks[2 * size + i, j]) + ks[3 * size + i, j])
+
+
+@compiled
+def _command(commands, index, a, samples, part, straight):
+    # The command of a sample, `samples` late; part: of the sample that has gone by.
+    last = commands.shape[0] - 1
+    at = index + (part if straight else 0.0) - samples
+    if straight:
+        low = int(math.floor(at))
+        share = at - low
+        return (1.0 - share) * commands[min(max(low, 0), last), a] + share * commands[min(max(low + 1, 0), last), a]
+    # Held: the mean over the sample.
+    low = int(math.floor(at))
+    share = at - low
+    return (1.0 - share) * commands[min(max(low, 0), last), a] + share * commands[min(max(low + 1, 0), last), a]
+"""
+
+RUN = """
+@compiled
+def run(
+    count, dt, substeps, straight, y, sens, p, basis, slots, columns, theta, commands, readings, weights, matrix,
+    gradient, squares, estimates, work
+):
+    n, channels, sensors, affected = {n}, {channels}, {sensors}, {affected}
+    size, width, k = y.shape[0], sens.shape[1], basis.shape[1]
+    work[:] = 0.0
+    u, s, row = work[0], work[1], work[2 : 2 + sensors]
+    js, jps = work[2 + sensors : 2 + 2 * sensors], work[2 + 2 * sensors : 2 + 3 * sensors]
+    top = 2 + 3 * sensors
+    rows, late, noise = work[top : top + 2], work[top + 2], work[top + 3]
+    lead, rest = work[top + 4 : top + 6], work[top + 6 :]
+    h = dt / substeps
+    for a in range(channels):
+        late[a] = 0.0
+        lead[1, a] = -1.0
+    for i in range(slots.shape[0]):
+        if slots[i, 0] < 0.0:
+            for a in range(channels):
+                if slots[i, 2] < 0.0 or int(slots[i, 2]) == a:
+                    late[a] += theta[int(slots[i, 3])] / dt
+                    lead[1, a] = columns[i, 0]
+    for index in range(count):
+        t = index * dt
+        sensed(t, y, p, noise, s, js, jps)
+        for o in range(sensors):
+            for j in range(width):
+                total = 0.0
+                for l in range(n):
+                    total += js[o, l] * sens[l, j]
+                if j < k:
+                    for l in range(affected):
+                        total += jps[o, l] * basis[l, j]
+                row[o, j] = total
+        for i in range(slots.shape[0]):
+            if slots[i, 1] == 2.0:
+                at, z, first = int(slots[i, 2]), int(slots[i, 4]), int(slots[i, 3])
+                _law(int(slots[i, 0]), t, s[at], 0.0, y[z] if z >= 0 else 0.0, theta[first:], rows)
+                s[at] = rows[0, 0]
+                for j in range(width):
+                    row[at, j] = rows[0, 1] * row[at, j] + (rows[0, 3] * sens[z, j] if z >= 0 else 0.0)
+                for l in range(columns.shape[1]):
+                    j = int(columns[i, l])
+                    if j >= 0:
+                        row[at, j] += rows[0, 4 + l]
+        for o in range(sensors):
+            estimates[index, o] = s[o]
+            residual = readings[index, o] - s[o]
+            if not math.isfinite(residual):
+                return 1
+            squares[o] += residual * residual
+            for i in range(width):
+                weighted = weights[o] * row[o, i]
+                if weighted != 0.0:
+                    gradient[i] += weighted * residual
+                    for j in range(i + 1):
+                        matrix[i, j] += weighted * row[o, j]
+        if index == count - 1:
+            break
+        for step in range(substeps):
+            part = (step + 0.5) / substeps
+            for a in range(channels):
+                u[a] = _command(commands, index, a, late[a], part, straight)
+                before = _command(commands, index, a, late[a] + 0.5, part, straight)
+                after = _command(commands, index, a, late[a] - 0.5, part, straight)
+                lead[0, a] = (before - after) / dt
+            _go(t + step * h, y, sens, u, lead, p, basis, slots, columns, theta, h, rest)
+    return 0
+"""
+
+FOLLOW = """
+@compiled
+def follow(count, dt, substeps, straight, x, p, gain, commands, readings, states, estimates, work):
+    # A filter with a constant gain (n + forces, sensors); states: filtered, estimates: predicted.
+    n, forces, sensors, channels = {n}, {forces}, {sensors}, {channels}
+    work[:] = 0.0
+    s, noise, u = work[0], work[1], work[2]
+    js, jps = work[3 : 3 + sensors], work[3 + sensors : 3 + 2 * sensors]
+    jy, jp = work[3 + 2 * sensors : 3 + 2 * sensors + n], work[3 + 2 * sensors + n : 3 + 2 * sensors + 2 * n]
+    top = 3 + 2 * sensors + 2 * n
+    ky, state = work[top : top + 4], work[top + 4]
+    h = dt / substeps
+    for index in range(count):
+        t = index * dt
+        for i in range(n + forces):
+            estimates[index, i] = x[i]
+        sensed(t, x, p, noise, s, js, jps)
+        for o in range(sensors):
+            residual = readings[index, o] - s[o]
+            if not math.isfinite(residual):
+                return 1
+            for i in range(n + forces):
+                x[i] += gain[i, o] * residual
+        for i in range(n + forces):
+            states[index, i] = x[i]
+        for i in range(forces):
+            p[{coordinate_ports}[i]] = x[n + i]
+        for step in range(substeps):
+            for a in range(channels):
+                u[a] = _command(commands, index, a, 0.0, (step + 0.5) / substeps, straight)
+            for stage in range(4):
+                c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+                for i in range(n):
+                    state[i] = x[i] + (c * h * ky[stage - 1, i] if stage > 0 else 0.0)
+                slopes(t + step * h + c * h, state, u, p, ky[stage], jy, jp)
+            for i in range(n):
+                x[i] += h / 6.0 * (ky[0, i] + 2.0 * (ky[1, i] + ky[2, i]) + ky[3, i])
+    return 0
+"""
+
+BACK = """
+@compiled
+def back(count, gain, states, estimates):
+    # Backward pass: states become the smoothed ones.
+    size = states.shape[1]
+    for index in range(count - 2, -1, -1):
+        for i in range(size):
+            total = 0.0
+            for j in range(size):
+                total += gain[i, j] * (states[index + 1, j] - estimates[index + 1, j])
+            states[index, i] += total
+"""
+
+PLACES = """
+@compiled
+def motions(count, dt, p, states, estimates, work):
+    # Displacement and rate of each place along states (count, n): estimates (count, 2 places).
+    d, jd = work[0], work[1:]
+    for index in range(count):
+        placed(index * dt, states[index], p, d, jd)
+        for e in range({places} * 2):
+            estimates[index, e] = d[e]
+"""
+
+ALONG = """
+@compiled
+def along(count, dt, kind, state, x, rate, columns, theta, features, work):
+    # An effect along a known motion: features[:, 0] its value, then its derivatives by the parameters in `columns`.
+    rows, later = work[:2], work[2:4]
+    many = features.shape[1]
+    z = 1e-200
+    dz = work[4]
+    dz[:] = 0.0
+    for index in range(count):
+        t = index * dt
+        _law(kind, t, x[index], rate[index], z, theta, rows)
+        features[index, 0] = rows[0, 0]
+        for j in range(1, many):
+            features[index, j] = rows[0, 3] * dz[j] + rows[0, 4 + int(columns[0, j - 1])]
+        if state > 0 and index < count - 1:
+            # The middle of the sample, by Heun's half step, then a whole one: second order, and stable where it decays.
+            middle_x, middle_rate = 0.5 * (x[index] + x[index + 1]), 0.5 * (rate[index] + rate[index + 1])
+            pieces = 4
+            h = dt / pieces
+            for piece in range(pieces):
+                share = (piece + 0.5) / pieces
+                px = x[index] + share * (x[index + 1] - x[index])
+                pr = rate[index] + share * (rate[index + 1] - rate[index])
+                _law(kind, t + share * dt, px, pr, z, theta, later)
+                half = z + 0.5 * h * later[1, 0]
+                _law(kind, t + share * dt, px, pr, half, theta, later)
+                for j in range(1, many):
+                    dz[j] += h * (later[1, 3] * dz[j] + later[1, 4 + int(columns[0, j - 1])])
+                z += h * later[1, 0]
+"""
+
+SPREAD = """
+@compiled
+def spread(count, dt, every, x, states, commands, p, features, estimates, work):
+    # What forces (count, M) at the columns x (M,) of the equations, or initial states -1 - x, do to the sensors, from
+    # rest, to first order along a motion (count, n): means over `every` samples, (count / every, sensors M).
+    n, sensors = {n}, {sensors}
+    many = features.shape[1]
+    js, jps = work[:sensors], work[sensors : 2 * sensors]
+    jy, jp = work[2 * sensors : 2 * sensors + n], work[2 * sensors + n : 2 * sensors + 2 * n]
+    top = 2 * sensors + 2 * n
+    phi, a2 = work[top : top + n], work[top + n : top + 2 * n]
+    e, f, top = work[top + 2 * n : top + 3 * n], work[top + 3 * n : top + 4 * n], top + 4 * n
+    dy, s, noise = work[top], work[top + 1], work[top + 2]
+    work[:] = 0.0
+    estimates[:] = 0.0
+    for m in range(many):
+        if x[m] < 0.0:  # the initial state, instead of a force
+            e[int(-x[m]) - 1, m] = 1.0
+    for index in range(count):
+        t = index * dt
+        slopes(t, states[index], commands[index], p, dy, jy, jp)
+        sensed(t, states[index], p, noise, s, js, jps)
+        # The half of the force that comes with this sample.
+        if index > 0:
+            for i in range(n):
+                for m in range(many):
+                    e[i, m] += 0.5 * dt * jp[i, max(int(x[m]), 0)] * features[index, m]
+        block = index // every
+        if block < estimates.shape[0]:
+            for o in range(sensors):
+                for l in range(n):
+                    by = js[o, l] / every
+                    if by != 0.0:
+                        for m in range(many):
+                            estimates[block, o * many + m] += by * e[l, m]
+        for i in range(n):
+            for m in range(many):
+                e[i, m] += 0.5 * dt * jp[i, max(int(x[m]), 0)] * features[index, m]
+        # exp(A dt) to the third order
+        for i in range(n):
+            for j in range(n):
+                total = 0.0
+                for l in range(n):
+                    total += jy[i, l] * jy[l, j]
+                a2[i, j] = total
+        for i in range(n):
+            for j in range(n):
+                total = 0.0
+                for l in range(n):
+                    total += jy[i, l] * a2[l, j]
+                phi[i, j] = dt * jy[i, j] + 0.5 * dt * dt * a2[i, j] + dt * dt * dt / 6.0 * total
+        for i in range(n):
+            for m in range(many):
+                f[i, m] = e[i, m]
+            for l in range(n):
+                by = phi[i, l]
+                if by != 0.0:
+                    for m in range(many):
+                        f[i, m] += by * e[l, m]
+        for i in range(n):
+            for m in range(many):
+                e[i, m] = f[i, m]
+"""
+
+READ = """
+@compiled
+def read(count, dt, p, states, readings, work):
+    # What the sensors read along states (count, n or more).
+    noise, s, js, jps = work[0], work[1], work[2 : 2 + {sensors}], work[2 + {sensors} : 2 + 2 * {sensors}]
+    work[:] = 0.0
+    for index in range(count):
+        sensed(index * dt, states[index], p, noise, s, js, jps)
+        for o in range({sensors}):
+            readings[index, o] = s[o]
+"""
+OTHERS = (FOLLOW, BACK, PLACES, ALONG, SPREAD, READ)

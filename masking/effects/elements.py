@@ -1,0 +1,261 @@
+"""Physical effects in an element of a model: forces of its displacement `d`, its rate `d_rate`, and time `t`."""
+
+from __future__ import annotations
+
+from masking.effects.entry import NOT_NEGATIVE, POSITIVE, Effect, EffectParameter, EffectState
+
+_SLIDING = EffectParameter(
+    "D/s", "rate of displacement at which the force has 76 % of its size", (1e-5, 1e-2), 1e-3, 1e-3, POSITIVE
+)
+_COULOMB = EffectParameter("F", "force while sliding", (1e-3, 2.0), 0.1, None, NOT_NEGATIVE)
+_STATIC = EffectParameter("F", "force that breaks it loose", (1e-3, 3.0), 0.15, None, NOT_NEGATIVE)
+_STRIBECK = EffectParameter(
+    "D/s", "rate at which the force has fallen most of the way", (1e-3, 0.1), 1e-2, 1e-2, POSITIVE
+)
+_CONTACT = EffectParameter("F/D", "stiffness of the contact", (1e3, 1e6), 2e4, None, NOT_NEGATIVE)
+_SIDE = EffectParameter("1", "1: it is beyond the edge upwards, -1: downwards", (-1.0, 1.0), 1.0, 1.0, (-1.0, 1.0))
+
+ELEMENTS: dict[str, Effect] = {
+    "constant_force": Effect(
+        "constant_force",
+        "A force that is always there.",
+        "element",
+        "f0",
+        {"f0": EffectParameter("F", "force", (-5.0, 5.0), 0.1)},
+        cause="weight on a rig that is not level, a spring at rest elsewhere than assumed, an offset of an amplifier",
+        remedy="level the rig or move the zero of the sensor; the model needs only its value, which is cancelled",
+        source="Rijlaarsdam (2008), (4.14), rho_i0 of Table B.4",
+    ),
+    "linear_spring": Effect(
+        "linear_spring",
+        "The stiffness is larger than declared, by k.",
+        "element",
+        "k*d",
+        {"k": EffectParameter("F/D", "additional stiffness", (-500.0, 500.0), 10.0)},
+        cause="a wrong spring constant or mass, a cable that pulls, a leaf spring clamped at another length",
+        remedy="correct the eigenfrequency in the model",
+        source="Rao (2011), Mechanical Vibrations, section 1.7",
+    ),
+    "polynomial_spring": Effect(
+        "polynomial_spring",
+        "The force of a spring as a polynomial of its displacement, in addition to what is declared.",
+        "element",
+        "k0 + d*(k1 + d*(k2 + d*(k3 + d*(k4 + d*k5))))",
+        {
+            "k0": EffectParameter("F", "force at rest", (-5.0, 5.0), 0.1, 0.0),
+            "k1": EffectParameter("F/D", "linear coefficient", (-500.0, 500.0), 10.0, 0.0),
+            "k2": EffectParameter("F/D**2", "quadratic coefficient", (-1e5, 1e5), -1e3, 0.0),
+            "k3": EffectParameter("F/D**3", "cubic coefficient", (-1e7, 1e7), 1e5, 0.0),
+            "k4": EffectParameter("F/D**4", "coefficient of the fourth power", (-1e10, 1e10), 1e7, 0.0),
+            "k5": EffectParameter("F/D**5", "coefficient of the fifth power", (-1e12, 1e12), 1e9, 0.0),
+        },
+        cause="large deflection of leaf springs, a clamp that lets go, asymmetric mounting, forces of magnets",
+        remedy="measure the force over the whole stroke and let the controller cancel it",
+        source="Rijlaarsdam (2008), (4.14) and Table B.4",
+    ),
+    "hardening_spring": Effect(
+        "hardening_spring",
+        "A cubic spring: stiffer the further it is stretched, or softer where k3 is negative.",
+        "element",
+        "k3*d**3",
+        {"k3": EffectParameter("F/D**3", "cubic coefficient", (-1e7, 1e7), 1e5)},
+        cause="leaf springs that are stretched when they bend, large rotations",
+        remedy="give the ends of the springs room to move, or let the controller cancel the force",
+        source="Kovacic and Brennan (2011), The Duffing Equation, (1.1)",
+    ),
+    "viscous_damping": Effect(
+        "viscous_damping",
+        "A force in proportion to the rate of displacement, in addition to what is declared.",
+        "element",
+        "c*d_rate",
+        {"c": EffectParameter("F*s/D", "additional damping", (-10.0, 10.0), 0.5)},
+        cause="eddy currents in the voice coil, air, lubricated bearings; a wrong damping ratio",
+        remedy="correct the damping ratio in the model",
+        source="Rayleigh (1877), The Theory of Sound, volume 1, section 81",
+    ),
+    "quadratic_damping": Effect(
+        "quadratic_damping",
+        "A resistance that grows with the square of the rate of displacement.",
+        "element",
+        "c*d_rate*abs(d_rate)",
+        {"c": EffectParameter("F*s**2/D**2", "coefficient", (0.0, 100.0), 1.0, None, NOT_NEGATIVE)},
+        cause="drag of air or of a liquid on plates and arms, flow through an orifice",
+        remedy="make the moving surfaces smaller, or add it to the model",
+        source="Nayfeh and Mook (1979), Nonlinear Oscillations, section 3.3.2",
+    ),
+    "dry_friction": Effect(
+        "dry_friction",
+        "Coulomb's friction: a force of one size against the motion; the smooth sign lets it creep at rest.",
+        "element",
+        "fc*tanh(d_rate/vs)",
+        {"fc": _COULOMB, "vs": _SLIDING},
+        cause="sliding bearings, a coil that touches its magnet, cables that rub",
+        remedy="align the coil and its guide, use leaf springs or air bearings; a disturbance observer follows it",
+        source="Olsson, Astrom, Canudas de Wit, Gafvert and Lischinsky (1998), Eur. J. Control 4, section 2",
+    ),
+    "stribeck_friction": Effect(
+        "stribeck_friction",
+        "Dry friction that is larger at small rates, where the lubricant does not carry yet.",
+        "element",
+        "(fc + (fs - fc)*exp(-(d_rate/vst)**2))*tanh(d_rate/vs)",
+        {"fc": _COULOMB, "fs": _STATIC, "vst": _STRIBECK, "vs": _SLIDING},
+        cause="lubricated sliding contacts and ball bearings at low speed",
+        remedy="a lubricant with friction modifiers, a dither on the input, or a guide without contact",
+        source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, (2)",
+    ),
+    "lugre_friction": Effect(
+        "lugre_friction",
+        "Friction of bristles that bend before they slip: stiction, presliding displacement and hysteresis.",
+        "element",
+        "s0*z + s1*(d_rate - s0*abs(d_rate)*z/(fc + (fs - fc)*exp(-(d_rate/vst)**2))) + s2*d_rate",
+        {
+            "fc": EffectParameter("F", _COULOMB.meaning, _COULOMB.prior, _COULOMB.nominal, None, POSITIVE),
+            "fs": EffectParameter("F", _STATIC.meaning, _STATIC.prior, _STATIC.nominal, None, POSITIVE),
+            "vst": _STRIBECK,
+            "s0": EffectParameter("F/D", "stiffness of the bristles", (1e2, 1e6), 1e4, None, NOT_NEGATIVE),
+            "s1": EffectParameter("F*s/D", "damping of the bristles", (0.0, 1e3), 10.0, 0.0, NOT_NEGATIVE),
+            "s2": EffectParameter("F*s/D", "viscous friction", (0.0, 10.0), 0.1, 0.0, NOT_NEGATIVE),
+        },
+        cause="dry contacts that stick between reversals, such as a guide or a rubbing cable",
+        remedy="remove the contact; small motions need this model, large ones only dry friction",
+        source="Canudas de Wit, Olsson, Astrom and Lischinsky (1995), IEEE Trans. Autom. Control 40(3), (1)-(4)",
+        states={
+            "z": EffectState(
+                "d_rate - s0*abs(d_rate)*z/(fc + (fs - fc)*exp(-(d_rate/vst)**2))", "D", "deflection of the bristles"
+            )
+        },
+    ),
+    "hysteresis": Effect(
+        "hysteresis",
+        "A spring that remembers: its force follows another path back, in the normalised form of Bouc and Wen.",
+        "element",
+        "k*z",
+        {
+            "k": EffectParameter("F/D", "stiffness where the motion turns", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
+            "zmax": EffectParameter("D", "displacement at which it yields", (1e-5, 1e-2), 1e-3, None, POSITIVE),
+            "beta": EffectParameter("1", "shape: 1/2 unloads in a straight line", (0.5, 2.0), 0.5, 0.5, (0.5, None)),
+            "n": EffectParameter("1", "sharpness of yielding", (1.0, 10.0), 2.0, 2.0, (1.0, None)),
+        },
+        cause="joints that slip a little, material damping of rubber or bonded springs, magnetic materials",
+        remedy="clamp joints tighter and avoid rubber; the force can be cancelled once the model holds it",
+        source="Wen (1976), J. Eng. Mech. Div. 102; Ikhouane and Rodellar (2007), Systems with Hysteresis, (2.15)",
+        states={
+            "z": EffectState(
+                "d_rate - beta*abs(d_rate)*(z/zmax)*abs(z/zmax)**(n - 1) - (1 - beta)*d_rate*abs(z/zmax)**n",
+                "D",
+                "elastic part of the displacement",
+            )
+        },
+    ),
+    "backlash": Effect(
+        "backlash",
+        "A spring behind play: no force within the gap, linear beyond it on both sides.",
+        "element",
+        "k*(d - min(max(d, -gap/2), gap/2))",
+        {
+            "k": EffectParameter("F/D", "stiffness beyond the gap", (1.0, 1e6), 1e3, None, NOT_NEGATIVE),
+            "gap": EffectParameter("D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE),
+        },
+        cause="gears, couplings, loose screws, pins in slotted holes",
+        remedy="preload the joint or replace it by a flexure",
+        source="Nordin and Gutman (2002), Automatica 38, section 2",
+    ),
+    "stop": Effect(
+        "stop",
+        "An end stop: a contact that pushes back beyond an edge and never pulls.",
+        "element",
+        "side*k*max(side*(d - edge), 0)*max(1 + c*side*d_rate, 0)",
+        {
+            "k": _CONTACT,
+            "edge": EffectParameter("D", "displacement at which the contact begins", (-0.02, 0.02), 5e-3),
+            "c": EffectParameter(
+                "s/D", "damping of the contact per force and rate", (0.0, 50.0), 1.0, 0.0, NOT_NEGATIVE
+            ),
+            "side": _SIDE,
+        },
+        cause="the end of the stroke: a bumper, the housing of the coil",
+        remedy="stay within the stroke: smaller amplitudes, or the limits of the plant",
+        source="Hunt and Crossley (1975), J. Appl. Mech. 42, 440-445",
+    ),
+    "local_friction": Effect(
+        "local_friction",
+        "Dry friction in one part of the stroke only, beyond an edge.",
+        "element",
+        "fc*tanh(d_rate/vs)*(1 + tanh(side*(d - edge)/width))/2",
+        {
+            "fc": _COULOMB,
+            "edge": EffectParameter("D", "displacement at which it begins", (-0.02, 0.02), 5.8e-3),
+            "width": EffectParameter("D", "over which it begins", (1e-5, 1e-3), 2e-4, 2e-4, POSITIVE),
+            "vs": _SLIDING,
+            "side": _SIDE,
+        },
+        cause="a coil that touches its magnet in one part of the stroke, a burr, a cable that is caught",
+        remedy="align the coil and look for marks at that position; otherwise keep the motion on the free side",
+        source="Olsson, Astrom, Canudas de Wit, Gafvert and Lischinsky (1998), Eur. J. Control 4, position dependence",
+    ),
+    "asymmetric_friction": Effect(
+        "asymmetric_friction",
+        "Dry friction of another size in each direction.",
+        "element",
+        "where(d_rate > 0, fp, fm)*tanh(d_rate/vs)",
+        {
+            "fp": EffectParameter("F", "force while the displacement grows", (1e-3, 2.0), 0.1, None, NOT_NEGATIVE),
+            "fm": EffectParameter("F", "force while it shrinks", (1e-3, 2.0), 0.05, None, NOT_NEGATIVE),
+            "vs": _SLIDING,
+        },
+        cause="a guide that is loaded in one direction, wear, a cable that pulls along",
+        remedy="look for what touches in one direction only; a disturbance observer follows it",
+        source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, section 2.1",
+    ),
+    "dahl_friction": Effect(
+        "dahl_friction",
+        "Dry friction that builds up over a short displacement after each reversal.",
+        "element",
+        "fc*z",
+        {
+            "fc": EffectParameter("F", _COULOMB.meaning, _COULOMB.prior, _COULOMB.nominal, None, NOT_NEGATIVE),
+            "x0": EffectParameter("D", "displacement over which it builds up", (1e-6, 1e-2), 1e-4, None, POSITIVE),
+        },
+        cause="rolling bearings, preloaded contacts, cables that bend",
+        remedy="a guide without contact; small motions need this model, large ones only dry friction",
+        source="Dahl (1976), AIAA Journal 14(12), 1675-1682, with exponent 1",
+        states={"z": EffectState("(d_rate - abs(d_rate)*z)/x0", "1", "part of the friction that has built up")},
+    ),
+    "gravity_force": Effect(
+        "gravity_force",
+        "The torque of a weight on an arm, and of all that comes back once a turn: a sine of the displacement.",
+        "element",
+        "a*sin(d/r)",
+        {
+            "a": EffectParameter("F", "largest force", (-20.0, 20.0), 0.1),
+            "r": EffectParameter("D", "displacement per radian", (1e-4, 1.0), 1e-2, None, POSITIVE),
+        },
+        cause="a mass off the axis, magnets that cog, a thread that runs out",
+        remedy="balance it, or let the controller cancel the force",
+        source="Rijlaarsdam (2008), (8.4): nu^2 sin(theta)",
+    ),
+    "periodic_force": Effect(
+        "periodic_force",
+        "A force that goes on as a sine whatever the rig does.",
+        "element",
+        "-a*sin(2*pi*nu*t) - b*cos(2*pi*nu*t)",
+        {
+            "a": EffectParameter("F", "sine part", (-5.0, 5.0), 0.1),
+            "b": EffectParameter("F", "cosine part", (-5.0, 5.0), 0.1, 0.0),
+            "nu": EffectParameter("1/s", "frequency", (1e-2, 400.0), 1.0, None, POSITIVE),
+        },
+        cause="a machine, a pump or a fan nearby, the mains in an amplifier",
+        remedy="switch it off or isolate the rig from it; a disturbance observer follows slow ones",
+        source="Den Hartog (1985), Mechanical Vibrations, section 2.8",
+    ),
+    "stiffness_drift": Effect(
+        "stiffness_drift",
+        "The stiffness changes steadily with time.",
+        "element",
+        "k*d*t",
+        {"k": EffectParameter("F/D/s", "change of the stiffness in a second", (-5.0, 5.0), 0.1)},
+        cause="a spring that warms up or creeps, a magnet that weakens, a clamp that settles",
+        remedy="let the rig warm up before it is used, calibrate again",
+        source="Ljung (1999), System Identification, section 11.1",
+    ),
+}

@@ -1,0 +1,64 @@
+"""What an entry of the dictionary of physical effects holds.
+
+Expressions are in the language of declarations, over the effect's own parameters and states and
+
+* in an element: `d`, its displacement, `d_rate`, the rate of that, and the time `t`; they give the force f;
+* in a sensor: `s`, the value that it should give, and for noise `xi`, a sample of the standard normal distribution;
+* in an actuator: `u`, the value that it is told.
+
+Units are written with the units of the place: `F` of force and `D` of displacement of an element, `S` of a sensor, `U`
+of an actuator, and `s` of time; `prior` and `nominal` are in coherent SI units for a rig the size of a hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Where = Literal["element", "sensor", "actuator", "loop"]
+Bounds = tuple[float | None, float | None]
+
+
+@dataclass(frozen=True, slots=True)
+class EffectParameter:
+    """A parameter of an effect.
+
+    `value` is taken where none is given, and None where one must be; `prior` is the range in which values are expected,
+    `nominal` a usual one; `bounds` are the least and the largest that make sense.
+    """
+
+    unit: str
+    meaning: str
+    prior: tuple[float, float]
+    nominal: float
+    value: float | None = None
+    bounds: Bounds = (None, None)
+
+
+@dataclass(frozen=True, slots=True)
+class EffectState:
+    """An internal state of an effect, 0 at first, with the expression of its rate."""
+
+    rate: str
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """A physical effect: the expression of what it does, where it may sit, what causes it and what helps."""
+
+    name: str
+    meaning: str
+    where: Where
+    expression: str
+    parameters: Mapping[str, EffectParameter]
+    cause: str
+    remedy: str
+    source: str
+    states: Mapping[str, EffectState] = field(default_factory=dict)
+
+
+POSITIVE: Bounds = (1e-12, None)
+NOT_NEGATIVE: Bounds = (0.0, None)
