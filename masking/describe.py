@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 
 from masking.declaration import schema
+from masking.effects import Effect
 from masking.experiment import Experiment
 from masking.model import Model
 
@@ -21,6 +22,7 @@ else:
 
 # Operations in the longest expression that is simplified; simplifying takes a second for some hundreds.
 LONGEST_SIMPLIFIED = 120
+_ARTICLES = {"element": "an element", "sensor": "a sensor", "actuator": "an actuator", "loop": "the loop"}
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,20 @@ def model(subject: Model) -> Description:
         "dimensionless": scaled,
     }
     return Description("\n".join(lines).rstrip(), content)
+
+
+def effect(subject: Effect) -> Description:
+    """Describe a physical effect: what it is, its expression and parameters, where it comes from and what helps."""
+    lines = [subject.name.replace("_", " "), subject.meaning, f"source: {subject.source}", ""]
+    lines += [f"in {_ARTICLES[subject.where]}: {subject.expression or 'what is commanded acts later'}"]
+    lines += [*(f"with {name}' = {state.rate}" for name, state in subject.states.items()), ""]
+    rows = []
+    for name, p in subject.parameters.items():
+        taken = "" if p.value is None else f"{p.value:g} where none is given"
+        rows.append((name, p.unit, f"{p.prior[0]:g} to {p.prior[1]:g}", taken, p.meaning))
+    lines += _table("parameters (unit of the place, usual range)", rows)
+    lines += [f"usual causes: {subject.cause}", f"what helps: {subject.remedy}"]
+    return Description("\n".join(lines), asdict(subject))
 
 
 def plant(declaration: schema.PlantDeclaration) -> Description:

@@ -1,8 +1,9 @@
 """Sensitivity: what the sensors of a twin would read under recorded commands, and how that depends on its parameters.
 
+Sensors that round are simulated as they are before that, which is what rounded readings are most likely near.
 Sensors are simulated from an initial state, together with their derivatives with respect to chosen parameters and the
 initial state, which follow from the equations by the chain rule and are compiled with them. What a least-squares fit
-needs of them, the normal equations, is summed up on the way, so that long records take no memory.
+needs of them, the normal equations, is summed up on the way, so that derivatives take no memory.
 Source: Ljung, System Identification (1999), section 10.3; Hairer, Norsett and Wanner (1993), section I.14.
 """
 
@@ -50,12 +51,14 @@ class NormalEquations:
         matrix: J^T W J (k + states, k + states) for the derivatives J of the readings.
         gradient: J^T W r (k + states,) for the residuals r, measured less simulated.
         squares: sum of squared residuals of each sensor (sensors,).
+        simulated: what the sensors would read (m, sensors).
         end: the state at the end of the record (states,).
     """
 
     matrix: Array
     gradient: Array
     squares: Array
+    simulated: Array
     end: Array
 
 
@@ -67,23 +70,34 @@ class Sensitivity:
         twin: the rig.
         names: parameters of its model, those of the effects in its elements included (`friction1_fc`), and of effects
             in its sensors and actuators (`offset_s1_e0`).
+        shared: parameters that others of the same twin may change, whose derivatives are compiled too, so that all
+            have the same functions.
     """
 
     twin: Twin
     names: tuple[str, ...]
+    shared: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         twice = sorted({name for name in self.names if self.names.count(name) > 1})
         if twice:
             raise ModelError(f"parameters are named twice: {', '.join(twice)}")
-        for name in self.names:
+        for name in self._compiled:
             if name not in self.twin.parameter_names:
                 mend = nearest(name, self.twin.parameter_names)
                 raise ModelError(f"{self.twin.declaration.name} has no parameter '{name}'; {mend}")
 
+    @property
+    def _compiled(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self.names, *self.shared)))
+
     def twin_at(self, theta: Array) -> Twin:
         """Return the twin with values (k,) of the parameters, in the units in which they are declared."""
         return self.twin.with_parameters(dict(zip(self.names, map(float, theta), strict=True)))
+
+    @cached_property
+    def _unrounded(self) -> Twin:
+        return self.twin.unrounded()
 
     def start(self) -> Array:
         """Return the values of the parameters (k,) that the twin declares, in declared units."""
@@ -96,8 +110,8 @@ class Sensitivity:
         return low, np.array([np.inf if b is None else b for _, b in pairs])
 
     def parameters(self, theta: Array) -> Array:
-        """Return the twin's parameter array for values (k,) of the parameters."""
-        return self.twin_at(theta).values()
+        """Return the twin's parameter array for values (k,) of the parameters, with sensors that do not round."""
+        return self._unrounded.with_parameters(dict(zip(self.names, map(float, theta), strict=True))).values()
 
     def basis(self, theta: Array) -> tuple[Array, Array]:
         """Return the twin's parameter array, and how its entries depend on the parameters (affected, k)."""
@@ -114,7 +128,9 @@ class Sensitivity:
 
     @cached_property
     def affected(self) -> tuple[int, ...]:
-        """Return the indices in the twin's parameter array of all that depend on the parameters."""
+        """Return the indices in the twin's parameter array of all that depend on the parameters and shared ones."""
+        if self.shared:
+            return Sensitivity(self.twin, self._compiled).affected
         theta, touched = self.start(), set[int]()
         before = self.parameters(theta)
         for i, value in enumerate(theta):
@@ -132,7 +148,11 @@ class Sensitivity:
     @cached_property
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
-        made_from = {"sensitivity": self.twin.structure(), "affected": list(self.affected), "count": len(self.names)}
+        made_from = {
+            "sensitivity": self.twin.structure(),
+            "affected": list(self.affected),
+            "count": len(self._compiled),
+        }
         key = store.key(made_from)
         return Kernels(store.load(key, self._build))
 
@@ -167,7 +187,7 @@ class Sensitivity:
         module.add_kernel(SIMULATE.format(states=self.states), "", (8, width))
         sizes = {"states": self.states, "coordinates": len(self.twin.model.coordinates)}
         text = NORMAL.format(**sizes, affected=len(p), sensors=len(readings))
-        width = max(self.states + len(self.names), len(p), len(readings), len(self.twin.actuators))
+        width = max(self.states + len(self._compiled), len(p), len(readings), len(self.twin.actuators))
         module.add_kernel(text, "i", (7 * self.states + 2 * len(readings) + 10, width))
         return module
 
@@ -196,6 +216,13 @@ class Sensitivity:
         if not np.isfinite(readings).all():
             raise IntegrationError("the simulated motion is no longer finite")
         return readings
+
+    def sensed(self, state: Array) -> tuple[Array, Array]:
+        """Return what the sensors read in a state (sensors,) of the twin, and its derivatives (sensors, states)."""
+        sensors, affected = len(self.twin.sensors), len(self.affected)
+        read, jy, jp = np.empty(sensors), np.zeros((sensors, self.states)), np.zeros((sensors, max(1, affected)))
+        self.kernels.sensed(0.0, state, self.parameters(self.start()), np.zeros(sensors), read, jy, jp)
+        return read, jy
 
     def normal_equations(
         self,
@@ -229,17 +256,17 @@ class Sensitivity:
         k = len(self.names)
         size = k + self.states
         matrix, gradient, squares = np.zeros((size, size)), np.zeros(size), np.zeros(len(self.twin.sensors))
-        y = np.array(start, dtype=float)
+        y, simulated = np.array(start, dtype=float), np.empty((len(commands), len(squares)))
         sens = np.hstack([np.zeros((self.states, k)), np.eye(self.states)])
         status = self.kernels.normal(
             len(commands), 1.0 / rate, substeps, is_straight(between), y, sens, p, columns,
             np.ascontiguousarray(commands, dtype=float), np.ascontiguousarray(readings, dtype=float),
-            np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares,
+            np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares, simulated,
         )  # fmt: skip
         if status:
             raise IntegrationError("the simulated motion is no longer finite")
         matrix += np.tril(matrix, -1).T
-        return NormalEquations(matrix, gradient, squares, y)
+        return NormalEquations(matrix, gradient, squares, simulated, y)
 
 
 # `_between` writes the command at a sample, and its change over half an integration step, the time between the stages
@@ -324,7 +351,8 @@ def _move(t, y, sens, u, rise, p, basis, h, work):
 
 @compiled
 def normal(
-    count, dt, substeps, straight, y, sens, p, basis, commands, readings, weights, matrix, gradient, squares, work
+    count, dt, substeps, straight, y, sens, p, basis, commands, readings, weights, matrix, gradient, squares,
+    simulated, work
 ):
     n, affected, sensors, k, width = {states}, {affected}, {sensors}, basis.shape[1], sens.shape[1]
     top = 7 * n + 5
@@ -341,6 +369,7 @@ def normal(
             residual = readings[index, o] - s[o]
             if not math.isfinite(residual):
                 return 1
+            simulated[index, o] = s[o]
             squares[o] += residual * residual
             for j in range(width):
                 total = 0.0

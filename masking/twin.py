@@ -74,13 +74,14 @@ class Twin:
         """Return the plant with a model, by default its own, and without the effects in its elements."""
         gone = {effect.path.removeprefix("effects.") for effect in self._of("element")}
         kept = {name: use for name, use in self.declaration.effects.items() if name not in gone}
+        changes = {name: change for name, change in self.changes.items() if name in kept}
         if name_or_path is None:
-            changes = {name: change for name, change in self.changes.items() if name in kept}
             own = {name: value for name, value in self.declaration.parameters.items() if name in self.base.parameters}
             plant = self.declaration.model_copy(update={"effects": kept, "parameters": own})
             return replace(self, declaration=plant, changes=changes)
         changed = {"model": str(name_or_path), "effects": kept, "parameters": {}}
-        return Twin(self.declaration.model_copy(update=changed), registry.load_model(name_or_path))
+        plant = self.declaration.model_copy(update=changed)
+        return replace(self, declaration=plant, base=registry.load_model(name_or_path), changes=changes)
 
     def equation_parameters(self) -> tuple[str, ...]:
         """Return the parameters of the model that its equations of motion hold, without those of effects."""
@@ -175,6 +176,15 @@ class Twin:
         if [e.parameters for e in made._of("element")] == [e.parameters for e in self._of("element")]:
             vars(made)["attached"] = self.attached
         return made
+
+    def unrounded(self) -> Twin:
+        """Return the twin with sensors that do not round.
+
+        What is simulated is compared with readings before it is rounded: rounding both would count it twice. Commands
+        are known, so that what rounds them in the actuators stays.
+        """
+        rounding = {e.path.removeprefix("effects.") for e in self.effects if e.kind == "quantisation"}
+        return self.changed({**self.changes, **dict.fromkeys(rounding, schema.EffectChange(enabled=False))})
 
     def _of(self, where: str) -> list[PlacedEffect]:
         return [effect for effect in self.effects if EFFECTS[effect.kind].where == where]

@@ -1,11 +1,11 @@
-"""The verbs of the command line as functions: list, show, check, schema, run, report, identify, measure."""
+"""The verbs of the command line as functions: list, show, check, schema, run, report, identify, measure, discover."""
 
 from __future__ import annotations
 
 import inspect
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,10 +25,14 @@ from masking.errors import (
 
 if TYPE_CHECKING:
     from masking import budget as budgets
-    from masking import describe, drawing, experiment, model, recording, reporting, twin
+    from masking import describe, drawing, effects, experiment, model, recording, reporting, twin
     from masking import feasibility as feasibilities
     from masking.declaration import registry
     from masking.declaration import schema as schemas
+    from masking.discovery import asked as askeds
+    from masking.discovery import discover as discoveries
+    from masking.discovery import pages as discovery_pages
+    from masking.discovery.written import Files
     from masking.identification import (
         channels,
         data,
@@ -42,11 +46,16 @@ if TYPE_CHECKING:
     )
     from masking.identification import fit as fits
     from masking.identification import simulation as simulations
+    from masking.sensitivity import Between
 else:  # each verb loads only what it needs
+    askeds = lazy.load("masking.discovery.asked", suppress_warning=True)
     budgets = lazy.load("masking.budget", suppress_warning=True)
     data = lazy.load("masking.identification.data", suppress_warning=True)
     channels = lazy.load("masking.identification.channels", suppress_warning=True)
     describe = lazy.load("masking.describe", suppress_warning=True)
+    discoveries = lazy.load("masking.discovery.discover", suppress_warning=True)
+    discovery_pages = lazy.load("masking.discovery.pages", suppress_warning=True)
+    effects = lazy.load("masking.effects", suppress_warning=True)
     experiment = lazy.load("masking.experiment", suppress_warning=True)
     feasibilities = lazy.load("masking.feasibility", suppress_warning=True)
     fit_figures = lazy.load("masking.identification.fit_figures", suppress_warning=True)
@@ -66,6 +75,8 @@ else:  # each verb loads only what it needs
 
 KINDS = ("model", "plant", "experiment")
 METHODS = ("least-squares", "kalman")
+BETWEEN = ("held", "straight")
+TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none, in a discovery
 # Procedures of `measure`, and how many records each takes at most.
 PROCEDURES: dict[str, int | None] = {"springs": 1, "actuators": 1, "friction": None, "response": None}
 
@@ -117,15 +128,17 @@ def list() -> tuple[Entry, ...]:
 
 
 def show(name_or_path: str | Path, kind: str | None = None) -> describe.Description:
-    """Describe a model, a plant or an experiment: equations, parameters, blocks.
+    """Describe a model, a plant or an experiment: equations, parameters, blocks; or a physical effect.
 
     Args:
-        name_or_path: a packaged name, or a file.
+        name_or_path: a packaged name, a file, or the name of an effect in the dictionary.
         kind: model, plant or experiment, where a name stands for more than one; by default the first of these.
 
     Raises:
         DeclarationError: there is no such declaration, or it is wrong.
     """
+    if kind is None and name_or_path in effects.EFFECTS:
+        return describe.effect(effects.EFFECTS[str(name_or_path)])
     kind = kind or catalogue.kind_of(name_or_path)
     if kind == "model":
         return describe.model(model.load_model(name_or_path))
@@ -205,6 +218,7 @@ def identify(
     method: str = "least-squares",
     square_root: bool = False,
     iterated: int = 1,
+    between: Between = "held",
     out: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> fits.Fit | innovations.KalmanFit:
@@ -221,6 +235,8 @@ def identify(
         method: 'least-squares', or 'kalman' for one pass of the extended Kalman filter with the settings of 4.2.2.
         square_root: let the filter carry a square root of its covariance.
         iterated: times that the filter makes the readings of a sample linear.
+        between: how inputs go from each sample to the next: 'held', commands that act until the next, after the delay
+            of the plant; or 'straight', inputs that were measured, in straight lines.
         out: folder to save `model.yaml`, `plant.yaml`, `fit.json`, `fit.html` and its figures in: `fit.png`,
             `validation.png` where there is a validation, `estimates.png` of a filter; nothing is saved where none is
             given.
@@ -236,18 +252,21 @@ def identify(
     wanted.validate()
 
     def read(paths: Sequence[str | Path]) -> tuple[data.Data, ...]:
-        return tuple(data.Data.of(recording.Recording.load(Path(path)), wanted, str(path)) for path in paths)
+        return tuple(data.Data.of(recording.Recording.load(Path(path)), wanted, str(path), between) for path in paths)
 
     names = parameters or wanted.equation_parameters()
     train, unseen = read(records), read(validation)
     found: fits.Fit | innovations.KalmanFit
     if method == "kalman":
         found = kalman.extended_kalman(
-            wanted, train[0], names, square_root=square_root, iterated=iterated, progress=progress
+            wanted,
+            train[0],
+            names,
+            validation=unseen,
+            square_root=square_root,
+            iterated=iterated,
+            progress=progress,
         )
-        if unseen:
-            judged = fits.fit(found.twin, unseen, ())
-            found = replace(found, validation=judged.chi)
     else:
         found = fits.fit(wanted, train, names, validation=unseen, horizon=horizon, progress=progress)
     if out is not None:
@@ -255,6 +274,61 @@ def identify(
         written.save(found, out)
         pages.save_fit(found, plates, sentence, out)
     return found
+
+
+def discover(record: str | Path, **settings: Any) -> discoveries.Discovery:  # noqa: ANN401  # those of `discovered`
+    """Find out which physical effect a model is missing, from a record of the rig; see `discovered`."""
+    found, _ = discovered(record, **settings)
+    return found
+
+
+def discovered(
+    record: str | Path,
+    *,
+    model: str | Path | None = None,
+    plant: str | Path | None = None,
+    validation: str | Path | None = None,
+    parameters: Sequence[str] = (),
+    tolerance: float = TOLERANCE,
+    between: Between = "held",
+    columns: Mapping[str, str] | None = None,
+    dt: float | None = None,
+    out: str | Path | None = None,
+    tell: Callable[[str, float], None] | None = None,
+) -> tuple[discoveries.Discovery, Files | None]:
+    """Find out which physical effect a model is missing, and write the model with it.
+
+    Args:
+        record: a folder of a recording, or a parquet, csv or mat file, with the channels of the plant.
+        model: what is believed of the rig; in place of the plant's own where both are given.
+        plant: its sensors and actuators; without one, outputs or coordinates of the model are read, and its inputs.
+        validation: another record to judge by; the last part of the record where none is given.
+        parameters: of the model that may be off; all that its equations hold where none are given.
+        tolerance: relative standard deviation of a parameter that declares none.
+        between: how inputs go from each sample to the next, as for `identify`.
+        columns: of the files, by the names that they get, such as `{"t": "time", "u": "V1"}`.
+        dt: time between samples in s, for a table without a clock.
+        out: folder to save in: `models/<model>+<effect>.yaml`, `plant.yaml`, `discovery.json`, `discovery.html` and
+            its figures; nothing is saved where none is given, and nothing half where it is interrupted.
+        tell: told what is done, and the part done.
+
+    Returns:
+        what was found, and the files; None where nothing is saved.
+
+    Raises:
+        MaskingError: a declaration, a name, a setting or a record is wrong; says what to do about it.
+    """
+    if not 0.0 < tolerance < 1.0:
+        message = f"the tolerance is {tolerance:g}"
+        raise DeclarationError(Problem(None, "tolerance", message, "give a part between 0 and 1, such as 0.01"))
+    if out is not None:
+        check_folder(out)
+    asked = askeds.asked(record, model, plant, validation, between=between, columns=columns, dt=dt)
+    names = askeds.parameters(asked.twin, parameters)
+    found = discoveries.discover(
+        asked.twin, asked.record, asked.validation, parameters=names, tolerance=tolerance, tell=tell
+    )
+    return found, None if out is None else discovery_pages.save(found, out, asked.origin)
 
 
 def measure(
@@ -351,11 +425,10 @@ def _fit_plates(
     found: fits.Fit | innovations.KalmanFit, train: Sequence[data.Data], unseen: Sequence[data.Data]
 ) -> tuple[Sequence[drawing.Plate], str]:
     """Return the figures of a fit and what they say; without a record whose simulation is not finite."""
-    is_filter = not isinstance(found, fits.Fit)
     plates, sentence = [], "The simulation with the fitted values is not finite"
     for record, was_fitted in ((train[0], True), *((record, False) for record in unseen[:1])):
         try:
-            made = simulations.simulate(found.twin, record, () if is_filter or not was_fitted else found.names)
+            made = simulations.simulate(found.twin, record, found.names)
         except IntegrationError:
             continue
         plates.append(fit_figures.fit(made, was_fitted=was_fitted))

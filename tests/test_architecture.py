@@ -13,7 +13,7 @@ ROWS = (
     {"declaration", "parquet", "dop853", "linear"},
     {"markup"},
     {"recording", "drawing", "scales", "fidelity", "integrate"},
-    {"signals"},
+    {"signals", "formats"},
     {"sampling"},
     {"compile"},
     {"kernels"},

@@ -15,6 +15,7 @@ from masking import cli
 from masking.calibration import Calibration, Stage, calibrate
 from masking.declaration import registry
 from masking.errors import MaskingError, ModelError, PlantMismatchError, RecordError
+from masking.identification.fit import fit
 from masking.plants.simulated import SimulatedPlant
 from masking.recording import Recording
 from masking.twin import Twin
@@ -48,6 +49,16 @@ def test_a_model_that_has_all_that_the_rig_does_leaves_nothing_but_noise(full):
     for name, chi in found.best.fit.validation.items():
         assert chi == pytest.approx(found.unseen_floor[name], rel=0.03)
     assert [e.enabled for e in Twin.load(full[1] / "plant.yaml").effects if e.kind == "quantisation"] == [True] * 3
+
+
+def test_a_fit_of_what_is_written_leaves_nothing_but_noise(full):
+    """The plant file rounds readings, and a fit by itself compares with what they were before."""
+    found, out = full
+    twin = Twin.load(out / "plant.yaml")
+    made = fit(twin, found.records.unseen, (), shared=found.best.parameters)
+    for name, chi in made.chi.items():
+        assert chi == pytest.approx(found.unseen_floor[name], rel=0.03)
+    assert made.twin.noise() == twin.noise()
 
 
 def test_the_spring_curves_are_those_of_the_document(full):
@@ -188,6 +199,15 @@ class Skipping(SimulatedPlant):
         return sample
 
 
+@pytest.fixture
+def _interruptible():
+    """Heed interrupts, which a shell has its background jobs ignore."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_interruptible")
 def test_an_interrupted_recording_is_not_kept_and_what_there_was_before_is(tmp_path):
     class StopError(Exception):
         """Records are all there is to see."""

@@ -5,7 +5,7 @@ import os
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import linalg, signal
 from test_procedures import ACTING, MEASURED, STROKE, VOLTS, alone, driven, teeth, without
 
 import masking
@@ -316,6 +316,26 @@ def mass(tmp_path_factory):
         columns = {"t": np.arange(len(u)) / 100.0, "input.u": u, "sensor.s": readings}
         Recording(columns, {}).save(folder / f"r{seed}")
     return folder
+
+
+@pytest.mark.parametrize("method", ["least-squares", "kalman"])
+def test_inputs_that_were_measured_go_in_straight_lines(capsys, tmp_path, mass, method):
+    """A record by scipy of the mass under such inputs; held, they come half a sample late."""
+    generator, t = np.random.default_rng(2), np.arange(2000) / 100.0
+    u = np.interp(t, t[::8], generator.standard_normal(250))
+    system = ([[0.0, 1.0], [-81.0, -2 * 0.1 * 9]], [[0.0], [1.0]], [[100.0, 0.0]], [[0.0]])
+    x = signal.lsim(system, u, t, interp=True)[1] + 1e-3 * generator.standard_normal(len(t))
+    Recording({"t": t, "input.u": u, "sensor.s": x}, {}).save(tmp_path / "record")
+    arguments = ["identify", tmp_path / "record", "--plant", mass / "plant.yaml", "--parameters", "w,z"]
+    arguments += ["--method", method, "--out", tmp_path / "out", "--json", "--between"]
+    found = []
+    for between in ("straight", "held"):
+        status, printed, _ = run(capsys, *arguments, between)
+        assert status == 0
+        found.append(json.loads(printed))
+    assert found[0]["chi"]["train"]["s"] < 1.1 * found[0]["floor"]["s"] < 0.6 * found[1]["chi"]["train"]["s"]
+    assert found[0]["parameters"]["w"]["value"] == pytest.approx(9.0, rel=2e-3)
+    assert found[0]["page"] == str(tmp_path / "out" / "fit.html")
 
 
 def test_a_filter_identifies_and_draws_its_estimates(capsys, tmp_path, mass):

@@ -26,6 +26,20 @@ def linear():
     return Sensitivity(Twin.load("linear_rig"), NAMES)
 
 
+def test_sensors_that_round_are_simulated_as_they_are_before_that():
+    """The twin keeps what it declares; rounded readings lie half a step from what is simulated, and no more."""
+    twin = Twin.load("tue_rig")
+    sensing, step = Sensitivity(twin, ()), 20 / 65536
+    start = twin.rest(np.array([1.23456e-3, -2e-3, 5e-4]))
+    simulated = sensing.sensed(start)[0]
+    rounded = np.empty(3)
+    twin.kernels.sense(0.0, start, twin.values(), np.zeros(3), rounded)
+    np.testing.assert_allclose(rounded, step * np.round(simulated / step), rtol=0, atol=1e-12)
+    assert (np.abs(rounded - simulated) > 1e-6).all()
+    assert sensing.twin_at(np.empty(0)).noise() == twin.noise()
+    assert all(effect.enabled for effect in sensing.twin.effects)
+
+
 def test_readings_are_those_of_the_exact_solution(linear):
     """The set-up's linear equations under held commands, stepped by a matrix exponential."""
     w, z = np.array([12.5521, 14.0337, 9.7369]), np.array([0.3362, 0.4296, 0.0409])

@@ -13,6 +13,7 @@ from scipy import io
 
 from masking.identification.data import Data
 from masking.identification.fit import fit
+from masking.identification.simulation import nearest
 from masking.sensitivity import Sensitivity
 from masking.twin import Twin
 
@@ -65,19 +66,15 @@ def part(record, samples):
 
 def fitted(twin, record, names):
     """Return the twin with parameters fitted to the training part of a record."""
-    return fit(twin, part(record, TRAIN), names).twin
+    return fit(twin, part(record, TRAIN), names, shared=CUBIC).twin
 
 
 def error(twin, record, samples):
     """Return the rms error in mV of a simulation that knows the first 50 readings of a test, and its inputs."""
-    test, sensing = part(record, samples), Sensitivity(twin, LINEAR)
+    test, sensing, none = part(record, samples), Sensitivity(twin, (), CUBIC), np.empty(0)
+    start, _ = nearest(sensing, none, part(test, slice(FIRST)), np.ones(1))
     settings = {"rate": RATE, "substeps": twin.substeps(RATE), "between": test.between}
-    start, theta = np.zeros(2), sensing.start()
-    for _ in range(3):  # least squares, of a motion that is almost linear
-        known = test.commands[:FIRST], test.readings[:FIRST], np.ones(1)
-        told = sensing.normal_equations(sensing.basis(theta), start, *known, **settings)
-        start = start + np.linalg.solve(told.matrix[-2:, -2:], told.gradient[-2:])
-    simulated = sensing.simulate(theta, start, test.commands, **settings)
+    simulated = sensing.simulate(none, start, test.commands, **settings)
     return 1e3 * np.sqrt(np.mean((test.readings - simulated)[FIRST:] ** 2))
 
 

@@ -34,6 +34,7 @@ from masking.drawing import (
     thin,
     with_unit,
 )
+from masking.identification.measurement import percent
 
 _MOST_ROWS = len(COLOURS)
 _SHOWN = 10.0  # s of the unseen record in which single swings can be told apart
@@ -66,7 +67,7 @@ def _unseen(found: Calibration) -> Plate:
         axes.plot(*thin(t[part], model[part, i]), color=INK, lw=0.9, ls=_DASHED)
         reach = 1.12 * float(np.abs(record.readings[part, i]).max())
         axes.set(xlim=(max(0.0, end - _SHOWN), end), ylim=(-reach, reach), ylabel=_reading(found, name))
-        _note(axes, f"error {_percent(best.fit.validation[name])}, noise alone {_percent(found.unseen_floor[name])}")
+        _note(axes, f"error {percent(best.fit.validation[name])}, noise alone {percent(found.unseen_floor[name])}")
     rows[-1].set_xlabel("time (s)")
     handles = [
         Line2D([], [], color=MUTED, lw=2.6, alpha=0.6, label="measured"),
@@ -102,7 +103,8 @@ def _residuals(found: Calibration) -> Plate:
     rows[-1].set_xlabel("time (s)")
     caption = (
         f"What each model leaves of the unseen record: the rms of measured less simulated over {_WINDOW:g} s. The grey "
-        "band is white noise in the readings, found from their third differences; a line at its edge leaves nothing."
+        "band is white noise in the readings, found where their spectra are quietest; a line at its edge leaves "
+        "nothing."
     )
     return Plate("residuals", "What each model leaves", caption, figure)
 
@@ -209,7 +211,7 @@ def _excitation(found: Calibration) -> Plate:
 
 
 def _use(each: Excited) -> str:
-    part = _percent(each.peak / each.limit)
+    part = percent(each.peak / each.limit)
     return f"peak {each.peak:.3g} {each.unit}, {part} of the limit; crest factor {each.peak / each.rms:.2f}"
 
 
@@ -301,10 +303,6 @@ def _reading(found: Calibration, sensor: str) -> str:
 def _meanings(found: Calibration, names: Sequence[str]) -> str:
     told = [f"{name}: {meaning}" for name in names if (meaning := found.twin.declaration.sensors[name].meaning)]
     return f"{'; '.join(told)}." if told else ""
-
-
-def _percent(part: float) -> str:
-    return f"{100.0 * part:.2g} %"
 
 
 def _si(value: float, unit: str) -> str:

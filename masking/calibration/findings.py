@@ -11,7 +11,7 @@ import numpy as np
 
 from masking.calibration.records import PERIOD, Records
 from masking.identification.fit import Fit
-from masking.identification.simulation import simulate
+from masking.identification.simulation import noise_alone, simulate
 from masking.instruments import Instruments
 from masking.kernels import Array
 from masking.twin import Twin
@@ -26,10 +26,11 @@ _STEP = 1e-4  # of a parameter, relative, for differences
 
 @dataclass(frozen=True)
 class Stage:
-    """One model of the plant, fitted: what it holds, and the fit."""
+    """One model of the plant, fitted: what it holds, the fit, and the parameters that were to be fitted."""
 
     name: str
     fit: Fit
+    parameters: tuple[str, ...] = ()
 
     @property
     def worst(self) -> float:
@@ -137,9 +138,7 @@ class Calibration:
     @property
     def unseen_floor(self) -> dict[str, float]:
         """Return the relative error that noise alone makes in the unseen record, by sensor."""
-        record = self.records.unseen
-        parts = record.noise * np.sqrt(len(record)) / np.maximum(np.linalg.norm(record.readings, axis=0), 1e-300)
-        return dict(zip(self.twin.sensors, map(float, parts), strict=True))
+        return noise_alone(self.twin.sensors, [self.records.unseen])
 
     @cached_property
     def instruments(self) -> Instruments:
@@ -151,7 +150,8 @@ class Calibration:
     @cached_property
     def residuals(self) -> dict[str, Array]:
         """Return what each stage leaves of the unseen record, measured less simulated (m, sensors), by its name."""
-        return {stage.name: simulate(stage.fit.twin, self.records.unseen).residual for stage in self.stages}
+        unseen = self.records.unseen
+        return {s.name: simulate(s.fit.twin, unseen, s.parameters).residual for s in self.stages}
 
     @cached_property
     def excited(self) -> tuple[Excited, ...]:

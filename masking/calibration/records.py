@@ -19,6 +19,7 @@ import numpy as np
 
 from masking.errors import MaskingError, RecordError
 from masking.identification.data import Data
+from masking.identification.fit import part_of
 from masking.instruments import Instruments
 from masking.kernels import Array
 from masking.plants.interface import Plant
@@ -107,7 +108,7 @@ def make(
         else:
             say(f"{name}: recording {seconds:g} s")
             commands = size * limits * _waves(len(limits), number, seconds, seed)
-            part = _part(progress, number)
+            part = part_of(progress, number, len(NAMES))
             _record(twin, plant, commands, limits, settings, lockstep=lockstep, progress=part).save(path)
             recording = Recording.load(path)
         missed[name] = int(recording.manifest["rig"]["counters"].get("missed", 0))
@@ -118,10 +119,6 @@ def make(
         progress((number + 1) / len(NAMES))
     small, fit, unseen = made
     return Records(small, fit, unseen, size, limits, missed)
-
-
-def _part(progress: Progress, number: int) -> Progress:
-    return lambda part: progress((number + part) / len(NAMES))
 
 
 def _settings(plant: Plant, limits: Array, *, seconds: float, seed: int, size: float, twin: Twin) -> dict[str, Any]:

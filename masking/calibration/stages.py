@@ -14,7 +14,6 @@ from typing import Final
 from masking.calibration import records, report
 from masking.calibration.findings import Calibration, Stage
 from masking.calibration.records import PERIOD, Progress, Say
-from masking.declaration import schema
 from masking.errors import ModelError
 from masking.identification import written
 from masking.identification.fit import fit, independent
@@ -91,11 +90,10 @@ def calibrate(
     for candidate, part in zip(candidates, parts, strict=False):
         names = independent(candidate.twin, made.fit, candidate.parameters)
         tell(f"fitting {candidate.name}: {len(names)} parameters")
-        found = fit(candidate.twin, made.fit, names, validation=made.unseen, progress=part)
-        stages.append(Stage(candidate.name, found))
+        found = fit(candidate.twin, made.fit, names, validation=made.unseen, shared=candidate.parameters, progress=part)
+        stages.append(Stage(candidate.name, found, candidate.parameters))
     calibration = Calibration(twin, made, tuple(stages), folder)
-    best = calibration.best.fit
-    written.save(replace(best, twin=best.twin.changed(twin.changes)), folder)
+    written.save(calibration.best.fit, folder)
     report.write(calibration)
     (folder / "calibration.json").write_text(json.dumps(calibration.as_dict(), indent=2) + "\n", encoding="utf-8")
     if progress is not None:
@@ -117,20 +115,15 @@ def _parts(progress: Progress, costs: list[float]) -> Iterator[Progress]:
 
 def _candidates(twin: Twin, model: str | Path | None) -> Iterator[_Candidate]:
     """Give the models to fit, from the simplest to all that the plant file declares, with their parameters."""
-    base = _unrounded(twin.as_model())
+    base = twin.as_model()
     yield _Candidate("the model alone", base, base.equation_parameters())
     if model is not None:
-        base = _unrounded(twin.as_model(model))
+        base = twin.as_model(model)
         yield _Candidate(str(model), base, base.equation_parameters())
     used = {e.path.removeprefix("effects."): e.kind for e in twin.effects if e.enabled and e.kind in FITTED}
     if used:
         known = {**base.declaration.effects, **{name: twin.declaration.effects[name] for name in used}}
-        whole = _unrounded(Twin(base.declaration.model_copy(update={"effects": known}), base.base))
+        changes = {**base.changes, **{name: twin.changes[name] for name in used if name in twin.changes}}
+        whole = replace(base, declaration=base.declaration.model_copy(update={"effects": known}), changes=changes)
         more = [f"{e.label}_{name}" for e in whole.effects for name in FITTED.get(e.kind, ()) if e.enabled]
         yield _Candidate(f"with {', '.join(sorted(set(used.values())))}", whole, (*whole.equation_parameters(), *more))
-
-
-def _unrounded(twin: Twin) -> Twin:
-    """Return a twin whose sensors do not round: rounded readings are compared with what is most likely before that."""
-    rounding = {e.path.removeprefix("effects.") for e in twin.effects if e.kind == "quantisation"}
-    return twin.changed({**twin.changes, **dict.fromkeys(rounding, schema.EffectChange(enabled=False))})

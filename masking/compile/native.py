@@ -38,7 +38,7 @@ ARGUMENTS: dict[str, str] = {
     **dict.fromkeys(("y", "q", "v", "u", "p", "out", "dy", "times"), "v"),
     **dict.fromkeys(("s", "x", "d", "r", "g", "noise", "control_p", "demanded", "applied", "command"), "v"),
     **dict.fromkeys(("c", "states", "virtual", "inputs", "out_y", "out_u", "work"), "m"),
-    **dict.fromkeys(("jy", "jp", "sens", "basis", "matrix"), "m"),
+    **dict.fromkeys(("jy", "jp", "sens", "basis", "matrix", "simulated"), "m"),
     **dict.fromkeys(("weights", "gradient", "squares", "theta", "rate"), "v"),
     **dict.fromkeys(("gain", "table", "queue", "noises", "estimates", "readings", "demands", "commands"), "m"),
     **dict.fromkeys(("slots", "columns", "features"), "m"),

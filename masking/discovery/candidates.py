@@ -17,6 +17,9 @@ from masking.discovery.opened import OpenRig, Slot
 from masking.effects import EFFECTS
 from masking.kernels import Array
 
+BRISTLES = 3e-3  # s: damping of bristles for their stiffness, to begin with
+MOST_LEVELS = 10.0  # steps of a converter from the middle to the end of its range that are tried
+
 
 @dataclass(frozen=True)
 class Span:
@@ -97,6 +100,30 @@ def _rates(name: str, *parts: float) -> Shapes:
     return lambda span: [{name: part * span.rate} for part in parts]
 
 
+def _bristles(more: float) -> Shapes:
+    """Return shapes in which breaking loose takes `more` times the force of sliding; the factor scales all forces."""
+
+    def shapes(span: Span) -> list[Mapping[str, float]]:
+        made: list[Mapping[str, float]] = []
+        for part in (0.005, 0.02, 0.08):
+            stiffness = 1.0 / (part * span.size)
+            rates = {"vst": 0.2 * span.rate, "s1": BRISTLES * stiffness}
+            made.append({"fc": 1.0, "fs": more, "s0": stiffness, **rates})
+        return made
+
+    return shapes
+
+
+def _steps(span: Span) -> list[Mapping[str, float]]:
+    """Return steps of a converter from a few to `MOST_LEVELS` in the range, near enough to each other to be seen."""
+    found: list[Mapping[str, float]] = []
+    levels = 0.6
+    while levels < MOST_LEVELS:
+        found.append({"step": span.size / levels})
+        levels += max(0.15, 0.02 * levels)
+    return found
+
+
 RECIPES: dict[str, tuple[_Recipe, ...]] = {
     "constant_force": (_Recipe(("f0",)),),
     "linear_spring": (_Recipe(("k",)),),
@@ -111,16 +138,8 @@ RECIPES: dict[str, tuple[_Recipe, ...]] = {
     "dry_friction": (_Recipe(("fc",)),),
     "asymmetric_friction": (_Recipe(("fp", "fm")),),
     "stribeck_friction": (_Recipe(("fc", "fs"), ("vst",), _rates("vst", 0.05, 0.15, 0.4, 0.8)),),
-    "lugre_friction": (
-        _Recipe(
-            ("s0",),
-            ("fc", "fs", "vst"),
-            lambda span: [
-                {"fc": 1.0, "fs": more, "vst": 0.2 * span.rate, "s0": 1.0 / (part * span.size)}
-                for part in (0.005, 0.02, 0.08)
-                for more in (1.2, 2.0)
-            ],
-        ),
+    "lugre_friction": tuple(
+        _Recipe(("s0",), ("fc", "fs", "vst", "s1"), _bristles(more), f"{more:g}") for more in (1.2, 2.0)
     ),
     "dahl_friction": (_Recipe(("fc",), ("x0",), _parts("x0", 0.003, 0.01, 0.03, 0.1, 0.3)),),
     "hysteresis": (_Recipe(("k",), ("zmax",), _parts("zmax", 0.01, 0.03, 0.08, 0.2, 0.4, 0.8)),),
@@ -141,9 +160,10 @@ RECIPES: dict[str, tuple[_Recipe, ...]] = {
     "saturation": (_Recipe((), ("limit",), _parts("limit", 0.3, 0.45, 0.6, 0.75, 0.9)),),
     "dead_zone": (_Recipe((), ("width",), _parts("width", 0.01, 0.03, 0.08, 0.2)),),
     "actuator_cubic": (_Recipe(("c",)),),
-    "dac_quantisation": (_Recipe((), ("step",), _parts("step", 0.02, 0.05, 0.1, 0.2, 0.4)),),
+    "dac_quantisation": (_Recipe((), ("step",), _steps),),
     "actuator_lag": (_Recipe((), ("tau",), lambda span: [{"tau": 1e-3}, {"tau": 5e-3}, {"tau": 2e-2}]),),
 }
+FACTORS = {effect: recipes[-1].factors for effect, recipes in RECIPES.items()}
 PAIRS = ("linear_spring", "viscous_damping", "hardening_spring", "dry_friction")  # between coordinates not joined
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -15,9 +16,10 @@ from threadpoolctl import threadpool_limits
 
 from masking.discovery import fitting
 from masking.discovery.evidence import Belief, Evidence
+from masking.discovery.experiment import NextExperiment, next_experiment
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.opened import OpenRig, Slot
-from masking.discovery.search import SAME, Explanation, Found, Search, probabilities
+from masking.discovery.search import CLEAN, REST, SAME, SHARE, Explanation, Found, Search, probabilities
 from masking.effects import EFFECTS
 from masking.errors import IntegrationError, RecordError
 from masking.identification.data import Data
@@ -29,9 +31,9 @@ Tell = Callable[[str, float], None]
 
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
 SURE = 0.9  # probability from which a name is given
-REST = 0.3  # part of the gap beyond noise that may be left by a cause that is named
-CLEAN = 1.05  # of the noise: a gap that is closed
-SHARE = 0.7  # part of what is left that each further effect must take
+NEAR = 60.0  # of the score: rivals that the record that judges may decide between
+LATTICE = 0.1  # different values per reading below which readings may be rounded
+ROUNDED = 0.3  # part of the noise's variance that rounding must make to be named
 HELD_OUT = 0.3  # of a record, where no other is given to judge by
 LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "actuator_gain", "constant_force")
 
@@ -72,6 +74,7 @@ class Gap:
             "train": {"before": self.train[0], "after": self.train[1]},
             "validation": {"before": self.validation[0], "after": self.validation[1]},
             "floor": self.floor,
+            "validation_floor": self.validation_floor,
         }
 
 
@@ -90,6 +93,7 @@ class Discovery:
         record: that was explained.
         judge: that it was judged by.
         before, after: the rig without and with the causes on the record that judges.
+        next_experiment: that tells the two likeliest explanations apart, where the record does not.
     """
 
     verdict: Verdict
@@ -104,6 +108,21 @@ class Discovery:
     judge: Data
     before: Hypothesis
     after: Hypothesis
+    next_experiment: NextExperiment | None = None
+
+    @cached_property
+    def adjusted(self) -> Hypothesis:
+        """Return the rig without causes, its parameters adjusted within belief, on the record that judges."""
+        sigma, substeps = noise_of(self.twin, self.judge), max(1, self.rig.substeps(self.record.rate) // 2)
+        belief = Belief(self.rig.start.copy(), np.ones(len(self.rig.start)))
+        with threadpool_limits(1):
+            evidence = Evidence(self.rig, self.judge, belief, sigma, substeps)
+            return _judged(evidence, self.found.base.hypothesis)
+
+    @cached_property
+    def adjusted_gap(self) -> dict[str, float]:
+        """Return the relative error of each sensor that adjusted parameters alone leave, where it is judged."""
+        return _chi(self.adjusted, self.judge, self.twin)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the discovery as JSON can hold it."""
@@ -112,6 +131,7 @@ class Discovery:
             "effects": [effect.as_dict() for effect in self.effects],
             "gap": self.gap.as_dict(),
             "rest": self.rest,
+            "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
         }
 
 
@@ -150,19 +170,41 @@ def discover(
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
         found = Search(evidence, tell or (lambda text, part: None)).run()
         judged = replace(evidence, record=judge, sigma=noise_of(twin, judge))
+        found = _reordered(found, judged)
         chosen = _chosen(found, judged, train.readings.size)
-        before, after = _judged(judged, found.base.hypothesis), _judged(judged, chosen.hypothesis)
+        declared = fitting.fit(evidence, theta=belief.mean, frozen=True, rounds=6)
+        before, after = _judged(judged, declared), _judged(judged, chosen.hypothesis)
     size = train.readings.size
     excess, left = (max(e.hypothesis.cost - size, 0.0) for e in (found.base, chosen))
     rest = left / excess if excess > 0.0 else 0.0
     gap = Gap(
-        (_chi(found.base.hypothesis, train, twin), _chi(chosen.hypothesis, train, twin)),
+        (_chi(declared, train, twin), _chi(chosen.hypothesis, train, twin)),
         (_chi(before, judge, twin), _chi(after, judge, twin)),
         _floor(train, sigma, twin),
         _floor(judge, judged.sigma, twin),
     )
-    verdict, effects = _verdict(rig, found, chosen, rest, size)
-    return Discovery(verdict, effects, gap, rest, twin, rig, chosen, found, train, judge, before, after)
+    verdict, effects = _with_rounding(train, twin, *_verdict(rig, found, chosen, rest, size))
+    coming = None
+    if verdict == "ambiguous":
+        (tell or (lambda text, part: None))("looking for an experiment that tells them apart", 0.95)
+        first, second = found.rivals[:2]
+        names_of = (_name(first), _name(second))
+        with threadpool_limits(1):
+            coming = next_experiment(evidence, first.hypothesis, second.hypothesis, names_of, _limits(twin))
+    return Discovery(verdict, effects, gap, rest, twin, rig, chosen, found, train, judge, before, after, coming)
+
+
+def _name(explanation: Explanation) -> str:
+    return " and ".join(f"{name} at {at}" if at else name for name, at in explanation.names[-1:])
+
+
+def _limits(twin: Twin) -> Array | None:
+    """Return the largest command of each actuator that the plant file declares (actuators,); None where it does not."""
+    declared = twin.declaration.limits.inputs
+    if any(name not in declared for name in twin.actuators):
+        return None
+    ports = twin.declaration.actuators or twin.base.inputs
+    return np.array([declared[n].max * twin.size(declared[n].unit) / twin.size(ports[n].unit) for n in twin.actuators])
 
 
 def believed(twin: Twin, rig: OpenRig, tolerance: float) -> Belief:
@@ -188,8 +230,21 @@ def noise_of(twin: Twin, record: Data) -> Array:
             raise RecordError(
                 f"{record.name}: {name} reads 0 throughout; look at its wiring, or leave it out of the plant"
             )
-    floor: Array = np.maximum(found, 1e-6 * size)
+    rounding = np.array([step / np.sqrt(12.0) for step in steps_of(record)])
+    floor: Array = np.maximum.reduce([found, 1e-6 * size, rounding])
     return floor
+
+
+def steps_of(record: Data) -> Array:
+    """Return the step of which all readings of a sensor are multiples (sensors,); 0 where they are not rounded."""
+    steps = []
+    for column in record.readings.T:
+        values = np.unique(column)
+        apart = np.diff(values)
+        step = float(np.median(apart[apart <= 1.5 * apart.min()])) if len(apart) else 0.0
+        rounded = len(values) < LATTICE * len(column) and np.allclose(values / step, np.round(values / step), atol=1e-3)
+        steps.append(step if rounded else 0.0)
+    return np.array(steps)
 
 
 def _judged(evidence: Evidence, hypothesis: Hypothesis) -> Hypothesis:
@@ -210,6 +265,20 @@ def _split(record: Data) -> tuple[Data, Data]:
     return train, record.windows(HELD_OUT * seconds)[-1]
 
 
+def _reordered(found: Found, judged: Evidence) -> Found:
+    """Return the search with the rivals of its last step ordered by what they predict of another record, too."""
+    if len(found.rivals) < 2 or all(rival is not found.best for rival in found.rivals):
+        return found
+    near = found.rivals[0].score + NEAR * found.temperature
+    rivals = [
+        replace(rival, score=rival.score + _cost(judged, rival.hypothesis))
+        for rival in found.rivals
+        if rival.score <= near
+    ]
+    rivals.sort(key=lambda rival: rival.score)
+    return replace(found, steps=(*found.steps[:-1], rivals[0]), rivals=tuple(rivals))
+
+
 def _chosen(found: Found, judged: Evidence, size: int) -> Explanation:
     """Return the last step that is needed, and that shrinks the gap in the record that judges."""
     chosen, excess = found.base, max(found.base.hypothesis.cost - size, 0.0)
@@ -218,7 +287,8 @@ def _chosen(found: Found, judged: Evidence, size: int) -> Explanation:
         left, after = max(step.hypothesis.cost - size, 0.0), _cost(judged, step.hypothesis)
         explained = chosen is not found.base and excess <= REST * start
         enough = left <= (1.0 - SHARE) * excess or left < (CLEAN**2 - 1.0) * size
-        if not after < before or (explained and not enough):
+        wrong = step.kind == "parameter" and after < CLEAN * before  # its error is in what was fitted before, too
+        if not (after < before or wrong) or (explained and not enough):
             break
         chosen, excess, before = step, left, after
     return chosen
@@ -247,6 +317,18 @@ def _verdict(
     if chosen.kind == "parameter" or all(_is_parameter(c, chosen) for c in causes):
         return "parameter", causes
     return ("named" if weights[at] >= SURE else "ambiguous"), causes
+
+
+def _with_rounding(
+    record: Data, twin: Twin, verdict: Verdict, causes: tuple[Named, ...]
+) -> tuple[Verdict, tuple[Named, ...]]:
+    """Add the rounding of sensors, which is seen in the readings themselves."""
+    rounded = [
+        Named("quantisation", name, {"step": (float(step), 0.0)}, 1.0)
+        for name, step, noise in zip(twin.sensors, steps_of(record), noise_of(twin, record), strict=True)
+        if step**2 / 12.0 > ROUNDED * noise**2
+    ]
+    return ("named" if verdict == "none" and rounded else verdict), (*causes, *rounded)
 
 
 def _is_parameter(cause: Named, chosen: Explanation) -> bool:

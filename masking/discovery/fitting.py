@@ -20,6 +20,7 @@ from masking.errors import IntegrationError
 from masking.kernels import Array
 
 MOST_ROUNDS = 40
+GROWTH = 2.0  # times what is positive may become in a round
 CONVERGED = 0.02  # of the cost, in units of -2 log likelihood, that a step may still take off
 
 
@@ -114,11 +115,7 @@ class _Problem:
             step, gain = _step(matrix, gradient, damping, held)
             if gain < CONVERGED:
                 break
-            after = np.clip(
-                added + step[k : k + f],
-                np.where(np.isfinite(low), np.maximum(low, added - 0.7 * np.abs(added - low)), -np.inf),
-                np.where(np.isfinite(high), added + 0.7 * np.abs(high - added), np.inf),
-            )
+            after = within(added, step[k : k + f], low, high)
             moved = start.copy()
             moved[:moving] += step[k + f :]
             try:
@@ -165,6 +162,15 @@ class _Problem:
     def _bounds(self) -> tuple[Array, Array]:
         pairs = [bounds(slot)[i] for slot in self.slots for i in range(len(slot.free))]
         return np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])
+
+
+def within(values: Array, step: Array, low: Array, high: Array) -> Array:
+    """Return values after a step that goes at most 0.7 of the way to a bound, and doubles at most what is positive."""
+    least = np.where(np.isfinite(low), values - 0.7 * np.abs(values - low), -np.inf)
+    most = np.where(np.isfinite(high), values + 0.7 * np.abs(high - values), np.inf)
+    most = np.where((low >= 0.0) & (values > 0.0), np.minimum(most, GROWTH * values), most)
+    found: Array = np.clip(values + step, least, most)
+    return found
 
 
 def bounds(slot: Slot) -> list[tuple[float, float]]:

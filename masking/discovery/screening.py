@@ -16,7 +16,7 @@ import numpy as np
 from masking.discovery import laws
 from masking.discovery.candidates import Candidate, with_values
 from masking.discovery.evidence import Evidence
-from masking.discovery.fitting import Hypothesis, bounds
+from masking.discovery.fitting import Hypothesis, bounds, within
 from masking.discovery.opened import MOST_COLUMNS, Slot
 from masking.discovery.smoothing import Motion
 from masking.effects import EFFECTS
@@ -24,7 +24,9 @@ from masking.kernels import Array
 
 HIGHEST = 60.0  # Hz; what is faster is averaged away
 NEAR = 0.5  # of the best gain: candidates whose shapes are sharpened
+ZOOMS = (0.08, 0.02, 0.005, 0.00125)  # of a converter's step, that are looked at on both sides
 MOST_SHARPENED, SHARPENINGS = 24, 8
+HUGE = 1e9  # standard deviations: no effect that can be told of
 SCALED = (laws.DELAY, "sensor_lag", "actuator_lag")  # their effect grows in proportion to their time
 
 
@@ -164,11 +166,23 @@ class Screen:
             chunk.append((candidate, slot, features, at))
             many += features.shape[1]
         self._settle(chunk, found)
+        self._zoom(found)
         best = max((promise.gain for promise in found.values()), default=0.0)
-        near = [p for p in found.values() if p.gain > NEAR * best and set(p.candidate.free) - set(p.candidate.factors)]
+        near = [p for p in found.values() if p.gain > NEAR * best and _has_shape(p.candidate)]
         sharper = self._sharpened(sorted(near, key=lambda promise: -promise.gain)[:MOST_SHARPENED])
         kept = [sharper.get(id(promise.candidate), promise) for promise in found.values()]
         return sorted(kept, key=lambda promise: -promise.gain)
+
+    def _zoom(self, found: dict[int, Promise]) -> None:
+        """Look nearer at the steps of converters, whose effect has no slope to follow."""
+        for width in ZOOMS:
+            for promise in [p for p in found.values() if p.candidate.effect == "dac_quantisation" and p.gain > 0.0]:
+                chunk = []
+                for part in np.linspace(-width, width, 9):
+                    slot = with_values(promise.slot, (0,), np.array([promise.slot.values[0] * (1.0 + part)]))
+                    features, at = self._features(promise.candidate, slot)
+                    chunk.append((promise.candidate, slot, _thinned(features, self.thin), at))
+                self._settle(chunk, found)
 
     def _sharpened(self, promises: Sequence[Promise]) -> dict[int, Promise]:
         """Return promises whose shapes are brought to their best values, by the method of Levenberg and Marquardt."""
@@ -185,7 +199,7 @@ class Screen:
                 if number == 0:  # the grid's own gain is of the same rows
                     before = replace(before, gain=-np.inf)
                 rows = self._rows(table)
-                if not np.isfinite(rows).all():
+                if not np.abs(rows).max() < HUGE:
                     continue
                 left = self.left[: len(rows)]
                 known = self.taken[: len(rows)].T @ rows
@@ -230,7 +244,7 @@ class Screen:
             return
         sizes = [tables[id(job[1])].shape[2] for job in chunk]
         rows = self._rows(np.concatenate([tables[id(job[1])] for job in chunk], axis=2))
-        rows[:, ~np.isfinite(rows).all(axis=0)] = 0.0
+        rows[:, ~(np.abs(rows).max(axis=0) < HUGE)] = 0.0
         # Products of columns once what rig and belief explain is taken out of them, without making these columns.
         known, possible = self.taken[: len(rows)].T @ rows, self.possible.T @ rows
         squares = np.einsum("ij,ij->j", rows, rows)
@@ -279,7 +293,8 @@ class Screen:
         if candidate.effect == "lugre_friction":  # its one factor scales forces and stiffness together
             if factors[0] <= 0.0:
                 return nothing
-            slot = with_values(slot, (0, 1, 3), factors[0] * np.array([slot.values[i] for i in (0, 1, 3)]))
+            scaled_by = (0, 1, 3, 4)
+            slot = with_values(slot, scaled_by, factors[0] * np.array([slot.values[i] for i in scaled_by]))
         else:
             entries = list(EFFECTS[candidate.effect].parameters.values())
             lows = [entries[i].bounds[0] for i in candidate.factors]
@@ -366,15 +381,15 @@ class Screen:
         return x - self.taken @ (self.taken.T @ x)
 
 
+def _has_shape(candidate: Candidate) -> bool:
+    return bool(set(candidate.free) - set(candidate.factors)) and candidate.effect != "dac_quantisation"
+
+
 def _stepped(slot: Slot, step: Array) -> Slot:
-    """Return a slot after a step of its free parameters that goes no more than 0.7 of the way to a bound."""
-    values = []
-    for i, change, (low, high) in zip(slot.free, step, bounds(slot), strict=True):
-        value = slot.values[i]
-        least = value - 0.7 * abs(value - low) if np.isfinite(low) else -np.inf
-        most = value + 0.7 * abs(high - value) if np.isfinite(high) else np.inf
-        values.append(float(np.clip(value + change, least, most)))
-    return with_values(slot, slot.free, np.array(values))
+    """Return a slot after a step of its free parameters, within their bounds."""
+    low, high = np.array(bounds(slot)).T
+    values = within(np.array([slot.values[i] for i in slot.free]), step, low, high)
+    return with_values(slot, slot.free, values)
 
 
 def _thinned(table: Array, thin: int) -> Array:

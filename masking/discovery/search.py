@@ -1,9 +1,9 @@
 """Search: what explains the gap best: nothing, a parameter that is wrong, or effects, one after the other.
 
-Hypotheses are compared by their cost, -2 log likelihood with the belief in the rig's parameters, and what each added
-parameter must pay: log of the number of readings (Schwarz). Where even the best leaves more than noise, or noise that
+Hypotheses are compared by their cost, -2 log likelihood with the belief in the rig's parameters, and what the added
+parameters must pay for being fitted. Where even the best leaves more than noise, or noise that
 is not white, differences count for less, by how much more is left and how slowly it changes.
-Source: Schwarz (1978), Annals of Statistics 6(2), 461-464; Kass and Raftery (1995), JASA 90(430), 773-795.
+Source: Kass and Raftery (1995), JASA 90(430), 773-795; for what is worth a fit, Schwarz (1978), Ann. Stat. 6, 461.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from masking.discovery import fitting
-from masking.discovery.candidates import Candidate, Span, candidates
+from masking.discovery.candidates import FACTORS, Candidate, Span, candidates
 from masking.discovery.evidence import Belief, Evidence
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.opened import Slot
@@ -29,9 +29,15 @@ Tell = Callable[[str, float], None]
 FEWEST, FITTED = 3, 8  # candidates that are fitted in full in each round
 WORTH = 2.5  # a candidate is fitted where it leaves at most so many times what the best leaves, beyond noise
 SIGN = 20.0  # of the cost, beyond what its parameters must pay, from which anything is said to be there
-MOST_EFFECTS = 3
+WRONG = 9.0  # of the cost, from which a parameter is said to be wrong: three of its deviations
+MOST_EFFECTS = 4
 SAME = 0.03  # part of its effect that a candidate must have for itself, not to be a parameter under another name
 TONES = 4
+REST = 0.3  # part of the gap beyond noise that may be left by causes that are named
+CLEAN = 1.05  # of the noise: a gap that is closed
+SHARE = 0.7  # part of what is left that each further cause must take
+LITTLE = 0.2  # the same while most of the gap is not explained
+SWAPS = 3
 NEAR = 4.0  # cost per reading below which what is left of a fit is small enough to be looked at by itself
 
 
@@ -118,15 +124,24 @@ class Search:
             tried = tried or tuple(promises)
             found = self._round(now, promises, screen, parameters=number == 0)
             temperature = self.temperature((found or [now])[0].hypothesis)
-            if not found or (now.score - found[0].score) / temperature < SIGN:
+            least = WRONG if found and found[0].kind == "parameter" else SIGN
+            if not found or (now.score - found[0].score) / temperature < least or self._is_little(base, now, found[0]):
                 break
-            now = found[0]
+            now, before = self._reduced(found[0]), now
+            if now is found[0]:
+                rivals = tuple(found)
+            elif set(now.names) == set(before.names):  # the last adds nothing: the others had not settled
+                steps[-1] = now
+                rivals = (now, *rivals[1:])
+                break
+            else:
+                rivals = (now,)
             steps.append(now)
-            rivals = tuple(found)
             if now.kind == "parameter":
                 break
-        if len(steps) > 1:
-            steps[-1], rivals = self._exchange(steps[-1], rivals, steps)
+        if len(now.names) > 1 and now is steps[-1]:
+            steps[-1] = self._swapped(now, base, motion, every)
+            rivals = rivals if steps[-1] is now else (steps[-1],)
         best = (steps or [base])[-1]
         return Found(base, tuple(steps), rivals, self.temperature(best.hypothesis), motion, tried)
 
@@ -148,7 +163,7 @@ class Search:
         if parameters:
             gains = self._releases(now.hypothesis)
             for i in np.argsort(-gains)[:3]:
-                if gains[i] > self.price:
+                if gains[i] > WRONG:
                     jobs.append(lambda i=int(i): self._released(now, i))  # type: ignore[misc]
         noise = float(self.evidence.record.readings.size // screen.every)
         best = max([promise.gain for promise in promises] + [*self._releases(now.hypothesis)], default=0.0)
@@ -171,7 +186,8 @@ class Search:
             key = tuple(sorted(explanation.names))
             if key not in merged or explanation.score < merged[key].score:
                 merged[key] = explanation
-        return sorted(merged.values(), key=lambda e: e.score)
+        # Of what is the same, a parameter of the rig comes first.
+        return sorted(merged.values(), key=lambda e: e.score - (0.5 * self.price if e.kind == "parameter" else 0.0))
 
     @staticmethod
     def _tried(job: Callable[[], Explanation]) -> Explanation | None:
@@ -180,22 +196,49 @@ class Search:
         except IntegrationError:
             return None
 
-    def _exchange(
-        self, best: Explanation, rivals: tuple[Explanation, ...], steps: list[Explanation]
-    ) -> tuple[Explanation, tuple[Explanation, ...]]:
-        """Leave out each cause in turn: where the rest is as good without it, it goes."""
+    def _is_little(self, base: Explanation, now: Explanation, then: Explanation) -> bool:
+        """Return whether one more cause would take too little of what is left, as what only resembles it does."""
+        size = self.evidence.record.readings.size
+        start, before, after = (max(e.hypothesis.cost - size, 0.0) for e in (base, now, then))
+        if then.kind == "parameter" or after <= (CLEAN**2 - 1.0) * size:
+            return False
+        explained = now is not base and before <= REST * start
+        return after > (1.0 - (SHARE if explained else LITTLE)) * before
+
+    def _swapped(self, best: Explanation, base: Explanation, motion: Motion, every: Sequence[Candidate]) -> Explanation:
+        """Try other effects in the place of each but the last, which has just been chosen among all."""
         for i in range(len(best.names) - 1):
+            others = tuple(s for j, s in enumerate(best.hypothesis.slots) if j != i)
+            names = tuple(n for j, n in enumerate(best.names) if j != i)
+            self.tell(f"trying others than {best.names[i][0]}", 0.9)
+            promises = Screen(self.evidence, base.hypothesis, motion, others).promises(every)
+            for promise in [p for p in promises if p.candidate.key not in best.names][:SWAPS]:
+                try:
+                    found = self._fit((promise.slot, *others), best.hypothesis.theta, best.hypothesis.start)
+                except IntegrationError:
+                    continue
+                score = found.cost + occam(found)
+                if score < best.score - 2.0 * self.temperature(found):
+                    whole = (promise.candidate.key, *names)
+                    best = Explanation("effects", whole, found, score, min(best.own, promise.own))
+                    return self._swapped(best, base, motion, every) if i + 1 < len(whole) - 1 else best
+        return best
+
+    def _reduced(self, best: Explanation) -> Explanation:
+        """Leave out each cause in turn: where the rest is as good without it, it goes."""
+        if len(best.names) < 2:
+            return best
+        for i in reversed(range(len(best.names))):
             slots = tuple(s for j, s in enumerate(best.hypothesis.slots) if j != i)
             names = tuple(n for j, n in enumerate(best.names) if j != i)
             try:
                 less = self._fit(slots, best.hypothesis.theta, best.hypothesis.start)
             except IntegrationError:
                 continue
-            score = less.cost + self.price * sum(len(s.free) for s in slots)
+            score = less.cost + occam(less)
             if score < best.score + SIGN * self.temperature(best.hypothesis):
-                made = Explanation("effects", names, less, score, best.own)
-                return made, (made, *rivals)
-        return best, rivals
+                return self._reduced(Explanation("effects", names, less, score, best.own))
+        return best
 
     def _fit(
         self, slots: tuple[Slot, ...], theta: Array | None, start: Array | None, belief: Belief | None = None
@@ -206,13 +249,13 @@ class Search:
     def _added(self, now: Explanation, promise: Promise) -> Explanation:
         slots = (*now.hypothesis.slots, promise.slot)
         found = self._fit(slots, now.hypothesis.theta, now.hypothesis.start)
-        score = found.cost + self.price * sum(len(s.free) for s in slots)
+        score = found.cost + occam(found)
         return Explanation("effects", (*now.names, promise.candidate.key), found, score, promise.own)
 
     def _released(self, now: Explanation, index: int) -> Explanation:
         belief = self.evidence.belief.released(index)
         found = self._fit((), now.hypothesis.theta, now.hypothesis.start, belief)
-        return Explanation("parameter", ((self.evidence.rig.names[index], ""),), found, found.cost + self.price)
+        return Explanation("parameter", ((self.evidence.rig.names[index], ""),), found, found.cost)
 
     def _releases(self, hypothesis: Hypothesis) -> Array:
         """Return what setting each parameter free would take off the cost, to first order (k,)."""
@@ -256,6 +299,34 @@ class Search:
             found.append(float(frequencies[i]))
             power[max(0, i - 12) : i + 13] = 0.0
         return tuple(found)
+
+
+def occam(hypothesis: Hypothesis) -> float:
+    """Return what the parameters of effects must pay: how much narrower they become than they could have been.
+
+    Before the record, each factor of an effect could have been as large as makes it as strong as the strongest of them,
+    and each parameter of its shape twice as large or zero. A direction that the record does not tell costs nothing.
+    Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, section 28.1.
+    """
+    added = hypothesis.added
+    count = len(added)
+    if not count:
+        return 0.0
+    covariance = hypothesis.covariance[-count:, -count:]
+    if not np.isfinite(covariance).all():
+        return np.inf
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    information = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True, rcond=1e-12)
+    strength = np.abs(added) / size * np.sqrt(np.maximum(np.diag(information), 0.0))  # each by itself, in deviations
+    widths, used = np.abs(added) / size, 0
+    for slot in hypothesis.slots:
+        own = [used + i for i, name in enumerate(slot.names) if name in FACTORS.get(slot.effect, ())]
+        used += len(slot.free)
+        if own:
+            alone = np.sqrt(np.maximum(np.diag(information)[own], 1e-300))
+            widths[own] = np.maximum(widths[own], strength[own].max() / alone)
+    told = np.linalg.eigvalsh(information * np.outer(widths, widths))
+    return float(np.log1p(np.maximum(told, 0.0)).sum())
 
 
 def probabilities(explanations: Sequence[Explanation], temperature: float) -> Array:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from masking.errors import RecordError, nearest
+from masking.identification.noise import white_noise
 from masking.kernels import Array
 from masking.recording import Recording
 from masking.sensitivity import Between, is_straight
@@ -91,12 +92,8 @@ class Data:
 
     @property
     def noise(self) -> Array:
-        """Return the standard deviation of white noise in each reading (sensors,), from third differences.
-
-        Source: von Neumann et al., Annals of Mathematical Statistics 12 (1941), 153-162, for higher differences.
-        """
-        thirds = np.diff(self.readings, n=3, axis=0)
-        return np.asarray(np.sqrt((thirds**2).mean(axis=0) / 20.0)) if len(thirds) else np.zeros(self.readings.shape[1])
+        """Return the standard deviation of white noise in each reading (sensors,)."""
+        return white_noise(self.readings)
 
     @property
     def acting(self) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from masking.drawing import (
@@ -52,6 +52,7 @@ BAND: Final = 0.22  # opacity
 _LINE = 90  # letters of the sentence in a line
 _LINES = 3  # of the sentence, at most
 _MOST_OUTPUTS = 4
+_NARROW = 30.0  # times: a logarithmic axis that spans less has a number at 1, 2 and 5
 _SIGN = {1: "above", -1: "below"}
 
 
@@ -93,11 +94,11 @@ def ticks(axes: Axes, count: int = 5) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]))
 
 
-def legend(figure: Figure, axes: Axes, handles: Sequence[Any]) -> None:
-    """Put a legend above axes, to the right, below the heading."""
+def legend(figure: Figure, axes: Axes, handles: Sequence[Any], above: float = 0.04) -> None:
+    """Put a legend so many inches above axes, to the right, below the heading."""
     height, box = figure.get_size_inches()[1], axes.get_position()
     figure.legend(
-        handles=list(handles), loc="lower right", bbox_to_anchor=(1.0 - RIGHT / WIDTH, box.y1 + 0.04 / height),
+        handles=list(handles), loc="lower right", bbox_to_anchor=(1.0 - RIGHT / WIDTH, box.y1 + above / height),
         ncols=len(handles), frameon=False, fontsize=SIZE - 0.5, labelcolor=INK, borderaxespad=0, handlelength=1.8,
         columnspacing=1.4,
     )  # fmt: skip
@@ -270,9 +271,14 @@ def _response(measured: Measurement[Response]) -> list[Plate]:
                 _response_axes(above, below, measured, outputs[j])
     for axes in rows:
         lines = np.concatenate([made.responses[name].frequencies for name in made.inputs])
-        axes.set_xlim(lines.min(), lines.max())
+        edge = 0.01 * float(np.ptp(lines))
+        axes.set_xlim(lines.min() - edge, lines.max() + edge)
     for axes in rows[::2]:
+        least, most = axes.get_ylim()
         axes.yaxis.set_major_locator(LogLocator(numticks=5))
+        if most < _NARROW * least:
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axes.yaxis.set_minor_formatter(NullFormatter())
     rows[-1].set_xlabel("frequency (Hz)")
     heading(figure, measured.sentence)
@@ -297,7 +303,7 @@ def _response_axes(above: Axes, below: Axes, measured: Measurement[Response], ou
     above.set_yscale("log")
     above.set_ylabel(with_unit(f"size of {symbol(output)}", unit))
     below.set_ylabel("phase (°)")
-    below.yaxis.set_major_locator(MultipleLocator(180))
+    below.yaxis.set_major_locator(MaxNLocator(4, steps=[1.8, 4.5, 9]))
 
 
 def _distortion(measured: Measurement[Response]) -> Plate:

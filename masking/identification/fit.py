@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 
 from masking.errors import IntegrationError, ModelError, RecordError
+from masking.identification import estimates
 from masking.identification.data import Data
+from masking.identification.simulation import first_start, judged, noise_alone, relative
 from masking.kernels import Array
 from masking.sensitivity import Sensitivity
 from masking.twin import Twin
@@ -28,10 +30,8 @@ REWEIGHTED = 3  # rounds in which the noise of each sensor is found from what is
 FLAT = 1e-7  # eigenvalue of the scaled information below which a direction is not told by the record
 INDEPENDENT = 1e-6  # part of its information that a parameter has for itself, to be fitted beside others
 CLOSE = 0.999  # correlation from which two parameters are hardly told apart
-SLOPE_SAMPLES = 20  # readings that the first velocity is guessed from
 COARSE = 30.0  # s of the first record that the fit of a longer one begins with
 FEWEST = 5  # samples of each sensor for each unknown
-T_95 = 1.959963984540054
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Fit:
     @property
     def intervals(self) -> Array:
         """Return the 95 % confidence intervals (k, 2)."""
-        half = T_95 * self.std
+        half = estimates.T_95 * self.std
         found: Array = np.array([self.values - half, self.values + half]).T
         return found
 
@@ -84,25 +84,15 @@ class Fit:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fit as JSON can hold it."""
-        pairs = zip(self.names, self.values, self.std, strict=True)
         return {
-            "parameters": {name: {"value": float(value), "std": float(std)} for name, value, std in pairs},
+            "parameters": estimates.parameters(self),
             "chi": {"train": self.chi, "validation": self.validation},
             "floor": self.floor,
             "notes": list(self.notes),
         }
 
     def __str__(self) -> str:
-        width = max(map(len, self.names), default=0)
-        rows = [
-            f"  {name:{width}}  {value:<12.6g} +- {T_95 * std:.2g}"
-            for name, value, std in zip(self.names, self.values, self.std, strict=True)
-        ]
-        told = [f"chi {', '.join(f'{name} {value:.3g}' for name, value in self.chi.items())}"]
-        if self.validation:
-            told.append(f"on unseen data {', '.join(f'{n} {v:.3g}' for n, v in self.validation.items())}")
-        told.append(f"the noise alone {', '.join(f'{name} {value:.3g}' for name, value in self.floor.items())}")
-        return "\n".join([*rows, "; ".join(told), *self.notes])
+        return "\n".join([*estimates.lines(self), *self.notes])
 
 
 def fit(
@@ -112,6 +102,7 @@ def fit(
     *,
     validation: Data | Sequence[Data] = (),
     horizon: float | None = None,
+    shared: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Fit:
     """Fit parameters of a twin to records.
@@ -122,6 +113,7 @@ def fit(
         names: of the parameters, as `Twin.parameter_names` has them.
         validation: records that the fit is judged by.
         horizon: seconds of the windows into which records are cut at first; none by default.
+        shared: parameters of other fits of the same twin, with which this one shares its compiled functions.
         progress: called with the part done.
 
     Raises:
@@ -130,7 +122,7 @@ def fit(
         IntegrationError: the motion is not finite with the values to begin from; a shorter horizon may help.
     """
     records, unseen = _several(records), _several(validation)
-    sensitivity = Sensitivity(twin, tuple(names))
+    sensitivity = Sensitivity(twin, tuple(names), tuple(shared))
     theta = sensitivity.start()
     stages = [[window for record in records for window in record.windows(horizon)]] if horizon else []
     if not horizon and records and len(records[0]) > 2 * COARSE * records[0].rate:
@@ -145,12 +137,10 @@ def fit(
 
     for number, pieces in enumerate(stages):
         problem = _Problem(sensitivity, pieces)
-        theta = problem.solve(theta, _part(tell, number, len(stages)))
+        theta = problem.solve(theta, part_of(tell, number, len(stages)))
     made = problem.result(theta)
     if unseen:
-        check = _Problem(Sensitivity(made.twin, ()), list(unseen))
-        check.solve(np.empty(0), lambda part: None)
-        made = replace(made, validation=check.chi())
+        made = replace(made, validation=judged(sensitivity, theta, unseen, problem.sigma**-2))
     tell(1.0)
     return made
 
@@ -183,8 +173,8 @@ def _several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
     return (records,) if isinstance(records, Data) else tuple(records)
 
 
-def _part(tell: Progress, number: int, count: int) -> Progress:
-    """Return what tells of the part done of one of several stages."""
+def part_of(tell: Progress, number: int, count: int) -> Progress:
+    """Return what tells of the part done of one of several."""
     return lambda part: tell((number + part) / count)
 
 
@@ -205,7 +195,7 @@ class _Problem:
             )
         self.substeps = [sensitivity.twin.substeps(piece.rate) for piece in pieces]
         self.acting = [piece.acting for piece in pieces]
-        self.starts = [self._guess(piece) for piece in pieces]
+        self.starts = [first_start(sensitivity, piece) for piece in pieces]
         noise = np.array([piece.noise for piece in pieces])
         declared = np.array([sensitivity.twin.noise().get(name, 0.0) for name in sensitivity.twin.sensors])
         self.sigma = np.where(declared > 0.0, declared, np.sqrt((noise**2).mean(axis=0)))
@@ -217,30 +207,6 @@ class _Problem:
     def _size(self) -> Array:
         mean = np.mean([np.mean(piece.readings**2, axis=0) for piece in self.pieces], axis=0)
         return np.asarray(np.maximum(np.sqrt(mean), 1e-300))
-
-    def _guess(self, piece: Data) -> Array:
-        """Return a first guess of a piece's initial state: positions and velocities from the first readings."""
-        twin, n = self.sensitivity.twin, len(self.sensitivity.twin.model.coordinates)
-        count = min(SLOPE_SAMPLES, len(piece))
-        t = np.arange(count) / piece.rate
-        rest = twin.rest(np.zeros(n))
-        told = np.empty(len(twin.sensors))
-        none, p = np.zeros(len(twin.sensors)), twin.values()
-        twin.kernels.sense(0.0, rest, p, none, told)
-        sensing = np.empty((len(told), n))
-        for i, length in enumerate(self._lengths()):
-            at, read = rest.copy(), np.empty(len(told))
-            at[i] = length
-            twin.kernels.sense(0.0, at, p, none, read)
-            sensing[:, i] = (read - told) / length
-        slope, start = np.polyfit(t, piece.readings[:count] - told, 1) if count > 1 else (0.0 * told, piece.readings[0])
-        inverse = np.linalg.pinv(sensing)
-        rest[:n], rest[n : 2 * n] = inverse @ start, inverse @ slope
-        return rest
-
-    def _lengths(self) -> Array:
-        model = self.sensitivity.twin.model
-        return np.array([1e-3 * model.units.size(c.unit, {}) for c in model.declaration.coordinates.values()])
 
     def equations(
         self, theta: Array, starts: list[Array]
@@ -270,7 +236,7 @@ class _Problem:
     def solve(self, theta: Array, tell: Progress) -> Array:
         """Return the parameters (k,) that reproduce the records best; keeps the initial states."""
         for again in range(REWEIGHTED):
-            theta, settled = self._minimise(theta, _part(tell, again, REWEIGHTED))
+            theta, settled = self._minimise(theta, part_of(tell, again, REWEIGHTED))
             before, samples = self.sigma, sum(map(len, self.pieces))
             self.sigma = np.maximum(np.sqrt(self.squares / samples), 1e-12 * self._size())
             if settled and np.allclose(self.sigma, before, rtol=0.02):
@@ -338,20 +304,6 @@ class _Problem:
             matrix -= cross.T @ np.linalg.pinv(square, hermitian=True) @ cross
         return matrix, squares
 
-    def chi(self) -> dict[str, float]:
-        """Return the relative error of each sensor over all records."""
-        return self._relative(self.squares)
-
-    def floor(self) -> dict[str, float]:
-        """Return the relative error that the noise of the records alone makes."""
-        return self._relative(np.sum([len(piece) * piece.noise**2 for piece in self.pieces], axis=0))
-
-    def _relative(self, squares: Array) -> dict[str, float]:
-        """Return the root of sums of squares (sensors,) in parts of the readings'."""
-        total = np.sum([np.sum(piece.readings**2, axis=0) for piece in self.pieces], axis=0)
-        parts = np.sqrt(squares / np.maximum(total, 1e-300))
-        return dict(zip(self.sensitivity.twin.sensors, map(float, parts), strict=True))
-
     def result(self, theta: Array) -> Fit:
         """Return the fit."""
         # The last equations had the noise of the round before.
@@ -370,7 +322,8 @@ class _Problem:
             if abs(correlation[i, j]) > CLOSE and not notes
         ]
         twin = self.sensitivity.twin_at(theta)
-        return Fit(twin, names, theta, covariance, self.sigma, self.chi(), self.floor(), {}, self.rounds, tuple(notes))
+        chi, floor = relative(twin.sensors, self.pieces, self.squares), noise_alone(twin.sensors, self.pieces)
+        return Fit(twin, names, theta, covariance, self.sigma, chi, floor, {}, self.rounds, tuple(notes))
 
 
 def _flat(names: tuple[str, ...], direction: Array) -> str:

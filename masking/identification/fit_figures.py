@@ -31,6 +31,7 @@ _BINS_PER_DECADE = 24
 _MORE = 1.2  # times the noise: from here on a residual is more than that
 _MOST_SENSORS = 6
 _MOST_PARAMETERS = 24
+_TITLE = 0.22  # inches above axes for the value of a parameter
 _SETTLED = 0.15  # of the record: after that, a band sets the range of its axis
 
 
@@ -106,7 +107,7 @@ def estimates(found: KalmanFit) -> Plate:
     chi = max(found.chi.values())
     error = f"with an error of {percent(chi)} or less" if np.isfinite(chi) else "but the simulation is not finite"
     sentence = f"One pass of {found.times[-1]:.3g} s estimates {last}; the final values reproduce the record {error}"
-    figure, rows = panels(max(count, 1), 1.15, widths, top(sentence))
+    figure, rows = panels(max(count, 1), 1.15, widths, top(sentence) + _TITLE)
     cells = [axes for row in rows for axes in row]
     known = found.twin.model.declaration.parameters
     for i, (name, axes) in enumerate(zip(names, cells, strict=False)):
@@ -132,7 +133,7 @@ def estimates(found: KalmanFit) -> Plate:
     legend(figure, cells[0], [
         Line2D([], [], color=COLOURS[0], lw=2, label="estimate, ± 2 standard deviations"),
         Line2D([], [], color=INK, lw=1, ls=DASHED, label="final value"),
-    ])  # fmt: skip
+    ], _TITLE)  # fmt: skip
     left = len(found.names) - len(names)
     more = f" The first {len(names)} of {len(found.names)} parameters are shown." if left else ""
     caption = (

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import numpy as np
 
+from masking.identification import estimates
 from masking.kernels import Array
 from masking.twin import Twin
 
@@ -103,10 +104,9 @@ class KalmanFit:
     def as_dict(self) -> dict[str, Any]:
         """Return the fit as JSON can hold it; what is over time is left out."""
         mean, low, high = self.consistency
-        pairs = zip(self.names, self.values, self.std, strict=True)
         train = {name: value if np.isfinite(value) else None for name, value in self.chi.items()}
         return {
-            "parameters": {name: {"value": float(value), "std": float(std)} for name, value, std in pairs},
+            "parameters": estimates.parameters(self),
             "chi": {"train": train, "validation": self.validation},
             "floor": self.floor,
             "nis": {"mean": mean, "low": low, "high": high},
@@ -115,14 +115,6 @@ class KalmanFit:
         }
 
     def __str__(self) -> str:
-        width = max(map(len, self.names), default=0)
-        rows = [
-            f"  {name:{width}}  {value:<12.6g} +- {1.96 * std:.2g}"
-            for name, value, std in zip(self.names, self.values, self.std, strict=True)
-        ]
         mean, low, high = self.consistency
-        told = f"chi {', '.join(f'{name} {value:.3g}' for name, value in self.chi.items())}"
-        if self.validation:
-            told += f"; on unseen data {', '.join(f'{name} {value:.3g}' for name, value in self.validation.items())}"
-        told += f"; the noise alone {', '.join(f'{name} {value:.3g}' for name, value in self.floor.items())}"
-        return "\n".join([*rows, told, f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}", *self.notes])
+        told = f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}"
+        return "\n".join([*estimates.lines(self), told, *self.notes])

@@ -29,6 +29,7 @@ from masking.effects import EFFECTS
 from masking.errors import IntegrationError, ModelError, RecordError
 from masking.identification.data import Data
 from masking.identification.innovations import KalmanFit
+from masking.identification.simulation import first_start, judged, nearest, noise_alone, relative
 from masking.identification.steps import LOOP, STEPS
 from masking.kernels import Array, Kernels
 from masking.sensitivity import Sensitivity, is_straight
@@ -48,13 +49,11 @@ PARAMETERS = 1e-2  # P0 of the parameters, section 4.2.2
 INITIAL = 1e-4  # P0 of the states; section 4.2.2 gives no number, only that it is small and not 0
 
 PIECES = 20  # that a record is filtered in, with progress told after each
-FIRST_READINGS = 20  # readings that the initial state is taken from
 INSIDE = 1e-4  # of its scale: how far a parameter stays inside its bounds
 MOVED = 0.02  # relative change of a parameter after which the dependence of others on it is found anew
 AFFINE = 1e-7  # relative change of that dependence that is rounding
 DOUBTED = 1e-3  # probability below which innovations are said not to be white
 FARTHER = 5.0  # initial deviations that a parameter may move before a note says so
-START_ROUNDS = 3  # Gauss-Newton steps for the initial state of the simulation that chi is of
 _NOT_FINITE, _NOT_POSITIVE, _MOVED = 1, 2, 3  # what the kernel returns
 
 
@@ -63,6 +62,7 @@ def extended_kalman(
     record: Data,
     names: Sequence[str],
     *,
+    validation: Sequence[Data] = (),
     measurement: Variances = MEASUREMENT,
     process: Variances = PROCESS,
     parameters: Variances = PARAMETERS,
@@ -87,6 +87,7 @@ def extended_kalman(
         twin: the plant, with the values to begin from.
         record: commands and readings.
         names: of the parameters, as `Twin.parameter_names` has them; none to estimate the state only.
+        validation: records that the final values are judged by.
         measurement: R, variance of the noise of a reading (sensors,).
         process: Q, variance per unit of scaled time of white noise on the rates of coordinates and velocities
             (2 coordinates,); internal states have none, and parameters have none.
@@ -111,7 +112,7 @@ def extended_kalman(
     if iterated < 1:
         raise ModelError(f"iterated is {iterated}: give the times that readings are made linear, 1 or more")
     _check(twin, record)
-    sensing = _Filter(twin, tuple(names), iterated)
+    sensing = _Filter(twin, tuple(names), iterated=iterated)
     scales, moving = _Scales.of(sensing), 2 * len(twin.model.coordinates)
     none = np.zeros(sensing.states - moving)
     r = _variances("measurement", measurement, len(twin.sensors)) * scales.readings**2
@@ -122,13 +123,14 @@ def extended_kalman(
         _variances("parameters", parameters, len(names)) * scales.parameters**2,
     ]
     p0 = np.concatenate(before)
-    y = _start(sensing, record) if start is None else np.array(start, dtype=float)
+    y = first_start(sensing, record) if start is None else np.array(start, dtype=float)
     if y.shape != (sensing.states,) or not np.isfinite(y).all():
         told = ", ".join(twin.state_names)
         raise ModelError(f"start must be {sensing.states} finite numbers, {told}; got shape {y.shape}")
     run = _Run(sensing, record, scales, r, np.concatenate([q, none]), square_root)
     theta, covariance = run.filter(y.copy(), sensing.start(), p0, progress)
-    return run.result(y, theta, covariance, p0)
+    found = run.result(theta, covariance, p0)
+    return replace(found, validation=judged(sensing, theta, validation, 1.0 / r)) if validation else found
 
 
 def _check(twin: Twin, record: Data) -> None:
@@ -181,7 +183,7 @@ class _Scales:
         states = np.array(
             [*lengths, *(length / time for length in lengths), *internal, *(1.0,) * len(twin.chain_states)]
         )
-        _, jacobian = _sensed(sensing, twin.rest(np.zeros(len(lengths))))
+        _, jacobian = sensing.sensed(twin.rest(np.zeros(len(lengths))))
         seen = np.abs(jacobian * states).max(axis=1)
         readings = np.where(seen > 0.0, seen, 1.0)
         parameters = [cls._parameter(twin, name, time, readings) for name in sensing.names]
@@ -263,27 +265,6 @@ class _Filter(Sensitivity):
         return [row for row, index in enumerate(self.affected) if index not in idle]
 
 
-def _sensed(sensing: Sensitivity, y: Array) -> tuple[Array, Array]:
-    """Return what the sensors read in a state (sensors,), and its derivatives (sensors, states)."""
-    sensors, states, affected = len(sensing.twin.sensors), sensing.states, len(sensing.affected)
-    read, jy, jp = np.empty(sensors), np.zeros((sensors, states)), np.zeros((sensors, max(1, affected)))
-    sensing.kernels.sensed(0.0, y, sensing.twin.values(), np.zeros(sensors), read, jy, jp)
-    return read, jy
-
-
-def _start(sensing: Sensitivity, record: Data) -> Array:
-    """Return coordinates and velocities (states,) from a parabola through the first readings."""
-    twin, n = sensing.twin, len(sensing.twin.model.coordinates)
-    y = twin.rest(np.zeros(n))
-    read, jacobian = _sensed(sensing, y)
-    count = min(FIRST_READINGS, len(record))
-    t = np.arange(count) / record.rate
-    _, slope, offset = np.polyfit(t, record.readings[:count] - read, 2)
-    inverse = np.linalg.pinv(jacobian[:, :n])
-    y[:n], y[n : 2 * n] = inverse @ offset, inverse @ slope
-    return y
-
-
 @dataclass
 class _Run:
     """A pass over a record: `r` (sensors,) and `q` (states,) per second are variances in the twin's own units."""
@@ -346,41 +327,20 @@ class _Run:
         lower = "lower parameters, or raise measurement" if k else "raise process or measurement"
         return f"the filter diverged {when}: its estimate is no longer finite; {lower}, or begin closer"
 
-    def result(self, start: Array, theta: Array, covariance: Array, p0: Array) -> KalmanFit:
+    def result(self, theta: Array, covariance: Array, p0: Array) -> KalmanFit:
         """Return the fit."""
         sensing, record, n, k = self.sensing, self.record, self.sensing.states, len(self.sensing.names)
         sensors = sensing.twin.sensors
-        values = np.maximum(np.sqrt((record.readings**2).sum(axis=0)), 1e-300)
-        chi = dict(zip(sensors, map(float, self._errors(start, theta) / values), strict=True))
-        floor = record.noise * np.sqrt(len(record)) / values
+        near = nearest(sensing, theta, record, 1.0 / self.r)
+        squares = np.full(len(sensors), np.nan) if near is None else near[1].squares
         found = KalmanFit(
             sensing.twin_at(theta),
             sensing.names, theta, covariance[n:, n:], np.arange(len(record)) / record.rate,
             self.estimates[:, :k].copy(), self.estimates[:, k:].copy(), self.states,
             self.noises[:, : len(sensors)].copy(), self.noises[:, len(sensors) :].copy(), covariance,
-            chi, dict(zip(sensors, map(float, floor), strict=True)),
+            relative(sensors, [record], squares), noise_alone(sensors, [record]),
         )  # fmt: skip
         return replace(found, notes=tuple(self._notes(found, p0[n:])))
-
-    def _errors(self, start: Array, theta: Array) -> Array:
-        """Return the root of the sum of squared errors of each sensor (sensors,), simulated from the best start."""
-        moving, k = 2 * len(self.sensing.twin.model.coordinates), len(theta)
-        basis, y, best = self._basis(theta), start.copy(), np.full(len(self.r), np.nan)
-        for _ in range(START_ROUNDS):
-            try:
-                made = self.sensing.normal_equations(
-                    basis, y, self.record.acting, self.record.readings, 1.0 / self.r, rate=self.record.rate,
-                    substeps=self.sensing.twin.substeps(self.record.rate), between=self.record.between,
-                )  # fmt: skip
-            except IntegrationError:
-                break
-            errors = np.sqrt(made.squares)
-            if np.isfinite(best).all() and not (errors**2 / self.r).sum() < (best**2 / self.r).sum():
-                break
-            best = errors
-            part = slice(k, k + moving)
-            y[:moving] += np.linalg.lstsq(made.matrix[part, part], made.gradient[part], rcond=1e-12)[0]
-        return best
 
     def _notes(self, found: KalmanFit, p0: Array) -> list[str]:
         notes = []

@@ -10,9 +10,10 @@ import numpy as np
 from masking.errors import IntegrationError
 from masking.identification.data import Data
 from masking.kernels import Array
-from masking.sensitivity import Sensitivity
+from masking.sensitivity import NormalEquations, Sensitivity
 from masking.twin import Twin
 
+FIRST_READINGS = 20  # readings that the initial state is guessed from
 ROUNDS = 6  # Gauss-Newton steps for the initial state, at most
 SETTLED = 1e-9  # part of the cost that a step must take off
 
@@ -46,36 +47,82 @@ class Simulated:
     @property
     def chi(self) -> dict[str, float]:
         """Return the relative error of each sensor, by name. Source: Rijlaarsdam (2008), (4.12)."""
-        return self._relative(np.sqrt((self.residual**2).sum(axis=0)))
+        return relative(self.sensors, [self.record], (self.residual**2).sum(axis=0))
 
     @property
     def floor(self) -> dict[str, float]:
         """Return the relative error that the noise of the record alone makes, by name."""
-        return self._relative(self.record.noise * np.sqrt(len(self.record)))
-
-    def _relative(self, sizes: Array) -> dict[str, float]:
-        whole = np.maximum(np.sqrt((self.record.readings**2).sum(axis=0)), 1e-300)
-        return dict(zip(self.sensors, map(float, sizes / whole), strict=True))
+        return noise_alone(self.sensors, [self.record])
 
 
-def simulate(twin: Twin, record: Data, names: Sequence[str] = ()) -> Simulated:
+def relative(sensors: Sequence[str], records: Sequence[Data], squares: Array) -> dict[str, float]:
+    """Return the root of sums of squares (sensors,) in parts of the readings' in records, by name."""
+    whole = np.sum([np.sum(record.readings**2, axis=0) for record in records], axis=0)
+    return dict(zip(sensors, map(float, np.sqrt(squares / np.maximum(whole, 1e-300))), strict=True))
+
+
+def noise_alone(sensors: Sequence[str], records: Sequence[Data]) -> dict[str, float]:
+    """Return the relative error that the noise of records alone makes, by name."""
+    return relative(sensors, records, np.sum([len(record) * record.noise**2 for record in records], axis=0))
+
+
+def judged(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weights: Array) -> dict[str, float]:
+    """Return the relative error of each sensor over records that were not fitted, by name.
+
+    Args:
+        sensing: the twin, with the parameters that were fitted.
+        theta: their values (k,), in declared units.
+        unseen: the records; the initial state of each is estimated.
+        weights: of squared residuals of each sensor (sensors,).
+
+    Raises:
+        IntegrationError: the motion is not finite.
+    """
+    squares = np.zeros(len(weights))
+    for record in unseen:
+        found = nearest(sensing, theta, record, weights)
+        if found is None:
+            raise IntegrationError(f"the simulated motion is no longer finite in {record.name}")
+        squares += found[1].squares
+    return relative(sensing.twin.sensors, unseen, squares)
+
+
+def simulate(twin: Twin, record: Data, shared: Sequence[str] = ()) -> Simulated:
     """Simulate a record from the initial coordinates and velocities that reproduce it best; internal states at rest.
 
     Args:
         twin: the plant, with the values to simulate with.
         record: commands and readings.
-        names: parameters that a fit had free: its compiled derivatives are then used again.
+        shared: parameters that a fit had free: its compiled functions are then used again.
 
     Raises:
         IntegrationError: the motion is not finite from any initial state that was tried.
     """
-    sensing = Sensitivity(twin, tuple(names))
-    k, moving, theta = len(sensing.names), 2 * len(twin.model.coordinates), sensing.start()
-    substeps, basis = twin.substeps(record.rate), sensing.basis(theta)
+    sensing = Sensitivity(twin, (), tuple(shared))
     size = np.maximum(np.abs(record.readings).max(axis=0), 1e-300)
     weights = np.maximum(record.noise, 1e-12 * size) ** -2.0
-    start = y = twin.rest(np.zeros(moving // 2))
-    least, own = np.inf, slice(k, k + moving)
+    found = nearest(sensing, sensing.start(), record, weights)
+    if found is None:
+        raise IntegrationError(f"the simulated motion is no longer finite in {record.name}")
+    plant = twin.declaration.sensors
+    units = tuple("" if plant[name].unit == "1" else plant[name].unit for name in twin.sensors)
+    return Simulated(record, twin.sensors, units, found[1].simulated)
+
+
+def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) -> tuple[Array, NormalEquations] | None:
+    """Return the initial state (states,) from which a record is reproduced best, and what is simulated from there.
+
+    Internal states begin at rest. None where the motion is not finite.
+
+    Args:
+        sensing: the twin.
+        theta: values of its parameters (k,), in declared units.
+        record: commands and readings.
+        weights: of squared residuals of each sensor (sensors,).
+    """
+    k, moving = len(theta), 2 * len(sensing.twin.model.coordinates)
+    substeps, basis, own = sensing.twin.substeps(record.rate), sensing.basis(theta), slice(k, k + moving)
+    y, best, least = first_start(sensing, record), None, np.inf
     for _ in range(ROUNDS):
         try:
             told = sensing.normal_equations(
@@ -87,11 +134,23 @@ def simulate(twin: Twin, record: Data, names: Sequence[str] = ()) -> Simulated:
         cost = float(weights @ told.squares)
         if not cost < least * (1.0 - SETTLED):
             break
-        start, least, y = y, cost, y.copy()
+        best, least, y = (y, told), cost, y.copy()
         y[:moving] += np.linalg.lstsq(told.matrix[own, own], told.gradient[own], rcond=1e-12)[0]
-    readings = sensing.simulate(
-        theta, start, record.acting, rate=record.rate, substeps=substeps, between=record.between
-    )
-    plant = twin.declaration.sensors
-    units = tuple("" if plant[name].unit == "1" else plant[name].unit for name in twin.sensors)
-    return Simulated(record, twin.sensors, units, readings)
+    return best
+
+
+def first_start(sensing: Sensitivity, record: Data) -> Array:
+    """Return a guess of the initial state (states,): coordinates and velocities by a parabola through first readings.
+
+    Internal states are at rest.
+    """
+    n, count = len(sensing.twin.model.coordinates), min(FIRST_READINGS, len(record))
+    y = sensing.twin.rest(np.zeros(n))
+    read, jacobian = sensing.sensed(y)
+    t = np.arange(count) / record.rate
+    found = np.polyfit(t, record.readings[:count] - read, min(2, count - 1))
+    inverse = np.linalg.pinv(jacobian[:, :n])
+    y[:n] = inverse @ found[-1]
+    if count > 1:
+        y[n : 2 * n] = inverse @ found[-2]
+    return y

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from masking.errors import ModelError, RecordError
 from masking.identification.data import Data
-from masking.identification.fit import Fit, fit
+from masking.identification.fit import Fit, fit, part_of
 from masking.twin import Twin
 
 Progress = Callable[[float], None]
@@ -86,28 +86,24 @@ def fit_in_steps(
         if not step.records:
             raise RecordError(f"step {number}, {', '.join(step.names)}, has no record; give at least one")
     together = joint and len(wanted) > 1
+    names = tuple(dict.fromkeys(name for step in wanted for name in step.names))
+    tell: Progress = progress or (lambda part: None)
     count, found, unseen = len(wanted) + together, list[Fit](), validation
     for number, step in enumerate(wanted):
         last = not together and number == len(wanted) - 1
         begin = found[-1].twin if found else twin
         try:
-            made = fit(begin, step.records, step.names, validation=unseen if last else (),
-                       progress=_part(progress, number, count))  # fmt: skip
+            made = fit(begin, step.records, step.names, validation=unseen if last else (), shared=names,
+                       progress=part_of(tell, number, count))  # fmt: skip
         except RecordError as error:
             raise RecordError(f"step {number + 1}, {', '.join(step.names)}: {error}") from None
         found.append(made)
     if not together:
         return SteppedFit(tuple(found), found[-1])
-    names = tuple(dict.fromkeys(name for step in wanted for name in step.names))
     records = tuple({id(record): record for step in wanted for record in step.records}.values())
-    whole = fit(found[-1].twin, records, names, validation=unseen, progress=_part(progress, count - 1, count))
+    whole = fit(found[-1].twin, records, names, validation=unseen, progress=part_of(tell, count - 1, count))
     return SteppedFit(tuple(found), whole)
 
 
 def _step(records: Data | Sequence[Data], names: Sequence[str]) -> Step:
     return Step((records,) if isinstance(records, Data) else tuple(records), tuple(names))
-
-
-def _part(progress: Progress | None, number: int, count: int) -> Progress | None:
-    """Return what tells of the part done of one of several fits."""
-    return None if progress is None else lambda part: progress((number + part) / count)

@@ -1,0 +1,57 @@
+"""The parser of the command line, and what the process tells and returns."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+from collections.abc import Sequence
+
+from masking.cli import declarations, discovery, identification, rig, runs
+from masking.cli.adding import add_to
+from masking.cli.progress import INTERRUPTED
+from masking.errors import DeclarationError, MaskingError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to mend first."""
+    if arguments is None:  # in a process of its own, which an interrupt may end while packages are still loading
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    chosen = _parser().parse_args(arguments)
+    try:
+        status: int = chosen.verb(chosen)
+        sys.stdout.flush()
+    except MaskingError as error:
+        _tell(error, as_json=chosen.json)
+        return error.exit_status
+    except KeyboardInterrupt:
+        print("masking: interrupted; nothing was saved", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader, such as head, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return status
+
+
+def _tell(error: MaskingError, *, as_json: bool) -> None:
+    problems = error.problems if isinstance(error, DeclarationError) else ()
+    if as_json:
+        print(json.dumps({"error": str(error), "problems": [p.as_dict() for p in problems]}, indent=2))
+    print(error if problems else f"masking: {error}", file=sys.stderr)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="masking", description="Make an actuated rig move as if it were another machine."
+    )
+    found = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
+    verb = add_to(found)
+    declarations.add(verb)
+    runs.add(verb)
+    identification.add(verb)
+    identification.add_measure(found)
+    discovery.add_discover(found)
+    rig.add_rig(found)
+    return parser

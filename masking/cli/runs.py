@@ -1,0 +1,104 @@
+"""Verbs that run an experiment and report what was recorded: run, report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+
+from masking import verbs
+from masking.cli.adding import Add
+from masking.cli.declarations import say_compiling
+from masking.cli.progress import Bar, raise_interrupts
+from masking.errors import DeclarationError, MaskingError, Problem
+
+if TYPE_CHECKING:
+    from masking import budget, experiment, reporting
+else:
+    budget = lazy.load("masking.budget", suppress_warning=True)
+    experiment = lazy.load("masking.experiment", suppress_warning=True)
+    reporting = lazy.load("masking.reporting", suppress_warning=True)
+
+
+def add(verb: Add) -> None:
+    """Add the verbs."""
+    run = verb(_run, "run", "run an experiment, save its recording and write its report")
+    run.add_argument("experiment", metavar="EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
+    run.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="change a virtual parameter")
+    run.add_argument("--plant", metavar="PLANT", help="run on another plant: a name or a YAML file")
+    run.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT)")
+    run.add_argument(
+        "--budget",
+        action=argparse.BooleanOptionalAction,
+        help="find out what limits the fidelity, by runs without each cause (default: where they take a few seconds)",
+    )
+    report = verb(_report, "report", "write the report of a recording")
+    report.add_argument("record", metavar="RECORD", help="the folder of a recording")
+    report.add_argument("--out", metavar="DIR", help="where to write (default: beside the recording)")
+
+
+def _run(chosen: argparse.Namespace) -> int:
+    changes = dict(_change(text) for text in chosen.set)
+    made = experiment.Experiment.load(chosen.experiment, plant=chosen.plant, changes=changes)
+    out = Path(chosen.out or f"results/{made.stem}")
+    verbs.check_folder(out)
+    before = _created(out)
+    if not made.is_compiled:
+        say_compiling()
+    raise_interrupts()
+    try:
+        with Bar("running") as bar:
+            recording = budget.run(made, chosen.budget, bar)
+    except MaskingError:
+        if before:
+            print(f"{out} still holds the run of {before}", file=sys.stderr)
+        raise
+    recording.save(out)
+    written = reporting.report(recording, out)
+    if chosen.json:
+        told = {
+            "fidelity": recording.manifest["fidelity"],
+            "limits_used": reporting.limits_used(recording),
+            "warnings": reporting.warnings(recording),
+            "recording": str(out),
+            "report": str(written.path),
+        }
+        print(json.dumps(told, indent=2))
+    else:
+        print(written.summary)
+        print(f"report: {written.path}" + (f" (replaces the run of {before})" if before else ""))
+    return 0
+
+
+def _created(folder: Path) -> str | None:
+    """Return when the recording in a folder was made; None where there is none."""
+    try:
+        return str(json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["created"])
+    except (OSError, ValueError, KeyError):
+        return None
+
+
+def _report(chosen: argparse.Namespace) -> int:
+    written = verbs.report(chosen.record, chosen.out)
+    if chosen.json:
+        print(json.dumps({"report": str(written.path), "figures": [str(f) for f in written.figures]}, indent=2))
+    else:
+        print(written.summary)
+        print(f"report: {written.path}")
+    return 0
+
+
+def _change(text: str) -> tuple[str, float]:
+    """Read one NAME=VALUE of the command line."""
+    name, equals, value = text.partition("=")
+    try:
+        if not equals:
+            raise ValueError(text)
+        return name.strip(), float(value)
+    except ValueError:
+        message = f"'{text}' is not a change of a parameter"
+        raise DeclarationError(Problem(None, "--set", message, "write it as in --set w3=0.6")) from None

@@ -1,0 +1,127 @@
+"""Asked: the rig and the records that a discovery is asked about, read and checked before anything is searched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from masking import formats
+from masking.declaration import registry
+from masking.declaration.expression import Expression
+from masking.declaration.schema import ModelDeclaration, PlantDeclaration, Sensor
+from masking.discovery.written import Origin
+from masking.errors import DeclarationError, Problem, RecordError, nearest
+from masking.identification.data import Data
+from masking.sensitivity import Between
+from masking.twin import Twin
+
+FEWEST = 400  # samples of a record
+STILL = 1.2  # deviations of the noise: readings that vary by less do not move
+ALIKE = 1e-6  # relative difference of two rates that are the same
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The rig as it is believed to be, the record, another one to judge by, and where these come from."""
+
+    twin: Twin
+    record: Data
+    validation: Data | None
+    origin: Origin
+
+
+def asked(
+    record: str | Path,
+    model: str | Path | None,
+    plant: str | Path | None,
+    validation: str | Path | None = None,
+    *,
+    between: Between = "held",
+    columns: Mapping[str, str] | None = None,
+    dt: float | None = None,
+) -> Asked:
+    """Read and check what a discovery needs.
+
+    Args:
+        record: a folder of a recording, or a parquet, csv or mat file.
+        model: of the rig; in place of the plant's own where both are given.
+        plant: a plant file or a packaged plant; without one, the model's outputs or coordinates are read.
+        validation: another record to judge by.
+        between: how inputs go from sample to sample, see `Data`.
+        columns: of the files, by the names that they get.
+        dt: time between samples in s, for files without a clock.
+
+    Raises:
+        DeclarationError: neither a model nor a plant is given, or one is wrong.
+        RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates.
+    """
+    twin = rig(model, plant)
+    needed = (*twin.sensors, *twin.actuators)
+
+    def read(path: str | Path) -> Data:
+        found = Data.of(formats.read(path, columns, dt, needed), twin, str(path), between)
+        if len(found) < FEWEST:
+            raise RecordError(
+                f"{path}: {len(found)} samples are too few to tell effects apart; give a record of at least {FEWEST}, "
+                "over several periods of the slowest motion"
+            )
+        if bool((found.readings.var(axis=0) < (STILL * found.noise) ** 2).all()):
+            raise RecordError(
+                f"{path}: nothing moves: the readings vary no more than their noise; excite the rig, or let it go from "
+                "somewhere else than rest"
+            )
+        return found
+
+    train = read(record)
+    judge = None if validation is None else read(validation)
+    if judge is not None and abs(judge.rate / train.rate - 1.0) > ALIKE:
+        raise RecordError(
+            f"{record} has {train.rate:g} samples in a second, {validation} {judge.rate:g}: two rates; resample one of "
+            "them, or judge by the last part of the record"
+        )
+    paths = {"record": record} | ({"judged by": validation} if validation is not None else {})
+    return Asked(twin, train, judge, Origin({what: (str(p), formats.digest(p)) for what, p in paths.items()}))
+
+
+def rig(model: str | Path | None, plant: str | Path | None) -> Twin:
+    """Return the rig of a plant, or of a model alone: perfect sensors of its outputs, or else of its coordinates.
+
+    Raises:
+        DeclarationError: neither is given, or one is wrong.
+    """
+    if plant is not None:
+        twin = Twin.load(plant) if model is None else Twin.load(plant).as_model(model)
+    elif model is None:
+        mend = "name a model, such as --model setup, or a plant with --plant"
+        raise DeclarationError(Problem(None, "model", "there is nothing to hold the record against", mend))
+    else:
+        base = registry.load_model(model)
+        twin = Twin(PlantDeclaration(name=base.name, model=str(model), sensors=_sensors(base)), base)
+    twin.validate()
+    return twin
+
+
+def parameters(twin: Twin, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the parameters that may be off: all of the equations where none are named.
+
+    Raises:
+        DeclarationError: there is no such parameter in the equations.
+    """
+    known = twin.equation_parameters()
+    for name in names:
+        if name not in known:
+            message = f"the equations of {twin.base.name} hold no parameter '{name}'"
+            raise DeclarationError(Problem(None, "parameters", message, nearest(name, known)))
+    return tuple(names) or known
+
+
+def _sensors(base: ModelDeclaration) -> dict[str, Sensor]:
+    if base.outputs:
+        return {name: Sensor(measures=o.expression, unit=o.unit, meaning=o.meaning) for name, o in base.outputs.items()}
+    return {
+        name: Sensor(measures=Expression(name), unit=c.unit, meaning=c.meaning) for name, c in base.coordinates.items()
+    }
+
+
+__all__ = ["Asked", "asked", "parameters", "rig"]

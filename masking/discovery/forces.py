@@ -1,0 +1,239 @@
+"""Forces: what a record shows of a cause at one place: the lacking force there, before and after, and the fitted law.
+
+Latent forces of all coordinates are brought to one place by least squares, weighted with their deviations. They are
+those of the model with the parameters that were found beside the causes: what a cause gives then lies on them, as in a
+plot of partial residuals. What is left after the causes is found the same way: they are taken out of the readings,
+which are smoothed again.
+Source: Larsen and McCleary (1972), Technometrics 14(3), 781-790, for partial residuals.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from masking.declaration.dimensions import dimension_in, is_plain, symbol_dimensions
+from masking.declaration.expression import Expression
+from masking.declaration.units import describe
+from masking.discovery import laws
+from masking.discovery.discover import Discovery, noise_of
+from masking.discovery.evidence import Belief, Evidence
+from masking.discovery.fitting import Hypothesis
+from masking.discovery.opened import Slot
+from masking.discovery.smoothing import Motion, smooth
+from masking.effects import EFFECTS
+from masking.errors import IntegrationError
+from masking.kernels import Array
+
+BINS = 24  # of a range, with equally many samples each
+FEWEST = 30  # samples of a bin
+ODD = 2.0 / 3.0  # part of a curve from which it is called odd or even
+
+
+@dataclass(frozen=True)
+class Lack:
+    """What is lacking at a place along the record.
+
+    Args:
+        place: name of the element, coordinate, sensor or actuator.
+        where: 'element', 'actuator' or 'sensor'.
+        x: displacement of an element, command of an actuator, or simulated reading of a sensor (m,).
+        rate: of it (m,).
+        before: the lacking force, command or reading (m,).
+        after: what is left of it with the causes (m,); None where no cause is known or it cannot be told.
+        law: what the cause at this place gives (m,); None where there is none.
+        deviation: standard deviation of `before`.
+        units: of `before`, `x` and `rate`.
+    """
+
+    place: str
+    where: str
+    x: Array
+    rate: Array
+    before: Array
+    after: Array | None
+    law: Array | None
+    deviation: float
+    units: tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How a force depends on displacement and rate: parts of its variance, and the odd part of each dependence."""
+
+    by_x: float
+    by_rate: float
+    odd_x: float
+    odd_rate: float
+
+
+def lack(found: Discovery) -> Lack:
+    """Return what is lacking at the place of the last cause, or where most is lacking if none is known."""
+    slots = found.explanation.hypothesis.slots
+    if slots and slots[-1].effect != laws.DELAY:
+        slot: Slot | None = slots[-1]
+        where, name = EFFECTS[slots[-1].effect].where, slots[-1].at
+    elif slots:
+        slot, where, name = slots[-1], "actuator", slots[-1].at or _busiest(found)
+    else:
+        slot, where, name = None, "element", _emptiest(found)
+    return _sensor(found, slot, name) if where == "sensor" else _force(found, slot, where, name)
+
+
+def shape(x: Array, rate: Array, force: Array) -> Shape:
+    """Return how a force (m,) depends on displacement (m,) and rate (m,)."""
+    whole = float(force.var()) or 1.0
+    parts, odd = [], []
+    for column in (x, rate):
+        centres, means, counts = binned(column, force)
+        mean = float(np.average(means, weights=counts))
+        parts.append(float(np.average((means - mean) ** 2, weights=counts)) / whole)
+        other = np.interp(-centres, centres, means, left=np.nan, right=np.nan)
+        inside = np.isfinite(other)
+        up, down = 0.5 * (means - other)[inside], 0.5 * (means + other)[inside]
+        total = float((up**2).sum() + ((down - down.mean()) ** 2).sum()) if inside.any() else 0.0
+        odd.append(float((up**2).sum()) / total if total > 0.0 else 1.0)
+    return Shape(parts[0], parts[1], odd[0], odd[1])
+
+
+def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Array]:
+    """Return centres, means of a force and numbers of samples (b,) of bins of x."""
+    low, high = np.quantile(x, [0.002, 0.998])
+    edges = np.linspace(low, high if high > low else low + 1.0, bins + 1)
+    at = np.clip(np.searchsorted(edges, x) - 1, 0, bins - 1)
+    counts = np.bincount(at, minlength=bins)
+    enough = counts >= min(FEWEST, max(1, len(x) // (4 * bins)))
+    sums, places = np.bincount(at, force, bins), np.bincount(at, x, bins)
+    return places[enough] / counts[enough], sums[enough] / counts[enough], counts[enough].astype(float)
+
+
+def energies(found: Discovery) -> dict[str, float]:
+    """Return the share of each sensor in what is beyond noise in the record, by name."""
+    m, sigma = len(found.record), noise_of(found.twin, found.record)
+    beyond = np.maximum(found.found.base.hypothesis.squares / sigma**2 - m, 0.0)
+    whole = float(beyond.sum()) or 1.0
+    return dict(zip(found.twin.sensors, (float(part / whole) for part in beyond), strict=True))
+
+
+def _force(found: Discovery, slot: Slot | None, where: str, name: str) -> Lack:
+    rig = found.rig
+    motion, left = _motions(found)
+    if where == "actuator":
+        at = rig.twin.actuators.index(name)
+        x = found.record.acting[:, at]
+        rate = np.gradient(x) * found.record.rate
+        column = rig.columns[2][at]
+        actuators = found.twin.declaration.actuators or found.twin.base.inputs
+        unit = actuators[name].unit
+        units = (unit, unit, _per_second(unit))
+    else:
+        at = [place.name for place in rig.places].index(name)
+        x, rate = motion.displacement[:, at], motion.rate[:, at]
+        column = rig.columns[1][at]
+        units = element_units(found, name)
+    by = _directions(found, column)
+    deviation = motion.deviation
+    weight = by / np.maximum(deviation, 1e-300) ** 2
+    norm = float(by @ weight)
+    before = motion.forces @ weight / norm
+    after = None if left is None else left.forces @ weight / norm
+    law = None
+    if slot is not None:
+        law = along(found, slot, x, rate)
+        law = law - x if where == "actuator" else law
+    return Lack(name, where, x, rate, before, after, law, norm**-0.5, units)
+
+
+def _sensor(found: Discovery, slot: Slot | None, name: str) -> Lack:
+    at, base, after = found.twin.sensors.index(name), found.found.base.hypothesis, found.explanation.hypothesis
+    x = (found.record.readings - after.residuals)[:, at]
+    rate = np.gradient(x) * found.record.rate
+    law = None if slot is None else along(found, slot, x, rate) - x
+    unit = found.twin.declaration.sensors[name].unit
+    return Lack(
+        name, "sensor", x, rate, base.residuals[:, at], after.residuals[:, at], law,
+        float(noise_of(found.twin, found.record)[at]), (unit, unit, _per_second(unit)),
+    )  # fmt: skip
+
+
+def along(found: Discovery, slot: Slot, x: Array, rate: Array) -> Array:
+    """Return what an effect gives along a motion of its place (m,)."""
+    if slot.effect == laws.DELAY:
+        t = np.arange(len(x)) / found.record.rate
+        return np.asarray(np.interp(t - slot.values[0], t, x))
+    features = np.empty((len(x), 1))
+    theta = np.array([*slot.values, *np.zeros(laws.MOST_PARAMETERS)])
+    kind, states = laws.number(slot.effect), len(EFFECTS[slot.effect].states)
+    x, rate = np.ascontiguousarray(x), np.ascontiguousarray(rate)
+    found.rig.kernels.along(
+        len(x), 1.0 / found.record.rate, kind, states, x, rate, np.zeros((1, 1)), theta, features
+    )  # fmt: skip
+    return np.asarray(features[:, 0])
+
+
+def _motions(found: Discovery) -> tuple[Motion, Motion | None]:
+    """Return the record smoothed with the parameters found, and with the causes taken out of its readings."""
+    chosen: Hypothesis = found.explanation.hypothesis
+    if chosen is found.found.base.hypothesis:
+        return found.found.motion, None
+    rig, record = found.rig, found.record
+    belief = Belief(rig.start.copy(), np.ones(len(rig.start)))
+    evidence = Evidence(rig, record, belief, noise_of(found.twin, record), max(1, rig.substeps(record.rate) // 2))
+    try:
+        without = rig.equations(evidence, chosen.theta, chosen.start, (), np.zeros(0)).simulated
+        cleaned = replace(record, readings=np.ascontiguousarray(chosen.residuals + without))
+        before, after = (smooth(replace(evidence, record=r), chosen.theta, chosen.start) for r in (record, cleaned))
+    except IntegrationError:
+        return found.found.motion, None
+    return before, after
+
+
+def _directions(found: Discovery, column: int) -> Array:
+    """Return what a unit in a column of the equations is as forces on each coordinate (coordinates,)."""
+    rig, theta = found.rig, found.explanation.hypothesis.theta
+    n, count = len(rig.twin.state_names), len(rig.coordinates)
+    p, _ = rig.basis(theta)
+    y, u = rig.twin.rest(np.zeros(count)), np.zeros(len(rig.twin.actuators))
+    jy, jp, dy = np.zeros((n, n)), np.zeros((n, rig.affected)), np.zeros(n)
+    rig.kernels.slopes(0.0, y, u, p, dy, jy, jp)
+    ports = jp[count : 2 * count, [rig.columns[1][i] for i in rig.coordinate_places]]
+    return np.asarray(np.linalg.lstsq(ports, jp[count : 2 * count, column], rcond=None)[0])
+
+
+def _emptiest(found: Discovery) -> str:
+    """Return the place of a coordinate whose lacking force is largest beside its deviation."""
+    motion = found.found.motion
+    sizes = motion.forces.std(axis=0) / np.maximum(motion.deviation, 1e-300)
+    return found.rig.places[found.rig.coordinate_places[int(np.argmax(sizes))]].name
+
+
+def _busiest(found: Discovery) -> str:
+    """Return the actuator whose commands vary most."""
+    return found.twin.actuators[int(np.argmax(found.record.commands.std(axis=0)))]
+
+
+def element_units(found: Discovery, name: str) -> tuple[str, str, str]:
+    """Return the units of force, displacement and rate of a place; '' in a model without units."""
+    base = found.twin.base
+    element = next(place.element for place in found.rig.places if place.name == name)
+    symbols = symbol_dimensions(base)
+    if is_plain(base) or symbols is None:
+        return "", "", ""
+    known = {base.coordinates[n].unit for n in element.displacement.names & base.coordinates.keys()}
+    if len(known) == 1 and element.displacement.names <= base.coordinates.keys() and is_of_one(element.displacement):
+        (unit,) = known
+        return element.unit, unit, _per_second(unit)
+    dimension = dimension_in(element.displacement, symbols)
+    unit = "" if dimension is None else describe(dimension)
+    return element.unit, unit, _per_second(unit)
+
+
+def is_of_one(displacement: Expression) -> bool:
+    """Return whether a displacement is a coordinate, or a difference of coordinates."""
+    return re.fullmatch(r"\s*\w+(\s*[-+]\s*\w+)*\s*", displacement.text) is not None
+
+
+def _per_second(unit: str) -> str:
+    return f"{unit}/s" if unit not in {"", "1"} else "1/s"

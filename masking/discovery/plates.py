@@ -1,0 +1,337 @@
+"""Plates: the figures of a discovery: the gap, the lacking force, what is left, and what was tried."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import lazy_loader as lazy
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+from masking.discovery import forces, words
+from masking.discovery.discover import Discovery, noise_of
+from masking.discovery.screening import Promise
+from masking.discovery.search import SIGN
+from masking.drawing import COLOURS, GRID, INK, MUTED, SIZE, Plate, panels, symbol, thin, with_unit
+from masking.identification.figures import DASHED, heading, legend, shown, ticks, top
+from masking.kernels import Array
+
+if TYPE_CHECKING:
+    from scipy import signal
+else:
+    signal = lazy.load("scipy.signal", suppress_warning=True)
+
+BEFORE: Final = COLOURS[1]
+AFTER: Final = COLOURS[0]
+CLOUD: Final = 0.4  # opacity
+MOST_SENSORS = 6
+MOST_TRIED = 12
+NEAR = 0.9  # of the best candidate's gain: those that are told together
+POINTS = 5000  # of a cloud
+SEGMENTS = 8  # that a record is cut into for a spectrum
+BINS_PER_DECADE = 24
+
+
+def plates(found: Discovery) -> list[Plate]:
+    """Draw the figures of a discovery."""
+    return [_gap(found), _map(found), _residual(found), _candidates(found)]
+
+
+def _gap(found: Discovery) -> Plate:
+    """Draw the error of each sensor before and after, in the record and in the one that judges, beside the noise."""
+    names = found.twin.sensors
+    said = words.gap(found) if found.effects else words.capital(words.left(found))
+    figure, (row,) = panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), top(said) + 0.28)
+    gap = found.gap
+    own = own_gap(found)
+    sides = (
+        ((gap.train[0], own, gap.train[1], gap.floor), "record"),
+        ((gap.validation[0], found.adjusted_gap, gap.validation[1], gap.validation_floor), "data that were not used"),
+    )
+    every = [v for parts, _ in sides for part in parts for v in part.values() if 0.0 < v < np.inf]
+    low, high = 100.0 * min(every) / 1.6, 100.0 * max(every) * 1.6
+    for axes, (parts, title) in zip(row, sides, strict=True):
+        for i, name in enumerate(names):
+            declared, adjusted, after, noise = (100.0 * part[name] for part in parts)
+            axes.plot([max(declared, adjusted), after], [i, i], color=GRID, lw=4, solid_capstyle="round", zorder=1)
+            axes.plot([noise, noise], [i - 0.32, i + 0.32], color=INK, lw=1.4, zorder=5)
+            axes.plot(declared, i, "o", color="white", mec=MUTED, mew=1.4, ms=6.5, zorder=2)
+            axes.plot(adjusted, i, "o", color=BEFORE, ms=7, zorder=3)
+            if found.effects:
+                axes.plot(after, i, "o", color=AFTER, ms=7, zorder=4)
+        axes.set_xscale("log")
+        axes.set(xlim=(low, high), ylim=(len(names) - 0.5, -0.5))
+        _percents(axes, low, high)
+        axes.yaxis.set_major_locator(FixedLocator([float(i) for i in range(len(names))]))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: symbol(names[round(y)])))
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel("error, part of the reading")
+        axes.set_title(title, loc="left", fontsize=SIZE, color=MUTED, pad=5)
+    heading(figure, said)
+    handles = [
+        Line2D([], [], color="white", mec=MUTED, mew=1.4, marker="o", ls="", ms=6, label="as declared"),
+        Line2D([], [], color=BEFORE, marker="o", ls="", ms=6, label="parameters adjusted alone"),
+    ]
+    if found.effects:
+        handles.append(Line2D([], [], color=AFTER, marker="o", ls="", ms=6, label="with what was found"))
+    handles.append(Line2D([], [], color=INK, marker="|", ls="", ms=11, mew=1.4, label="noise alone"))
+    legend(figure, row[-1], handles)
+    _lift_legend(figure, 0.24)
+    caption = (
+        "The error of the free simulation of each sensor, chi = ||measured - simulated|| / ||measured||, with the best "
+        "initial state: of the model as it is declared, with its parameters adjusted within what is believed of them, "
+        "and with what was found. What the noise makes alone is the least that can be left."
+    )
+    return Plate("gap", "The gap", caption, figure)
+
+
+def _map(found: Discovery) -> Plate:
+    """Draw the lacking force over displacement and rate, before and after, with the law."""
+    lacking = forces.lack(found)
+    has_after = lacking.after is not None and bool(found.effects)
+    what = {"element": "force", "actuator": "command", "sensor": "reading"}[lacking.where]
+    said = _seen(found, lacking, what)
+    values = [lacking.before, *([lacking.law] if lacking.law is not None else [])]
+    by, unit = (
+        shown(lacking.units[0], *(np.abs(v) for v in values))
+        if lacking.units[0] in {"V", "m", "N"}
+        else _milli(lacking.units[0], values)
+    )
+    reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
+    rows_of = [(lacking.before, BEFORE, "lacking"), *([(lacking.after, AFTER, "left")] if has_after else [])]
+    figure, rows = panels(len(rows_of), 2.05, (3.62, 3.62), top(said))
+    low = np.array([np.quantile(x, [0.0005, 0.9995]) for x in (lacking.x, lacking.rate)])
+    step = max(1, len(lacking.x) // POINTS)
+    for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
+        assert values_of is not None  # noqa: S101  # those that are None have no row
+        for axes, x, x_unit, (left, right) in zip(row, (lacking.x, lacking.rate), lacking.units[1:], low, strict=True):
+            times, name = shown(x_unit, x) if x_unit in {"V", "m"} else _milli(x_unit, [x])
+            axes.plot(times * x[::step], by * values_of[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
+            centres, means, _ = forces.binned(x, values_of)
+            half = 2.0 * lacking.deviation
+            axes.fill_between(times * centres, by * (means - half), by * (means + half), color=colour, alpha=0.16, lw=0)
+            axes.plot(times * centres, by * means, color=colour, lw=1.8)
+            if kind == "lacking" and lacking.law is not None:
+                _law(axes, times * x, by * lacking.law)
+            pad = 0.03 * (right - left)
+            axes.set(xlim=(times * (left - pad), times * (right + pad)), ylim=(-reach, reach))
+            axes.axhline(0.0, color=MUTED, lw=0.7)
+            label = {"element": "displacement", "actuator": "command", "sensor": "reading"}[lacking.where]
+            if row is rows[-1]:
+                axes.set_xlabel(with_unit(label if x is lacking.x else f"rate of {label}", words.pretty(name)))
+        row[0].set_ylabel(with_unit(f"{kind} {what}", words.pretty(unit)))
+        row[1].tick_params(labelleft=False)
+        row[1].yaxis.get_offset_text().set_visible(False)
+    heading(figure, said)
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=BEFORE, lw=2, label=f"{what} that the model lacks, its mean and ± 2 deviations")
+    ]
+    if lacking.law is not None:
+        handles.append(Line2D([], [], color=INK, lw=1.6, label="law that was fitted"))
+    if has_after:
+        handles.append(Line2D([], [], color=AFTER, lw=2, label="what is left"))
+    legend(figure, rows[0][-1], handles)
+    caption = (
+        f"The {what} at {lacking.place} that the model lacks along the record, from its readings by a Kalman smoother "
+        "that adds a random walk to the equations. It takes no differences of readings, and rounds off what changes "
+        "faster than the noise lets it see. Points are samples; the line is their mean over equal ranges."
+    )
+    if lacking.where == "sensor":
+        caption = (
+            f"What the simulation leaves of the reading of {lacking.place} along the record, over what it should read."
+        )
+    return Plate("map", "What it looks like", caption, figure)
+
+
+def _seen(found: Discovery, lacking: forces.Lack, what: str) -> str:
+    if found.verdict == "none":
+        return f"At {lacking.place} the record shows no {what} beyond its deviation that follows the motion"
+    if found.verdict == "unknown" or lacking.after is None or not found.effects:
+        return words.look(found)
+    noise = lacking.deviation**2 if lacking.where == "sensor" else 0.0
+    after, before = (max(float((v**2).mean()) - noise, 0.0) for v in (lacking.after, lacking.before))
+    taken = f"{100.0 * max(1.0 - after / max(before, 1e-300), 0.0):.3g} % of the mean square of the {what}"
+    name = words.spoken(found.effects[-1].name, found.effects[-1].on) if lacking.law is not None else "what was found"
+    return f"{words.capital(name)} takes away {taken} that the model lacks at {lacking.place}"
+
+
+def _law(axes: Axes, x: Array, law: Array) -> None:
+    """Draw a law: as a line where it is a function of x, as a fine cloud where it is not."""
+    order = np.argsort(x)
+    steps = np.abs(np.diff(law[order]))
+    size = float(np.abs(law).max())
+    rough = float(np.ptp(law)) > 1e-9 * size and float(np.median(steps)) > 2e-3 * float(np.ptp(law))
+    if not rough:
+        axes.plot(*thin(x[order], law[order], 400), color=INK, lw=1.6, zorder=5)
+        return
+    step = max(1, len(x) // 6000)
+    axes.plot(x[::step], law[::step], ".", color=INK, ms=1.4, alpha=0.6, mew=0, zorder=5)
+
+
+def _residual(found: Discovery) -> Plate:
+    """Draw what is left of the record that judges, over time and frequency, before and after."""
+    names = found.twin.sensors[:MOST_SENSORS]
+    sigma, record = noise_of(found.twin, found.judge), found.judge
+    more = [
+        n
+        for i, n in enumerate(found.twin.sensors)
+        if found.after.squares[i] > words.CLOSED**2 * len(record) * sigma[i] ** 2
+    ]
+    said = (
+        f"What is left of {words.listed(found.twin.sensors)} on data that were not used is noise"
+        if not more
+        else f"On data that were not used, more than noise is left of {words.listed(more)}"
+    )
+    figure, rows = panels(len(names), 1.35, (4.55, 2.55), top(said))
+    t = np.arange(len(record)) / record.rate
+    pairs = [(found.adjusted, BEFORE, 0.9), *([(found.after, AFTER, 1.0)] if found.effects else [])]
+    for i, (name, (time, spectrum)) in enumerate(zip(names, rows, strict=True)):
+        unit = found.twin.declaration.sensors[name].unit
+        by, y_unit = shown("" if unit == "1" else unit, *(h.residuals[:, i] for h, _, _ in pairs))
+        for hypothesis, colour, width in pairs:
+            time.plot(*thin(t, by * hypothesis.residuals[:, i], 500), color=colour, lw=0.6)
+            f, density = _density(hypothesis.residuals[:, i], record.rate)
+            spectrum.plot(f, density, color=colour, lw=width + 0.3)
+        for side in (-1.96, 1.96):
+            time.axhline(side * by * sigma[i], color=INK, lw=0.9, ls=DASHED, zorder=4)
+        spectrum.axhline(sigma[i] * np.sqrt(2.0 / record.rate), color=INK, lw=0.9, ls=DASHED, zorder=4)
+        reach = 1.05 * by * max(float(np.abs(h.residuals[:, i]).max()) for h, _, _ in pairs)
+        time.set(xlim=(0.0, t[-1]), ylim=(-reach, reach))
+        time.set_ylabel(with_unit(symbol(name), y_unit))
+        ticks(time, 4)
+        spectrum.set_xscale("log")
+        spectrum.set_yscale("log")
+        spectrum.set_xlim(f[0], f[-1])
+        level = sigma[i] * np.sqrt(2.0 / record.rate)
+        low, high = spectrum.get_ylim()
+        spectrum.set_ylim(min(low, level / 5.0), max(high, 5.0 * level))
+        for axis in (spectrum.xaxis, spectrum.yaxis):
+            axis.set_minor_formatter(NullFormatter())
+            axis.set_major_locator(LogLocator(numticks=5))
+        spectrum.set_ylabel(f"{unit}/√Hz" if unit != "1" else "1/√Hz")
+    rows[-1][0].set_xlabel("time (s)")
+    rows[-1][1].set_xlabel("frequency (Hz)")
+    heading(figure, said)
+    handles = [Line2D([], [], color=BEFORE, lw=2, label="parameters adjusted alone")]
+    if found.effects:
+        handles.append(Line2D([], [], color=AFTER, lw=2, label="with what was found"))
+    handles.append(Line2D([], [], color=INK, lw=1, ls=DASHED, label="noise: 95 % of it, and its spectrum"))
+    legend(figure, rows[0][1], handles)
+    caption = (
+        f"{record.name}: measured less simulated, over time and as the root of its power spectral density. A line "
+        "above the noise is something that the model does not say."
+    )
+    return Plate("residual", "What is left", caption, figure)
+
+
+def _candidates(found: Discovery) -> Plate:
+    """Draw what each candidate would have closed of the gap; where nothing is missing, of what would have counted."""
+    every, nothing = tried(found), not found.effects
+    chosen = {(one.name, one.on) for one in found.effects}
+    rows = [row for i, row in enumerate(every) if i < MOST_TRIED or (row[0], row[1]) in chosen]
+    if not rows:
+        return Plate("candidates", "What was tried", "No candidate would have closed any of the gap.", None)
+    names = [words.spoken(effect, at) for effect, at, _, _ in rows]
+    parts = [100.0 * (paid if nothing else part) for _, _, part, paid in rows]
+    fitted = {key for rival in found.found.rivals for key in rival.names}
+    near = [part for part in parts if part > NEAR * parts[0]]
+    count = len(found.found.tried)
+    if nothing and found.verdict == "none":
+        said = f"None of {count} candidates would close enough to be worth its parameters"
+    elif nothing:
+        said = f"None of {count} candidates explains what is left"
+    elif len(near) == 1:
+        said = f"Of {count} candidates, {names[0]} alone would close {near[0]:.3g} % of the gap"
+    else:
+        said = (
+            f"Of {count} candidates, {len(near)} would each close more than {min(near):.2g} % of the gap; full fits "
+            "tell them apart as far as they can be told"
+        )
+    figure, ((axes,),) = panels(1, 0.235 * len(rows) + 0.1, (5.6,), top(said))
+    box = axes.get_position()
+    axes.set_position((box.x0 + 0.19, box.y0, box.width, box.height))
+    colours = [_colour((effect, at), chosen, fitted) for effect, at, _, _ in rows]
+    axes.barh(range(len(rows)), parts, height=0.66, color=colours)
+    for i, part in enumerate(parts):
+        axes.annotate(f"{part:.3g} %", (part, i), (4, 0), textcoords="offset points", va="center",
+                      fontsize=SIZE - 1.5, color=MUTED)  # fmt: skip
+    axes.set(ylim=(len(rows) - 0.4, -0.6), xlim=(0.0, 112.0 if nothing else 1.12 * max(parts)))
+    axes.yaxis.set_major_locator(FixedLocator([float(i) for i in range(len(rows))]))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: names[round(y)]))
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+    if nothing:
+        axes.axvline(100.0, color=INK, lw=1.2, ls=DASHED)
+        axes.set_xlabel("gain in likelihood, as a part of what it would have to be to count (%)")
+    else:
+        axes.set_xlabel("part of what the model leaves beyond noise that the candidate alone would take (%)")
+    heading(figure, said)
+    kinds = {AFTER: "chosen", COLOURS[4]: "fitted in full", GRID: "looked at"}
+    legend(figure, axes, [Patch(color=colour, label=text) for colour, text in kinds.items() if colour in colours])
+    caption = (
+        "To first order along the measured motion, with what the model's own parameters could explain taken out first; "
+        "the best are then fitted in full, and their likelihoods decide."
+    )
+    return Plate("candidates", "What was tried", caption, figure)
+
+
+def _colour(key: tuple[str, str], chosen: set[tuple[str, str]], fitted: set[tuple[str, str]]) -> str:
+    return AFTER if key in chosen else COLOURS[4] if key in fitted else GRID
+
+
+def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
+    """Return each candidate once, the best first: effect, place, part of the gap, part of what would count."""
+    best: dict[tuple[str, str], Promise] = {}
+    for promise in found.found.tried:
+        if promise.gain > 0.0 and promise.gain > getattr(best.get(promise.candidate.key), "gain", 0.0):
+            best[promise.candidate.key] = promise
+    size = found.record.readings.size
+    whole = max(found.found.base.hypothesis.cost - size, *(p.gain for p in best.values()), 1e-300)
+    ordered = sorted(best.items(), key=lambda item: -item[1].gain)
+    return [(*key, p.gain / whole, p.gain / (float(np.log(size)) * len(p.candidate.free) + SIGN)) for key, p in ordered]
+
+
+def own_gap(found: Discovery) -> dict[str, float]:
+    """Return the relative error of each sensor that adjusted parameters alone leave in the record."""
+    size = (found.record.readings**2).sum(axis=0)
+    parts = np.sqrt(found.found.base.hypothesis.squares / np.maximum(size, 1e-300))
+    return dict(zip(found.twin.sensors, map(float, parts), strict=True))
+
+
+def _density(values: Array, rate: float) -> tuple[Array, Array]:
+    """Return frequencies in Hz, evenly over their logarithm, and the root of the power spectral density there."""
+    length = min(max(2 * len(values) // (SEGMENTS + 1), 16), len(values))
+    f, power = signal.welch(values, rate, nperseg=length, detrend="constant")
+    bins = np.floor(BINS_PER_DECADE * np.log10(f[1:] / f[1])).astype(int)
+    first = np.flatnonzero(np.diff(bins, prepend=-1))
+    counts = np.diff(np.append(first, len(bins)))
+    mean = [np.add.reduceat(column, first) / counts for column in (f[1:], power[1:])]
+    return mean[0], np.sqrt(np.maximum(mean[1], 1e-300))
+
+
+def _percents(axes: Axes, low: float, high: float) -> None:
+    """Give a logarithmic axis in percent a few round numbers."""
+    steps = (1.0, 2.0, 5.0) if high / low < 60.0 else (1.0,)
+    every = [m * 10.0**e for e in range(-6, 4) for m in steps]
+    axes.xaxis.set_major_locator(FixedLocator([v for v in every if low <= v <= high]))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g} %"))
+
+
+def _milli(unit: str, values: Sequence[Array]) -> tuple[float, str]:
+    """Return the factor and unit in which values are drawn: metres in thousandths where these are small."""
+    largest = max(float(np.abs(v).max()) for v in values)
+    if unit.startswith(("m/", "V/", "N/")) and largest < 0.1:
+        return 1e3, f"m{unit}"
+    return 1.0, unit
+
+
+def _lift_legend(figure: object, inches: float) -> None:
+    """Move the legend of a figure up, above the titles of its axes."""
+    box = figure.legends[0]  # type: ignore[attr-defined]
+    x, y = box.get_bbox_to_anchor().transformed(figure.transFigure.inverted()).p0  # type: ignore[attr-defined]
+    box.set_bbox_to_anchor((x, y + inches / figure.get_size_inches()[1]))  # type: ignore[attr-defined]
