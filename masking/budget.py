@@ -27,16 +27,30 @@ Progress = Callable[[float], None]
 
 # The effects that each cause stands for. A thermal state changes no motion: it is no cause.
 CAUSES: Final[Mapping[str, frozenset[str]]] = {
-    "springs": frozenset({"polynomial_spring", "hardening_spring", "linear_spring", "constant_force"}),
+    "springs": frozenset(
+        {"polynomial_spring", "hardening_spring", "linear_spring", "constant_force", "gravity_force", "stiffness_drift"}
+    ),
     "damping": frozenset({"viscous_damping", "quadratic_damping"}),
-    "friction": frozenset({"dry_friction", "stribeck_friction", "lugre_friction", "local_friction"}),
+    "friction": frozenset(
+        {
+            "dry_friction",
+            "asymmetric_friction",
+            "stribeck_friction",
+            "dahl_friction",
+            "lugre_friction",
+            "local_friction",
+        }
+    ),
     "hysteresis": frozenset({"hysteresis"}),
     "backlash": frozenset({"backlash"}),
     "end stop": frozenset({"stop"}),
-    "actuator gains": frozenset({"actuator_gain", "actuator_offset"}),
+    "periodic force": frozenset({"periodic_force"}),
+    "actuator gains": frozenset({"actuator_gain", "actuator_offset", "actuator_cubic"}),
     "actuator dynamics": frozenset({"actuator_lag", "dead_zone", "dac_quantisation"}),
     "saturation": frozenset({"saturation", "thermal"}),
-    "sensor errors": frozenset({"sensor_offset", "sensor_gain", "sensor_saturation", "sensor_lag"}),
+    "sensor errors": frozenset(
+        {"sensor_offset", "sensor_gain", "sensor_saturation", "sensor_lag", "sensor_cubic", "sensor_rectification"}
+    ),
     "quantisation": frozenset({"quantisation"}),
     "noise": frozenset({"noise"}),
     "delay": frozenset({"delay"}),
