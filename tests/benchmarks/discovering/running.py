@@ -9,6 +9,7 @@ import json
 import os
 import queue
 import resource
+import signal
 import time
 import traceback
 import warnings
@@ -37,7 +38,6 @@ CONTENDER = ("tests/benchmarks/discovering/sindy.py", "tests/benchmarks/hidden")
 WAIT = 5.0  # s between looks at whether a process has died
 
 Outcome = dict[str, Any]
-_done: Any = None  # in a process: the queue of what is done
 
 
 @cache
@@ -103,8 +103,8 @@ def every_case(lines: Sequence[suite.Line], folder: Path) -> list[hidden.Case]:
     name = "-".join((suite.digest("tests/benchmarks/hidden"), suite.digest("tests/benchmarks/discovering/suite.py")))
     path = folder / f"cases-{len(lines)}-{name}.json"
     if not path.exists():
-        with get_context("spawn").Pool(PROCESSES) as pool:
-            made = [case for part in pool.imap(suite.cases, lines) for case in part]
+        parts = dict(spread(_drawn, list(enumerate(lines))))
+        made = [case for number in range(len(lines)) for case in parts[number]]
         folder.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(".part")
         part.write_text(json.dumps([suite.kept(case) for case in made]), encoding="utf-8")
@@ -131,40 +131,72 @@ def run(cases: Sequence[hidden.Case], path: Path, digests: dict[str, str]) -> It
     wanted = [case for case in cases if todo[case.name]]
     size = max(1, min(PIECE, len(wanted) // (2 * PROCESSES)))
     jobs: list[Job] = [(piece, [todo[case.name] for case in piece]) for piece in suite.pieces(wanted, size)]
-    left = sum(len(tools) for tools in todo.values())
-    if not left:
+    if not jobs:
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for damping in {case.damping for case in cases}:
         _ = rig(damping)[1].kernels  # compiled once, before the others need them
-    context = get_context("spawn")
-    results = context.Queue()
     path.parent.mkdir(parents=True, exist_ok=True)
-    with context.Pool(PROCESSES, _begin, (results,)) as pool, path.open("a", encoding="utf-8") as file:
-        pending = pool.map_async(_work, jobs, chunksize=1)
-        while left:
-            try:
-                outcome = results.get(timeout=WAIT)
-            except queue.Empty:
-                if pending.ready():
-                    pending.get()  # raises what a process raised
-                    if results.empty():
-                        raise RuntimeError("a process ended without its outcomes; start again to go on") from None
-                continue
-            left -= 1
+    with path.open("a", encoding="utf-8") as file:
+        for outcome in spread(_work, jobs):
             file.write(json.dumps(outcome) + "\n")
             file.flush()
             yield suite.restored(outcome["case"]), outcome
 
 
-def _begin(results: Any) -> None:
-    global _done  # noqa: PLW0603  # a process has one queue
-    _done = results
+def spread(work: Callable[[Any], Iterator[Any]], jobs: Sequence[Any]) -> Iterator[Any]:
+    """Give all that `work` gives for jobs, in processes of their own, as it comes; they end when this is closed.
+
+    Raises:
+        RuntimeError: a process has died.
+    """
+    context = get_context("spawn")
+    results, following = context.Queue(), context.Value("i", 0)
+    processes = [
+        context.Process(target=_serve, args=(work, jobs, following, results), daemon=True) for _ in range(PROCESSES)
+    ]
+    for process in processes:
+        process.start()
+    try:
+        at_work = len(processes)
+        while at_work:
+            try:
+                told = results.get(timeout=WAIT)
+            except queue.Empty:
+                dead = [process.exitcode for process in processes if process.exitcode]
+                if dead and results.empty():
+                    why = f"a process ended with {dead[0]}; what was done is kept, start again to go on"
+                    raise RuntimeError(why) from None
+                continue
+            if told is None:
+                at_work -= 1
+            else:
+                yield told[0]
+    finally:
+        for process in processes:
+            process.kill()
 
 
-def _work(job: Job) -> None:
+def _serve(work: Callable[[Any], Iterator[Any]], jobs: Sequence[Any], following: Any, results: Any) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process sees to that
+    while True:
+        with following.get_lock():
+            number = following.value
+            following.value += 1
+        if number >= len(jobs):
+            break
+        for one in work(jobs[number]):
+            results.put((one,))
+    results.put(None)
+
+
+def _drawn(job: tuple[int, suite.Line]) -> Iterator[tuple[int, list[hidden.Case]]]:
+    yield job[0], suite.cases(job[1])
+
+
+def _work(job: Job) -> Iterator[Outcome]:
     cases, tools = job
     for (case, training, validation), wanted in zip(hidden.generate(cases), tools, strict=True):
         for tool, key in wanted.items():
             told = TOOLS[tool](case, training, validation)
-            _done.put({"key": key, "tool": tool, "case": suite.kept(case), **told})
+            yield {"key": key, "tool": tool, "case": suite.kept(case), **told}
