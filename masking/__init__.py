@@ -8,7 +8,7 @@ Four objects carry the package:
 * `Recording`: the series of one run and the manifest that says what they are, in one folder on disk.
 
 Each verb of the command line is a function here: `list`, `show`, `check`, `schema`, `run`, `report`,
-`identify`, `measure`, `discover`.
+`identify`, `measure`, `discover`, `refine`.
 
     >>> import masking
     >>> recording = masking.run("duffing")
@@ -37,6 +37,6 @@ __getattr__, __dir__, __all__ = lazy.attach(
         "experiment": ["Experiment"],
         "model": ["Model", "load_model"],
         "recording": ["Recording"],
-        "verbs": ["check", "discover", "identify", "list", "measure", "report", "run", "schema", "show"],
+        "verbs": ["check", "discover", "identify", "list", "measure", "refine", "report", "run", "schema", "show"],
     },
 )

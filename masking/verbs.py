@@ -1,4 +1,4 @@
-"""The verbs of the command line as functions: list, show, check, schema, run, report, identify, measure, discover."""
+"""The verbs of the command line as functions: list, show, check, schema, run, report, identify, discover, refine ..."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from masking import budget as budgets
     from masking import describe, drawing, effects, experiment, model, recording, reporting, twin
     from masking import feasibility as feasibilities
+    from masking import refinement as refinements
     from masking.declaration import registry
     from masking.declaration import schema as schemas
     from masking.discovery import asked as askeds
@@ -65,6 +66,7 @@ else:  # each verb loads only what it needs
     model = lazy.load("masking.model", suppress_warning=True)
     pages = lazy.load("masking.identification.pages", suppress_warning=True)
     recording = lazy.load("masking.recording", suppress_warning=True)
+    refinements = lazy.load("masking.refinement", suppress_warning=True)
     registry = lazy.load("masking.declaration.registry", suppress_warning=True)
     reporting = lazy.load("masking.reporting", suppress_warning=True)
     responses = lazy.load("masking.identification.responses", suppress_warning=True)
@@ -318,9 +320,7 @@ def discovered(
     Raises:
         MaskingError: a declaration, a name, a setting or a record is wrong; says what to do about it.
     """
-    if not 0.0 < tolerance < 1.0:
-        message = f"the tolerance is {tolerance:g}"
-        raise DeclarationError(Problem(None, "tolerance", message, "give a part between 0 and 1, such as 0.01"))
+    askeds.check_tolerance(tolerance)
     if out is not None:
         check_folder(out)
     asked = askeds.asked(record, model, plant, validation, between=between, columns=columns, dt=dt)
@@ -329,6 +329,31 @@ def discovered(
         asked.twin, asked.record, asked.validation, parameters=names, tolerance=tolerance, tell=tell
     )
     return found, None if out is None else discovery_pages.save(found, out, asked.origin)
+
+
+def refine(
+    name_or_path: str | Path,
+    *,
+    record: str | Path,
+    plant: str | None = None,
+    out: str | Path | None = None,
+    **settings: Any,  # noqa: ANN401  # those of `refinement.refine`
+) -> refinements.Refinement:
+    """Find out what the controller's model of an experiment is missing, and run it before and after.
+
+    Args:
+        name_or_path: an experiment file, or the name of a packaged experiment.
+        record: a recording of its plant, as for `discover`.
+        plant: a plant that replaces the declared one.
+        out: folder to save in.
+        settings: the others of `refinement.refine`, and what it saves.
+
+    Raises:
+        MaskingError: a declaration, a name, a setting or a record is wrong, or the experiment cannot be run.
+    """
+    if out is not None:
+        check_folder(out)
+    return refinements.refine(experiment.Experiment.load(name_or_path, plant=plant), record, out=out, **settings)
 
 
 def measure(

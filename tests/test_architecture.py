@@ -39,12 +39,13 @@ ROWS = (
     {"budget"},
     {"rig"},
     {"feasibility"},
+    {"refinement"},
     {"describe"},
     {"verbs"},
     {"cli", "__init__"},
 )
 
-# A run and its study meet in the file on disk: only the verbs and the command line know both.
+# A run and its study meet in the file on disk: only a refinement, the verbs and the command line know both.
 ONLINE = {
     "blocks",
     "observer",

@@ -1,8 +1,9 @@
-"""The verb discover: what a model is missing, from a record of the rig."""
+"""The verbs discover and refine: what a model is missing, from a record of the rig, and what that makes of masking."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,31 @@ def add_discover(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     sub.add_argument("--model", metavar="MODEL", help="what is believed of the rig: a name or a YAML file")
     text = "its sensors and actuators (default: the outputs or coordinates of the model, and its inputs)"
     sub.add_argument("--plant", metavar="PLANT", help=text)
+    _add_of_records(sub)
+    sub.add_argument("--out", metavar="DIR", help="where to save (default: results/discovered)")
+    text = "print JSON, or write it to a file; give it after RECORD"
+    sub.add_argument("--json", metavar="FILE", nargs="?", const=True, default=False, help=text)
+    sub.set_defaults(verb=_discover)
+
+
+def add_refine(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the verb refine."""
+    text = "find out what the controller's model of an experiment is missing, and run it before and after"
+    sub = found.add_parser("refine", help=text, description=f"{text[0].upper()}{text[1:]}.")
+    sub.add_argument("experiment", metavar="EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
+    sub.add_argument(
+        "--record", metavar="RECORD", required=True, help="of its plant: the folder of a recording, or a table"
+    )
+    sub.add_argument("--plant", metavar="PLANT", help="run on another plant: a name or a YAML file")
+    _add_of_records(sub)
+    sub.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT_refined)")
+    text = "print JSON, or write it to a file; give it after EXPERIMENT"
+    sub.add_argument("--json", metavar="FILE", nargs="?", const=True, default=False, help=text)
+    sub.set_defaults(verb=_refine)
+
+
+def _add_of_records(sub: argparse.ArgumentParser) -> None:
+    """Add what is said of records, and of the model that is held against them."""
     text = "another record, to judge by (default: the last part of the record)"
     sub.add_argument("--validate", metavar="RECORD", help=text)
     sub.add_argument("--parameters", metavar="A,B", default="", help="that may be off (default: all of the equations)")
@@ -42,10 +68,6 @@ def add_discover(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     sub.add_argument("--between", choices=verbs.BETWEEN, default=verbs.BETWEEN[0], help=text)
     sub.add_argument("--map", metavar="t=time,V1=u", default="", help="rename columns: NAME=COLUMN, with commas")
     sub.add_argument("--dt", metavar="SECONDS", type=float, help="time between samples, for a record without a clock")
-    sub.add_argument("--out", metavar="DIR", help="where to save (default: results/discovered)")
-    text = "print JSON, or write it to a file; give it after RECORD"
-    sub.add_argument("--json", metavar="FILE", nargs="?", const=True, default=False, help=text)
-    sub.set_defaults(verb=_discover)
 
 
 def _discover(chosen: argparse.Namespace) -> int:
@@ -67,11 +89,38 @@ def _discover(chosen: argparse.Namespace) -> int:
             out=out,
             tell=bar.tell,
         )
-    told = (out / NUMBERS).read_text(encoding="utf-8")
-    if chosen.json is True:
+    return _tell(chosen.json, out / NUMBERS, lambda: pages.summary(found, files))
+
+
+def _refine(chosen: argparse.Namespace) -> int:
+    out = Path(chosen.out or f"results/{Path(chosen.experiment).stem}_refined")
+    if chosen.json and chosen.json is not True:
+        verbs.check_folder(Path(chosen.json).parent)
+    raise_interrupts()
+    with Bar("reading the record") as bar:
+        found = verbs.refine(
+            chosen.experiment,
+            record=chosen.record,
+            plant=chosen.plant,
+            out=out,
+            validation=chosen.validate,
+            parameters=names(chosen.parameters),
+            tolerance=chosen.tolerance,
+            between=chosen.between,
+            columns=formats.mapping(chosen.map),
+            dt=chosen.dt,
+            tell=bar.tell,
+        )
+    return _tell(chosen.json, out / "refine.json", lambda: str(found))
+
+
+def _tell(wanted: str | bool, numbers: Path, summary: Callable[[], str]) -> int:
+    """Print the numbers that were written as JSON, or a summary; write them to a further file where one is named."""
+    told = numbers.read_text(encoding="utf-8")
+    if wanted is True:
         print(told, end="")
         return 0
-    if chosen.json:
-        Path(chosen.json).write_text(told, encoding="utf-8")
-    print(pages.summary(found, files))
+    if wanted:
+        Path(wanted).write_text(told, encoding="utf-8")
+    print(summary())
     return 0

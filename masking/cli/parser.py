@@ -53,5 +53,6 @@ def _parser() -> argparse.ArgumentParser:
     identification.add(verb)
     identification.add_measure(found)
     discovery.add_discover(found)
+    discovery.add_refine(found)
     rig.add_rig(found)
     return parser

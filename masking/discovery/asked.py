@@ -56,10 +56,26 @@ def asked(
         DeclarationError: neither a model nor a plant is given, or one is wrong.
         RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates.
     """
-    twin = rig(model, plant)
+    return read(rig(model, plant), record, validation, between=between, columns=columns, dt=dt)
+
+
+def read(
+    twin: Twin,
+    record: str | Path,
+    validation: str | Path | None = None,
+    *,
+    between: Between = "held",
+    columns: Mapping[str, str] | None = None,
+    dt: float | None = None,
+) -> Asked:
+    """Read and check the records of a rig; see `asked`.
+
+    Raises:
+        RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates.
+    """
     needed = (*twin.sensors, *twin.actuators)
 
-    def read(path: str | Path) -> Data:
+    def one(path: str | Path) -> Data:
         found = Data.of(formats.read(path, columns, dt, needed), twin, str(path), between)
         if len(found) < FEWEST:
             raise RecordError(
@@ -73,8 +89,8 @@ def asked(
             )
         return found
 
-    train = read(record)
-    judge = None if validation is None else read(validation)
+    train = one(record)
+    judge = None if validation is None else one(validation)
     if judge is not None and abs(judge.rate / train.rate - 1.0) > ALIKE:
         raise RecordError(
             f"{record} has {train.rate:g} samples in a second, {validation} {judge.rate:g}: two rates; resample one of "
@@ -102,6 +118,17 @@ def rig(model: str | Path | None, plant: str | Path | None) -> Twin:
     return twin
 
 
+def check_tolerance(tolerance: float) -> None:
+    """Refuse a relative deviation of parameters that is none.
+
+    Raises:
+        DeclarationError: it is not between 0 and 1.
+    """
+    if not 0.0 < tolerance < 1.0:
+        message = f"the tolerance is {tolerance:g}"
+        raise DeclarationError(Problem(None, "tolerance", message, "give a part between 0 and 1, such as 0.01"))
+
+
 def parameters(twin: Twin, names: Sequence[str]) -> tuple[str, ...]:
     """Return the parameters that may be off: all of the equations where none are named.
 
@@ -124,4 +151,4 @@ def _sensors(base: ModelDeclaration) -> dict[str, Sensor]:
     }
 
 
-__all__ = ["Asked", "asked", "parameters", "rig"]
+__all__ = ["Asked", "asked", "check_tolerance", "parameters", "read", "rig"]

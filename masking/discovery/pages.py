@@ -34,11 +34,13 @@ TITLES = {
 }
 
 
-def save(found: Discovery, folder: str | Path, origin: Origin) -> Files:
+def save(found: Discovery, folder: str | Path, origin: Origin, *, lies: Path | None = None) -> Files:
     """Draw a discovery and write all its files into a folder; see `written.save`."""
     drawn = plates.plates(found)
     images = {plate.name: drawing.png(plate) for plate in drawn if plate.figure is not None}
-    return written.save(found, folder, origin, page(found, drawn, images, origin, Path(folder)), images)
+    return written.save(
+        found, folder, origin, page(found, drawn, images, origin, lies or Path(folder)), images, lies=lies
+    )
 
 
 def page(

@@ -59,7 +59,15 @@ class Files:
     figures: tuple[Path, ...]
 
 
-def save(found: Discovery, folder: str | Path, origin: Origin, page: str, images: Mapping[str, bytes]) -> Files:
+def save(
+    found: Discovery,
+    folder: str | Path,
+    origin: Origin,
+    page: str,
+    images: Mapping[str, bytes],
+    *,
+    lies: Path | None = None,
+) -> Files:
     """Write a discovery into a folder, made if need be; nothing is left half written.
 
     Args:
@@ -68,6 +76,7 @@ def save(found: Discovery, folder: str | Path, origin: Origin, page: str, images
         origin: of the records.
         page: the HTML page.
         images: figures as PNG, by name.
+        lies: the folder to which all will be moved, where that is another.
 
     Raises:
         RecordError: the folder cannot be written.
@@ -79,7 +88,9 @@ def save(found: Discovery, folder: str | Path, origin: Origin, page: str, images
     if files.model is not None and files.plant is not None:
         contents[files.model] = _yaml(model(found, files.model.parent, origin)).encode()
         contents[files.plant] = _yaml(plant(found, files.model.relative_to(out), origin)).encode()
-    contents[files.numbers] = (json.dumps(as_dict(found, out, origin), indent=2, ensure_ascii=False) + "\n").encode()
+    contents[files.numbers] = (
+        json.dumps(as_dict(found, lies or out, origin), indent=2, ensure_ascii=False) + "\n"
+    ).encode()
     try:
         out.absolute().parent.mkdir(parents=True, exist_ok=True)
         # Beside the folder: paths from there to other files are the same.

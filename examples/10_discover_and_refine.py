@@ -1,0 +1,51 @@
+"""Find what a controller's model is missing, name it, put it into the control law, and mask more truly.
+
+The rig's beam rubs; the rig's damping is 5 % larger than its controller believes, and its gains are 5 % smaller. It is
+excited by multisines within its limits, once to find out and once to judge by. From these records alone come the name
+of what is missing, and how large it is; with that in the block L, the rig is masked more truly.
+"""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import masking
+from masking.calibration import records
+from masking.experiment import Experiment
+from masking.plants.simulated import SimulatedPlant
+
+EXPERIMENT = """
+name: Duffing oscillators on a rig that rubs
+plant: linear_rig
+virtual: duffing
+controller: {rate: 1 kHz, observer: disturbance}
+effects:  # what the rig does and its controller is not told
+  damping1: true  # 5 % more of each
+  damping2: true
+  damping3: true
+  gains: {enabled: true, parameters: {e: -0.05}}
+  friction3: true
+duration: 100
+"""
+
+with TemporaryDirectory() as name:
+    folder = Path(name)
+    (folder / "experiment.yaml").write_text(EXPERIMENT)
+    rig = Experiment.load(folder / "experiment.yaml").twin
+    settings = {"seconds": 20.0, "lockstep": True, "seed": 1, "say": print, "progress": lambda part: None}
+    records.make(rig, SimulatedPlant(rig, seed=3), folder / "records", **settings)
+    found = masking.refine(
+        folder / "experiment.yaml",
+        record=folder / "records" / "fit",
+        validation=folder / "records" / "unseen",
+        tolerance=0.05,
+    )
+
+print(found)
+
+gap = found.discovery.gap
+(cause,) = found.discovery.effects
+for sensor, left in gap.validation[1].items():
+    assert left < 1.1 * gap.validation_floor[sensor] < gap.validation[0][sensor]
+assert (cause.name, cause.on) == ("dry_friction", "beam")
+assert found.before.worst > 0.05
+assert found.after.worst < 0.02

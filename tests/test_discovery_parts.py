@@ -1,0 +1,177 @@
+"""The parts of discovery: simulation with effects at places, the smoother, screening, and what parameters pay."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from masking.discovery import fitting
+from masking.discovery.candidates import candidates
+from masking.discovery.discover import believed, steps_of
+from masking.discovery.evidence import Evidence
+from masking.discovery.opened import OpenRig, Slot
+from masking.discovery.places import places
+from masking.discovery.screening import Screen
+from masking.discovery.search import Search, occam
+from masking.discovery.smoothing import smooth
+from masking.identification.data import Data
+from masking.model import load_model
+from masking.twin import Twin
+from tests.test_discovery import PLANT
+
+RATE, SECONDS, NOISE = 1000.0, 12.0, 1e-3
+SLOTS = {
+    "dry friction": Slot("dry_friction", "spring1", (0.05, 1e-3), (0,)),
+    "hysteresis": Slot("hysteresis", "beam", (10.0, 1e-3, 0.5, 2.0), (0, 1)),
+    "a stop": Slot("stop", "spring2", (50.0, 1e-3, 0.0, 1.0), (0, 1)),
+    "a spring between oscillators": Slot("linear_spring", "x1-x2", (5.0,), (0,)),
+    "a lag of a sensor": Slot("sensor_lag", "s2", (0.004,), (0,)),
+    "a bent sensor": Slot("sensor_cubic", "s1", (0.1,), (0,)),
+    "a lag of an actuator": Slot("actuator_lag", "V3", (0.01,), (0,)),
+    "a late actuator": Slot("delay", "V1", (0.0021,), (0,)),
+}
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory):
+    path = tmp_path_factory.mktemp("plant") / "plant.yaml"
+    path.write_text(PLANT)
+    return Twin.load(path)
+
+
+@pytest.fixture(scope="module")
+def rig(twin):
+    return OpenRig(twin, twin.equation_parameters())
+
+
+@pytest.fixture(scope="module")
+def commands():
+    rng, t = np.random.default_rng(3), np.arange(round(SECONDS * RATE)) / RATE
+    lines = np.arange(1, 40)
+    columns = [
+        sum(
+            np.sin(2.0 * np.pi * line / SECONDS * t + phase)
+            for line, phase in zip(own, rng.uniform(0, 6.3, len(own)), strict=True)
+        )
+        for own in (lines[0::3], lines[1::3], lines[2::3])
+    ]
+    return np.ascontiguousarray(0.02 * np.array(columns).T)
+
+
+@pytest.fixture(scope="module")
+def evidence(twin, rig, commands):
+    record = Data("a record", RATE, commands, np.zeros((len(commands), 3)))
+    return Evidence(rig, record, believed(twin, rig, 0.01), np.full(3, NOISE), 2)
+
+
+def equations(evidence, slots=(), added=None, theta=None):
+    rig = evidence.rig
+    values = np.array([s.values[i] for s in slots for i in s.free]) if added is None else added
+    return rig.equations(evidence, rig.start if theta is None else theta, np.zeros(6), slots, values)
+
+
+def noisy(evidence, slots, seed=0):
+    """Return evidence whose record holds effects and noise."""
+    told = equations(replace(evidence, substeps=4), slots).simulated
+    noise = NOISE * np.random.default_rng(seed).standard_normal(told.shape)
+    return replace(evidence, record=replace(evidence.record, readings=told + noise))
+
+
+def test_without_effects_it_is_the_linear_rig(evidence):
+    # (4.1)-(4.3), exactly discretised with commands held
+    p = dict(zip(evidence.rig.names, evidence.rig.start, strict=True))
+    k = np.array([p["w1"] ** 2, p["w2"] ** 2, p["w3"] ** 2])
+    c = np.array([2 * p["z1"] * p["w1"], 2 * p["z2"] * p["w2"], 2 * p["z3"] * p["w3"]])
+    relative = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0], [0.0, 0.0, 1.0]])
+    acts = np.array([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [p["mu1"], p["mu2"], -1.0]])
+    a = np.block([[np.zeros((3, 3)), np.eye(3)], [acts @ np.diag(k) @ relative, acts @ np.diag(c) @ relative]])
+    gains = np.diag([p["c1"], p["c2"], p["c3"]]) @ np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, -1.0, 1.0]])
+    system = (
+        a,
+        np.vstack([np.zeros((3, 3)), gains]),
+        np.hstack([200.0 * relative, np.zeros((3, 3))]),
+        np.zeros((3, 3)),
+    )
+    exact = signal.dlsim((*signal.cont2discrete(system, 1.0 / RATE)[:4], 1.0 / RATE), evidence.record.commands)[1]
+    assert np.abs(equations(evidence).simulated - exact).max() < 1e-7 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("name", SLOTS)
+def test_derivatives_are_those_of_differences(evidence, name):
+    slot, readings = SLOTS[name], equations(evidence).simulated
+    evidence = replace(evidence, record=replace(evidence.record, readings=readings))
+    found = equations(evidence, (slot,))
+    values = np.array([slot.values[i] for i in slot.free])
+    k, size = len(evidence.rig.names), found.squares.sum() / NOISE**2
+
+    def cost(added, theta):
+        left = readings - equations(evidence, (slot,), added, theta).simulated
+        return 0.5 * float((left**2).sum()) / NOISE**2
+
+    for i, value in enumerate(values):
+        ahead, behind = values.copy(), values.copy()
+        ahead[i] += 1e-4 * value
+        behind[i] -= 1e-4 * value
+        slope = (cost(ahead, None) - cost(behind, None)) / (2e-4 * value)
+        scale = np.sqrt(found.matrix[k + i, k + i] * size)
+        assert -found.gradient[k + i] == pytest.approx(slope, abs=2e-3 * scale)
+    for i in (0, 7):
+        theta = evidence.rig.start
+        step = 1e-5 * theta[i] * (np.arange(k) == i)
+        slope = (cost(values, theta + step) - cost(values, theta - step)) / (2e-5 * theta[i])
+        scale = np.sqrt(found.matrix[i, i] * size)
+        assert -found.gradient[i] == pytest.approx(slope, abs=1e-4 * scale)
+
+
+def test_two_coordinates_push_each_other_by_their_masses():
+    # momentum: what x1 gets times its mass is what x2 gets times its own; mu1 and mu2 are masses per that of the beam
+    model = load_model("setup")
+    found = {place.name: place for place in places(model.declaration)}
+    assert list(found) == ["spring1", "spring2", "beam", "x1", "x2", "x1-x2"]
+    values = {name: model.value(name) for name in ("mu1", "mu2")}
+    acts = {name: factor.evaluate(values) for name, factor in found["x1-x2"].element.acts.items()}
+    assert values["mu1"] * acts["x1"] + values["mu2"] * acts["x2"] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_the_smoother_finds_a_force_and_how_well_it_is_known(evidence):
+    hidden = Slot("periodic_force", "beam", (0.05, 0.02, 0.7), (0, 1, 2))
+    record = noisy(evidence, (hidden,))
+    motion = smooth(record, evidence.rig.start, np.zeros(6))
+    t = np.arange(len(motion.forces)) / RATE
+    true = -0.05 * np.sin(2 * np.pi * 0.7 * t) - 0.02 * np.cos(2 * np.pi * 0.7 * t)
+    middle = slice(2000, -2000)
+    off = (motion.forces[:, 2] - true)[middle]
+    assert np.abs(off).mean() < 0.1 * np.abs(true).mean()
+    assert np.sqrt((off**2).mean()) < 1.5 * motion.deviation[2]
+    assert np.abs(motion.forces[middle, 0]).mean() < 3.0 * motion.deviation[0]
+
+
+def test_screening_tells_what_a_fit_would_take_off(evidence):
+    hidden = SLOTS["dry friction"]
+    record = noisy(evidence, (hidden,))
+    base = fitting.fit(record)
+    motion = smooth(record, base.theta, base.start)
+    search = Search(record)
+    every = [c for c in candidates(record.rig, search._spans(motion, base), record.dt) if c.at in ("spring1", "s1")]
+    best = Screen(record, base, motion).promises(every)
+    friction = next(promise for promise in best if promise.candidate.key == ("dry_friction", "spring1"))
+    fitted = fitting.fit(record, (friction.slot,), theta=base.theta, start=base.start)
+    assert friction.gain == pytest.approx(base.cost - fitted.cost, rel=0.02)
+    assert friction.slot.values[0] == pytest.approx(0.05, rel=0.01)
+    assert fitted.added[0] == pytest.approx(0.05, abs=4.0 * fitted.deviations[-1])
+
+
+def test_a_parameter_that_the_record_does_not_tell_pays_nothing(evidence):
+    # friction without a dip: the rate at which it would have fallen is not told
+    record = noisy(evidence, (SLOTS["dry friction"],))
+    plain = fitting.fit(record, (SLOTS["dry friction"],))
+    dip = Slot("stribeck_friction", "spring1", (0.05, 0.05, 0.01, 1e-3), (0, 2))
+    assert occam(fitting.fit(record, (dip,))) == pytest.approx(occam(plain), abs=1.5)
+
+
+def test_readings_on_a_lattice_are_rounded():
+    rng = np.random.default_rng(0)
+    free = rng.standard_normal((5000, 2))
+    readings = np.column_stack([0.02 * np.round(free[:, 0] / 0.02), free[:, 1]])
+    assert steps_of(Data("a record", RATE, free, readings)) == pytest.approx([0.02, 0.0])
