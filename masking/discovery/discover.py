@@ -19,7 +19,7 @@ from masking.discovery.evidence import Belief, Evidence
 from masking.discovery.experiment import NextExperiment, next_experiment
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.opened import OpenRig, Slot
-from masking.discovery.search import CLEAN, REST, SAME, SHARE, Explanation, Found, Search, probabilities
+from masking.discovery.search import CLEAN, REST, SAME, SHARE, SMALL, Explanation, Found, Search, probabilities
 from masking.effects import EFFECTS
 from masking.errors import IntegrationError, RecordError
 from masking.identification.data import Data
@@ -285,7 +285,7 @@ def _chosen(found: Found, judged: Evidence, size: int) -> Explanation:
     start, before = excess, _cost(judged, found.base.hypothesis)
     for step in found.steps:
         left, after = max(step.hypothesis.cost - size, 0.0), _cost(judged, step.hypothesis)
-        explained = chosen is not found.base and excess <= REST * start
+        explained = chosen is not found.base and excess <= min(REST * start, (SMALL - 1.0) * size)
         enough = left <= (1.0 - SHARE) * excess or left < (CLEAN**2 - 1.0) * size
         wrong = step.kind == "parameter" and after < CLEAN * before  # its error is in what was fitted before, too
         if not (after < before or wrong) or (explained and not enough):

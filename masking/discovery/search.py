@@ -38,7 +38,7 @@ CLEAN = 1.05  # of the noise: a gap that is closed
 SHARE = 0.7  # part of what is left that each further cause must take
 LITTLE = 0.2  # the same while most of the gap is not explained
 SWAPS = 3
-NEAR = 4.0  # cost per reading below which what is left of a fit is small enough to be looked at by itself
+SMALL = 4.0  # cost per reading below which what is left of a fit is small enough to be looked at by itself
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class Search:
         now = base
         for number in range(MOST_EFFECTS):
             self.tell(f"screening {len(every)} candidates", 0.2 + 0.25 * number)
-            near = now.hypothesis.cost < NEAR * self.evidence.record.readings.size
+            near = now.hypothesis.cost < SMALL * self.evidence.record.readings.size
             looked_at = now.hypothesis if near else base.hypothesis
             screen = Screen(self.evidence, looked_at, motion, now.hypothesis.slots, taken=near)
             promises = screen.promises(every)
@@ -202,7 +202,7 @@ class Search:
         start, before, after = (max(e.hypothesis.cost - size, 0.0) for e in (base, now, then))
         if then.kind == "parameter" or after <= (CLEAN**2 - 1.0) * size:
             return False
-        explained = now is not base and before <= REST * start
+        explained = now is not base and before <= min(REST * start, (SMALL - 1.0) * size)
         return after > (1.0 - (SHARE if explained else LITTLE)) * before
 
     def _swapped(self, best: Explanation, base: Explanation, motion: Motion, every: Sequence[Candidate]) -> Explanation:
