@@ -74,13 +74,16 @@ def test_the_controller_believes_neither_hidden_effects_nor_gains(rubs):
 
 
 def test_friction_is_found_and_masking_is_truer(found, told):
-    """The beam's is most of it; of which kind it is, so short a record of three does not tell."""
-    effect = told["discovery"]["effects"][0]
-    assert ("friction" in effect["name"], effect["on"]) == (True, "beam")
+    """Dry friction of 0.005 of the stroke times wbar^2 is hidden at each of the three places, and is found there."""
+    effects, hidden = told["discovery"]["effects"], 0.005 * 5e-3 * ((12.5521 + 14.0337) / 2.0) ** 2
+    assert {(effect["name"], effect["on"]) for effect in effects} == {
+        ("dry_friction", place) for place in ("spring1", "spring2", "beam")
+    }
+    assert [effect["parameters"]["fc"]["value"] for effect in effects] == pytest.approx([hidden] * 3, rel=0.01)
     assert max(told["after"]["fidelity"].values()) == found.after.worst < 0.02
     assert max(told["before"]["fidelity"].values()) == found.before.worst > 0.05
     assert told["sentence"].startswith("With ")
-    assert " in beam and adjusted parameters in the controller's model, masking fidelity chi went " in told["sentence"]
+    assert " and adjusted parameters in the controller's model, masking fidelity chi went " in told["sentence"]
 
 
 def test_everything_is_saved_and_runs_again(found, told):
