@@ -153,7 +153,7 @@ def test_screening_tells_what_a_fit_would_take_off(evidence):
     base = fitting.fit(record)
     motion = smooth(record, base.theta, base.start)
     search = Search(record)
-    every = [c for c in candidates(record.rig, search._spans(motion, base), record.dt) if c.at in ("spring1", "s1")]
+    every = [c for c in candidates(record.rig, search._spans(motion), record.dt) if c.at in ("spring1", "s1")]
     best = Screen(record, base, motion).promises(every)
     friction = next(promise for promise in best if promise.candidate.key == ("dry_friction", "spring1"))
     fitted = fitting.fit(record, (friction.slot,), theta=base.theta, start=base.start)

@@ -6,18 +6,15 @@ that are spread over the motion of the record.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass
 
 from masking.discovery import laws
 from masking.discovery.opened import OpenRig, Slot
 from masking.effects import EFFECTS
-from masking.kernels import Array
 
 BRISTLES = 3e-3  # s: damping of bristles for their stiffness, to begin with
+EDGES = (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)  # parts of the travel at which a contact is tried
 MOST_LEVELS = 10.0  # steps of a converter from the middle to the end of its range that are tried
 
 
@@ -49,7 +46,6 @@ class Candidate:
         factors: indices of the parameters that are factors.
         free: indices of all that are estimated.
         slots: one for each shape, with factors 0 or as the shape wants them.
-        variant: tells several candidates of the same effect at the same place apart.
     """
 
     effect: str
@@ -57,7 +53,6 @@ class Candidate:
     factors: tuple[int, ...]
     free: tuple[int, ...]
     slots: tuple[Slot, ...]
-    variant: str = ""
 
     @property
     def key(self) -> tuple[str, str]:
@@ -75,7 +70,6 @@ class _Recipe:
     factors: tuple[str, ...]
     shape: tuple[str, ...] = ()
     shapes: Shapes = lambda span: [{}]
-    variant: str = ""
 
 
 def _parts(name: str, *parts: float) -> Shapes:
@@ -83,16 +77,8 @@ def _parts(name: str, *parts: float) -> Shapes:
 
 
 def _edges(span: Span, **more: float) -> list[Mapping[str, float]]:
-    up = [
-        {"side": 1.0, "edge": part * span.high, **more}
-        for part in (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)
-        if span.high > 0
-    ]
-    down = [
-        {"side": -1.0, "edge": part * span.low, **more}
-        for part in (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)
-        if span.low < 0
-    ]
+    up = [{"side": 1.0, "edge": part * span.high, **more} for part in EDGES if span.high > 0]
+    down = [{"side": -1.0, "edge": part * span.low, **more} for part in EDGES if span.low < 0]
     return [*up, *down, {"side": 1.0, "edge": 0.0, **more}, {"side": -1.0, "edge": 0.0, **more}]
 
 
@@ -128,8 +114,8 @@ RECIPES: dict[str, tuple[_Recipe, ...]] = {
     "constant_force": (_Recipe(("f0",)),),
     "linear_spring": (_Recipe(("k",)),),
     "polynomial_spring": (
-        _Recipe(("k2",), variant="quadratic"),
-        _Recipe(("k2", "k3"), variant="cubic"),
+        _Recipe(("k2",)),
+        _Recipe(("k2", "k3")),
         _Recipe(("k2", "k3", "k4", "k5")),
     ),
     "hardening_spring": (_Recipe(("k3",)),),
@@ -138,9 +124,7 @@ RECIPES: dict[str, tuple[_Recipe, ...]] = {
     "dry_friction": (_Recipe(("fc",)),),
     "asymmetric_friction": (_Recipe(("fp", "fm")),),
     "stribeck_friction": (_Recipe(("fc", "fs"), ("vst",), _rates("vst", 0.05, 0.15, 0.4, 0.8)),),
-    "lugre_friction": tuple(
-        _Recipe(("s0",), ("fc", "fs", "vst", "s1"), _bristles(more), f"{more:g}") for more in (1.2, 2.0)
-    ),
+    "lugre_friction": tuple(_Recipe(("s0",), ("fc", "fs", "vst", "s1"), _bristles(more)) for more in (1.2, 2.0)),
     "dahl_friction": (_Recipe(("fc",), ("x0",), _parts("x0", 0.003, 0.01, 0.03, 0.1, 0.3)),),
     "hysteresis": (_Recipe(("k",), ("zmax",), _parts("zmax", 0.01, 0.03, 0.08, 0.2, 0.4, 0.8)),),
     "backlash": (_Recipe(("k",), ("gap",), _parts("gap", 0.05, 0.15, 0.3, 0.5, 0.8, 1.2)),),
@@ -199,17 +183,4 @@ def _of(effect: str, at: str, span: Span) -> Iterator[Candidate]:
             values |= dict.fromkeys(recipe.factors, 0.0) | dict(shape)
             slots.append(Slot(effect, at, tuple(values.values()), free))
         if slots:
-            yield Candidate(effect, at, factors, free, tuple(slots), recipe.variant)
-
-
-def with_values(slot: Slot, at: tuple[int, ...], values: Array) -> Slot:
-    """Return a slot with other values of some of its parameters."""
-    made = list(slot.values)
-    for i, value in zip(at, values, strict=True):
-        made[i] = float(value)
-    return replace(slot, values=tuple(made))
-
-
-def free_values(slots: tuple[Slot, ...]) -> Array:
-    """Return the values of the free parameters of slots, one after the other (f,)."""
-    return np.array([*itertools.chain.from_iterable([s.values[i] for i in s.free] for s in slots)])
+            yield Candidate(effect, at, factors, free, tuple(slots))

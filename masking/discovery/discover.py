@@ -18,11 +18,11 @@ from masking.discovery import fitting
 from masking.discovery.evidence import Belief, Evidence
 from masking.discovery.experiment import NextExperiment, next_experiment
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.opened import OpenRig, Slot
+from masking.discovery.opened import OpenRig
 from masking.discovery.search import CLEAN, REST, SAME, SHARE, SMALL, Explanation, Found, Search, probabilities
-from masking.effects import EFFECTS
 from masking.errors import IntegrationError, RecordError
 from masking.identification.data import Data
+from masking.identification.simulation import relative
 from masking.kernels import Array
 from masking.twin import Twin
 
@@ -90,8 +90,8 @@ class Discovery:
         twin: the rig as it was believed to be.
         explanation: the one that was chosen.
         found: the whole search.
-        record: that was explained.
-        judge: that it was judged by.
+        evidence: the record that was explained.
+        judged: the record that it was judged by.
         before, after: the rig without and with the causes on the record that judges.
         next_experiment: that tells the two likeliest explanations apart, where the record does not.
     """
@@ -101,28 +101,39 @@ class Discovery:
     gap: Gap
     rest: float
     twin: Twin
-    rig: OpenRig
     explanation: Explanation
     found: Found
-    record: Data
-    judge: Data
+    evidence: Evidence
+    judged: Evidence
     before: Hypothesis
     after: Hypothesis
     next_experiment: NextExperiment | None = None
 
+    @property
+    def rig(self) -> OpenRig:
+        """Return the rig with its places open."""
+        return self.evidence.rig
+
+    @property
+    def record(self) -> Data:
+        """Return the record that was explained."""
+        return self.evidence.record
+
+    @property
+    def judge(self) -> Data:
+        """Return the record that it was judged by."""
+        return self.judged.record
+
     @cached_property
     def adjusted(self) -> Hypothesis:
         """Return the rig without causes, its parameters adjusted within belief, on the record that judges."""
-        sigma, substeps = noise_of(self.twin, self.judge), max(1, self.rig.substeps(self.record.rate) // 2)
-        belief = Belief(self.rig.start.copy(), np.ones(len(self.rig.start)))
         with threadpool_limits(1):
-            evidence = Evidence(self.rig, self.judge, belief, sigma, substeps)
-            return _judged(evidence, self.found.base.hypothesis)
+            return _judged(self.judged, self.found.base.hypothesis)
 
     @cached_property
     def adjusted_gap(self) -> dict[str, float]:
         """Return the relative error of each sensor that adjusted parameters alone leave, where it is judged."""
-        return _chi(self.adjusted, self.judge, self.twin)
+        return relative(self.twin.sensors, [self.judge], self.adjusted.squares)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the discovery as JSON can hold it."""
@@ -160,42 +171,40 @@ def discover(
         RecordError: the record is too short, clipped, or its readings carry no noise to judge by.
         IntegrationError: the rig cannot be simulated along the record.
     """
-    names = tuple(parameters) or twin.equation_parameters()
-    rig = rig or OpenRig(twin, names)
+    rig = rig or OpenRig(twin, tuple(parameters) or twin.equation_parameters())
+    say = tell or (lambda text, part: None)
     train, judge = _split(record) if validation is None else (record, validation)
-    sigma = noise_of(twin, train)
-    substeps = max(1, rig.substeps(train.rate) // 2)
-    belief = believed(twin, rig, tolerance)
-    evidence = Evidence(rig, train, belief, sigma, substeps)
+    substeps = max(1, twin.substeps(train.rate) // 2)
+    evidence = Evidence(rig, train, believed(twin, rig, tolerance), noise_of(twin, train), substeps)
+    judged = replace(evidence, record=judge, sigma=noise_of(twin, judge))
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
-        found = Search(evidence, tell or (lambda text, part: None)).run()
-        judged = replace(evidence, record=judge, sigma=noise_of(twin, judge))
-        found = _reordered(found, judged)
+        found = _reordered(Search(evidence, say).run(), judged)
         chosen = _chosen(found, judged, train.readings.size)
-        declared = fitting.fit(evidence, theta=belief.mean, frozen=True, rounds=6)
+        declared = fitting.fit(evidence, theta=evidence.belief.mean, frozen=True, rounds=6)
         before, after = _judged(judged, declared), _judged(judged, chosen.hypothesis)
     size = train.readings.size
     excess, left = (max(e.hypothesis.cost - size, 0.0) for e in (found.base, chosen))
     rest = left / excess if excess > 0.0 else 0.0
     gap = Gap(
-        (_chi(declared, train, twin), _chi(chosen.hypothesis, train, twin)),
-        (_chi(before, judge, twin), _chi(after, judge, twin)),
-        _floor(train, sigma, twin),
-        _floor(judge, judged.sigma, twin),
+        (_chi(evidence, declared), _chi(evidence, chosen.hypothesis)),
+        (_chi(judged, before), _chi(judged, after)),
+        _floor(evidence),
+        _floor(judged),
     )
-    verdict, effects = _with_rounding(train, twin, *_verdict(rig, found, chosen, rest, size))
+    verdict, effects = _with_rounding(evidence, *_verdict(rig, found, chosen, rest, size))
     coming = None
     if verdict == "ambiguous":
-        (tell or (lambda text, part: None))("looking for an experiment that tells them apart", 0.95)
+        say("looking for an experiment that tells them apart", 0.95)
         first, second = found.rivals[:2]
         names_of = (_name(first), _name(second))
         with threadpool_limits(1):
             coming = next_experiment(evidence, first.hypothesis, second.hypothesis, names_of, _limits(twin))
-    return Discovery(verdict, effects, gap, rest, twin, rig, chosen, found, train, judge, before, after, coming)
+    return Discovery(verdict, effects, gap, rest, twin, chosen, found, evidence, judged, before, after, coming)
 
 
 def _name(explanation: Explanation) -> str:
-    return " and ".join(f"{name} at {at}" if at else name for name, at in explanation.names[-1:])
+    name, at = explanation.names[-1]
+    return f"{name} at {at}" if at else name
 
 
 def _limits(twin: Twin) -> Array | None:
@@ -320,12 +329,13 @@ def _verdict(
 
 
 def _with_rounding(
-    record: Data, twin: Twin, verdict: Verdict, causes: tuple[Named, ...]
+    evidence: Evidence, verdict: Verdict, causes: tuple[Named, ...]
 ) -> tuple[Verdict, tuple[Named, ...]]:
     """Add the rounding of sensors, which is seen in the readings themselves."""
+    sensors = evidence.rig.twin.sensors
     rounded = [
         Named("quantisation", name, {"step": (float(step), 0.0)}, 1.0)
-        for name, step, noise in zip(twin.sensors, steps_of(record), noise_of(twin, record), strict=True)
+        for name, step, noise in zip(sensors, steps_of(evidence.record), evidence.sigma, strict=True)
         if step**2 / 12.0 > ROUNDED * noise**2
     ]
     return ("named" if verdict == "none" and rounded else verdict), (*causes, *rounded)
@@ -355,15 +365,9 @@ def _causes(
     return tuple(causes)
 
 
-def _chi(hypothesis: Hypothesis, record: Data, twin: Twin) -> dict[str, float]:
-    size = (record.readings**2).sum(axis=0)
-    parts = np.sqrt(hypothesis.squares / np.maximum(size, 1e-300))
-    return dict(zip(twin.sensors, map(float, parts), strict=True))
+def _chi(evidence: Evidence, hypothesis: Hypothesis) -> dict[str, float]:
+    return relative(evidence.rig.twin.sensors, [evidence.record], hypothesis.squares)
 
 
-def _floor(record: Data, sigma: Array, twin: Twin) -> dict[str, float]:
-    size = (record.readings**2).mean(axis=0)
-    return dict(zip(twin.sensors, map(float, sigma / np.sqrt(np.maximum(size, 1e-300))), strict=True))
-
-
-__all__ = ["EFFECTS", "Discovery", "Slot", "discover"]
+def _floor(evidence: Evidence) -> dict[str, float]:
+    return relative(evidence.rig.twin.sensors, [evidence.record], len(evidence.record) * evidence.sigma**2)

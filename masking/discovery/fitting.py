@@ -6,6 +6,7 @@ record is estimated. Source: as `masking.identification.fit`, with a normal prio
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -49,13 +50,18 @@ class Hypothesis:
     @property
     def added(self) -> Array:
         """Return the free parameters of the effects (f,)."""
-        return np.array([s.values[i] for s in self.slots for i in s.free])
+        return estimated(self.slots)
 
     @property
     def deviations(self) -> Array:
         """Return the standard deviations of rig's parameters and of those of the effects (k + f,)."""
         found: Array = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return found
+
+
+def estimated(slots: Sequence[Slot]) -> Array:
+    """Return the values of the estimated parameters of slots, one after the other (f,)."""
+    return np.array([value for slot in slots for value in slot.estimated])
 
 
 def fit(
@@ -82,8 +88,7 @@ def fit(
     """
     x = evidence.belief.mean.copy() if theta is None else theta.copy()
     state = first_state(evidence, x) if start is None else start.copy()
-    added = np.array([s.values[i] for s in slots for i in s.free])
-    return _Problem(evidence, tuple(slots)).solve(x, added, state, rounds, frozen=frozen)
+    return _Problem(evidence, tuple(slots)).solve(x, estimated(slots), state, rounds, frozen=frozen)
 
 
 def first_state(evidence: Evidence, theta: Array, samples: int = 20) -> Array:
@@ -134,13 +139,8 @@ class _Problem:
                 if damping > 1e8:
                     break
         matrix, _ = self._with_belief(found, theta)
-        values, used = [], 0
-        for slot in self.slots:
-            made = list(slot.values)
-            for i in slot.free:
-                made[i] = float(added[used])
-                used += 1
-            values.append(Slot(slot.effect, slot.at, tuple(made), slot.free))
+        left = iter(added)
+        values = [slot.with_values(slot.free, itertools.islice(left, len(slot.free))) for slot in self.slots]
         return Hypothesis(
             tuple(values), theta, start, cost, found.squares, _covariance(matrix)[: k + f, : k + f],
             self.evidence.record.readings - found.simulated,
@@ -160,7 +160,7 @@ class _Problem:
         return matrix, gradient
 
     def _bounds(self) -> tuple[Array, Array]:
-        pairs = [bounds(slot)[i] for slot in self.slots for i in range(len(slot.free))]
+        pairs = [pair for slot in self.slots for pair in bounds(slot)]
         return np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])
 
 

@@ -18,8 +18,7 @@ from masking.declaration.dimensions import dimension_in, is_plain, symbol_dimens
 from masking.declaration.expression import Expression
 from masking.declaration.units import describe
 from masking.discovery import laws
-from masking.discovery.discover import Discovery, noise_of
-from masking.discovery.evidence import Belief, Evidence
+from masking.discovery.discover import Discovery
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.opened import Slot
 from masking.discovery.smoothing import Motion, smooth
@@ -111,7 +110,7 @@ def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Arra
 
 def energies(found: Discovery) -> dict[str, float]:
     """Return the share of each sensor in what is beyond noise in the record, by name."""
-    m, sigma = len(found.record), noise_of(found.twin, found.record)
+    m, sigma = len(found.record), found.evidence.sigma
     beyond = np.maximum(found.found.base.hypothesis.squares / sigma**2 - m, 0.0)
     whole = float(beyond.sum()) or 1.0
     return dict(zip(found.twin.sensors, (float(part / whole) for part in beyond), strict=True))
@@ -154,7 +153,7 @@ def _sensor(found: Discovery, slot: Slot | None, name: str) -> Lack:
     unit = found.twin.declaration.sensors[name].unit
     return Lack(
         name, "sensor", x, rate, base.residuals[:, at], after.residuals[:, at], law,
-        float(noise_of(found.twin, found.record)[at]), (unit, unit, _per_second(unit)),
+        float(found.evidence.sigma[at]), (unit, unit, _per_second(unit)),
     )  # fmt: skip
 
 
@@ -163,14 +162,7 @@ def along(found: Discovery, slot: Slot, x: Array, rate: Array) -> Array:
     if slot.effect == laws.DELAY:
         t = np.arange(len(x)) / found.record.rate
         return np.asarray(np.interp(t - slot.values[0], t, x))
-    features = np.empty((len(x), 1))
-    theta = np.array([*slot.values, *np.zeros(laws.MOST_PARAMETERS)])
-    kind, states = laws.number(slot.effect), len(EFFECTS[slot.effect].states)
-    x, rate = np.ascontiguousarray(x), np.ascontiguousarray(rate)
-    found.rig.kernels.along(
-        len(x), 1.0 / found.record.rate, kind, states, x, rate, np.zeros((1, 1)), theta, features
-    )  # fmt: skip
-    return np.asarray(features[:, 0])
+    return np.asarray(found.rig.along(slot, x, rate, found.evidence.dt)[:, 0])
 
 
 def _motions(found: Discovery) -> tuple[Motion, Motion | None]:
@@ -178,9 +170,7 @@ def _motions(found: Discovery) -> tuple[Motion, Motion | None]:
     chosen: Hypothesis = found.explanation.hypothesis
     if chosen is found.found.base.hypothesis:
         return found.found.motion, None
-    rig, record = found.rig, found.record
-    belief = Belief(rig.start.copy(), np.ones(len(rig.start)))
-    evidence = Evidence(rig, record, belief, noise_of(found.twin, record), max(1, rig.substeps(record.rate) // 2))
+    rig, record, evidence = found.rig, found.record, found.evidence
     try:
         without = rig.equations(evidence, chosen.theta, chosen.start, (), np.zeros(0)).simulated
         cleaned = replace(record, readings=np.ascontiguousarray(chosen.residuals + without))

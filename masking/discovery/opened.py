@@ -7,8 +7,8 @@ Source: as `masking.sensitivity`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -50,6 +50,18 @@ class Slot:
     at: str
     values: tuple[float, ...]
     free: tuple[int, ...]
+
+    @property
+    def estimated(self) -> tuple[float, ...]:
+        """Return the values of the estimated parameters (f,)."""
+        return tuple(self.values[i] for i in self.free)
+
+    def with_values(self, at: Sequence[int], values: Iterable[float]) -> Slot:
+        """Return the slot with other values of some of its parameters."""
+        made = list(self.values)
+        for i, value in zip(at, values, strict=True):
+            made[i] = float(value)
+        return replace(self, values=tuple(made))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -220,10 +232,6 @@ class OpenRig:
         self.kernels.sensed(0.0, state, p, np.zeros(sensors), s, js, jps)
         return s, js
 
-    def substeps(self, rate: float) -> int:
-        """Return the integration steps between samples."""
-        return self.twin.substeps(rate)
-
     def slots(self, slots: Sequence[Slot], theta: Array) -> tuple[Array, Array, Array, int]:
         """Return the tables of slots and columns, their parameters, and how many states they have.
 
@@ -253,6 +261,24 @@ class OpenRig:
                 states += 1
         # Laws read as many parameters as they have from where theirs begin.
         return table, columns, np.array([*values, *np.zeros(laws.MOST_PARAMETERS)]), states
+
+    def along(self, slot: Slot, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
+        """Return what an effect gives along a known motion, and its derivatives by some parameters (m, 1 + c).
+
+        Args:
+            slot: the effect with its values.
+            x: displacement, command or reading that it acts on (m,).
+            rate: of it (m,).
+            dt: time between samples, s.
+            by: indices of these parameters.
+        """
+        features = np.empty((len(x), 1 + len(by)))
+        theta = np.array([*slot.values, *np.zeros(laws.MOST_PARAMETERS)])
+        columns = np.array([[*by]], dtype=float) if by else np.zeros((1, 1))
+        kind, states = laws.number(slot.effect), len(EFFECTS[slot.effect].states)
+        x, rate = np.ascontiguousarray(x), np.ascontiguousarray(rate)
+        self.kernels.along(len(x), dt, kind, states, x, rate, columns, theta, features)
+        return features
 
     def index(self, slot: Slot) -> int:
         """Return the index of a slot's place among the places, sensors or actuators."""

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from masking.discovery import forces, words
-from masking.discovery.discover import Discovery, noise_of
+from masking.discovery.discover import Discovery
 from masking.discovery.screening import Promise
 from masking.discovery.search import SIGN
 from masking.drawing import COLOURS, GRID, INK, MUTED, SIZE, Plate, panels, symbol, thin, with_unit
@@ -175,7 +175,7 @@ def _law(axes: Axes, x: Array, law: Array) -> None:
 def _residual(found: Discovery) -> Plate:
     """Draw what is left of the record that judges, over time and frequency, before and after."""
     names = found.twin.sensors[:MOST_SENSORS]
-    sigma, record = noise_of(found.twin, found.judge), found.judge
+    sigma, record = found.judged.sigma, found.judge
     more = [
         n
         for i, n in enumerate(found.twin.sensors)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from masking.discovery import laws
-from masking.discovery.candidates import Candidate, with_values
+from masking.discovery.candidates import Candidate
 from masking.discovery.evidence import Evidence
 from masking.discovery.fitting import Hypothesis, bounds, within
 from masking.discovery.opened import MOST_COLUMNS, Slot
@@ -70,12 +70,11 @@ class Screen:
         self._commands = _thinned(record.acting, self.thin)
         self.scale = np.sqrt(self.every) / sigma
         k, moving = len(base.theta), 2 * len(rig.coordinates)
-        affected = rig.affected
-        wanted = [i for i in range(affected) if rig.basis(base.theta)[1][i].any()]
+        basis = rig.basis(base.theta)[1]
+        wanted = np.flatnonzero(basis.any(axis=1))
         coarse = len(self._states)
-        columns = self._spread(np.ones((coarse, len(wanted))), np.array(wanted, dtype=np.float64))
-        basis = rig.basis(base.theta)[1][wanted]
-        of_parameters = np.einsum("bsm,mk->bsk", columns, basis)
+        columns = self._spread(np.ones((coarse, len(wanted))), wanted.astype(np.float64))
+        of_parameters = np.einsum("bsm,mk->bsk", columns, basis[wanted])
         start = self._spread(np.zeros((coarse, moving)), np.array([-1.0 - i for i in range(moving)]))
         values, slopes = self._found(found)
         own = self._rows(np.concatenate([of_parameters, start, slopes], axis=2))
@@ -95,58 +94,57 @@ class Screen:
         """Return what effects that were found do to the sensors (blocks, sensors), and its derivatives (..., f)."""
         sensors = len(self.rig.twin.sensors)
         values, slopes = np.zeros((self.blocks, sensors)), [np.zeros((self.blocks, sensors, 0))]
-        wholes = [Candidate(slot.effect, slot.at, slot.free, slot.free, (slot,)) for slot in slots]
-        for made in self._effects([*zip(wholes, slots, strict=True)]):
+        for made in self._effects(slots):
             values += made[:, :, 0]
             slopes.append(made[:, :, 1:])
         return values, np.concatenate(slopes, axis=2)
 
-    def _effects(self, jobs: Sequence[tuple[Candidate, Slot]]) -> list[Array]:
+    def _effects(self, slots: Sequence[Slot]) -> list[Array]:
         """Return what effects with given values do to the sensors, and its derivatives (blocks, sensors, 1 + f)."""
         features, at = [], []
-        for _, slot in jobs:
+        for slot in slots:
             made, columns = self._with_slopes(slot)
             features.append(_thinned(made, self.thin))
             at.append(columns)
         found: list[Array] = []
         first = 0
-        while first < len(jobs):
+        while first < len(slots):
             last, many = first, 0
-            while last < len(jobs) and many + features[last].shape[1] <= MOST_COLUMNS:
+            while last < len(slots) and many + features[last].shape[1] <= MOST_COLUMNS:
                 many += features[last].shape[1]
                 last += 1
-            inside = [i for i in range(first, last) if where_of(jobs[i][0].effect) != "sensor"]
-            tables: dict[int, Array] = {}
-            if inside:
-                spread = self._spread(np.hstack([features[i] for i in inside]), np.concatenate([at[i] for i in inside]))
-                edge = 0
-                for i in inside:
-                    tables[i] = spread[:, :, edge : edge + features[i].shape[1]]
-                    edge += features[i].shape[1]
-            for i in range(first, last):
-                if i not in tables:
-                    tables[i] = np.zeros((self.blocks, len(self.rig.twin.sensors), features[i].shape[1]))
-                    tables[i][:, int(at[i][0])] = self._means(features[i], self.every // self.thin)
-                elif jobs[i][0].effect == laws.DELAY:
-                    half = tables[i].shape[2] // 2
-                    tables[i] = np.stack(
-                        [tables[i][:, :, :half].sum(axis=2), tables[i][:, :, half:].sum(axis=2)], axis=2
-                    )
-                found.append(tables[i])
+            part = slice(first, last)
+            found += self._at_sensors([slot.effect for slot in slots[part]], features[part], at[part])
             first = last
+        for i, slot in enumerate(slots):
+            if slot.effect == laws.DELAY:  # the columns of each actuator: values, then slopes
+                halves = np.split(found[i], 2, axis=2)
+                found[i] = np.stack([half.sum(axis=2) for half in halves], axis=2)
+        return found
+
+    def _at_sensors(self, effects: Sequence[str], features: Sequence[Array], at: Sequence[Array]) -> list[Array]:
+        """Return what effects do to the sensors (blocks, sensors, c) each, from thinned features (m, c) and columns."""
+        inside = [i for i, effect in enumerate(effects) if where_of(effect) != "sensor"]
+        found = [np.zeros((self.blocks, len(self.rig.twin.sensors), table.shape[1])) for table in features]
+        if inside:
+            spread = self._spread(np.hstack([features[i] for i in inside]), np.concatenate([at[i] for i in inside]))
+            edges = np.cumsum([features[i].shape[1] for i in inside])[:-1]
+            for i, part in zip(inside, np.split(spread, edges, axis=2), strict=True):
+                found[i] = part
+        for i, table in enumerate(features):
+            if where_of(effects[i]) == "sensor":
+                found[i][:, int(at[i][0])] = self._means(table, self.every // self.thin)
         return found
 
     def _with_slopes(self, slot: Slot) -> tuple[Array, Array]:
         """Return what a slot adds where it acts, with derivatives by its free parameters (m, c), and columns (c,)."""
         if slot.effect == laws.DELAY:
-            whole = Candidate(slot.effect, slot.at, (), slot.free, (slot,))
-            late, at = self._features(whole, slot)
-            more, _ = self._features(
-                whole, with_values(slot, (0,), np.array([slot.values[0] + 0.5 / self.record.rate]))
-            )
-            return np.hstack([late, (more - late) * 2.0 * self.record.rate]), np.concatenate([at, at])
+            half = 0.5 / self.record.rate
+            late, at = self._late(slot)
+            later, _ = self._late(slot.with_values((0,), (slot.values[0] + half,)))
+            return np.hstack([late, (later - late) / half]), np.concatenate([at, at])
         x, rate, column = self._subject(slot)
-        made = self._along(slot, x, rate, slot.free)
+        made = self.rig.along(slot, x, rate, 1.0 / self.record.rate, slot.free)
         if EFFECTS[slot.effect].where != "element":
             made[:, 0] -= x
         return made, np.full(made.shape[1], column)
@@ -179,7 +177,7 @@ class Screen:
             for promise in [p for p in found.values() if p.candidate.effect == "dac_quantisation" and p.gain > 0.0]:
                 chunk = []
                 for part in np.linspace(-width, width, 9):
-                    slot = with_values(promise.slot, (0,), np.array([promise.slot.values[0] * (1.0 + part)]))
+                    slot = promise.slot.with_values((0,), (promise.slot.values[0] * (1.0 + part),))
                     features, at = self._features(promise.candidate, slot)
                     chunk.append((promise.candidate, slot, _thinned(features, self.thin), at))
                 self._settle(chunk, found)
@@ -191,7 +189,7 @@ class Screen:
         dampings = dict.fromkeys(best, 1e-3)
         active = [promise.candidate for promise in promises]
         for number in range(SHARPENINGS):
-            columns = self._effects([(candidate, slots[id(candidate)]) for candidate in active])
+            columns = self._effects([slots[id(candidate)] for candidate in active])
             going = []
             for candidate, table in zip(active, columns, strict=True):
                 key = id(candidate)
@@ -224,26 +222,17 @@ class Screen:
         return best
 
     def _settle(self, chunk: list[tuple[Candidate, Slot, Array, Array]], found: dict[int, Promise]) -> None:
-        inside = [job for job in chunk if where_of(job[0].effect) != "sensor"]
-        tables: dict[int, Array] = {}
-        if inside:
-            columns = self._spread(np.hstack([job[2] for job in inside]), np.concatenate([job[3] for job in inside]))
-            first = 0
-            for job in inside:
-                count = job[2].shape[1]
-                tables[id(job[1])] = columns[:, :, first : first + count]
-                first += count
-        for candidate, slot, features, at in chunk:
-            if where_of(candidate.effect) == "sensor":
-                table = np.zeros((self.blocks, len(self.rig.twin.sensors), features.shape[1]))
-                table[:, int(at[0])] = self._means(features, self.every // self.thin)
-                tables[id(slot)] = table
-            elif candidate.effect == laws.DELAY:
-                tables[id(slot)] = tables[id(slot)].sum(axis=2, keepdims=True)
         if not chunk:
             return
-        sizes = [tables[id(job[1])].shape[2] for job in chunk]
-        rows = self._rows(np.concatenate([tables[id(job[1])] for job in chunk], axis=2))
+        candidates, _, features, at = zip(*chunk, strict=True)
+        tables = [
+            table.sum(axis=2, keepdims=True) if candidate.effect == laws.DELAY else table
+            for candidate, table in zip(
+                candidates, self._at_sensors([c.effect for c in candidates], features, at), strict=True
+            )
+        ]
+        sizes = [table.shape[2] for table in tables]
+        rows = self._rows(np.concatenate(tables, axis=2))
         rows[:, ~(np.abs(rows).max(axis=0) < HUGE)] = 0.0
         # Products of columns once what rig and belief explain is taken out of them, without making these columns.
         known, possible = self.taken[: len(rows)].T @ rows, self.possible.T @ rows
@@ -282,7 +271,7 @@ class Screen:
                 if factor <= 0.0:
                     return nothing
                 gain = max(gain, factor * float(right[0]))
-                slot = with_values(slot, (0,), np.array([min(factor, 20.0) * slot.values[0]]))
+                slot = slot.with_values((0,), (min(factor, 20.0) * slot.values[0],))
             elif candidate.effect == "dac_quantisation":
                 gain = max(gain, float(right[0]) ** 2 / float(diagonal[0])) if right[0] > 0.0 else 0.0
             return Promise(candidate, slot, max(gain, 0.0), own)
@@ -294,7 +283,7 @@ class Screen:
             if factors[0] <= 0.0:
                 return nothing
             scaled_by = (0, 1, 3, 4)
-            slot = with_values(slot, scaled_by, factors[0] * np.array([slot.values[i] for i in scaled_by]))
+            slot = slot.with_values(scaled_by, factors[0] * np.array([slot.values[i] for i in scaled_by]))
         else:
             entries = list(EFFECTS[candidate.effect].parameters.values())
             lows = [entries[i].bounds[0] for i in candidate.factors]
@@ -302,34 +291,35 @@ class Screen:
                 if (factors <= 0.0).all():
                     return nothing
                 factors = np.maximum(factors, 1e-3 * np.abs(factors).max())
-            slot = with_values(slot, candidate.factors, factors)
+            slot = slot.with_values(candidate.factors, factors)
         return Promise(candidate, slot, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
 
     def _features(self, candidate: Candidate, slot: Slot) -> tuple[Array, Array]:
         """Return what a candidate does along the motion (m, c), by its factors, and the columns where it acts (c,)."""
-        rig, record = self.rig, self.record
-        m, command = len(record), rig.columns[2]
         if candidate.effect == laws.DELAY:
-            samples = slot.values[0] * record.rate
-            acting = record.acting
-            early = np.clip(np.arange(m) - samples, 0.0, None)
-            low = np.floor(early).astype(int)
-            share = (early - low)[:, None]
-            late = (1.0 - share) * acting[low] + share * acting[np.minimum(low + 1, m - 1)]
-            at = range(len(command)) if not slot.at else [rig.twin.actuators.index(slot.at)]
-            # One column of each actuator; `_judge` takes their sum.
-            whole = (late - acting)[:, list(at)]
-            return whole, np.array([command[i] for i in at], dtype=float)
+            return self._late(slot)
+        rig, record = self.rig, self.record
         x, rate, column = self._subject(slot)
         where = EFFECTS[candidate.effect].where
         if not candidate.factors or candidate.effect == "lugre_friction":
-            value = self._along(slot, x, rate, ())
+            value = rig.along(slot, x, rate, 1.0 / record.rate)
             return (value[:, :1] - (0.0 if where == "element" else x[:, None])), np.array([column])
-        slot = with_values(slot, candidate.factors, np.zeros(len(candidate.factors)))
+        slot = slot.with_values(candidate.factors, np.zeros(len(candidate.factors)))
         if candidate.effect in {"stribeck_friction", "asymmetric_friction", "dry_friction"}:
-            slot = with_values(slot, candidate.factors, np.ones(len(candidate.factors)))
-        made = self._along(slot, x, rate, candidate.factors)
+            slot = slot.with_values(candidate.factors, np.ones(len(candidate.factors)))
+        made = rig.along(slot, x, rate, 1.0 / record.rate, candidate.factors)
         return made[:, 1:], np.full(len(candidate.factors), column)
+
+    def _late(self, slot: Slot) -> tuple[Array, Array]:
+        """Return what a delay changes of each command (m, actuators), and the columns where these act (actuators,)."""
+        acting, m = self.record.acting, len(self.record)
+        early = np.clip(np.arange(m) - slot.values[0] * self.record.rate, 0.0, None)
+        low = np.floor(early).astype(int)
+        share = (early - low)[:, None]
+        late = (1.0 - share) * acting[low] + share * acting[np.minimum(low + 1, m - 1)]
+        actuators = self.rig.twin.actuators
+        at = [actuators.index(slot.at)] if slot.at else [*range(len(actuators))]
+        return (late - acting)[:, at], np.array([self.rig.columns[2][i] for i in at], dtype=float)
 
     def _subject(self, slot: Slot) -> tuple[Array, Array, float]:
         """Return what an effect acts on and its rate (m,), and the column where it acts."""
@@ -343,14 +333,6 @@ class Screen:
         else:
             x, rate, column = (record.readings - self.base.residuals)[:, at], nothing, float(at)
         return np.ascontiguousarray(x), np.ascontiguousarray(rate), column
-
-    def _along(self, slot: Slot, x: Array, rate: Array, factors: tuple[int, ...]) -> Array:
-        features = np.empty((len(x), 1 + len(factors)))
-        theta = np.array([*slot.values, *np.zeros(laws.MOST_PARAMETERS)])
-        columns = np.array([factors], dtype=float) if factors else np.zeros((1, 1))
-        kind, states = laws.number(slot.effect), len(EFFECTS[slot.effect].states)
-        self.rig.kernels.along(len(x), 1.0 / self.record.rate, kind, states, x, rate, columns, theta, features)
-        return features
 
     def _spread(self, features: Array, at: Array) -> Array:
         """Return what forces (m, M) at columns (M,) do to the sensors, in means (blocks, sensors, M)."""
@@ -389,7 +371,7 @@ def _stepped(slot: Slot, step: Array) -> Slot:
     """Return a slot after a step of its free parameters, within their bounds."""
     low, high = np.array(bounds(slot)).T
     values = within(np.array([slot.values[i] for i in slot.free]), step, low, high)
-    return with_values(slot, slot.free, values)
+    return slot.with_values(slot.free, values)
 
 
 def _thinned(table: Array, thin: int) -> Array:

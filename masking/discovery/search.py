@@ -70,7 +70,7 @@ class Found:
         rivals: explanations of the same number of causes as the last step, best first, the chosen one included.
         temperature: by which differences of scores are divided.
         motion: smoothed record.
-        screen: of the base.
+        tried: what each candidate could take off at first, the best first.
     """
 
     base: Explanation
@@ -106,11 +106,11 @@ class Search:
     def run(self) -> Found:
         """Search for causes, one after the other, until nothing pays."""
         self.tell("fitting the model as it is", 0.0)
-        base = Explanation("none", (), self._fit((), None, None), 0.0)
-        base = Explanation("none", (), base.hypothesis, base.hypothesis.cost)
+        plain = self._fit((), None, None)
+        base = Explanation("none", (), plain, plain.cost)
         self.tell("smoothing the motion", 0.1)
         motion = smooth(self.evidence, base.hypothesis.theta, base.hypothesis.start)
-        every = list(candidates(self.evidence.rig, self._spans(motion, base.hypothesis), self.evidence.dt))
+        every = list(candidates(self.evidence.rig, self._spans(motion), self.evidence.dt))
         steps: list[Explanation] = []
         rivals: tuple[Explanation, ...] = (base,)
         tried: tuple[Promise, ...] = ()
@@ -208,8 +208,7 @@ class Search:
     def _swapped(self, best: Explanation, base: Explanation, motion: Motion, every: Sequence[Candidate]) -> Explanation:
         """Try other effects in the place of each but the last, which has just been chosen among all."""
         for i in range(len(best.names) - 1):
-            others = tuple(s for j, s in enumerate(best.hypothesis.slots) if j != i)
-            names = tuple(n for j, n in enumerate(best.names) if j != i)
+            names, others = _without(best, i)
             self.tell(f"trying others than {best.names[i][0]}", 0.9)
             promises = Screen(self.evidence, base.hypothesis, motion, others).promises(every)
             for promise in [p for p in promises if p.candidate.key not in best.names][:SWAPS]:
@@ -229,8 +228,7 @@ class Search:
         if len(best.names) < 2:
             return best
         for i in reversed(range(len(best.names))):
-            slots = tuple(s for j, s in enumerate(best.hypothesis.slots) if j != i)
-            names = tuple(n for j, n in enumerate(best.names) if j != i)
+            names, slots = _without(best, i)
             try:
                 less = self._fit(slots, best.hypothesis.theta, best.hypothesis.start)
             except IntegrationError:
@@ -266,20 +264,16 @@ class Search:
         found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
         return np.where(variance < 1.0 - 1e-9, found, 0.0)
 
-    def _spans(self, motion: Motion, base: Hypothesis) -> dict[str, Span]:
-        found = {}
-        for i, place in enumerate(self.evidence.rig.places):
-            x = motion.displacement[:, i]
-            tones = self._tones(motion.forces)
-            found[place.name] = Span(
-                float(x.min()), float(x.max()), float(np.abs(x).max()), float(motion.rate[:, i].std()), tones
-            )
+    def _spans(self, motion: Motion) -> dict[str, Span]:
+        found, tones = {}, self._tones(motion.forces)
+        for place, x, rate in zip(self.evidence.rig.places, motion.displacement.T, motion.rate.T, strict=True):
+            found[place.name] = _span(x, float(rate.std()), tones)
         for names, table in (
             (self.evidence.rig.twin.sensors, self.evidence.record.readings),
             (self.evidence.rig.twin.actuators, self.evidence.record.commands),
         ):
             for name, x in zip(names, table.T, strict=True):
-                found[name] = Span(float(x.min()), float(x.max()), float(np.abs(x).max()), 0.0)
+                found[name] = _span(x)
         return found
 
     def _tones(self, forces: Array) -> tuple[float, ...]:
@@ -299,6 +293,16 @@ class Search:
             found.append(float(frequencies[i]))
             power[max(0, i - 12) : i + 13] = 0.0
         return tuple(found)
+
+
+def _without(explanation: Explanation, i: int) -> tuple[tuple[tuple[str, str], ...], tuple[Slot, ...]]:
+    """Return names and slots of an explanation without one of its causes."""
+    names, slots = explanation.names, explanation.hypothesis.slots
+    return (*names[:i], *names[i + 1 :]), (*slots[:i], *slots[i + 1 :])
+
+
+def _span(x: Array, rate: float = 0.0, tones: tuple[float, ...] = ()) -> Span:
+    return Span(float(x.min()), float(x.max()), float(np.abs(x).max()), rate, tones)
 
 
 def occam(hypothesis: Hypothesis) -> float:
@@ -335,6 +339,3 @@ def probabilities(explanations: Sequence[Explanation], temperature: float) -> Ar
     weights = np.exp(-0.5 * (scores - scores.min()))
     found: Array = weights / weights.sum()
     return found
-
-
-__all__ = ["Candidate", "Explanation", "Found", "Search", "probabilities"]

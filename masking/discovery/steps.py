@@ -141,11 +141,7 @@ def _command(commands, index, a, samples, part, straight):
     # The command of a sample, `samples` late; part: of the sample that has gone by.
     last = commands.shape[0] - 1
     at = index + (part if straight else 0.0) - samples
-    if straight:
-        low = int(math.floor(at))
-        share = at - low
-        return (1.0 - share) * commands[min(max(low, 0), last), a] + share * commands[min(max(low + 1, 0), last), a]
-    # Held: the mean over the sample.
+    # Held, it is the mean over the sample.
     low = int(math.floor(at))
     share = at - low
     return (1.0 - share) * commands[min(max(low, 0), last), a] + share * commands[min(max(low + 1, 0), last), a]
