@@ -1,7 +1,7 @@
-"""Formats: records that other programs wrote, as recordings: parquet, csv and mat beside our own folders.
+"""Formats: records that other programs wrote, as recordings: parquet, csv, mat and HDF5 beside our own folders.
 
 A table needs numbers in columns and a clock in seconds under the name `t`; columns may be renamed, and a clock that is
-missing is made of the time between samples.
+missing is made of the time between samples. A part of a long record is a record, too: `record.csv@10:20`.
 """
 
 from __future__ import annotations
@@ -18,13 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError, nearest
+from masking.part import Part
 from masking.recording import MANIFEST, TABLE, Recording
 
 if TYPE_CHECKING:
     from scipy import io as scipy_io
 
-    from masking import parquet
+    from masking import hdf5, parquet
 else:
+    hdf5 = lazy.load("masking.hdf5", suppress_warning=True)
     parquet = lazy.load("masking.parquet", suppress_warning=True)
     scipy_io = lazy.load("scipy.io", suppress_warning=True)
 
@@ -32,7 +34,8 @@ Column = NDArray[np.float64]
 CLOCK = "t"
 PREFIXES = ("input", "sensor")
 _TEXT = {".csv", ".txt", ".tsv", ".dat"}
-_KNOWN = "a folder of a recording, or a .parquet, .csv or .mat file"
+_HDF5 = {".h5", ".hdf5"}
+_KNOWN = "a folder of a recording, or a .parquet, .csv, .mat or .h5 file"
 
 
 def read(
@@ -41,31 +44,37 @@ def read(
     dt: float | None = None,
     needed: Collection[str] = (),
 ) -> Recording:
-    """Read a record.
+    """Read a record, or a part of one.
 
     Args:
-        path: a folder of a recording, or a .parquet, .csv, .txt, .tsv, .dat or .mat file.
-        names: the columns of the file by the names that they get, such as `{"t": "time", "u1": "V1"}`.
+        path: a folder of a recording, or a .parquet, .csv, .txt, .tsv, .dat, .mat, .h5 or .hdf5 file; behind it,
+            `@10:20` takes what lies from 10 s to 20 s of its clock, `@10:` the rest of it; times stay as they are.
+        names: the columns of the file by the names that they get, such as `{"t": "time", "u1": "V1"}`; vectors in
+            groups of an HDF5 file have their path, such as `{"u1": "multisine/V1"}`.
         dt: time between samples in s, for a table without a clock.
         needed: channels that must be finite, such as `u1`, which is read from `input.u1` or `u1`; other columns that
-            are not finite are left out.
+            are not finite, or of another length than these, are left out.
 
     Raises:
-        RecordError: there is no such file or column, it holds no table of numbers, or it has no clock.
+        RecordError: there is no such file or column, it holds no table of numbers, it has no clock, columns that are
+            needed differ in length, or the part is none of the record.
     """
-    file = Path(path)
+    part = Part.of(path)
+    file = part.file
     if file.is_dir():
         file /= TABLE
     if not file.exists():
         raise RecordError(f"{file}: no such record; give {_KNOWN}")
+    if dt is not None and not (np.isfinite(dt) and dt > 0.0):
+        raise RecordError(f"{file}: the time between samples is {dt:g} s; give a positive number of seconds")
     columns, text = _columns(file)
-    columns = _renamed(file, columns, names or {})
-    wanted = {CLOCK, *needed, *(names or ()), *(f"{prefix}.{name}" for prefix in PREFIXES for name in needed)}
-    columns = {n: c for n, c in columns.items() if n in wanted or np.isfinite(c).all()}
-    columns = _of_one_length(columns, wanted)
+    names = names or {}
+    columns = _renamed(file, columns, names)
     if dt is not None:
-        if not (np.isfinite(dt) and dt > 0.0):
-            raise RecordError(f"{file}: the time between samples is {dt:g} s; give a positive number of seconds")
+        columns.pop(CLOCK, None)
+    wanted = {CLOCK, *needed, *names, *(f"{prefix}.{name}" for prefix in PREFIXES for name in needed)}
+    columns = _of_one_length(file, columns, wanted, names)
+    if dt is not None:
         length = max((len(c) for c in columns.values()), default=0)
         columns[CLOCK] = np.arange(length, dtype=np.float64) * np.float64(dt)
     if CLOCK not in columns:
@@ -73,15 +82,18 @@ def read(
             f"{file}: there is no column t; name the clock, such as --map t={_clock(columns)}, or give the time "
             "between samples, such as --dt 0.001"
         )
+    chosen = part.samples(columns[CLOCK])
+    columns = columns if chosen.all() else {n: c[chosen] for n, c in columns.items()}
+    columns = {n: c for n, c in columns.items() if n in wanted or np.isfinite(c).all()}
     try:
         return Recording(columns, {"name": file.stem}) if text is None else _own(file, columns)
     except RecordError as error:
-        raise RecordError(f"{file}: {error}") from error
+        raise RecordError(f"{part.name}: {error}") from error
 
 
 def digest(path: str | Path) -> str:
-    """Return the SHA-256 of a record's file, in hexadecimal digits."""
-    file = Path(path)
+    """Return the SHA-256 of a record's file, in hexadecimal digits; of the whole file where the record is a part."""
+    file = Part.of(path).file
     return hashlib.sha256((file / TABLE if file.is_dir() else file).read_bytes()).hexdigest()
 
 
@@ -111,6 +123,8 @@ def _columns(file: Path) -> tuple[dict[str, Column], bytes | None]:
         return _text(file), None
     if kind == ".mat":
         return _mat(file), None
+    if kind in _HDF5:
+        return hdf5.read(file), None
     raise RecordError(f"{file}: '{kind}' files are not read; give {_KNOWN}")
 
 
@@ -160,12 +174,14 @@ def _is_number(text: str) -> bool:
 
 
 def _mat(file: Path) -> dict[str, Column]:
-    """Read the vectors of a MATLAB file of version 7 or older."""
+    """Read the vectors of a MATLAB file; one of version 7.3, and some of other programs, are HDF5."""
     try:
         held = scipy_io.loadmat(file)
     except NotImplementedError:
-        raise RecordError(f"{file}: a MATLAB file of version 7.3; save it with -v7, or as csv") from None
+        return hdf5.read(file)
     except (OSError, ValueError) as error:
+        if hdf5.is_hdf5(file):
+            return hdf5.read(file)
         raise RecordError(f"{file}: the MATLAB file cannot be read ({error})") from error
     found = {}
     for name, value in held.items():
@@ -187,10 +203,22 @@ def _renamed(file: Path, columns: Mapping[str, Column], names: Mapping[str, str]
     return {name: columns[column] for name, column in names.items()} | rest
 
 
-def _of_one_length(columns: dict[str, Column], wanted: Collection[str]) -> dict[str, Column]:
-    """Leave out columns that are as long as no other that is wanted, such as settings in a MATLAB file."""
-    lengths = {len(c) for n, c in columns.items() if n in wanted}
-    return {n: c for n, c in columns.items() if n in wanted or len(lengths) != 1 or len(c) in lengths}
+def _of_one_length(
+    file: Path, columns: Mapping[str, Column], wanted: Collection[str], names: Mapping[str, str]
+) -> dict[str, Column]:
+    """Leave out columns of another length than those that are wanted, such as settings, or other groups of a file.
+
+    Where none is wanted, the longest are kept.
+    """
+    lengths = {name: len(column) for name, column in columns.items() if name in wanted}
+    if len({*lengths.values()}) > 1:
+        told = ", ".join(
+            f"{name} ({names[name]}) has {count}" if name in names else f"{name} has {count}"
+            for name, count in lengths.items()
+        )
+        raise RecordError(f"{file}: columns of different lengths: {told} samples; give those of one run, with --map")
+    length = max(lengths.values() or map(len, columns.values()), default=0)
+    return {name: column for name, column in columns.items() if len(column) == length}
 
 
 def _clock(columns: Mapping[str, Column]) -> str:

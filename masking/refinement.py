@@ -26,8 +26,8 @@ from masking.discovery.written import Files
 from masking.effects import EFFECTS
 from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, SingularityError
 from masking.experiment import Experiment
+from masking.identification.data import Assumption
 from masking.recording import Recording
-from masking.sensitivity import Between
 from masking.twin import Twin
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def refine(
     validation: str | Path | None = None,
     parameters: Sequence[str] = (),
     tolerance: float = TOLERANCE,
-    between: Between = "held",
+    between: Assumption = "held",
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     out: str | Path | None = None,
@@ -166,7 +166,8 @@ def refine(
 
     Args:
         experiment: whose controller's model is refined.
-        record: a folder of a recording of the plant, or a parquet, csv or mat file.
+        record: a folder of a recording of the plant, or a parquet, csv, mat or h5 file; or a part of one, such as
+            `record.csv@10:20`.
         validation: another record to judge by; the last part of the record where none is given.
         parameters: of the controller's model that may be off; all that its equations hold where none are given.
         tolerance: relative standard deviation of a parameter that declares none.

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     )
     from masking.identification import fit as fits
     from masking.identification import simulation as simulations
-    from masking.sensitivity import Between
+    from masking.identification.data import Assumption
 else:  # each verb loads only what it needs
     askeds = lazy.load("masking.discovery.asked", suppress_warning=True)
     budgets = lazy.load("masking.budget", suppress_warning=True)
@@ -77,7 +77,7 @@ else:  # each verb loads only what it needs
 
 KINDS = ("model", "plant", "experiment")
 METHODS = ("least-squares", "kalman")
-BETWEEN = ("held", "straight")
+BETWEEN = ("held", "straight", "smooth")  # those of `data.Assumption`
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none, in a discovery
 # Procedures of `measure`, and how many records each takes at most.
 PROCEDURES: dict[str, int | None] = {"springs": 1, "actuators": 1, "friction": None, "response": None}
@@ -220,14 +220,17 @@ def identify(
     method: str = "least-squares",
     square_root: bool = False,
     iterated: int = 1,
-    between: Between = "held",
+    between: Assumption = "held",
+    columns: Mapping[str, str] | None = None,
+    dt: float | None = None,
     out: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> fits.Fit | innovations.KalmanFit:
     """Fit parameters of a plant to recordings of it.
 
     Args:
-        records: folders of recordings, or parquet files, with `input.*` and `sensor.*` of the plant; one for a filter.
+        records: folders of recordings, or parquet, csv, mat or h5 files, with `input.*` and `sensor.*` of the plant, or
+            parts of these, such as `record.csv@10:20`, which is what lies from 10 s to 20 s; one for a filter.
         plant: a plant file, or a packaged plant: its sensors, actuators, wiring and delay, and what is to be fitted.
         model: a model that takes the place of the plant's own and of the effects in its elements.
         parameters: what to fit: parameters of the model, and of effects as `<effect>_<parameter>`; all that the
@@ -238,7 +241,10 @@ def identify(
         square_root: let the filter carry a square root of its covariance.
         iterated: times that the filter makes the readings of a sample linear.
         between: how inputs go from each sample to the next: 'held', commands that act until the next, after the delay
-            of the plant; or 'straight', inputs that were measured, in straight lines.
+            of the plant; 'straight', inputs that were measured, in straight lines; or 'smooth', inputs that were
+            measured behind an anti-alias filter.
+        columns: of the files, by the names that they get, such as `{"t": "time", "V1": "u"}`.
+        dt: time between samples in s, for a table without a clock.
         out: folder to save `model.yaml`, `plant.yaml`, `fit.json`, `fit.html` and its figures in: `fit.png`,
             `validation.png` where there is a validation, `estimates.png` of a filter; nothing is saved where none is
             given.
@@ -254,20 +260,14 @@ def identify(
     wanted.validate()
 
     def read(paths: Sequence[str | Path]) -> tuple[data.Data, ...]:
-        return tuple(data.Data.of(recording.Recording.load(Path(path)), wanted, str(path), between) for path in paths)
+        return tuple(data.Data.read(path, wanted, between, columns, dt) for path in paths)
 
     names = parameters or wanted.equation_parameters()
     train, unseen = read(records), read(validation)
     found: fits.Fit | innovations.KalmanFit
     if method == "kalman":
         found = kalman.extended_kalman(
-            wanted,
-            train[0],
-            names,
-            validation=unseen,
-            square_root=square_root,
-            iterated=iterated,
-            progress=progress,
+            wanted, train[0], names, validation=unseen, square_root=square_root, iterated=iterated, progress=progress
         )
     else:
         found = fits.fit(wanted, train, names, validation=unseen, horizon=horizon, progress=progress)
@@ -292,7 +292,7 @@ def discovered(
     validation: str | Path | None = None,
     parameters: Sequence[str] = (),
     tolerance: float = TOLERANCE,
-    between: Between = "held",
+    between: Assumption = "held",
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     out: str | Path | None = None,
@@ -301,7 +301,8 @@ def discovered(
     """Find out which physical effect a model is missing, and write the model with it.
 
     Args:
-        record: a folder of a recording, or a parquet, csv or mat file, with the channels of the plant.
+        record: a folder of a recording, or a parquet, csv, mat or h5 file, with the channels of the plant; or a part
+            of one, as for `identify`.
         model: what is believed of the rig; in place of the plant's own where both are given.
         plant: its sensors and actuators; without one, outputs or coordinates of the model are read, and its inputs.
         validation: another record to judge by; the last part of the record where none is given.

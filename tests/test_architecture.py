@@ -1,6 +1,10 @@
 """The shape of the package: who may import whom, and what no module may hold."""
 
 import ast
+import re
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -10,7 +14,7 @@ ROOT = Path(__file__).parent.parent / "masking"
 # Each module imports only from rows above its own; the modules of a package share its row and import each other.
 ROWS = (
     {"errors", "status"},
-    {"declaration", "parquet", "dop853", "linear"},
+    {"declaration", "parquet", "hdf5", "part", "dop853", "linear"},
     {"markup"},
     {"recording", "drawing", "scales", "fidelity", "integrate"},
     {"signals", "formats"},
@@ -87,6 +91,11 @@ def module_of(path: Path) -> str:
 
 def imported(tree: ast.AST) -> set[str]:
     """Return the modules of ours that are imported anywhere in a tree, also by name through a lazy loader."""
+    return {name.split(".")[1] for name in named(tree) if name.startswith("masking.")}
+
+
+def named(tree: ast.AST) -> set[str]:
+    """Return all modules that are imported anywhere in a tree, with the packages they are in."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
@@ -101,7 +110,7 @@ def imported(tree: ast.AST) -> set[str]:
             texts = [a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
             if called(node) in {"load", "import_module"}:
                 found |= set(texts)
-    return {name.split(".")[1] for name in found if name.startswith("masking.")}
+    return found
 
 
 def called(node: ast.Call) -> str:
@@ -164,3 +173,22 @@ def test_nothing_that_runs_text_is_called(path):
 def test_a_module_is_short_and_named_after_a_noun(path):
     assert len(path.read_text(encoding="utf-8").splitlines()) <= 500
     assert not {"utils", "util", "helpers", "misc"} & set(path.relative_to(ROOT).with_suffix("").parts)
+
+
+# Packages that come with those that we declare, which choose their versions.
+BROUGHT = {"pydantic-core": "pydantic", "llvmlite": "numba"}
+
+
+def test_packages_that_are_imported_are_declared_and_have_a_version():
+    def normal(name: str) -> str:
+        return re.sub("[-_.]+", "-", re.split("[^A-Za-z0-9._-]", name)[0]).lower()
+
+    project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text())["project"]
+    needed = {normal(line) for line in project["dependencies"]}
+    optional = {normal(line) for lines in project["optional-dependencies"].values() for line in lines}
+    lines = (ROOT.parent / "constraints.txt").read_text().splitlines()
+    roots = {name.partition(".")[0] for tree in TREES.values() for name in named(tree)}
+    known = packages_distributions()
+    imports = {normal(known[root][0]) for root in roots - sys.stdlib_module_names - {"masking"} if root in known}
+    assert needed <= imports <= needed | optional | BROUGHT.keys()
+    assert needed | BROUGHT.keys() <= {normal(line) for line in lines if not line.startswith("#")}

@@ -344,12 +344,28 @@ def test_identify_fits_another_model_through_the_plant(folders, capsys, tmp_path
     assert registry.load_model(tmp_path / "model.yaml").extends == "setup_springs"
 
 
+def test_identify_fits_a_part_of_a_table(folders, tmp_path, capsys):
+    """As it fits a recording that has no more than this part."""
+    kept = Recording.load(folders[0])
+    inside = (kept.t > 0.9999) & (kept.t < 4.9999)
+    Recording({name: column[inside] for name, column in kept.columns.items()}, {}).save(tmp_path / "part")
+    names = [{"t": "time", "input.V1": "force"}.get(name, name) for name in kept.columns]
+    table = np.column_stack([*kept.columns.values()])
+    np.savetxt(tmp_path / "a.csv", table, "%.17g", ",", header=",".join(names), comments="")
+    settings = ["--plant", "linear_rig", "--parameters", "w1,z1", "--json", "--out", str(tmp_path / "out")]
+    told = []
+    for record in ([str(tmp_path / "part")], [f"{tmp_path / 'a.csv'}@1:5", "--map", "t=time,V1=force"]):
+        assert cli.main(["identify", *record, *settings]) == 0
+        told.append(json.loads(capsys.readouterr().out)["parameters"])
+    assert told[0] == told[1]
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["--parameters", "w1,w9"], "linear rig has no parameter 'w9'; did you mean 'w"),
         (["--plant", "nowhere"], "nowhere"),
-        (["--validate", "nothing"], "nothing"),
+        (["--validate", "nothing"], "nothing: no such record"),
     ],
 )
 def test_identify_refuses_and_writes_nothing(folders, tmp_path, capsys, arguments, said):

@@ -5,9 +5,14 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
+from masking import verbs
+
 Verb = Callable[[argparse.Namespace], int]
 # Adds a verb by its function, its name and a text; returns its parser.
 Add = Callable[[Verb, str, str], argparse.ArgumentParser]
+
+# What a record may be.
+RECORD = "the folder of a recording, or a parquet, csv, mat or h5 file; FILE@10:20 is its part from 10 s to 20 s"
 
 
 def add_to(found: argparse._SubParsersAction[argparse.ArgumentParser], *flags: tuple[str, str]) -> Add:
@@ -22,6 +27,18 @@ def add_to(found: argparse._SubParsersAction[argparse.ArgumentParser], *flags: t
         return sub
 
     return add
+
+
+def add_of_tables(sub: argparse.ArgumentParser) -> None:
+    """Add what is said of records that other programs wrote, and of how inputs go between their samples."""
+    text = (
+        "how inputs go from sample to sample: commands that are held; inputs that were measured, in straight lines; or "
+        "measured behind an anti-alias filter, smooth (default: %(default)s)"
+    )
+    sub.add_argument("--between", choices=verbs.BETWEEN, default=verbs.BETWEEN[0], help=text)
+    text = "rename columns: NAME=COLUMN, with commas; in groups of an HDF5 file V1=GROUP/COLUMN"
+    sub.add_argument("--map", metavar="t=time,V1=u", default="", help=text)
+    sub.add_argument("--dt", metavar="SECONDS", type=float, help="time between samples, for a record without a clock")
 
 
 def names(text: str) -> tuple[str, ...]:

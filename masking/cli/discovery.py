@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 
 from masking import verbs
-from masking.cli.adding import names
+from masking.cli.adding import RECORD, add_of_tables, names
 from masking.cli.progress import Bar, raise_interrupts
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def add_discover(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     """Add the verb discover."""
     text = "find out which physical effect a model is missing, from a record of the rig, and add it"
     sub = found.add_parser("discover", help=text, description=f"{text[0].upper()}{text[1:]}.")
-    sub.add_argument("record", metavar="RECORD", help="the folder of a recording, or a parquet, csv or mat file")
+    sub.add_argument("record", metavar="RECORD", help=RECORD)
     sub.add_argument("--model", metavar="MODEL", help="what is believed of the rig: a name or a YAML file")
     text = "its sensors and actuators (default: the outputs or coordinates of the model, and its inputs)"
     sub.add_argument("--plant", metavar="PLANT", help=text)
@@ -43,9 +43,7 @@ def add_refine(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     text = "find out what the controller's model of an experiment is missing, and run it before and after"
     sub = found.add_parser("refine", help=text, description=f"{text[0].upper()}{text[1:]}.")
     sub.add_argument("experiment", metavar="EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
-    sub.add_argument(
-        "--record", metavar="RECORD", required=True, help="of its plant: the folder of a recording, or a table"
-    )
+    sub.add_argument("--record", metavar="RECORD", required=True, help=f"of its plant: {RECORD}")
     sub.add_argument("--plant", metavar="PLANT", help="run on another plant: a name or a YAML file")
     _add_of_records(sub)
     sub.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT_refined)")
@@ -61,13 +59,7 @@ def _add_of_records(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--parameters", metavar="A,B", default="", help="that may be off (default: all of the equations)")
     text = "relative standard deviation of a parameter that declares none (default: %(default)s)"
     sub.add_argument("--tolerance", metavar="PART", type=float, default=verbs.TOLERANCE, help=text)
-    text = (
-        "how inputs go from sample to sample: commands that are held, or inputs that were measured, in straight lines "
-        "(default: %(default)s)"
-    )
-    sub.add_argument("--between", choices=verbs.BETWEEN, default=verbs.BETWEEN[0], help=text)
-    sub.add_argument("--map", metavar="t=time,V1=u", default="", help="rename columns: NAME=COLUMN, with commas")
-    sub.add_argument("--dt", metavar="SECONDS", type=float, help="time between samples, for a record without a clock")
+    add_of_tables(sub)
 
 
 def _discover(chosen: argparse.Namespace) -> int:

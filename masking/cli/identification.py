@@ -6,11 +6,18 @@ import argparse
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
 
 from masking import verbs
-from masking.cli.adding import Add, names
+from masking.cli.adding import RECORD, Add, add_of_tables, names
 from masking.cli.progress import Bar
+
+if TYPE_CHECKING:
+    from masking import formats
+else:
+    formats = lazy.load("masking.formats", suppress_warning=True)
 
 Option = tuple[str, Callable[[str], Any], str]  # of a procedure: what stands for its value, how it is read, help
 
@@ -18,7 +25,7 @@ Option = tuple[str, Callable[[str], Any], str]  # of a procedure: what stands fo
 def add(verb: Add) -> None:
     """Add the verb identify."""
     identify = verb(_identify, "identify", "fit parameters of a plant to recordings of it")
-    identify.add_argument("records", metavar="RECORD", nargs="+", help="folders of recordings")
+    identify.add_argument("records", metavar="RECORD", nargs="+", help=RECORD)
     identify.add_argument("--plant", metavar="PLANT", required=True, help="the plant that was recorded: a name or file")
     identify.add_argument("--model", metavar="MODEL", help="fit this model instead of the plant's own")
     identify.add_argument("--parameters", metavar="A,B", default="", help="what to fit (default: all of the equations)")
@@ -28,11 +35,7 @@ def add(verb: Add) -> None:
     identify.add_argument("--method", choices=verbs.METHODS, default=verbs.METHODS[0], help=text)
     identify.add_argument("--square-root", action="store_true", help="of the filter: carry a root of the covariance")
     identify.add_argument("--iterated", metavar="N", type=int, default=1, help="of the filter: linearise N times")
-    text = (
-        "how inputs go from sample to sample: commands that are held, or inputs that were measured, in straight lines "
-        "(default: %(default)s)"
-    )
-    identify.add_argument("--between", choices=verbs.BETWEEN, default=verbs.BETWEEN[0], help=text)
+    add_of_tables(identify)
     identify.add_argument("--out", metavar="DIR", help="where to save (default: results/identified)")
 
 
@@ -109,6 +112,8 @@ def _identify(chosen: argparse.Namespace) -> int:
             square_root=chosen.square_root,
             iterated=chosen.iterated,
             between=chosen.between,
+            columns=formats.mapping(chosen.map),
+            dt=chosen.dt,
             out=out,
             progress=bar,
         )

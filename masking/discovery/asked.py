@@ -12,8 +12,7 @@ from masking.declaration.expression import Expression
 from masking.declaration.schema import ModelDeclaration, PlantDeclaration, Sensor
 from masking.discovery.written import Origin
 from masking.errors import DeclarationError, Problem, RecordError, nearest
-from masking.identification.data import Data
-from masking.sensitivity import Between
+from masking.identification.data import Assumption, Data
 from masking.twin import Twin
 
 FEWEST = 400  # samples of a record
@@ -37,14 +36,14 @@ def asked(
     plant: str | Path | None,
     validation: str | Path | None = None,
     *,
-    between: Between = "held",
+    between: Assumption = "held",
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
 ) -> Asked:
     """Read and check what a discovery needs.
 
     Args:
-        record: a folder of a recording, or a parquet, csv or mat file.
+        record: a folder of a recording, or a parquet, csv, mat or h5 file; or a part of one, see `formats.read`.
         model: of the rig; in place of the plant's own where both are given.
         plant: a plant file or a packaged plant; without one, the model's outputs or coordinates are read.
         validation: another record to judge by.
@@ -64,7 +63,7 @@ def read(
     record: str | Path,
     validation: str | Path | None = None,
     *,
-    between: Between = "held",
+    between: Assumption = "held",
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
 ) -> Asked:
@@ -73,10 +72,9 @@ def read(
     Raises:
         RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates.
     """
-    needed = (*twin.sensors, *twin.actuators)
 
     def one(path: str | Path) -> Data:
-        found = Data.of(formats.read(path, columns, dt, needed), twin, str(path), between)
+        found = Data.read(path, twin, between, columns, dt)
         if len(found) < FEWEST:
             raise RecordError(
                 f"{path}: {len(found)} samples are too few to tell effects apart; give a record of at least {FEWEST}, "

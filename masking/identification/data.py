@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 
-from masking.errors import RecordError, nearest
+from masking import formats
+from masking.errors import ModelError, RecordError, nearest
 from masking.identification.noise import white_noise
 from masking.kernels import Array
 from masking.recording import Recording
 from masking.sensitivity import Between, is_straight
 from masking.twin import Twin
+
+# How inputs of a record may go from each sample to the next. Smooth ones become straight lines that act alike, so that
+# all that simulates knows two ways.
+Assumption = Literal[Between, "smooth"]
 
 _STEADY = 1e-3  # of a period: how far an instant may be from a steady clock
 _STILL = 4.0  # deviations of the noise: readings that vary by less do not move
@@ -32,7 +39,7 @@ class Data:
         delay: samples after which a command acts.
         between: how commands go from each sample to the next. 'held': each acts until the next, as the output of a
             converter does (zero-order hold). 'straight': in straight lines (first-order hold), for inputs that were
-            measured, not commanded.
+            measured, not commanded. Those that were also filtered before, `band_limited` makes straight lines of.
 
     Raises:
         ModelError: `between` is neither.
@@ -51,23 +58,58 @@ class Data:
         is_straight(self.between)
 
     @classmethod
-    def of(cls, recording: Recording, twin: Twin, name: str = "the record", between: Between = "held") -> Data:
+    def of(cls, recording: Recording, twin: Twin, name: str = "the record", between: Assumption = "held") -> Data:
         """Return what a recording holds of a plant's actuators and sensors.
 
         An actuator V1 is read from the column `input.V1`, or else `V1`; a sensor s1 from `sensor.s1`, or else `s1`.
-        Commands that are held act after the delay of the plant. Inputs in straight lines act when they are measured.
+        Commands that are held act after the delay of the plant. Inputs that were measured act when they are measured:
+        in straight lines, or smoothly where they were measured behind an anti-alias filter, see `band_limited`.
 
         Raises:
             ModelError: `between` is not known.
             RecordError: a column is missing or not finite, time is not steady, nothing moves, or the record is too
                 short.
         """
+        if between not in get_args(Assumption):
+            raise ModelError(
+                f"between is '{between}': give 'held' for commands that act until the next sample, 'straight' for "
+                "inputs that were measured, which go in straight lines between samples, or 'smooth' for inputs that "
+                "were measured behind an anti-alias filter"
+            )
         commands = _columns(recording, "input", twin.actuators, name)
         readings = _columns(recording, "sensor", twin.sensors, name)
         rate = _rate(np.asarray(recording.t, dtype=float), name)
-        found = cls(name, rate, commands, readings, 0 if is_straight(between) else twin.delay, between)
+        if between == "held":
+            found = cls(name, rate, commands, readings, twin.delay)
+        else:
+            found = cls(name, rate, commands, readings, between="straight")
         found.check(twin)
-        return found
+        return found.band_limited() if between == "smooth" else found
+
+    @classmethod
+    def read(
+        cls,
+        path: str | Path,
+        twin: Twin,
+        between: Assumption = "held",
+        columns: Mapping[str, str] | None = None,
+        dt: float | None = None,
+    ) -> Data:
+        """Read what a file, or a part of one, holds of a plant's actuators and sensors; see `formats.read` and `of`.
+
+        Args:
+            path: of the record, such as `record.csv` or `record.csv@10:20`.
+            twin: the plant.
+            between: how inputs go from each sample to the next.
+            columns: of the file, by the names that they get.
+            dt: time between samples in s, for a file without a clock.
+
+        Raises:
+            ModelError: `between` is not known.
+            RecordError: the record cannot be read, or tells nothing of the plant.
+        """
+        needed = (*twin.actuators, *twin.sensors)
+        return cls.of(formats.read(path, columns, dt, needed), twin, str(path), between)
 
     def check(self, twin: Twin) -> None:
         """Refuse a record that tells nothing of a plant."""

@@ -1,0 +1,320 @@
+"""Formats: records of other programs, and parts of records; values are closed forms of their times."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_args
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import io
+
+from masking import formats, verbs
+from masking.discovery import asked
+from masking.errors import ModelError, RecordError
+from masking.identification.data import Assumption, Data
+from masking.part import Part
+from masking.recording import Recording
+
+# Version 7.3, as MATLAB marks it in the 512 bytes before an HDF5 file.
+HEADER = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+T = np.arange(1000) / 100.0
+CLOCK = st.integers(1, 1000)
+
+
+def hdf5(path, content, matlab=False):
+    """Write datasets by their paths."""
+    with h5py.File(path, "w", userblock_size=512 if matlab else 0) as file:
+        for name, values in content.items():
+            file[name] = values
+    if matlab:
+        with path.open("r+b") as stream:
+            stream.write(HEADER)
+    return path
+
+
+def refusal(path, *args, **settings):
+    with pytest.raises(RecordError) as refused:
+        formats.read(path, *args, **settings)
+    return str(refused.value)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Write two runs of different lengths, a clock of each, and what is no vector of numbers."""
+    content = {
+        "noise/time": T,
+        "noise/u": np.sin(T)[None],
+        "noise/y": np.cos(T)[:, None].astype(">f4"),
+        "arrow/u": np.arange(300),
+        "arrow/y": np.arange(300, dtype=np.uint8),
+        "gain": 3.0,
+        "table": np.zeros((3, 300)),
+        "words": ["a", "b"],
+        "complex": np.ones(1000) * 1j,
+        "nothing": h5py.Empty("f"),
+    }
+    return hdf5(tmp_path_factory.mktemp("runs") / "runs.h5", content)
+
+
+@pytest.fixture(scope="module")
+def times(tmp_path_factory):
+    """Write a table whose values are its times, on a clock that begins at 5 s."""
+    path = tmp_path_factory.mktemp("times") / "times.csv"
+    lines = [f"{5 + i / 100:.2f},{5 + i / 100:.2f}" for i in range(1000)]
+    path.write_text("t,x\n" + "\n".join(lines))
+    return path
+
+
+# HDF5
+
+
+@pytest.mark.parametrize("name", ["a.h5", "a.hdf5", "a.HDF5"])
+def test_groups_are_named_by_their_paths(runs, tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(runs.read_bytes())
+    made = formats.read(path, {"t": "noise/time", "u": "noise/u", "y": "noise/y"}, needed=("u", "y"))
+    assert set(made.columns) == {"t", "u", "y"}
+    np.testing.assert_array_equal(made["u"], np.sin(T))
+    np.testing.assert_array_equal(made["y"], np.cos(T).astype(np.float32))
+    assert formats.digest(path) == formats.digest(runs)
+
+
+def test_columns_of_other_lengths_are_left_out(runs):
+    made = formats.read(runs, {"u": "arrow/u"}, 0.1, needed=("u",))
+    assert set(made.columns) == {"t", "u", "arrow/y"}
+    np.testing.assert_array_equal(made["u"], np.arange(300.0))
+    np.testing.assert_allclose(made.t, np.arange(300) / 10.0)
+    longest = formats.read(runs, dt=0.1)
+    assert set(longest.columns) == {"t", "noise/time", "noise/u", "noise/y"}
+
+
+def test_columns_that_are_needed_have_one_length(runs):
+    assert refusal(runs, {"u": "noise/u", "y": "arrow/y"}, 0.1, ("u", "y")) == (
+        f"{runs}: columns of different lengths: u (noise/u) has 1000, y (arrow/y) has 300 samples; give those of one "
+        "run, with --map"
+    )
+    assert "t (noise/time) has 1000, u (arrow/u) has 300" in refusal(runs, {"t": "noise/time", "u": "arrow/u"})
+
+
+def test_names_in_groups_are_told(runs):
+    assert "no column noise/v; did you mean 'noise/" in refusal(runs, {"u": "noise/v"})
+    assert "name the clock, such as --map t=noise/time" in refusal(runs, {"u": "noise/u", "y": "noise/y"})
+
+
+def test_a_clock_of_another_length_is_not_needed_beside_dt(tmp_path):
+    path = hdf5(tmp_path / "a.h5", {"t": np.arange(7.0), "u": np.arange(9.0)})
+    assert len(formats.read(path, dt=0.5, needed=("u",))) == 9
+    assert "t has 7, u has 9" in refusal(path, needed=("u",))
+
+
+def test_matlab_7_3_is_hdf5(tmp_path):
+    path = hdf5(tmp_path / "a.mat", {"V1": np.sin(T)[None], "run/V2": np.cos(T)[:, None], "#refs#/a": T}, matlab=True)
+    with h5py.File(path, "r+") as file:
+        file["on"] = np.ones((1, 1000), np.uint8)
+        file["text"] = np.full((1000, 1), 65, np.uint16)
+        file["none"] = np.array([0, 0], np.uint64)
+        file["date"] = np.arange(1000, dtype=np.uint32)
+        file["sparse/data"] = T
+        file["sparse"].attrs["MATLAB_sparse"] = np.uint64(9)
+        file["none"].attrs["MATLAB_empty"] = np.uint8(1)
+        kinds = {
+            "V1": "double",
+            "run/V2": "double",
+            "on": "logical",
+            "text": "char",
+            "none": "double",
+            "date": "datetime",
+        }
+        for name, kind in kinds.items():
+            file[name].attrs["MATLAB_class"] = np.bytes_(kind)
+    assert path.read_bytes().startswith(b"MATLAB 7.3")
+    made = formats.read(path, {"u": "V1", "y": "run/V2"}, 0.01, needed=("u", "y"))
+    assert set(made.columns) == {"t", "u", "y", "on"}
+    np.testing.assert_array_equal(made["y"], np.cos(T))
+
+
+def test_hdf5_is_known_where_a_mat_file_has_no_mark_of_matlab(tmp_path):
+    path = hdf5(tmp_path / "octave.mat", {"u/value": T})
+    np.testing.assert_array_equal(formats.read(path, {"u": "u/value"}, 0.01)["u"], T)
+    io.savemat(tmp_path / "old.mat", {"u": T})
+    np.testing.assert_array_equal(formats.read(tmp_path / "old.mat", dt=0.01)["u"], T)
+
+
+def test_files_that_hold_no_vectors_are_refused(runs, tmp_path):
+    (tmp_path / "text.h5").write_text("t,u\n0,1\n")
+    assert refusal(tmp_path / "text.h5").startswith(f"{tmp_path / 'text.h5'}: the HDF5 file cannot be read (")
+    hdf5(tmp_path / "scalars.h5", {"a": 1.0, "b": np.zeros((2, 2))})
+    assert refusal(tmp_path / "scalars.h5") == f"{tmp_path / 'scalars.h5'}: it holds no vectors of numbers"
+    (tmp_path / "none.mat").write_bytes(HEADER.ljust(512, b"\0"))
+    assert "the HDF5 file cannot be read" in refusal(tmp_path / "none.mat")
+    assert "or a .parquet, .csv, .mat or .h5 file" in refusal(tmp_path / "a.xlsx")
+
+
+def test_files_that_are_cut_off_or_damaged_are_refused(runs, tmp_path):
+    """Cut anywhere, a file is refused; with other bytes, it is read or refused, and raises nothing else."""
+    whole, path = runs.read_bytes(), tmp_path / "a.h5"
+    for size in range(0, len(whole) - 1, len(whole) // 23):
+        path.write_bytes(whole[:size])
+        assert "the HDF5 file cannot be read" in refusal(path)
+    random = np.random.default_rng(0)
+    for _ in range(200):
+        spoiled = bytearray(whole)
+        for at in random.integers(0, 4096, 8):
+            spoiled[at] = random.integers(256)
+        path.write_bytes(bytes(spoiled))
+        try:
+            formats.read(path, dt=0.1)
+        except RecordError as error:
+            assert str(error).startswith(f"{path}: ")
+
+
+def test_reading_a_table_loads_no_h5py(times):
+    code = f"import sys; from masking import formats; formats.read({str(times)!r}); assert 'h5py' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[1])
+
+
+# Parts
+
+
+@pytest.mark.parametrize(
+    ("part", "first", "last"),
+    [
+        (":", 5.0, 14.99),
+        ("7:9", 7.0, 8.99),
+        ("7:", 7.0, 14.99),
+        (":9", 5.0, 8.99),
+        ("5:15", 5.0, 14.99),
+        ("7.005:7.025", 7.01, 7.02),
+        (" 7 : 8e0 ", 7.0, 7.99),
+        ("6.11:6.13", 6.11, 6.12),
+    ],
+)
+def test_a_part_keeps_the_instants_of_the_file(times, part, first, last):
+    made = formats.read(f"{times}@{part}")
+    np.testing.assert_array_equal(made.t, made["x"])
+    assert (made.t[0], made.t[-1]) == (first, last)
+    assert len(made) == round((last - first) * 100) + 1
+
+
+@given(first=CLOCK, second=CLOCK, scale=st.sampled_from([1e-3, 0.01, 0.1, 1.0 / 3.0, 1e7 / 2**14]))
+def test_parts_side_by_side_share_no_sample(first, second, scale):
+    """However instants round: by products, by sums and by decimals."""
+    at = f"{first * scale:.12g}"
+    for t in (np.arange(1001) * scale, np.cumsum(np.full(1001, scale)) - scale, np.arange(1001) / (1.0 / scale)):
+        before = Part("", Path(), None, float(at)).samples(t)
+        after = Part("", Path(), float(at)).samples(t)
+        assert (before ^ after).all()
+        assert before.sum() == first
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        ("7", "'7' is no part of a record; give two times in s, such as "),
+        ("a:b", "'a:b' is no part of a record"),
+        ("7-9", "'7-9' is no part of a record"),
+        ("7:8:9", "'7:8:9' is no part of a record"),
+        ("nan:", "'nan:' is no part of a record"),
+        (":inf", "':inf' is no part of a record"),
+        ("", "'' is no part of a record"),
+        ("9:7", "the part ends at 7 s, but starts at 9 s; let it end later"),
+        ("9:9", "the part ends at 9 s, but starts at 9 s; let it end later"),
+        ("1:9", "the record goes from 5 s to 14.99 s; name a part of it"),
+        ("7:15.1", "the record goes from 5 s to 14.99 s; name a part of it"),
+        ("20:30", "the record goes from 5 s to 14.99 s; name a part of it"),
+        (":4", "the record goes from 5 s to 14.99 s; name a part of it"),
+        (
+            "7.001:7.009",
+            "no sample lies in this part; the record goes from 5 s to 14.99 s, with 0.01 s between samples",
+        ),
+    ],
+)
+def test_what_is_no_part_is_refused(times, part, words):
+    told = refusal(f"{times}@{part}")
+    assert told.startswith(f"{times}@{part}: ")
+    assert words in told
+
+
+def test_a_path_that_is_there_is_taken_as_it_stands(times, tmp_path):
+    (tmp_path / "a.csv").write_text("t,x\n0,0\n1,1\n")
+    (tmp_path / "a.csv@0:1.csv").write_text(times.read_text())
+    (tmp_path / "me@home").mkdir()
+    assert len(formats.read(tmp_path / "a.csv@0:1.csv")) == 1000
+    assert len(formats.read(f"{tmp_path / 'a.csv@0:1.csv'}@6:7")) == 100
+    (tmp_path / "me@home" / "a.csv").write_text(times.read_text())
+    assert len(formats.read(f"{tmp_path / 'me@home' / 'a.csv'}@6:")) == 900
+    assert "no such record" in refusal(tmp_path / "me@home" / "b.csv")
+    assert "b.csv@1:2: no such record" in refusal(tmp_path / "b.csv@1:2")
+
+
+def test_a_part_has_the_digest_of_its_file(times):
+    assert formats.digest(f"{times}@7:9") == formats.digest(times)
+
+
+def test_a_part_of_a_recording(tmp_path):
+    Recording({"t": T, "x": T}, {"name": "kept"}).save(tmp_path / "run")
+    for path in (tmp_path / "run", tmp_path / "run" / "recording.parquet"):
+        made = formats.read(f"{path}@2:3")
+        assert made.manifest["name"] == "kept"
+        np.testing.assert_array_equal(made["x"], T[200:300])
+    assert formats.digest(f"{tmp_path / 'run'}@2:3") == formats.digest(tmp_path / "run")
+
+
+def test_what_is_wrong_outside_of_a_part_does_not_matter(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,x\n" + "\n".join(f"{t},{'nan' if t < 3.0 else t}" for t in T))
+    assert "column 'x' is nan in row 0" in refusal(path, needed=("x",))
+    np.testing.assert_array_equal(formats.read(f"{path}@3:", needed=("x",))["x"], T[300:])
+
+
+def test_a_clock_is_made_before_a_part_is_taken(runs):
+    made = formats.read(f"{runs}@10:20", {"u": "arrow/u"}, 0.1, needed=("u",))
+    np.testing.assert_array_equal(made["u"], np.arange(100.0, 200.0))
+    np.testing.assert_allclose(made.t, np.arange(100, 200) / 10.0)
+
+
+# Between samples
+
+
+@pytest.fixture(scope="module")
+def mass(tmp_path_factory):
+    path = tmp_path_factory.mktemp("mass") / "mass.yaml"
+    path.write_text(
+        "name: mass\ncoordinates: {x: {unit: m}}\ninputs: {f: {unit: N}}\nparameters: {m: {value: 1, unit: kg}, "
+        "k: {value: 100, unit: N/m}}\nequations: {\"x''\": (f - k*x)/m}\n"
+    )
+    return asked.rig(path, None)
+
+
+def test_smooth_inputs_become_straight_lines(mass):
+    """Straight lines between samples of a sine carry sinc^2 of it; the ends of a record apart."""
+    part = 0.1
+    u = np.sin(2 * np.pi * part * 100 * T)
+    made = Data.of(Recording({"t": T, "f": u, "x": u}), mass, between="smooth")
+    assert (made.between, made.delay) == ("straight", 0)
+    np.testing.assert_allclose(made.commands[3:-3, 0] * np.sinc(part) ** 2, u[3:-3], atol=1e-5)
+    np.testing.assert_array_equal(made.readings[:, 0], u)
+
+
+def test_the_command_line_knows_every_way_between_samples(mass):
+    assert get_args(Assumption) == verbs.BETWEEN
+    words = "between is 'cubic': give 'held' for .*, 'straight' for .*, or 'smooth' for .* behind an anti-alias filter"
+    with pytest.raises(ModelError, match=words):
+        Data.of(Recording({"t": T, "f": T, "x": T}), mass, between="cubic")
+
+
+def test_parts_of_one_file_are_records_of_a_discovery(mass, tmp_path):
+    columns = {"g/clock": T, "g/f": np.sin(9.0 * T), "g/x": np.cos(3.0 * T)}
+    path = hdf5(tmp_path / "a.h5", columns)
+    names = {"t": "g/clock", "f": "g/f", "x": "g/x"}
+    made = asked.read(mass, f"{path}@:6", f"{path}@6:", between="smooth", columns=names)
+    np.testing.assert_array_equal(made.record.readings[:, 0], np.cos(3.0 * T[:600]))
+    np.testing.assert_array_equal(made.validation.readings[:, 0], np.cos(3.0 * T[600:]))
+    digest = formats.digest(path)
+    assert made.origin.records == {"record": (f"{path}@:6", digest), "judged by": (f"{path}@6:", digest)}
+    with pytest.raises(RecordError, match=r"a\.h5@:2: 200 samples are too few"):
+        asked.read(mass, f"{path}@:2", columns=names)
