@@ -68,7 +68,7 @@ def evidence(twin, rig, commands):
 def equations(evidence, slots=(), added=None, theta=None):
     rig = evidence.rig
     values = np.array([s.values[i] for s in slots for i in s.free]) if added is None else added
-    return rig.equations(evidence, rig.start if theta is None else theta, np.zeros(6), slots, values)
+    return rig.equations(evidence, rig.start if theta is None else theta, np.zeros((1, 6)), slots, values)
 
 
 def noisy(evidence, slots, seed=0):
@@ -137,7 +137,7 @@ def test_two_coordinates_push_each_other_by_their_masses():
 def test_the_smoother_finds_a_force_and_how_well_it_is_known(evidence):
     hidden = Slot("periodic_force", "beam", (0.05, 0.02, 0.7), (0, 1, 2))
     record = noisy(evidence, (hidden,))
-    motion = smooth(record, evidence.rig.start, np.zeros(6))
+    motion = smooth(record, evidence.rig.start, np.zeros((1, 6)))
     t = np.arange(len(motion.forces)) / RATE
     true = -0.05 * np.sin(2 * np.pi * 0.7 * t) - 0.02 * np.cos(2 * np.pi * 0.7 * t)
     middle = slice(2000, -2000)

@@ -19,7 +19,20 @@ from masking.discovery.evidence import Belief, Evidence
 from masking.discovery.experiment import NextExperiment, next_experiment
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.opened import OpenRig
-from masking.discovery.search import CLEAN, REST, SAME, SHARE, SMALL, Explanation, Found, Search, probabilities
+from masking.discovery.screening import thinning
+from masking.discovery.search import (
+    CLEAN,
+    REST,
+    SAME,
+    SHARE,
+    SMALL,
+    Explanation,
+    Found,
+    Search,
+    probabilities,
+    temperature,
+)
+from masking.discovery.smoothing import linearised
 from masking.errors import IntegrationError, RecordError
 from masking.identification.data import Data
 from masking.identification.simulation import relative
@@ -34,6 +47,12 @@ SURE = 0.9  # probability from which a name is given
 NEAR = 60.0  # of the score: rivals that the record that judges may decide between
 LATTICE = 0.1  # different values per reading below which readings may be rounded
 ROUNDED = 0.3  # part of the noise's variance that rounding must make to be named
+RESTLESS = 10.0  # eigenvalue times the length of a record: what is slower does not come to rest in it
+SHARES = 20  # windows of a record of what does not come to rest
+FEWEST = 200  # samples of a window
+FEWEST_STEPS = 2  # between samples: effects may be faster than the rig
+TRACE = 0.05  # of the gap: so little of what is never closed may be of anything
+UNSEEN = 0.1  # of the noise: what integration may add
 HELD_OUT = 0.3  # of a record, where no other is given to judge by
 LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "actuator_gain", "constant_force")
 
@@ -89,6 +108,8 @@ class Discovery:
         rest: part of the gap beyond noise that is left on the record.
         twin: the rig as it was believed to be.
         explanation: the one that was chosen.
+        rivals: the explanations that it was chosen from, itself first.
+        temperature: by which costs of these were divided, see `search.temperature`.
         found: the whole search.
         evidence: the record that was explained.
         judged: the record that it was judged by.
@@ -102,6 +123,8 @@ class Discovery:
     rest: float
     twin: Twin
     explanation: Explanation
+    rivals: tuple[Explanation, ...]
+    temperature: float
     found: Found
     evidence: Evidence
     judged: Evidence
@@ -123,6 +146,11 @@ class Discovery:
     def judge(self) -> Data:
         """Return the record that it was judged by."""
         return self.judged.record
+
+    @property
+    def deviations(self) -> Array:
+        """Return the standard deviations of the rig's parameters and of those of the effects (k + f,)."""
+        return _deviations(self.explanation, self.temperature)
 
     @cached_property
     def adjusted(self) -> Hypothesis:
@@ -153,6 +181,7 @@ def discover(
     *,
     parameters: Sequence[str] = (),
     tolerance: float = TOLERANCE,
+    horizon: float | None = None,
     rig: OpenRig | None = None,
     tell: Tell | None = None,
 ) -> Discovery:
@@ -164,6 +193,8 @@ def discover(
         validation: another record to judge by; the last part of the record where none is given.
         parameters: of the model that may be off; all that its equations hold where none are given.
         tolerance: relative standard deviation of a parameter for which the model declares none.
+        horizon: seconds after which the motion is simulated anew, from an initial state of its own; by default the
+            whole record is simulated in one, or a model that does not come to rest by itself in `SHARES` parts.
         rig: the twin with its places open, where it has been made before.
         tell: told what is done, and the part done.
 
@@ -174,15 +205,19 @@ def discover(
     rig = rig or OpenRig(twin, tuple(parameters) or twin.equation_parameters())
     say = tell or (lambda text, part: None)
     train, judge = _split(record) if validation is None else (record, validation)
-    substeps = max(1, twin.substeps(train.rate) // 2)
-    evidence = Evidence(rig, train, believed(twin, rig, tolerance), noise_of(twin, train), substeps)
+    belief, most = believed(twin, rig, tolerance), max(1, twin.substeps(train.rate) // 2)
+    whole = Evidence(rig, train, belief, noise_of(twin, train), most)
+    evidence = replace(whole, horizon=_horizon(whole, horizon))
+    evidence = replace(evidence, substeps=_substeps(evidence))
     judged = replace(evidence, record=judge, sigma=noise_of(twin, judge))
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
-        found = _reordered(Search(evidence, say).run(), judged)
-        chosen = _chosen(found, judged, train.readings.size)
-        declared = fitting.fit(evidence, theta=evidence.belief.mean, frozen=True, rounds=6)
+        found = Search(evidence, say).run()
+        found = replace(found, steps=tuple(_reordered(step, evidence, judged) for step in found.steps))
+        rivals = _chosen(found, judged, train.readings.size)
+        chosen = rivals[0]
+        declared = fitting.fit(evidence, theta=evidence.belief.mean, frozen=True)
         before, after = _judged(judged, declared), _judged(judged, chosen.hypothesis)
-    size = train.readings.size
+    size, heat = train.readings.size, temperature(evidence, chosen.hypothesis)
     excess, left = (max(e.hypothesis.cost - size, 0.0) for e in (found.base, chosen))
     rest = left / excess if excess > 0.0 else 0.0
     gap = Gap(
@@ -191,15 +226,54 @@ def discover(
         _floor(evidence),
         _floor(judged),
     )
-    verdict, effects = _with_rounding(evidence, *_verdict(rig, found, chosen, rest, size))
+    verdict, effects = _with_rounding(evidence, *_verdict(rig, rivals, heat, rest, size))
     coming = None
     if verdict == "ambiguous":
         say("looking for an experiment that tells them apart", 0.95)
-        first, second = found.rivals[:2]
+        first, second = rivals[:2]
         names_of = (_name(first), _name(second))
         with threadpool_limits(1):
             coming = next_experiment(evidence, first.hypothesis, second.hypothesis, names_of, _limits(twin))
-    return Discovery(verdict, effects, gap, rest, twin, chosen, found, evidence, judged, before, after, coming)
+    return Discovery(
+        verdict, effects, gap, rest, twin, chosen, rivals, heat, found, evidence, judged, before, after, coming
+    )
+
+
+def _horizon(evidence: Evidence, seconds: float | None) -> int:
+    """Return the samples of a window, in whole blocks of the screening: as asked, or as the model needs; 0 for none.
+
+    Raises:
+        RecordError: the windows asked for are too short.
+    """
+    rate, count = evidence.record.rate, len(evidence.record)
+    if seconds is None:
+        speeds = np.linalg.eigvals(linearised(evidence.rig, evidence.belief.mean)[0]) * count / rate
+        if not ((np.abs(speeds) < RESTLESS) | (speeds.real > 1.0)).any():
+            return 0
+        seconds = count / rate / SHARES
+    elif not seconds * rate >= FEWEST:
+        least = FEWEST / rate
+        raise RecordError(f"the horizon is {seconds:g} s; give {least:g} s or more, which are {FEWEST} samples")
+    _, block = thinning(evidence.rig, rate)
+    samples = round(seconds * rate / block) * block
+    return samples if samples < count else 0
+
+
+def _substeps(evidence: Evidence) -> int:
+    """Return how many integration steps between samples simulate the readings within their noise."""
+    theta, most = evidence.belief.mean, evidence.substeps
+    start = fitting.first_states(evidence, theta)
+
+    def simulated(substeps: int) -> Array:
+        return evidence.rig.equations(replace(evidence, substeps=substeps), theta, start).simulated
+
+    steps, before = min(FEWEST_STEPS, most), simulated(min(FEWEST_STEPS, most))
+    while steps < most:
+        after = simulated(min(2 * steps, most))
+        if bool((np.sqrt(((after - before) ** 2).mean(axis=0)) < UNSEEN * evidence.sigma).all()):
+            break
+        steps, before = min(2 * steps, most), after
+    return steps
 
 
 def _name(explanation: Explanation) -> str:
@@ -258,7 +332,7 @@ def steps_of(record: Data) -> Array:
 
 def _judged(evidence: Evidence, hypothesis: Hypothesis) -> Hypothesis:
     """Return a hypothesis on a record that judges: only its initial state is estimated."""
-    return fitting.fit(evidence, hypothesis.slots, theta=hypothesis.theta, frozen=True, rounds=6)
+    return fitting.fit(evidence, hypothesis.slots, theta=hypothesis.theta, frozen=True)
 
 
 def _cost(evidence: Evidence, hypothesis: Hypothesis) -> float:
@@ -274,29 +348,29 @@ def _split(record: Data) -> tuple[Data, Data]:
     return train, record.windows(HELD_OUT * seconds)[-1]
 
 
-def _reordered(found: Found, judged: Evidence) -> Found:
-    """Return the search with the rivals of its last step ordered by what they predict of another record, too."""
-    if len(found.rivals) < 2 or all(rival is not found.best for rival in found.rivals):
-        return found
-    near = found.rivals[0].score + NEAR * found.temperature
-    rivals = [
-        replace(rival, score=rival.score + _cost(judged, rival.hypothesis))
-        for rival in found.rivals
-        if rival.score <= near
-    ]
-    rivals.sort(key=lambda rival: rival.score)
-    return replace(found, steps=(*found.steps[:-1], rivals[0]), rivals=tuple(rivals))
+def _reordered(rivals: tuple[Explanation, ...], evidence: Evidence, judged: Evidence) -> tuple[Explanation, ...]:
+    """Return explanations that are nearly as good as the best, ordered by what they predict of another record, too."""
+    heat = temperature(evidence, rivals[0].hypothesis)
+    near = [rival for rival in rivals if rival.score(heat) <= rivals[0].score(heat) + NEAR]
+    if len(near) < 2 or any(rival.score(heat) < rivals[0].score(heat) for rival in near):
+        return rivals
+    both = [replace(rival, judged=_cost(judged, rival.hypothesis)) for rival in near]
+    return tuple(sorted(both, key=lambda rival: rival.score(heat)))
 
 
-def _chosen(found: Found, judged: Evidence, size: int) -> Explanation:
-    """Return the last step that is needed, and that shrinks the gap in the record that judges."""
-    chosen, excess = found.base, max(found.base.hypothesis.cost - size, 0.0)
-    start, before = excess, _cost(judged, found.base.hypothesis)
+def _chosen(found: Found, judged: Evidence, size: int) -> tuple[Explanation, ...]:
+    """Return the explanations of the last step that is needed, and that shrinks the gap in the record that judges."""
+    chosen: tuple[Explanation, ...] = (found.base,)
+    excess = start = max(found.base.hypothesis.cost - size, 0.0)
+    before = _cost(judged, found.base.hypothesis)
+    closed = bool(found.steps) and found.steps[-1][0].hypothesis.cost <= CLEAN**2 * size
     for step in found.steps:
-        left, after = max(step.hypothesis.cost - size, 0.0), _cost(judged, step.hypothesis)
-        explained = chosen is not found.base and excess <= min(REST * start, (SMALL - 1.0) * size)
+        best = step[0]
+        left, after = max(best.hypothesis.cost - size, 0.0), _cost(judged, best.hypothesis)
+        little = (SMALL - 1.0) * size if closed else max((SMALL - 1.0) * size, TRACE * start)
+        explained = chosen[0] is not found.base and excess <= min(REST * start, little)
         enough = left <= (1.0 - SHARE) * excess or left < (CLEAN**2 - 1.0) * size
-        wrong = step.kind == "parameter" and after < CLEAN * before  # its error is in what was fitted before, too
+        wrong = best.kind == "parameter" and after < CLEAN * before  # its error is in what was fitted before, too
         if not (after < before or wrong) or (explained and not enough):
             break
         chosen, excess, before = step, left, after
@@ -304,28 +378,20 @@ def _chosen(found: Found, judged: Evidence, size: int) -> Explanation:
 
 
 def _verdict(
-    rig: OpenRig, found: Found, chosen: Explanation, rest: float, size: int
+    rig: OpenRig, rivals: tuple[Explanation, ...], heat: float, rest: float, size: int
 ) -> tuple[Verdict, tuple[Named, ...]]:
-    temperature = found.temperature
-    if chosen.kind == "none":
-        if found.base.hypothesis.cost > CLEAN**2 * size:
-            return "unknown", ()
-        return "none", ()
-    rivals = found.rivals if chosen is found.best else (chosen,)
-    weights = probabilities(rivals, temperature)
-    at = next(i for i, rival in enumerate(rivals) if rival is chosen)
-    others = [
-        (*rival.names[-1], float(weight))
-        for i, (rival, weight) in enumerate(zip(rivals, weights, strict=True))
-        if i != at and weight > 1e-4
-    ]
-    causes = _causes(rig, chosen, float(weights[at]), tuple(others))
+    chosen = rivals[0]
     closed = chosen.hypothesis.cost <= CLEAN**2 * size
+    if chosen.kind == "none":
+        return ("none" if closed else "unknown"), ()
+    weights = [float(weight) for weight in probabilities(rivals, heat)]
+    others = [(*r.names[-1], weight) for r, weight in zip(rivals[1:], weights[1:], strict=True) if weight > 1e-4]
+    causes = _causes(rig, chosen, heat, weights[0], tuple(others))
     if rest > REST and not closed:
         return "unknown", causes
     if chosen.kind == "parameter" or all(_is_parameter(c, chosen) for c in causes):
         return "parameter", causes
-    return ("named" if weights[at] >= SURE else "ambiguous"), causes
+    return ("named" if weights[0] >= SURE else "ambiguous"), causes
 
 
 def _with_rounding(
@@ -345,11 +411,16 @@ def _is_parameter(cause: Named, chosen: Explanation) -> bool:
     return cause.name in LIKE_PARAMETERS and chosen.own < SAME
 
 
+def _deviations(explanation: Explanation, heat: float) -> Array:
+    """Return standard deviations (k + f,), larger where more than white noise is left."""
+    return np.asarray(np.sqrt(heat) * explanation.hypothesis.deviations)
+
+
 def _causes(
-    rig: OpenRig, chosen: Explanation, probability: float, others: tuple[tuple[str, str, float], ...]
+    rig: OpenRig, chosen: Explanation, heat: float, probability: float, others: tuple[tuple[str, str, float], ...]
 ) -> tuple[Named, ...]:
     hypothesis, k = chosen.hypothesis, len(rig.names)
-    deviations = hypothesis.deviations
+    deviations = _deviations(chosen, heat)
     if chosen.kind == "parameter":
         ((name, _),) = chosen.names
         i = rig.names.index(name)

@@ -35,6 +35,7 @@ class Evidence:
         belief: of the rig's parameters.
         sigma: standard deviation of the noise of each reading (sensors,).
         substeps: integration steps between samples.
+        horizon: samples after which the motion begins anew, from a state of its own; 0 for none.
     """
 
     rig: OpenRig
@@ -42,6 +43,17 @@ class Evidence:
     belief: Belief
     sigma: Array
     substeps: int
+    horizon: int = 0
+
+    @property
+    def begin(self) -> int:
+        """Return the samples of a window in which the rig moves from one initial state."""
+        return self.horizon or len(self.record)
+
+    @property
+    def windows(self) -> int:
+        """Return the number of these windows."""
+        return -(-len(self.record) // self.begin)
 
     @property
     def weights(self) -> Array:

@@ -94,10 +94,11 @@ def next_experiment(
 def _left(evidence: Evidence, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
     """Return what one explanation leaves of what the other would read, as -2 log likelihood."""
     record = Data("simulated", evidence.record.rate, commands, np.zeros((len(commands), len(evidence.sigma))))
-    state = evidence.rig.twin.rest(np.zeros(len(evidence.rig.coordinates)))
+    state = evidence.rig.twin.rest(np.zeros(len(evidence.rig.coordinates)))[None]
+    free = replace(evidence, record=record, horizon=0)
     try:
-        made = evidence.rig.equations(replace(evidence, record=record), truth.theta, state, truth.slots, truth.added)
-        told = replace(evidence, record=replace(record, readings=made.simulated))
+        made = evidence.rig.equations(free, truth.theta, state, truth.slots, truth.added)
+        told = replace(free, record=replace(record, readings=made.simulated))
         return fitting.fit(told, other.slots, theta=other.theta, start=state, rounds=12).cost
     except IntegrationError:
         return 0.0

@@ -1,7 +1,7 @@
 """Fitting: the rig with effects at some places, brought as near to its records as its parameters let it.
 
 The parameters of the rig are held near their declared values by how far these may be off; the initial state of each
-record is estimated. Source: as `masking.identification.fit`, with a normal prior.
+window of the record is estimated. Source: as `masking.identification.fit`, with a normal prior.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from masking.kernels import Array
 
 MOST_ROUNDS = 40
 GROWTH = 2.0  # times what is positive may become in a round
-CONVERGED = 0.02  # of the cost, in units of -2 log likelihood, that a step may still take off
+CONVERGED = 0.02  # of the cost, in units of -2 log likelihood, for each reading's, that a step may still take off
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Hypothesis:
     Args:
         slots: the effects with fitted values.
         theta: parameters of the rig (k,).
-        start: initial state (states,).
+        start: initial state of each window (windows, states).
         cost: -2 log likelihood and belief, up to a constant: squared residuals over their variance.
         squares: of each sensor (sensors,).
         covariance: of rig's parameters and free parameters of the effects (k + f, k + f).
@@ -79,7 +80,7 @@ def fit(
         evidence: the record and the rig.
         slots: effects with values to begin from.
         theta: parameters to begin from; those believed where none are given.
-        start: initial state to begin from; from the first readings where none is given.
+        start: initial states to begin from (windows, states); from the first readings where none are given.
         rounds: most rounds.
         frozen: whether only the initial state is estimated.
 
@@ -87,19 +88,53 @@ def fit(
         IntegrationError: the motion is not finite from where it begins.
     """
     x = evidence.belief.mean.copy() if theta is None else theta.copy()
-    state = first_state(evidence, x) if start is None else start.copy()
-    return _Problem(evidence, tuple(slots)).solve(x, estimated(slots), state, rounds, frozen=frozen)
+    state = first_states(evidence, x) if start is None else start.copy()
+    problem = _Problem(evidence, tuple(slots))
+    return problem.solve(_Point(x, estimated(slots), np.zeros(len(problem.begins)), state), rounds, frozen=frozen)
 
 
-def first_state(evidence: Evidence, theta: Array, samples: int = 20) -> Array:
-    """Return a first guess of the initial state: positions from the first readings, velocities 0."""
+def cost(evidence: Evidence, slots: Sequence[Slot], theta: Array, start: Array) -> float:
+    """Return the cost of a hypothesis that is not fitted; infinite where its motion is not finite."""
+    problem = _Problem(evidence, tuple(slots))
+    at = _Point(theta, estimated(slots), np.zeros(len(problem.begins)), start)
+    try:
+        return problem.cost(problem.equations(at), at)
+    except IntegrationError:
+        return np.inf
+
+
+def first_states(evidence: Evidence, theta: Array, samples: int = 20) -> Array:
+    """Return a first guess of initial states (windows, states), from straight lines through the first readings."""
     rig, record = evidence.rig, evidence.record
     from_rest = rig.twin.rest(np.zeros(len(rig.coordinates)))
     n = len(rig.coordinates)
     told, sensing = rig.reading(theta, from_rest)
-    read = record.readings[:samples].mean(axis=0)
-    from_rest[:n] = np.linalg.pinv(sensing[:, :n]) @ (read - told)
-    return from_rest
+    back = np.linalg.pinv(sensing[:, :n])
+    found = np.tile(from_rest, (evidence.windows, 1))
+    for i, state in enumerate(found):
+        read = record.readings[i * evidence.begin :][:samples]
+        slope, first = np.polynomial.polynomial.polyfit(np.arange(len(read)) / record.rate, read, 1)[::-1]
+        state[:n] = back @ (first - told)
+        state[n : 2 * n] = back @ slope
+    return found
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Values of all that is estimated: the rig's parameters, the effects', where their states and the motion begin."""
+
+    theta: Array
+    added: Array
+    inner: Array
+    start: Array
+
+    def moved(self, step: Array, low: Array, high: Array, moving: int) -> _Point:
+        """Return the point after a step, with parameters of effects within their bounds."""
+        k, f, s = len(self.theta), len(self.added), len(self.inner)
+        start = self.start.copy()
+        start[:, :moving] += step[k + f + s :].reshape(-1, moving)
+        added = within(self.added, step[k : k + f], low, high)
+        return _Point(self.theta + step[:k], added, self.inner + step[k + f : k + f + s], start)
 
 
 @dataclass(frozen=True)
@@ -107,56 +142,66 @@ class _Problem:
     evidence: Evidence
     slots: tuple[Slot, ...]
 
-    def solve(self, theta: Array, added: Array, start: Array, rounds: int, *, frozen: bool) -> Hypothesis:
-        k, f, moving = len(theta), len(added), 2 * len(self.evidence.rig.coordinates)
-        held = np.zeros(k + f + moving, dtype=bool)
-        held[: k + f] = frozen
-        damping = 1e-6
-        found = self._equations(theta, added, start)
-        cost = self._cost(found, theta)
+    @cached_property
+    def begins(self) -> Array:
+        """Return how far from 0 the states of effects may begin (s,)."""
+        return np.array([size for slot in self.slots for size in slot.begins])
+
+    def solve(self, at: _Point, rounds: int, *, frozen: bool) -> Hypothesis:
+        k, f, s, moving = len(at.theta), len(at.added), len(at.inner), 2 * len(self.evidence.rig.coordinates)
+        held = np.zeros(k + f + s + len(at.start) * moving, dtype=bool)
+        held[: k + f], held[k + f : k + f + s] = frozen, self.begins == 0.0
+        damping, size = 1e-6, self.evidence.record.readings.size
+        found = self.equations(at)
+        cost = self.cost(found, at)
         low, high = self._bounds()
         for _ in range(rounds):
-            matrix, gradient = self._with_belief(found, theta)
+            matrix, gradient = self._with_belief(found, at)
             step, gain = _step(matrix, gradient, damping, held)
-            if gain < CONVERGED:
+            enough = CONVERGED * max(1.0, cost / size)
+            if gain < enough:
                 break
-            after = within(added, step[k : k + f], low, high)
-            moved = start.copy()
-            moved[:moving] += step[k + f :]
+            then = at.moved(step, low, high, moving)
             try:
-                tried = self._equations(theta + step[:k], after, moved)
-                new = self._cost(tried, theta + step[:k])
+                tried = self.equations(then)
+                new = self.cost(tried, then)
             except IntegrationError:
                 new = np.inf
             if new < cost:
-                theta, added, start, found = theta + step[:k], after, moved, tried
+                at, found = then, tried
                 taken, cost = cost - new, new
                 damping = max(damping / 10.0, 1e-9)
-                if taken < CONVERGED:
+                if taken < enough:
                     break
             else:
                 damping *= 10.0
                 if damping > 1e8:
                     break
-        matrix, _ = self._with_belief(found, theta)
-        left = iter(added)
+        matrix, _ = self._with_belief(found, at)
+        left = iter(at.added)
         values = [slot.with_values(slot.free, itertools.islice(left, len(slot.free))) for slot in self.slots]
         return Hypothesis(
-            tuple(values), theta, start, cost, found.squares, _covariance(matrix)[: k + f, : k + f],
+            tuple(values), at.theta, at.start, cost, found.squares, _covariance(matrix)[: k + f, : k + f],
             self.evidence.record.readings - found.simulated,
         )  # fmt: skip
 
-    def _equations(self, theta: Array, added: Array, start: Array) -> Equations:
-        return self.evidence.rig.equations(self.evidence, theta, start, self.slots, added)
+    def equations(self, at: _Point) -> Equations:
+        return self.evidence.rig.equations(self.evidence, at.theta, at.start, self.slots, at.added, inner=at.inner)
 
-    def _cost(self, found: Equations, theta: Array) -> float:
-        off = (theta - self.evidence.belief.mean) / self.evidence.belief.deviation
-        return float(found.squares @ self.evidence.weights + off @ off)
+    def cost(self, found: Equations, at: _Point) -> float:
+        off = (at.theta - self.evidence.belief.mean) / self.evidence.belief.deviation
+        begun = at.inner[self.begins > 0.0] / self.begins[self.begins > 0.0]
+        return float(found.squares @ self.evidence.weights + off @ off + begun @ begun)
 
-    def _with_belief(self, found: Equations, theta: Array) -> tuple[Array, Array]:
-        k, matrix, gradient = len(theta), found.matrix.copy(), found.gradient.copy()
-        matrix[:k, :k] += np.diag(self.evidence.belief.deviation**-2.0)
-        gradient[:k] += (self.evidence.belief.mean - theta) / self.evidence.belief.deviation**2
+    def _with_belief(self, found: Equations, at: _Point) -> tuple[Array, Array]:
+        matrix, gradient = found.matrix.copy(), found.gradient.copy()
+        k, first = len(at.theta), len(at.theta) + len(at.added)
+        believed = np.zeros(len(matrix))
+        believed[:k] = self.evidence.belief.deviation**-2.0
+        believed[first : first + len(self.begins)] = np.where(self.begins > 0.0, self.begins, np.inf) ** -2.0
+        matrix += np.diag(believed)
+        gradient[:k] += (self.evidence.belief.mean - at.theta) * believed[:k]
+        gradient[first : first + len(at.inner)] -= at.inner * believed[first : first + len(at.inner)]
         return matrix, gradient
 
     def _bounds(self) -> tuple[Array, Array]:

@@ -172,7 +172,7 @@ def _motions(found: Discovery) -> tuple[Motion, Motion | None]:
         return found.found.motion, None
     rig, record, evidence = found.rig, found.record, found.evidence
     try:
-        without = rig.equations(evidence, chosen.theta, chosen.start, (), np.zeros(0)).simulated
+        without = rig.equations(evidence, chosen.theta, chosen.start).simulated
         cleaned = replace(record, readings=np.ascontiguousarray(chosen.residuals + without))
         before, after = (smooth(replace(evidence, record=r), chosen.theta, chosen.start) for r in (record, cleaned))
     except IntegrationError:

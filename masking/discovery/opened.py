@@ -17,6 +17,7 @@ import numpy as np
 from masking.compile import store
 from masking.compile.source import Module
 from masking.compile.tangent import derivatives
+from masking.declaration.expression import Expression
 from masking.declaration.schema import EffectUse
 from masking.discovery import laws, steps
 from masking.discovery.places import Place, identifier, opened
@@ -64,6 +65,15 @@ class Slot:
         return replace(self, values=tuple(made))
 
     @property
+    def begins(self) -> tuple[float, ...]:
+        """Return how far from 0 its state may begin; 0 where it begins there, and nothing where it has none."""
+        if self.effect == laws.DELAY:
+            return ()
+        effect = EFFECTS[self.effect]
+        values = dict(zip(effect.parameters, self.values, strict=True))
+        return tuple(Expression(state.size or "0").evaluate(values) for state in effect.states.values())
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Return the names of the estimated parameters."""
         every = ("tau",) if self.effect == laws.DELAY else tuple(EFFECTS[self.effect].parameters)
@@ -74,7 +84,8 @@ class Slot:
 class Equations:
     """What a record tells: J^T W J (w, w), J^T W r (w,), squared residuals (sensors,), and what is simulated.
 
-    Columns: parameters of the rig, free parameters of the slots, then the initial positions and velocities.
+    Columns: parameters of the rig, free parameters of the slots, where their states begin, then the initial positions
+    and velocities of each window.
     """
 
     matrix: Array
@@ -216,8 +227,8 @@ class OpenRig:
             "command_column": command_column, "coordinate_ports": tuple(force_p[i] for i in self.coordinate_places),
         }  # fmt: skip
         size = n + MOST_STATES
-        width = max(len(self.names) + 4 * laws.MOST_PARAMETERS + n, len(affected), MOST_COLUMNS, size)
-        rows = 10 * size + 8 * len(found) + 16 * len(readings) + 4 * len(twin.actuators) + 40
+        width = max(len(self.names) + 4 * laws.MOST_PARAMETERS + size, len(affected), MOST_COLUMNS)
+        rows = 10 * size + 8 * len(found) + 16 * len(readings) + 4 * len(twin.actuators) + 42
         module.add_kernel(steps.FLOW.format(**many) + steps.RUN.format(**many), "i", (rows, width))
         for text in steps.OTHERS:
             result, work = ("i" if text is steps.FOLLOW else ""), (None if text is steps.BACK else (rows, width))
@@ -287,37 +298,52 @@ class OpenRig:
         return list(names[where]).index(slot.at)
 
     def equations(
-        self, evidence: Evidence, theta: Array, start: Array, slots: Sequence[Slot], added: Array
+        self,
+        evidence: Evidence,
+        theta: Array,
+        start: Array,
+        slots: Sequence[Slot] = (),
+        added: Array | None = None,
+        *,
+        inner: Array | None = None,
     ) -> Equations:
         """Return what a record tells at values of the parameters.
 
         Args:
             evidence: the record.
             theta: parameters of the rig (k,), in declared units.
-            start: state at the first sample (states,).
+            start: state at the first sample of each window (windows, states).
             slots: effects, one after the other.
             added: their free parameters (f,).
+            inner: where their states begin (s,); at 0 where this is not given.
 
         Raises:
             IntegrationError: the motion is no longer finite.
         """
         record = evidence.record
+        added = np.empty(0) if added is None else added
         table, columns, values, states = self.slots(slots, added)
-        p, basis = self.basis(theta, len(added))
-        k, moving = basis.shape[1], 2 * len(self.coordinates)
-        y = np.concatenate([start, np.full(states, NEARLY_ZERO)])
-        sens = np.zeros((len(y), k + moving))
-        sens[:moving, k:] = np.eye(moving)
-        width = k + moving
-        matrix, gradient, squares = np.zeros((width, width)), np.zeros(width), np.zeros(len(self.twin.sensors))
-        simulated = np.empty_like(record.readings)
+        p, basis = self.basis(theta, len(added) + states)
+        k, moving, windows = basis.shape[1], 2 * len(self.coordinates), evidence.windows
+        n, width = len(self.twin.state_names), k + moving
+        y, sens = np.full(n + states, NEARLY_ZERO), np.zeros((n + states, width))
+        y[n:] += 0.0 if inner is None else inner
+        sens[n:, k - states : k] = np.eye(states)
+        of_windows, gradients = np.zeros((windows * width, width)), np.zeros(windows * width)
+        squares, simulated = np.zeros(len(self.twin.sensors)), np.empty_like(record.readings)
         status = self.kernels.run(
-            len(record), evidence.dt, evidence.substeps, is_straight(record.between), y, sens, p, basis, table, columns,
-            values, np.ascontiguousarray(record.acting), record.readings, evidence.weights, matrix, gradient, squares,
+            len(record), evidence.dt, evidence.substeps, evidence.begin, is_straight(record.between),
+            np.ascontiguousarray(start), y, sens, p, basis, table, columns, values,
+            np.ascontiguousarray(record.acting), record.readings, evidence.weights, of_windows, gradients, squares,
             simulated,
         )  # fmt: skip
-        if status or not np.isfinite(squares).all() or not np.isfinite(matrix).all():
+        if status or not np.isfinite(squares).all() or not np.isfinite(of_windows).all():
             raise IntegrationError("the simulated motion is no longer finite")
+        matrix, gradient = np.zeros((k + windows * moving,) * 2), np.zeros(k + windows * moving)
+        for i in range(windows):
+            own = np.concatenate([np.arange(k), np.arange(k + i * moving, k + (i + 1) * moving)])
+            matrix[np.ix_(own, own)] += of_windows[i * width : (i + 1) * width]
+            gradient[own] += gradients[i * width : (i + 1) * width]
         matrix += np.tril(matrix, -1).T
         return Equations(matrix, gradient, squares, simulated)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
+import numpy as np
 
 from masking import markup
 from masking.discovery import forces, words, written
@@ -150,21 +151,22 @@ def _gaps(found: Discovery, names: set[str]) -> str:
 
 def _rivals(found: Discovery) -> str:
     """Tabulate the explanations that were fitted in full, with their probabilities."""
-    rivals = found.found.rivals
+    rivals, heat = found.rivals, found.temperature
     if len(rivals) < 2 or not found.effects:
         return ""
     rows = []
-    sure = probabilities(rivals, found.found.temperature)
+    sure = probabilities(rivals, heat)
     for rival, probability in zip(rivals, sure, strict=True):
         told = " and ".join(words.spoken(*name) for name in rival.names)
-        deviations = rival.hypothesis.deviations[len(found.rig.names) :]
+        deviations = np.sqrt(heat) * rival.hypothesis.deviations[len(found.rig.names) :]
         values, used = [], 0
         for slot in rival.hypothesis.slots:
             for name, i in zip(slot.names, slot.free, strict=True):
                 values.append(f"{name} = {words.with_deviation(slot.values[i], float(deviations[used]), '')}")
                 used += 1
         p = f"{probability:.3f}" if probability > 5e-4 else "< 0.001"
-        rows.append((words.capital(told), p, words.number(rival.score - rivals[0].score, 4), ", ".join(values)))
+        worse = words.number(rival.score(heat) - rivals[0].score(heat), 4)
+        rows.append((words.capital(told), p, worse, ", ".join(values)))
     head = ("explanation", "probability", "worse by", "value")
     told = (
         "Each was fitted in full, with the model's parameters free within what is believed of them. 'Worse by' is the "

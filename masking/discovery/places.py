@@ -64,8 +64,7 @@ def identifier(name: str) -> str:
 def _coordinate(model: ModelDeclaration, element: Element) -> str | None:
     """Return the coordinate that an element is a place of: its displacement alone, and it acts on that alone."""
     text = _text(element.displacement.text)
-    acts = {name: _text(factor.text) for name, factor in element.acts.items()}
-    return text if text in model.coordinates and acts == {text: "-1"} else None
+    return text if text in model.coordinates and set(element.acts) == {text} else None
 
 
 def _weights(model: ModelDeclaration) -> Mapping[str, str]:
@@ -86,7 +85,9 @@ def _weights(model: ModelDeclaration) -> Mapping[str, str]:
 
 
 def _force_unit(model: ModelDeclaration, name: str, unit: str) -> str:
-    return unit or (f"{model.coordinates[name].unit}/s**2" if model.coordinates[name].unit != "1" else "1")
+    if model.lagrangian is not None and unit:
+        return unit
+    return f"{model.coordinates[name].unit}/s**2" if model.coordinates[name].unit != "1" else "1"
 
 
 def _one(text: str) -> Expression:

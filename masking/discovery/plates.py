@@ -237,7 +237,7 @@ def _candidates(found: Discovery) -> Plate:
         return Plate("candidates", "What was tried", "No candidate would have closed any of the gap.", None)
     names = [words.spoken(effect, at) for effect, at, _, _ in rows]
     parts = [100.0 * (paid if nothing else part) for _, _, part, paid in rows]
-    fitted = {key for rival in found.found.rivals for key in rival.names}
+    fitted = {key for rival in found.rivals for key in rival.names}
     near = [part for part in parts if part > NEAR * parts[0]]
     count = len(found.found.tried)
     if nothing and found.verdict == "none":

@@ -17,12 +17,12 @@ from masking.discovery import laws
 from masking.discovery.candidates import Candidate
 from masking.discovery.evidence import Evidence
 from masking.discovery.fitting import Hypothesis, bounds, within
-from masking.discovery.opened import MOST_COLUMNS, Slot
-from masking.discovery.smoothing import Motion
+from masking.discovery.opened import MOST_COLUMNS, OpenRig, Slot
+from masking.discovery.smoothing import Motion, linearised
 from masking.effects import EFFECTS
 from masking.kernels import Array
 
-HIGHEST = 60.0  # Hz; what is faster is averaged away
+HIGHEST = 60.0  # Hz, or twice what the rig does by itself; what is faster is averaged away
 NEAR = 0.5  # of the best gain: candidates whose shapes are sharpened
 ZOOMS = (0.08, 0.02, 0.005, 0.00125)  # of a converter's step, that are looked at on both sides
 MOST_SHARPENED, SHARPENINGS = 24, 8
@@ -47,6 +47,14 @@ class Promise:
     own: float
 
 
+def thinning(rig: OpenRig, rate: float) -> tuple[int, int]:
+    """Return the samples over which motions, and over which readings are averaged, at a rate in Hz."""
+    own = np.abs(np.linalg.eigvals(linearised(rig, rig.start)[0]).imag).max() / (2.0 * np.pi)
+    highest = max(HIGHEST, 2.0 * float(own))
+    thin = max(1, int(rate / (6.0 * highest)))
+    return thin, thin * max(1, int(rate / (2.0 * highest) / thin))
+
+
 class Screen:
     """A record with what the rig's own parameters explain taken out.
 
@@ -63,9 +71,9 @@ class Screen:
     ) -> None:
         self.rig, self.record, self.base, self.motion = evidence.rig, evidence.record, base, motion
         rig, record, belief, sigma = evidence.rig, evidence.record, evidence.belief, evidence.sigma
-        self.thin = max(1, int(record.rate / (6.0 * HIGHEST)))
-        self.every = self.thin * max(1, int(record.rate / (2.0 * HIGHEST) / self.thin))
+        self.thin, self.every = thinning(rig, record.rate)
         self.blocks = len(record) // self.every
+        self.begin = evidence.begin // self.thin if evidence.horizon else len(record)
         self._states = _thinned(motion.states, self.thin)
         self._commands = _thinned(record.acting, self.thin)
         self.scale = np.sqrt(self.every) / sigma
@@ -75,20 +83,30 @@ class Screen:
         coarse = len(self._states)
         columns = self._spread(np.ones((coarse, len(wanted))), wanted.astype(np.float64))
         of_parameters = np.einsum("bsm,mk->bsk", columns, basis[wanted])
-        start = self._spread(np.zeros((coarse, moving)), np.array([-1.0 - i for i in range(moving)]))
+        start = self._of_windows(self._spread(np.zeros((coarse, moving)), np.array([-1.0 - i for i in range(moving)])))
         values, slopes = self._found(found)
         own = self._rows(np.concatenate([of_parameters, start, slopes], axis=2))
         prior = np.zeros((k, own.shape[1]))
         prior[:, :k] = np.diag(1.0 / belief.deviation)
         whole = np.vstack([own, prior])
         size = np.linalg.norm(whole, axis=0)
-        u, s, _ = np.linalg.svd(whole / np.where(size > 0.0, size, 1.0), full_matrices=False)
-        self.taken = u[:, s > 1e-9 * s[0]]
-        u, s, _ = np.linalg.svd(own / np.where(size > 0.0, size, 1.0), full_matrices=False)
+        size = np.where(size > 0.0, size, 1.0)
+        u, s, v = np.linalg.svd(whole / size, full_matrices=False)
+        told = s > 1e-9 * s[0]
+        self.taken, self._back = u[:, told], v[told].T / s[told] / size[:, None]
+        u, s, _ = np.linalg.svd(own / size, full_matrices=False)
         self.possible = u[:, s > 1e-7 * s[0]]
         left = self._rows((self._means(base.residuals) - (0.0 if taken else values))[:, :, None])[:, 0]
-        self.left = self._out(np.concatenate([left, (belief.mean - base.theta) / belief.deviation]))
+        self._whole_left = np.concatenate([left, (belief.mean - base.theta) / belief.deviation])
+        self.left = self._out(self._whole_left)
         self.total = float(self.left @ self.left)
+
+    def _of_windows(self, columns: Array) -> Array:
+        """Return columns (blocks, sensors, c) for each window, zero outside of it (blocks, sensors, windows * c)."""
+        window = np.arange(self.blocks) * self.every // (self.begin * self.thin)
+        apart = np.equal.outer(window, np.unique(window)).astype(float)
+        found: Array = np.einsum("bsc,bw->bswc", columns, apart).reshape(*columns.shape[:2], -1)
+        return found
 
     def _found(self, slots: Sequence[Slot]) -> tuple[Array, Array]:
         """Return what effects that were found do to the sensors (blocks, sensors), and its derivatives (..., f)."""
@@ -135,6 +153,18 @@ class Screen:
             if where_of(effects[i]) == "sensor":
                 found[i][:, int(at[i][0])] = self._means(table, self.every // self.thin)
         return found
+
+    def around(self, slot: Slot) -> tuple[Array, Array]:
+        """Return parameters of the rig (k,) and initial states (windows, states) that go best with an effect."""
+        (table,) = self._effects([slot])
+        left = self._whole_left.copy()
+        rows = self._rows(table[:, :, :1])[:, 0]
+        left[: len(rows)] -= rows
+        step = self._back @ (self.taken.T @ left)
+        theta, start = self.base.theta, self.base.start.copy()
+        moving = 2 * len(self.rig.coordinates)
+        start[:, :moving] += step[len(theta) : len(theta) + len(start) * moving].reshape(-1, moving)
+        return theta + step[: len(theta)], start
 
     def _with_slopes(self, slot: Slot) -> tuple[Array, Array]:
         """Return what a slot adds where it acts, with derivatives by its free parameters (m, c), and columns (c,)."""
@@ -342,7 +372,7 @@ class Screen:
         p, _ = rig.basis(self.base.theta)
         every = self.every // self.thin
         rig.kernels.spread(
-            self.blocks * every, self.thin / record.rate, every, at, self._states, self._commands, p,
+            self.blocks * every, self.thin / record.rate, every, self.begin, at, self._states, self._commands, p,
             np.ascontiguousarray(features), found,
         )  # fmt: skip
         return found.reshape(self.blocks, sensors, many)

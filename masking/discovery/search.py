@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +38,16 @@ CLEAN = 1.05  # of the noise: a gap that is closed
 SHARE = 0.7  # part of what is left that each further cause must take
 LITTLE = 0.2  # the same while most of the gap is not explained
 SWAPS = 3
+BLOCK = 32  # samples: what is left is averaged over these to see whether it changes slowly
+KIN = 0.8  # of what an effect takes: a simpler one that takes as much comes first while more is left
+SIMPLER = {
+    "polynomial_spring": ("hardening_spring",),
+    "asymmetric_friction": ("dry_friction", "constant_force"),
+    "stribeck_friction": ("dry_friction",),
+    "bouc_wen_hysteresis": ("hysteresis", "dahl_friction"),
+    "local_friction": ("dry_friction",),
+    "lugre_friction": ("dry_friction", "stribeck_friction"),
+}
 SMALL = 4.0  # cost per reading below which what is left of a fit is small enough to be looked at by itself
 
 
@@ -49,15 +59,19 @@ class Explanation:
         kind: `none`, `parameter` or `effects`.
         names: (parameter, '') or (effect, place) of each.
         hypothesis: fitted.
-        score: its cost with what its parameters pay.
         own: least part of an effect that parameters could not have.
+        judged: cost on another record, where it has been judged by one.
     """
 
     kind: str
     names: tuple[tuple[str, str], ...]
     hypothesis: Hypothesis
-    score: float
     own: float = 1.0
+    judged: float = 0.0
+
+    def score(self, temperature: float) -> float:
+        """Return its cost, divided by a temperature, with what its parameters pay."""
+        return (self.hypothesis.cost + self.judged) / temperature + occam(self.hypothesis, temperature)
 
 
 @dataclass(frozen=True)
@@ -66,24 +80,15 @@ class Found:
 
     Args:
         base: the rig as believed, fitted within belief.
-        steps: the best explanation after each step.
-        rivals: explanations of the same number of causes as the last step, best first, the chosen one included.
-        temperature: by which differences of scores are divided.
+        steps: the explanations that were compared in each step, the best first.
         motion: smoothed record.
         tried: what each candidate could take off at first, the best first.
     """
 
     base: Explanation
-    steps: tuple[Explanation, ...]
-    rivals: tuple[Explanation, ...]
-    temperature: float
+    steps: tuple[tuple[Explanation, ...], ...]
     motion: Motion
-    tried: tuple[Promise, ...] = field(default=())
-
-    @property
-    def best(self) -> Explanation:
-        """Return the explanation that was chosen."""
-        return self.steps[-1] if self.steps else self.base
+    tried: tuple[Promise, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -107,12 +112,11 @@ class Search:
         """Search for causes, one after the other, until nothing pays."""
         self.tell("fitting the model as it is", 0.0)
         plain = self._fit((), None, None)
-        base = Explanation("none", (), plain, plain.cost)
+        base = Explanation("none", (), plain)
         self.tell("smoothing the motion", 0.1)
         motion = smooth(self.evidence, base.hypothesis.theta, base.hypothesis.start)
         every = list(candidates(self.evidence.rig, self._spans(motion), self.evidence.dt))
-        steps: list[Explanation] = []
-        rivals: tuple[Explanation, ...] = (base,)
+        steps: list[tuple[Explanation, ...]] = []
         tried: tuple[Promise, ...] = ()
         now = base
         for number in range(MOST_EFFECTS):
@@ -123,42 +127,24 @@ class Search:
             promises = screen.promises(every)
             tried = tried or tuple(promises)
             found = self._round(now, promises, screen, parameters=number == 0)
-            temperature = self.temperature((found or [now])[0].hypothesis)
-            least = WRONG if found and found[0].kind == "parameter" else SIGN
-            if not found or (now.score - found[0].score) / temperature < least or self._is_little(base, now, found[0]):
+            if not found or self._is_little(base, now, found[0]):
                 break
             now, before = self._reduced(found[0]), now
-            if now is found[0]:
-                rivals = tuple(found)
-            elif set(now.names) == set(before.names):  # the last adds nothing: the others had not settled
-                steps[-1] = now
-                rivals = (now, *rivals[1:])
+            if now is not found[0] and set(now.names) == set(before.names):
+                steps[-1] = (now, *steps[-1][1:])  # the last adds nothing: the others had not settled
                 break
-            else:
-                rivals = (now,)
-            steps.append(now)
+            steps.append(tuple(found) if now is found[0] else (now,))
             if now.kind == "parameter":
                 break
-        if len(now.names) > 1 and now is steps[-1]:
-            steps[-1] = self._swapped(now, base, motion, every)
-            rivals = rivals if steps[-1] is now else (steps[-1],)
-        best = (steps or [base])[-1]
-        return Found(base, tuple(steps), rivals, self.temperature(best.hypothesis), motion, tried)
-
-    def temperature(self, hypothesis: Hypothesis) -> float:
-        """Return by how much more is left than white noise, and how much more slowly it changes; at least 1."""
-        found = 1.0
-        for column, sigma in zip(hypothesis.residuals.T, self.evidence.sigma, strict=True):
-            ratio = float((column**2).mean() / sigma**2)
-            blocks = column[: len(column) // 32 * 32].reshape(-1, 32).mean(axis=1)
-            slow = float((blocks**2).mean() * 32.0 / sigma**2)
-            found = max(found, ratio, min(slow, 400.0) if slow > 1.3 else 1.0)
-        return found
+        if len(now.names) > 1 and now is steps[-1][0]:
+            swapped = self._swapped(now, base, motion, every)
+            steps[-1] = steps[-1] if swapped is now else (swapped,)
+        return Found(base, tuple(steps), motion, tried)
 
     def _round(
         self, now: Explanation, promises: Sequence[Promise], screen: Screen, *, parameters: bool
     ) -> list[Explanation]:
-        """Return explanations with one more cause, best first."""
+        """Return explanations with one more cause, best first; none where the best is no better than chance."""
         jobs: list[Callable[[], Explanation]] = []
         if parameters:
             gains = self._releases(now.hypothesis)
@@ -176,18 +162,46 @@ class Search:
                 continue
             if left < WORTH * least + 0.3 * noise or len(chosen) < FEWEST:
                 chosen.append(promise)
+        keys = {promise.candidate.key for promise in chosen}
+        simpler = {(e, at) for effect, at in keys for e in SIMPLER.get(effect, ())} - keys - {*now.names}
+        chosen += [promise for promise in promises if promise.candidate.key in simpler]
         for promise in chosen:
-            jobs.append(lambda p=promise: self._added(now, p))  # type: ignore[misc]
+            jobs.append(lambda p=promise: self._added(now, p, screen.around(p.slot)))  # type: ignore[misc]
         self.tell(f"fitting {len(jobs)} of them", 0.3)
         with ThreadPoolExecutor(2) as pool:
             found = [e for e in pool.map(self._tried, jobs) if e is not None]
+        if not found:
+            return []
+        heat = temperature(self.evidence, min(found, key=lambda e: e.hypothesis.cost).hypothesis)
         merged: dict[tuple[tuple[str, str], ...], Explanation] = {}
-        for explanation in found:
-            key = tuple(sorted(explanation.names))
-            if key not in merged or explanation.score < merged[key].score:
-                merged[key] = explanation
+        for explanation in sorted(found, key=lambda e: e.score(heat)):
+            merged.setdefault(tuple(sorted(explanation.names)), explanation)
         # Of what is the same, a parameter of the rig comes first.
-        return sorted(merged.values(), key=lambda e: e.score - (0.5 * self.price if e.kind == "parameter" else 0.0))
+        ranked = sorted(merged.values(), key=lambda e: e.score(heat) - (0.5 * self.price if _is_wrong(e) else 0.0))
+        if now.score(heat) - ranked[0].score(heat) < (WRONG if _is_wrong(ranked[0]) else SIGN):
+            return []
+        return self._simplest_first(now, ranked)
+
+    def _simplest_first(self, now: Explanation, ranked: list[Explanation]) -> list[Explanation]:
+        """Return explanations without the richer ones, where a simpler kin of the best takes nearly as much.
+
+        What it leaves may be of another cause, which the richer one would only imitate. Where the best leaves nothing,
+        it stays.
+        """
+        best = ranked[0]
+        if self._closes(best) or best.kind != "effects":
+            return ranked
+        effect, at = best.names[-1]
+        simpler = {(e, at) for e in SIMPLER.get(effect, ())}
+        most = now.hypothesis.cost - best.hypothesis.cost
+        kin = [e for e in ranked if e.names[-1] in simpler and now.hypothesis.cost - e.hypothesis.cost > KIN * most]
+        if not kin:
+            return ranked
+        richer = {(e, at) for e, simple in SIMPLER.items() if kin[0].names[-1][0] in simple}
+        return [kin[0], *(e for e in ranked if e is not kin[0] and e.names[-1] not in richer)]
+
+    def _closes(self, explanation: Explanation) -> bool:
+        return explanation.hypothesis.cost <= CLEAN**2 * self.evidence.record.readings.size
 
     @staticmethod
     def _tried(job: Callable[[], Explanation]) -> Explanation | None:
@@ -200,7 +214,7 @@ class Search:
         """Return whether one more cause would take too little of what is left, as what only resembles it does."""
         size = self.evidence.record.readings.size
         start, before, after = (max(e.hypothesis.cost - size, 0.0) for e in (base, now, then))
-        if then.kind == "parameter" or after <= (CLEAN**2 - 1.0) * size:
+        if then.kind == "parameter" or self._closes(then):
             return False
         explained = now is not base and before <= min(REST * start, (SMALL - 1.0) * size)
         return after > (1.0 - (SHARE if explained else LITTLE)) * before
@@ -216,10 +230,13 @@ class Search:
                     found = self._fit((promise.slot, *others), best.hypothesis.theta, best.hypothesis.start)
                 except IntegrationError:
                     continue
-                score = found.cost + occam(found)
-                if score < best.score - 2.0 * self.temperature(found):
-                    whole = (promise.candidate.key, *names)
-                    best = Explanation("effects", whole, found, score, min(best.own, promise.own))
+                heat, whole = temperature(self.evidence, found), (promise.candidate.key, *names)
+                other = Explanation("effects", whole, found, min(best.own, promise.own))
+                richer = best.names[i][0] in SIMPLER.get(promise.candidate.effect, ())
+                if richer and self._is_little(base, best, other):
+                    continue
+                if other.score(heat) < best.score(heat) - 2.0:
+                    best = other
                     return self._swapped(best, base, motion, every) if i + 1 < len(whole) - 1 else best
         return best
 
@@ -233,9 +250,9 @@ class Search:
                 less = self._fit(slots, best.hypothesis.theta, best.hypothesis.start)
             except IntegrationError:
                 continue
-            score = less.cost + occam(less)
-            if score < best.score + SIGN * self.temperature(best.hypothesis):
-                return self._reduced(Explanation("effects", names, less, score, best.own))
+            heat, fewer = temperature(self.evidence, best.hypothesis), Explanation("effects", names, less, best.own)
+            if fewer.score(heat) < best.score(heat) + SIGN:
+                return self._reduced(fewer)
         return best
 
     def _fit(
@@ -244,16 +261,17 @@ class Search:
         evidence = self.evidence if belief is None else replace(self.evidence, belief=belief)
         return fitting.fit(evidence, slots, theta=theta, start=start)
 
-    def _added(self, now: Explanation, promise: Promise) -> Explanation:
-        slots = (*now.hypothesis.slots, promise.slot)
-        found = self._fit(slots, now.hypothesis.theta, now.hypothesis.start)
-        score = found.cost + occam(found)
-        return Explanation("effects", (*now.names, promise.candidate.key), found, score, promise.own)
+    def _added(self, now: Explanation, promise: Promise, around: tuple[Array, Array]) -> Explanation:
+        """Return a fit with one more effect, from parameters as they are or as screening has them."""
+        slots, here = (*now.hypothesis.slots, promise.slot), (now.hypothesis.theta, now.hypothesis.start)
+        begin = min((here, around), key=lambda at: fitting.cost(self.evidence, slots, *at))
+        found = self._fit(slots, *begin)
+        return Explanation("effects", (*now.names, promise.candidate.key), found, promise.own)
 
     def _released(self, now: Explanation, index: int) -> Explanation:
         belief = self.evidence.belief.released(index)
         found = self._fit((), now.hypothesis.theta, now.hypothesis.start, belief)
-        return Explanation("parameter", ((self.evidence.rig.names[index], ""),), found, found.cost)
+        return Explanation("parameter", ((self.evidence.rig.names[index], ""),), found)
 
     def _releases(self, hypothesis: Hypothesis) -> Array:
         """Return what setting each parameter free would take off the cost, to first order (k,)."""
@@ -305,7 +323,26 @@ def _span(x: Array, rate: float = 0.0, tones: tuple[float, ...] = ()) -> Span:
     return Span(float(x.min()), float(x.max()), float(np.abs(x).max()), rate, tones)
 
 
-def occam(hypothesis: Hypothesis) -> float:
+def temperature(evidence: Evidence, hypothesis: Hypothesis) -> float:
+    """Return by how much more is left than white noise, and how much more slowly it changes; at least 1.
+
+    Costs are divided by it: what is left is so many times the noise, or so many readings tell the same.
+    """
+    found = 1.0
+    for column, sigma in zip(hypothesis.residuals.T, evidence.sigma, strict=True):
+        found = max(found, float((column**2).mean() / sigma**2))
+        for length in {BLOCK, evidence.begin if evidence.horizon else BLOCK}:
+            blocks = column[: len(column) // length * length].reshape(-1, length).mean(axis=1)
+            slow = float((blocks**2).mean() * length / sigma**2)
+            found = max(found, slow if slow > 1.3 else 1.0)
+    return found
+
+
+def _is_wrong(explanation: Explanation) -> bool:
+    return explanation.kind == "parameter"
+
+
+def occam(hypothesis: Hypothesis, temperature: float = 1.0) -> float:
     """Return what the parameters of effects must pay: how much narrower they become than they could have been.
 
     Before the record, each factor of an effect could have been as large as makes it as strong as the strongest of them,
@@ -329,13 +366,13 @@ def occam(hypothesis: Hypothesis) -> float:
         if own:
             alone = np.sqrt(np.maximum(np.diag(information)[own], 1e-300))
             widths[own] = np.maximum(widths[own], strength[own].max() / alone)
-    told = np.linalg.eigvalsh(information * np.outer(widths, widths))
+    told = np.linalg.eigvalsh(information * np.outer(widths, widths)) / temperature
     return float(np.log1p(np.maximum(told, 0.0)).sum())
 
 
 def probabilities(explanations: Sequence[Explanation], temperature: float) -> Array:
     """Return the probability of each explanation among these (e,)."""
-    scores = np.array([e.score for e in explanations]) / temperature
+    scores = np.array([e.score(temperature) for e in explanations])
     weights = np.exp(-0.5 * (scores - scores.min()))
     found: Array = weights / weights.sum()
     return found

@@ -59,7 +59,7 @@ def smooth(evidence: Evidence, theta: Array, start: Array) -> Motion:
     Args:
         evidence: the record and the rig.
         theta: its parameters (k,).
-        start: its first state (states,).
+        start: its first state, of each window the first (windows, states).
 
     Raises:
         IntegrationError: the readings do not tell all coordinates, or the motion is no longer finite.
@@ -90,9 +90,9 @@ def smooth(evidence: Evidence, theta: Array, start: Array) -> Motion:
 def _filter(evidence: Evidence, theta: Array, start: Array, gains: _Gains) -> tuple[Array, Array, Array]:
     """Return innovations (m, sensors), filtered and predicted states with forces (m, n + coordinates)."""
     rig, record = evidence.rig, evidence.record
-    size = len(start) + len(rig.coordinates)
+    size = start.shape[1] + len(rig.coordinates)
     states, predicted = np.empty((len(record), size)), np.empty((len(record), size))
-    x = np.concatenate([start, np.zeros(len(rig.coordinates))])
+    x = np.concatenate([start[0], np.zeros(len(rig.coordinates))])
     p, _ = rig.basis(theta)
     status = rig.kernels.follow(
         len(record), evidence.dt, evidence.substeps, is_straight(record.between), x, p.copy(), gains.forward,

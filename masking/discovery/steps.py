@@ -116,18 +116,21 @@ def _flow(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, w):
 
 
 @compiled
-def _go(t, y, sens, u, lead, p, basis, slots, columns, theta, h, work):
+def _go(t, y, sens, u, end, lead, p, basis, slots, columns, theta, h, work):
+    # One step of Runge and Kutta, with commands that go straight from u to end.
     size, width = y.shape[0], sens.shape[1]
     ks, ss, top = work[: 4 * size], work[4 * size : 5 * size], 5 * size
-    ky, state, w = work[top : top + 4], work[top + 4], work[top + 5 :]
+    ky, state, now, w = work[top : top + 4], work[top + 4], work[top + 5], work[top + 6 :]
     for stage in range(4):
         c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+        for a in range({channels}):
+            now[a] = u[a] + c * (end[a] - u[a])
         for i in range(size):
             state[i] = y[i] + (c * h * ky[stage - 1, i] if stage > 0 else 0.0)
             for j in range(width):
                 ss[i, j] = sens[i, j] + (c * h * ks[(stage - 1) * size + i, j] if stage > 0 else 0.0)
         _flow(
-            t + c * h, state[:size], ss[:size, :width], u, lead, p, basis, slots, columns, theta, ky[stage],
+            t + c * h, state[:size], ss[:size, :width], now, lead, p, basis, slots, columns, theta, ky[stage],
             ks[stage * size : (stage + 1) * size], w,
         )
     for i in range(size):
@@ -150,17 +153,18 @@ def _command(commands, index, a, samples, part, straight):
 RUN = """
 @compiled
 def run(
-    count, dt, substeps, straight, y, sens, p, basis, slots, columns, theta, commands, readings, weights, matrix,
-    gradient, squares, estimates, work
+    count, dt, substeps, begin, straight, states, y, sens, p, basis, slots, columns, theta, commands, readings, weights,
+    matrix, gradient, squares, estimates, work
 ):
-    n, channels, sensors, affected = {n}, {channels}, {sensors}, {affected}
+    # Every `begin` samples the motion begins anew, at a row of states; each such window has width rows of the matrix.
+    n, moving, channels, sensors, affected = {n}, {moving}, {channels}, {sensors}, {affected}
     size, width, k = y.shape[0], sens.shape[1], basis.shape[1]
     work[:] = 0.0
     u, s, row = work[0], work[1], work[2 : 2 + sensors]
     js, jps = work[2 + sensors : 2 + 2 * sensors], work[2 + 2 * sensors : 2 + 3 * sensors]
     top = 2 + 3 * sensors
     rows, late, noise = work[top : top + 2], work[top + 2], work[top + 3]
-    lead, rest = work[top + 4 : top + 6], work[top + 6 :]
+    lead, end, rest = work[top + 4 : top + 6], work[top + 6], work[top + 7 :]
     h = dt / substeps
     for a in range(channels):
         late[a] = 0.0
@@ -173,6 +177,17 @@ def run(
                     lead[1, a] = columns[i, 0]
     for index in range(count):
         t = index * dt
+        window = index // begin
+        if index == window * begin:
+            for i in range(size):
+                for j in range(k, width):
+                    sens[i, j] = 0.0
+            for i in range(n if window == 0 else 2 * moving):  # states inside of effects go on
+                y[i] = states[window, i]
+                for j in range(k):
+                    sens[i, j] = 0.0
+            for i in range(2 * moving):
+                sens[i, k + i] = 1.0
         sensed(t, y, p, noise, s, js, jps)
         for o in range(sensors):
             for j in range(width):
@@ -203,19 +218,21 @@ def run(
             for i in range(width):
                 weighted = weights[o] * row[o, i]
                 if weighted != 0.0:
-                    gradient[i] += weighted * residual
+                    at = window * width + i
+                    gradient[at] += weighted * residual
                     for j in range(i + 1):
-                        matrix[i, j] += weighted * row[o, j]
+                        matrix[at, j] += weighted * row[o, j]
         if index == count - 1:
             break
         for step in range(substeps):
             part = (step + 0.5) / substeps
             for a in range(channels):
-                u[a] = _command(commands, index, a, late[a], part, straight)
+                u[a] = _command(commands, index, a, late[a], step / substeps, straight)
+                end[a] = _command(commands, index, a, late[a], (step + 1.0) / substeps, straight)
                 before = _command(commands, index, a, late[a] + 0.5, part, straight)
                 after = _command(commands, index, a, late[a] - 0.5, part, straight)
                 lead[0, a] = (before - after) / dt
-            _go(t + step * h, y, sens, u, lead, p, basis, slots, columns, theta, h, rest)
+            _go(t + step * h, y, sens, u, end, lead, p, basis, slots, columns, theta, h, rest)
     return 0
 """
 
@@ -317,9 +334,10 @@ def along(count, dt, kind, state, x, rate, columns, theta, features, work):
 
 SPREAD = """
 @compiled
-def spread(count, dt, every, x, states, commands, p, features, estimates, work):
+def spread(count, dt, every, begin, x, states, commands, p, features, estimates, work):
     # What forces (count, M) at the columns x (M,) of the equations, or initial states -1 - x, do to the sensors, from
-    # rest, to first order along a motion (count, n): means over `every` samples, (count / every, sensors M).
+    # rest, anew after every `begin` samples, to first order along a motion (count, n): means over `every` samples,
+    # (count / every, sensors M).
     n, sensors = {n}, {sensors}
     many = features.shape[1]
     js, jps = work[:sensors], work[sensors : 2 * sensors]
@@ -330,15 +348,19 @@ def spread(count, dt, every, x, states, commands, p, features, estimates, work):
     dy, s, noise = work[top], work[top + 1], work[top + 2]
     work[:] = 0.0
     estimates[:] = 0.0
-    for m in range(many):
-        if x[m] < 0.0:  # the initial state, instead of a force
-            e[int(-x[m]) - 1, m] = 1.0
     for index in range(count):
         t = index * dt
+        first = index % begin == 0
+        if first:
+            for m in range(many):
+                for i in range(n):
+                    e[i, m] = 0.0
+                if x[m] < 0.0:  # the initial state, instead of a force
+                    e[int(-x[m]) - 1, m] = 1.0
         slopes(t, states[index], commands[index], p, dy, jy, jp)
         sensed(t, states[index], p, noise, s, js, jps)
         # The half of the force that comes with this sample.
-        if index > 0:
+        if not first:
             for i in range(n):
                 for m in range(many):
                     e[i, m] += 0.5 * dt * jp[i, max(int(x[m]), 0)] * features[index, m]
@@ -353,7 +375,8 @@ def spread(count, dt, every, x, states, commands, p, features, estimates, work):
         for i in range(n):
             for m in range(many):
                 e[i, m] += 0.5 * dt * jp[i, max(int(x[m]), 0)] * features[index, m]
-        # exp(A dt) to the third order
+        # exp(A dt) - 1: of a quarter of the time to the third order, doubled twice
+        h = 0.25 * dt
         for i in range(n):
             for j in range(n):
                 total = 0.0
@@ -365,7 +388,17 @@ def spread(count, dt, every, x, states, commands, p, features, estimates, work):
                 total = 0.0
                 for l in range(n):
                     total += jy[i, l] * a2[l, j]
-                phi[i, j] = dt * jy[i, j] + 0.5 * dt * dt * a2[i, j] + dt * dt * dt / 6.0 * total
+                phi[i, j] = h * jy[i, j] + 0.5 * h * h * a2[i, j] + h * h * h / 6.0 * total
+        for doubling in range(2):
+            for i in range(n):
+                for j in range(n):
+                    total = 2.0 * phi[i, j]
+                    for l in range(n):
+                        total += phi[i, l] * phi[l, j]
+                    a2[i, j] = total
+            for i in range(n):
+                for j in range(n):
+                    phi[i, j] = a2[i, j]
         for i in range(n):
             for m in range(many):
                 f[i, m] = e[i, m]

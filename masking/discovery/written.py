@@ -141,11 +141,10 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
 
 def refitted(found: Discovery) -> list[tuple[str, float, float]]:
     """Return the parameters of the rig with their values and deviations, in declared units."""
-    hypothesis = found.explanation.hypothesis
-    deviations = hypothesis.deviations[: len(found.rig.names)]
+    count, theta = len(found.rig.names), found.explanation.hypothesis.theta
     return [
         (name, float(value), float(std))
-        for name, value, std in zip(found.rig.names, hypothesis.theta, deviations, strict=True)
+        for name, value, std in zip(found.rig.names, theta, found.deviations[:count], strict=True)
     ]
 
 
@@ -276,7 +275,7 @@ def _add_delay(found: Discovery, slot: Slot, effects: dict[str, Any], taken: set
 
 def _deviations(found: Discovery) -> dict[str, float]:
     """Return the standard deviations of the parameters of causes in the equations, by the names they have there."""
-    every = found.explanation.hypothesis.deviations[len(found.rig.names) :]
+    every = found.deviations[len(found.rig.names) :]
     told, used, names = {}, 0, labels(found)
     for slot in found.explanation.hypothesis.slots:
         for name in slot.names:

@@ -121,7 +121,10 @@ ELEMENTS: dict[str, Effect] = {
         source="Canudas de Wit, Olsson, Astrom and Lischinsky (1995), IEEE Trans. Autom. Control 40(3), (1)-(4)",
         states={
             "z": EffectState(
-                "d_rate - s0*abs(d_rate)*z/(fc + (fs - fc)*exp(-(d_rate/vst)**2))", "D", "deflection of the bristles"
+                "d_rate - s0*abs(d_rate)*z/(fc + (fs - fc)*exp(-(d_rate/vst)**2))",
+                "D",
+                "deflection of the bristles",
+                "max(fc, fs)/s0",
             )
         },
     ),
@@ -144,6 +147,30 @@ ELEMENTS: dict[str, Effect] = {
                 "d_rate - beta*abs(d_rate)*(z/zmax)*abs(z/zmax)**(n - 1) - (1 - beta)*d_rate*abs(z/zmax)**n",
                 "D",
                 "elastic part of the displacement",
+                "zmax",
+            )
+        },
+    ),
+    "bouc_wen_hysteresis": Effect(
+        "bouc_wen_hysteresis",
+        "A spring that remembers, in the general form of Bouc and Wen: loops that yield, or that open like a wedge.",
+        "element",
+        "k*z",
+        {
+            "k": EffectParameter("F/D", "stiffness where the motion turns", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
+            "x0": EffectParameter("D", "displacement over which it bends", (1e-5, 1e-1), 1e-3, None, POSITIVE),
+            "delta": EffectParameter("1", "shape: above -1 it yields, below it opens", (-2.0, 2.0), 1.0, 1.0),
+            "n": EffectParameter("1", "sharpness of the bend", (1.0, 4.0), 1.0, 1.0, (1.0, None)),
+        },
+        cause="joints that slip a little, material damping of rubber or bonded springs, magnetic materials",
+        remedy="clamp joints tighter and avoid rubber; the force can be cancelled once the model holds it",
+        source="Wen (1976), J. Eng. Mech. Div. 102; Ismail et al. (2009), Arch. Comput. Methods Eng. 16",
+        states={
+            "z": EffectState(
+                "d_rate - abs(d_rate)*(z/x0)*abs(z/x0)**(n - 1) - delta*d_rate*abs(z/x0)**n",
+                "D",
+                "elastic part of the displacement",
+                "x0",
             )
         },
     ),
@@ -219,7 +246,7 @@ ELEMENTS: dict[str, Effect] = {
         cause="rolling bearings, preloaded contacts, cables that bend",
         remedy="a guide without contact; small motions need this model, large ones only dry friction",
         source="Dahl (1976), AIAA Journal 14(12), 1675-1682, with exponent 1",
-        states={"z": EffectState("(d_rate - abs(d_rate)*z)/x0", "1", "part of the friction that has built up")},
+        states={"z": EffectState("(d_rate - abs(d_rate)*z)/x0", "1", "part of the friction that has built up", "1")},
     ),
     "gravity_force": Effect(
         "gravity_force",

@@ -38,11 +38,16 @@ class EffectParameter:
 
 @dataclass(frozen=True, slots=True)
 class EffectState:
-    """An internal state of an effect, 0 at first, with the expression of its rate."""
+    """An internal state of an effect, with the expression of its rate.
+
+    A simulation begins with 0. Where a record may begin with anything else, `size` is how far from 0 that may be, as an
+    expression of the parameters; '' where the state forgets where it began.
+    """
 
     rate: str
     unit: str
     meaning: str
+    size: str = ""
 
 
 @dataclass(frozen=True, slots=True)
