@@ -156,6 +156,7 @@ def refine(
     validation: str | Path | None = None,
     parameters: Sequence[str] = (),
     tolerance: float = TOLERANCE,
+    horizon: float | None = None,
     between: Assumption = "held",
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
@@ -171,6 +172,7 @@ def refine(
         validation: another record to judge by; the last part of the record where none is given.
         parameters: of the controller's model that may be off; all that its equations hold where none are given.
         tolerance: relative standard deviation of a parameter that declares none.
+        horizon: seconds after which the motion is simulated anew, as for `masking.discover`.
         between: how inputs go from each sample to the next, as for `masking.identify`.
         columns: of the files, by the names that they get.
         dt: time between samples in s, for a table without a clock.
@@ -198,6 +200,7 @@ def refine(
         wanted.validation,
         parameters=names,
         tolerance=tolerance,
+        horizon=horizon,
         tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part),
     )
     folder = None if out is None else Path(out)

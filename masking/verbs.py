@@ -30,9 +30,8 @@ if TYPE_CHECKING:
     from masking import refinement as refinements
     from masking.declaration import registry
     from masking.declaration import schema as schemas
-    from masking.discovery import asked as askeds
+    from masking.discovery import answered as answers
     from masking.discovery import discover as discoveries
-    from masking.discovery import pages as discovery_pages
     from masking.discovery.written import Files
     from masking.identification import (
         channels,
@@ -49,13 +48,11 @@ if TYPE_CHECKING:
     from masking.identification import simulation as simulations
     from masking.identification.data import Assumption
 else:  # each verb loads only what it needs
-    askeds = lazy.load("masking.discovery.asked", suppress_warning=True)
+    answers = lazy.load("masking.discovery.answered", suppress_warning=True)
     budgets = lazy.load("masking.budget", suppress_warning=True)
     data = lazy.load("masking.identification.data", suppress_warning=True)
     channels = lazy.load("masking.identification.channels", suppress_warning=True)
     describe = lazy.load("masking.describe", suppress_warning=True)
-    discoveries = lazy.load("masking.discovery.discover", suppress_warning=True)
-    discovery_pages = lazy.load("masking.discovery.pages", suppress_warning=True)
     effects = lazy.load("masking.effects", suppress_warning=True)
     experiment = lazy.load("masking.experiment", suppress_warning=True)
     feasibilities = lazy.load("masking.feasibility", suppress_warning=True)
@@ -287,33 +284,16 @@ def discover(record: str | Path, **settings: Any) -> discoveries.Discovery:  # n
 def discovered(
     record: str | Path,
     *,
-    model: str | Path | None = None,
-    plant: str | Path | None = None,
-    validation: str | Path | None = None,
-    parameters: Sequence[str] = (),
-    tolerance: float = TOLERANCE,
-    between: Assumption = "held",
-    columns: Mapping[str, str] | None = None,
-    dt: float | None = None,
     out: str | Path | None = None,
-    tell: Callable[[str, float], None] | None = None,
+    **settings: Any,  # noqa: ANN401  # those of `answered.answered`
 ) -> tuple[discoveries.Discovery, Files | None]:
     """Find out which physical effect a model is missing, and write the model with it.
 
     Args:
         record: a folder of a recording, or a parquet, csv, mat or h5 file, with the channels of the plant; or a part
             of one, as for `identify`.
-        model: what is believed of the rig; in place of the plant's own where both are given.
-        plant: its sensors and actuators; without one, outputs or coordinates of the model are read, and its inputs.
-        validation: another record to judge by; the last part of the record where none is given.
-        parameters: of the model that may be off; all that its equations hold where none are given.
-        tolerance: relative standard deviation of a parameter that declares none.
-        between: how inputs go from each sample to the next, as for `identify`.
-        columns: of the files, by the names that they get, such as `{"t": "time", "u": "V1"}`.
-        dt: time between samples in s, for a table without a clock.
-        out: folder to save in: `models/<model>+<effect>.yaml`, `plant.yaml`, `discovery.json`, `discovery.html` and
-            its figures; nothing is saved where none is given, and nothing half where it is interrupted.
-        tell: told what is done, and the part done.
+        out: folder to save in.
+        settings: the others of `discovery.answered.answered`, and what it saves.
 
     Returns:
         what was found, and the files; None where nothing is saved.
@@ -321,15 +301,9 @@ def discovered(
     Raises:
         MaskingError: a declaration, a name, a setting or a record is wrong; says what to do about it.
     """
-    askeds.check_tolerance(tolerance)
     if out is not None:
         check_folder(out)
-    asked = askeds.asked(record, model, plant, validation, between=between, columns=columns, dt=dt)
-    names = askeds.parameters(asked.twin, parameters)
-    found = discoveries.discover(
-        asked.twin, asked.record, asked.validation, parameters=names, tolerance=tolerance, tell=tell
-    )
-    return found, None if out is None else discovery_pages.save(found, out, asked.origin)
+    return answers.answered(record, out=out, **settings)
 
 
 def refine(

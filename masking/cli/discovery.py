@@ -59,6 +59,11 @@ def _add_of_records(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--parameters", metavar="A,B", default="", help="that may be off (default: all of the equations)")
     text = "relative standard deviation of a parameter that declares none (default: %(default)s)"
     sub.add_argument("--tolerance", metavar="PART", type=float, default=verbs.TOLERANCE, help=text)
+    text = (
+        "simulate anew after so many seconds, from a state that is estimated (default: the whole record in one, or "
+        "windows where the model does not come to rest by itself)"
+    )
+    sub.add_argument("--horizon", metavar="SECONDS", type=float, help=text)
     add_of_tables(sub)
 
 
@@ -75,6 +80,7 @@ def _discover(chosen: argparse.Namespace) -> int:
             validation=chosen.validate,
             parameters=names(chosen.parameters),
             tolerance=chosen.tolerance,
+            horizon=chosen.horizon,
             between=chosen.between,
             columns=formats.mapping(chosen.map),
             dt=chosen.dt,
@@ -98,6 +104,7 @@ def _refine(chosen: argparse.Namespace) -> int:
             validation=chosen.validate,
             parameters=names(chosen.parameters),
             tolerance=chosen.tolerance,
+            horizon=chosen.horizon,
             between=chosen.between,
             columns=formats.mapping(chosen.map),
             dt=chosen.dt,

@@ -26,6 +26,7 @@ from masking.discovery.search import (
     SAME,
     SHARE,
     SMALL,
+    TRACE,
     Explanation,
     Found,
     Search,
@@ -51,7 +52,6 @@ RESTLESS = 10.0  # eigenvalue times the length of a record: what is slower does 
 SHARES = 20  # windows of a record of what does not come to rest
 FEWEST = 200  # samples of a window
 FEWEST_STEPS = 2  # between samples: effects may be faster than the rig
-TRACE = 0.05  # of the gap: so little of what is never closed may be of anything
 UNSEEN = 0.1  # of the noise: what integration may add
 HELD_OUT = 0.3  # of a record, where no other is given to judge by
 LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "actuator_gain", "constant_force")

@@ -38,10 +38,13 @@ CLEAN = 1.05  # of the noise: a gap that is closed
 SHARE = 0.7  # part of what is left that each further cause must take
 LITTLE = 0.2  # the same while most of the gap is not explained
 SWAPS = 3
+TRACE = 0.05  # of the gap: so little of what is never closed may be of anything
+FAR = 100.0  # cost per reading above which one more cause does not bring a gap near to its end
 BLOCK = 32  # samples: what is left is averaged over these to see whether it changes slowly
 KIN = 0.8  # of what an effect takes: a simpler one that takes as much comes first while more is left
-SIMPLER = {
+SIMPLER = {  # of what each is nearly the same where its further parameters do little
     "polynomial_spring": ("hardening_spring",),
+    "gravity_force": ("hardening_spring",),
     "asymmetric_friction": ("dry_friction", "constant_force"),
     "stribeck_friction": ("dry_friction",),
     "bouc_wen_hysteresis": ("hysteresis", "dahl_friction"),
@@ -216,7 +219,8 @@ class Search:
         start, before, after = (max(e.hypothesis.cost - size, 0.0) for e in (base, now, then))
         if then.kind == "parameter" or self._closes(then):
             return False
-        explained = now is not base and before <= min(REST * start, (SMALL - 1.0) * size)
+        little = max((SMALL - 1.0) * size, TRACE * start if after > FAR * size else 0.0)
+        explained = now is not base and before <= min(REST * start, little)
         return after > (1.0 - (SHARE if explained else LITTLE)) * before
 
     def _swapped(self, best: Explanation, base: Explanation, motion: Motion, every: Sequence[Candidate]) -> Explanation:

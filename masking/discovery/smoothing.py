@@ -21,6 +21,7 @@ from masking.kernels import Array
 from masking.sensitivity import is_straight
 
 WALKS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # intensities that are tried, of that which moves the sensors as their noise does
+DOUBLINGS = 24  # of the samples over which smoothing settles
 SHORT = 8.0  # s of the record by which the intensity is chosen
 
 
@@ -154,7 +155,9 @@ def _gains(rig: OpenRig, theta: Array, rate: float, sigma: Array, intensity: Arr
     gain = np.linalg.solve(spread, h @ ahead).T
     now = ahead - gain @ h @ ahead
     backward = np.linalg.solve(ahead, f @ now).T
-    steady = linalg.solve_discrete_lyapunov(backward, now - backward @ ahead @ backward.T)
+    steady, power = now - backward @ ahead @ backward.T, backward
+    for _ in range(DOUBLINGS):  # the sum of all powers: Smith (1968), SIAM J. Appl. Math. 16(1), 198-201
+        steady, power = steady + power @ steady @ power.T, power @ power
     deviation = np.sqrt(np.maximum(np.diag(steady)[n:], 0.0)) * size[n:]
     return _Gains(
         np.ascontiguousarray(gain * size[:, None]), np.ascontiguousarray(backward * size[:, None] / size),
