@@ -204,6 +204,7 @@ def discover(
     """
     rig = rig or OpenRig(twin, tuple(parameters) or twin.equation_parameters())
     say = tell or (lambda text, part: None)
+    say("preparing the rig; the first time, it is compiled", 0.0)
     train, judge = _split(record) if validation is None else (record, validation)
     belief, most = believed(twin, rig, tolerance), max(1, twin.substeps(train.rate) // 2)
     whole = Evidence(rig, train, belief, noise_of(twin, train), most)

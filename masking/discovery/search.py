@@ -14,13 +14,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from masking.discovery import fitting
+from masking.discovery import fitting, laws
 from masking.discovery.candidates import FACTORS, Candidate, Span, candidates
 from masking.discovery.evidence import Belief, Evidence
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.opened import Slot
 from masking.discovery.screening import Promise, Screen
 from masking.discovery.smoothing import Motion, smooth
+from masking.effects import EFFECTS
 from masking.errors import IntegrationError
 from masking.kernels import Array
 
@@ -350,7 +351,8 @@ def occam(hypothesis: Hypothesis, temperature: float = 1.0) -> float:
     """Return what the parameters of effects must pay: how much narrower they become than they could have been.
 
     Before the record, each factor of an effect could have been as large as makes it as strong as the strongest of them,
-    and each parameter of its shape twice as large or zero. A direction that the record does not tell costs nothing.
+    and each parameter of its shape twice as large or zero, or a plain number anywhere in its range. A direction that
+    the record does not tell costs nothing.
     Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, section 28.1.
     """
     added = hypothesis.added
@@ -366,12 +368,22 @@ def occam(hypothesis: Hypothesis, temperature: float = 1.0) -> float:
     widths, used = np.abs(added) / size, 0
     for slot in hypothesis.slots:
         own = [used + i for i, name in enumerate(slot.names) if name in FACTORS.get(slot.effect, ())]
+        for i, width in enumerate(_expected(slot)):
+            widths[used + i] = max(widths[used + i], width / size[used + i])
         used += len(slot.free)
         if own:
             alone = np.sqrt(np.maximum(np.diag(information)[own], 1e-300))
             widths[own] = np.maximum(widths[own], strength[own].max() / alone)
     told = np.linalg.eigvalsh(information * np.outer(widths, widths)) / temperature
     return float(np.log1p(np.maximum(told, 0.0)).sum())
+
+
+def _expected(slot: Slot) -> list[float]:
+    """Return half the range in which each estimated parameter is expected, where it is a plain number; else 0."""
+    if slot.effect == laws.DELAY:
+        return [0.0]
+    declared = EFFECTS[slot.effect].parameters
+    return [0.5 * (p.prior[1] - p.prior[0]) if p.unit == "1" else 0.0 for p in (declared[n] for n in slot.names)]
 
 
 def probabilities(explanations: Sequence[Explanation], temperature: float) -> Array:
