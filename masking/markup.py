@@ -15,7 +15,8 @@ GREEK: Final = frozenset(
     | {"xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}
 )
 _TEMPLATE = Path(__file__).with_name("report_template.html")
-_WORDY = frozenset({"meaning", "measure", "value", "what helps"})  # columns of words, which may run over several lines
+# Columns of words, which may run over several lines.
+_WORDY = frozenset({"meaning", "measure", "value", "what helps", "where"})
 _WORDS = {"chi": "<var>&chi;</var>", "pi": "&pi;", "alpha": "<var>&alpha;</var>", "eps": "<var>&epsilon;</var>"}
 
 

@@ -13,6 +13,7 @@ from scipy import io
 import masking
 from masking import formats, verbs
 from masking.cli import main
+from masking.discovery import asked
 from masking.errors import DeclarationError, RecordError
 from masking.identification.data import Data
 from masking.identification.simulation import simulate
@@ -143,15 +144,26 @@ def test_json_has_fixed_keys(discovered):
         assert told["gap"][part].keys() == {"before", "after"}
         assert all(chi.keys() == {"s1", "s2", "s3"} for chi in told["gap"][part].values())
     assert len(told["records"]["record"]["sha256"]) == 64
+    lacking = told["where"]["lacking"]
+    assert lacking["coordinates"]["x1"] > 0.95
+    assert lacking["places"]["spring1"]["energy"]["rate"] > 0.9
+    assert {after["white"] for after in (one["after"] for one in told["where"]["whiteness"].values())} == {True}
 
 
 def test_page_says_what_helps(discovered, folder):
     discovered("friction")
     out = folder / "found" / "friction"
     page = (out / "discovery.html").read_text()
-    for words in ("Dry friction in spring1", "use leaf springs or air bearings", "data:image/png;base64", "SHA-256"):
+    for words in (
+        "Dry friction in spring1",
+        "of what is lacking sits at spring1",
+        "Ljung and Box",
+        "use leaf springs or air bearings",
+        "data:image/png;base64",
+        "SHA-256",
+    ):
         assert words in page
-    for name in ("gap", "map", "residual", "candidates"):
+    for name in ("gap", "map", "course", "residual", "candidates"):
         assert (out / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
     assert not list(out.parent.glob(".friction*"))
 
@@ -266,7 +278,7 @@ def test_a_model_alone_is_read_by_its_coordinates(tmp_path):
         "name: mass\ncoordinates: {x: {unit: m}}\ninputs: {f: {unit: N}}\nparameters: {m: {value: 1, unit: kg}, "
         "k: {value: 100, unit: N/m}}\nequations: {\"x''\": (f - k*x)/m}\n"
     )
-    twin = verbs.askeds.rig(tmp_path / "mass.yaml", None)
+    twin = asked.rig(tmp_path / "mass.yaml", None)
     assert (twin.sensors, twin.actuators) == (("x",), ("f",))
     t = np.arange(500) / 100.0
     record = Recording({"t": t, "f": np.sin(9.0 * t), "x": np.sin(3.0 * t)})

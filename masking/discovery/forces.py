@@ -19,7 +19,7 @@ from masking.declaration.expression import Expression
 from masking.declaration.units import describe
 from masking.discovery import laws
 from masking.discovery.discover import Discovery
-from masking.discovery.fitting import Hypothesis
+from masking.discovery.memory import once
 from masking.discovery.opened import Slot
 from masking.discovery.smoothing import Motion, smooth
 from masking.effects import EFFECTS
@@ -28,7 +28,6 @@ from masking.kernels import Array
 
 BINS = 24  # of a range, with equally many samples each
 FEWEST = 30  # samples of a bin
-ODD = 2.0 / 3.0  # part of a curve from which it is called odd or even
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class Lack:
         before: the lacking force, command or reading (m,).
         after: what is left of it with the causes (m,); None where no cause is known or it cannot be told.
         law: what the cause at this place gives (m,); None where there is none.
-        deviation: standard deviation of `before`.
+        deviations: standard deviations of `before` and of `after`.
         units: of `before`, `x` and `rate`.
     """
 
@@ -54,47 +53,40 @@ class Lack:
     before: Array
     after: Array | None
     law: Array | None
-    deviation: float
+    deviations: tuple[float, float]
     units: tuple[str, str, str]
 
 
 @dataclass(frozen=True)
-class Shape:
-    """How a force depends on displacement and rate: parts of its variance, and the odd part of each dependence."""
+class Smoothed:
+    """What the model lacks along the record, with the parameters that were found beside the causes.
 
-    by_x: float
-    by_rate: float
-    odd_x: float
-    odd_rate: float
+    Args:
+        before: the motion with the forces that are lacking without causes.
+        after: with the causes taken out of the readings; None where none is known or it cannot be told.
+        gap: readings less what is simulated without causes (m, sensors).
+    """
+
+    before: Motion
+    after: Motion | None
+    gap: Array
 
 
-def lack(found: Discovery) -> Lack:
-    """Return what is lacking at the place of the last cause, or where most is lacking if none is known."""
+def lack(found: Discovery, most: str) -> Lack:
+    """Return what is lacking at the place of the last cause.
+
+    Args:
+        found: the discovery.
+        most: the place where most is lacking, or is left: to look at where no cause explains what is lacking.
+    """
     slots = found.explanation.hypothesis.slots
-    if slots and slots[-1].effect != laws.DELAY:
-        slot: Slot | None = slots[-1]
-        where, name = EFFECTS[slots[-1].effect].where, slots[-1].at
-    elif slots:
-        slot, where, name = slots[-1], "actuator", slots[-1].at or _busiest(found)
-    else:
-        slot, where, name = None, "element", _emptiest(found)
+    if not slots or found.verdict == "unknown":
+        slot = next((slot for slot in reversed(slots) if slot.at == most), None)
+        return _force(found, slot, "element", most)
+    slot = slots[-1]
+    where = "actuator" if slot.effect == laws.DELAY else EFFECTS[slot.effect].where
+    name = slot.at or _busiest(found)
     return _sensor(found, slot, name) if where == "sensor" else _force(found, slot, where, name)
-
-
-def shape(x: Array, rate: Array, force: Array) -> Shape:
-    """Return how a force (m,) depends on displacement (m,) and rate (m,)."""
-    whole = float(force.var()) or 1.0
-    parts, odd = [], []
-    for column in (x, rate):
-        centres, means, counts = binned(column, force)
-        mean = float(np.average(means, weights=counts))
-        parts.append(float(np.average((means - mean) ** 2, weights=counts)) / whole)
-        other = np.interp(-centres, centres, means, left=np.nan, right=np.nan)
-        inside = np.isfinite(other)
-        up, down = 0.5 * (means - other)[inside], 0.5 * (means + other)[inside]
-        total = float((up**2).sum() + ((down - down.mean()) ** 2).sum()) if inside.any() else 0.0
-        odd.append(float((up**2).sum()) / total if total > 0.0 else 1.0)
-    return Shape(parts[0], parts[1], odd[0], odd[1])
 
 
 def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Array]:
@@ -117,32 +109,28 @@ def energies(found: Discovery) -> dict[str, float]:
 
 
 def _force(found: Discovery, slot: Slot | None, where: str, name: str) -> Lack:
-    rig = found.rig
-    motion, left = _motions(found)
+    rig, seen = found.rig, smoothed(found)
+    motion, left = seen.before, seen.after
     if where == "actuator":
         at = rig.twin.actuators.index(name)
         x = found.record.acting[:, at]
         rate = np.gradient(x) * found.record.rate
         column = rig.columns[2][at]
-        actuators = found.twin.declaration.actuators or found.twin.base.inputs
-        unit = actuators[name].unit
+        unit = command_unit(found, name)
         units = (unit, unit, _per_second(unit))
     else:
         at = [place.name for place in rig.places].index(name)
         x, rate = motion.displacement[:, at], motion.rate[:, at]
         column = rig.columns[1][at]
         units = element_units(found, name)
-    by = _directions(found, column)
-    deviation = motion.deviation
-    weight = by / np.maximum(deviation, 1e-300) ** 2
-    norm = float(by @ weight)
-    before = motion.forces @ weight / norm
-    after = None if left is None else left.forces @ weight / norm
+    by = directions(found, column)
+    before, deviation = projected(motion, by)
+    after, afterwards = (None, deviation) if left is None else projected(left, by)
     law = None
     if slot is not None:
         law = along(found, slot, x, rate)
         law = law - x if where == "actuator" else law
-    return Lack(name, where, x, rate, before, after, law, norm**-0.5, units)
+    return Lack(name, where, x, rate, before, after, law, (deviation, afterwards), units)
 
 
 def _sensor(found: Discovery, slot: Slot | None, name: str) -> Lack:
@@ -150,11 +138,10 @@ def _sensor(found: Discovery, slot: Slot | None, name: str) -> Lack:
     x = (found.record.readings - after.residuals)[:, at]
     rate = np.gradient(x) * found.record.rate
     law = None if slot is None else along(found, slot, x, rate) - x
-    unit = found.twin.declaration.sensors[name].unit
-    return Lack(
-        name, "sensor", x, rate, base.residuals[:, at], after.residuals[:, at], law,
-        float(found.evidence.sigma[at]), (unit, unit, _per_second(unit)),
-    )  # fmt: skip
+    unit, sigma = found.twin.declaration.sensors[name].unit, float(found.evidence.sigma[at])
+    units = unit, unit, _per_second(unit)
+    before, left = base.residuals[:, at], after.residuals[:, at]
+    return Lack(name, "sensor", x, rate, before, left, law, (sigma, sigma), units)
 
 
 def along(found: Discovery, slot: Slot, x: Array, rate: Array) -> Array:
@@ -165,22 +152,56 @@ def along(found: Discovery, slot: Slot, x: Array, rate: Array) -> Array:
     return np.asarray(found.rig.along(slot, x, rate, found.evidence.dt)[:, 0])
 
 
-def _motions(found: Discovery) -> tuple[Motion, Motion | None]:
-    """Return the record smoothed with the parameters found, and with the causes taken out of its readings."""
-    chosen: Hypothesis = found.explanation.hypothesis
-    if chosen is found.found.base.hypothesis:
-        return found.found.motion, None
+@once
+def smoothed(found: Discovery) -> Smoothed:
+    """Return what the model lacks along the record, with the parameters found, before and after the causes."""
+    chosen, base = found.explanation.hypothesis, found.found.base.hypothesis
+    if chosen is base:
+        return Smoothed(found.found.motion, None, base.residuals)
     rig, record, evidence = found.rig, found.record, found.evidence
     try:
+        if evidence.horizon:  # readings without causes would jump from window to window
+            before = smooth(evidence, chosen.theta, chosen.start)
+            return Smoothed(before, _without(found, before), base.residuals)
         without = rig.equations(evidence, chosen.theta, chosen.start).simulated
         cleaned = replace(record, readings=np.ascontiguousarray(chosen.residuals + without))
         before, after = (smooth(replace(evidence, record=r), chosen.theta, chosen.start) for r in (record, cleaned))
     except IntegrationError:
-        return found.found.motion, None
-    return before, after
+        return Smoothed(found.found.motion, None, base.residuals)
+    return Smoothed(before, after, record.readings - without)
 
 
-def _directions(found: Discovery, column: int) -> Array:
+def _without(found: Discovery, motion: Motion) -> Motion:
+    """Return a motion whose lacking forces are less by what the causes give along it."""
+    forces = motion.forces.copy()
+    for slot in found.explanation.hypothesis.slots:
+        where = "actuator" if slot.effect == laws.DELAY else EFFECTS[slot.effect].where
+        at = (
+            [*range(len(found.twin.actuators))] if not slot.at else [] if where == "sensor" else [found.rig.index(slot)]
+        )
+        for i in at:
+            if where == "actuator":
+                x = found.record.acting[:, i]
+                law, column = along(found, slot, x, np.zeros_like(x)) - x, found.rig.columns[2][i]
+            else:
+                law, column = along(found, slot, motion.displacement[:, i], motion.rate[:, i]), found.rig.columns[1][i]
+            forces -= np.outer(law, directions(found, column))
+    return replace(motion, forces=forces)
+
+
+def projected(motion: Motion, by: Array) -> tuple[Array, float]:
+    """Return the force at a place that is nearest to those on all coordinates (m,), and its standard deviation.
+
+    Args:
+        motion: with the forces on coordinates.
+        by: what a unit at the place is on each coordinate (coordinates,); see `directions`.
+    """
+    weight = by / np.maximum(motion.deviation, 1e-300) ** 2
+    norm = max(float(by @ weight), 1e-300)
+    return motion.forces @ weight / norm, norm**-0.5
+
+
+def directions(found: Discovery, column: int) -> Array:
     """Return what a unit in a column of the equations is as forces on each coordinate (coordinates,)."""
     rig, theta = found.rig, found.explanation.hypothesis.theta
     n, count = len(rig.twin.state_names), len(rig.coordinates)
@@ -192,16 +213,15 @@ def _directions(found: Discovery, column: int) -> Array:
     return np.asarray(np.linalg.lstsq(ports, jp[count : 2 * count, column], rcond=None)[0])
 
 
-def _emptiest(found: Discovery) -> str:
-    """Return the place of a coordinate whose lacking force is largest beside its deviation."""
-    motion = found.found.motion
-    sizes = motion.forces.std(axis=0) / np.maximum(motion.deviation, 1e-300)
-    return found.rig.places[found.rig.coordinate_places[int(np.argmax(sizes))]].name
-
-
 def _busiest(found: Discovery) -> str:
     """Return the actuator whose commands vary most."""
     return found.twin.actuators[int(np.argmax(found.record.commands.std(axis=0)))]
+
+
+def command_unit(found: Discovery, name: str) -> str:
+    """Return the unit of the commands of an actuator."""
+    actuators = found.twin.declaration.actuators or found.twin.base.inputs
+    return actuators[name].unit
 
 
 def element_units(found: Discovery, name: str) -> tuple[str, str, str]:

@@ -15,8 +15,10 @@ from masking import markup
 from masking.discovery import forces, words, written
 from masking.discovery.discover import Discovery
 from masking.discovery.search import probabilities
+from masking.discovery.where import where
 from masking.discovery.written import Files, Origin
 from masking.effects import EFFECTS
+from masking.identification.whiteness import DOUBTED
 
 if TYPE_CHECKING:
     from masking import drawing
@@ -26,6 +28,8 @@ else:
     plates = lazy.load("masking.discovery.plates", suppress_warning=True)
 
 MOST_TRIED = 20
+LEAST = 0.01  # share of a place that is told
+LITTLE = 0.05  # of the power that a force could take out of the motion: less is not told
 TITLES = {
     "none": "Nothing is missing",
     "parameter": "A parameter is off",
@@ -57,7 +61,12 @@ def page(
         folder: where its files lie.
     """
     names = {*found.twin.sensors, *found.twin.actuators, *found.twin.model.coordinates, *found.rig.names}
-    after = {"gap": _gaps(found, names), "candidates": _tried(found)}
+    after = {
+        "gap": _gaps(found, names),
+        "map": _where(found, names),
+        "residual": _whiteness(found, names),
+        "candidates": _tried(found),
+    }
     before = {"candidates": _rivals(found)}
     sections = _what_helps(found)
     for plate in drawn:
@@ -68,6 +77,9 @@ def page(
     sections.append(markup.section("Parameters of the model", _parameters(found, names)))
     sections.append(markup.section("Provenance", _provenance(found, origin, folder)))
     lead = markup.paragraph(f"{words.sentence(found)}.", "lead", names)
+    told = words.whereabouts(found)
+    if told:
+        lead += markup.paragraph(f"{'. '.join(told)}.", "changed", names)
     if found.effects and found.verdict != "unknown" and is_more_left(found):
         lead += markup.paragraph(f"Something else is left. {words.look(found)}.", "card", names)
     return markup.document(TITLES[found.verdict], lead, _tiles(found, names), sections)
@@ -149,6 +161,67 @@ def _gaps(found: Discovery, names: set[str]) -> str:
     return markup.table(head, rows, range(2, 7), names)
 
 
+def _where(found: Discovery, names: set[str]) -> str:
+    """Tabulate the forces that are lacking at each place, and what is lacking on the sides of actuators and sensors."""
+    lacking = words.subject(found)
+    seen = [place for place in lacking.places if place.share > LEAST]
+    if not seen:
+        return markup.paragraph("No force beyond its deviation is lacking anywhere.", "missing")
+    rows = []
+    for place in sorted(seen, key=lambda place: -place.explained):
+        parts, portrait = place.portrait.parts, place.portrait
+        told = (
+            [words.percent(part) for part in (parts.displacement, parts.rate, parts.both, parts.neither)]
+            if parts is not None
+            else [""] * 4
+        )
+        odd = "" if parts is None or parts.odd is None else words.percent(parts.odd)
+        loss = words.power(abs(portrait.loss), place.units)
+        taken = f"{'-' if portrait.loss < 0.0 else ''}{loss}" if abs(portrait.taken) > LITTLE else "little"
+        regions = words.regions(place) if parts is not None else []
+        at = words.listed(regions) if regions else ""
+        rows.append((place.name, words.percent(place.share), *told, odd, taken, at))
+    head = ("place", "share", "displacement", "rate", "both together", "neither", "odd", "takes out", "where")
+    said = (
+        "What a force at each place alone would make of all that is lacking; which parts of its energy follow the "
+        "displacement and the rate there, found on four fifths of the record and held against the rest; how much of "
+        "that turns round with both (odd, as friction and cubic springs do; the rest is even, as a quadratic spring); "
+        "and the power that it takes out of the motion. "
+    )
+    for what, those, of in (
+        ("command", lacking.actuators, "what is lacking"),
+        ("reading", lacking.sensors, "what the simulation leaves of it"),
+    ):
+        if those:
+            each = words.listed([f"{words.percent(part)} ({name})" for name, part in those.items()])
+            said += f"A function of a {what} would make {each} of {of}. "
+    harmonics = lacking.best.harmonics
+    if harmonics is not None and harmonics.only_odd:
+        said += (
+            f"The commands repeat themselves with odd multiples of {harmonics.base:.4g} Hz only; of the force at "
+            f"{lacking.best.name}, {words.percent(harmonics.even)} is at even multiples and "
+            f"{words.percent(harmonics.odd)} at odd ones that were not excited."
+        )
+    return markup.table(head, rows, range(1, 8), names) + markup.paragraph(said, "missing", names)
+
+
+def _whiteness(found: Discovery, names: set[str]) -> str:
+    """Tabulate whether the residuals of each sensor are white, before and after."""
+    rows = []
+    for name, pair in where(found).whiteness.items():
+        for what, one in zip(("adjusted alone", "with what was found"), pair, strict=True):
+            if one is not None:
+                p = f"{one.p:.3f}" if one.p > 5e-4 else "< 0.001"
+                rows.append((name, what, words.white(one), p, words.percent(one.beyond)))
+    head = ("sensor", "model", "residual", "p if white", "beyond noise")
+    said = (
+        "Ljung and Box's test of correlations over 0.1 s on data that were not used, with the frequency at which the "
+        f"residual is furthest above white noise where p is below {DOUBTED:g}; and the part of its mean square that is "
+        "beyond noise."
+    )
+    return markup.table(head, rows, (3, 4), names) + markup.paragraph(said, "missing")
+
+
 def _rivals(found: Discovery) -> str:
     """Tabulate the explanations that were fitted in full, with their probabilities."""
     rivals, heat = found.rivals, found.temperature
@@ -222,6 +295,7 @@ def summary(found: Discovery, files: Files | None) -> str:
     lines = [f"{words.sentence(found)}."]
     if found.effects and found.verdict != "unknown" and is_more_left(found):
         lines.append(f"Something else is left. {words.look(found)}.")
+    lines += [f"{told}." for told in words.whereabouts(found)]
     gap = found.gap
     head = ("error on unseen data", *found.twin.sensors)
     table = [head]

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from masking.discovery import forces, words
 from masking.discovery.discover import Discovery
@@ -32,13 +32,17 @@ MOST_SENSORS = 6
 MOST_TRIED = 12
 NEAR = 0.9  # of the best candidate's gain: those that are told together
 POINTS = 5000  # of a cloud
+WIDE = 200.0  # highest over lowest frequency from which powers of ten are enough of a scale
+FAINT = 1e-3  # of the strongest line: weaker ones are rounded off by the smoother, and not drawn
 SEGMENTS = 8  # that a record is cut into for a spectrum
 BINS_PER_DECADE = 24
 
 
 def plates(found: Discovery) -> list[Plate]:
     """Draw the figures of a discovery."""
-    return [_gap(found), _map(found), _residual(found), _candidates(found)]
+    lacking = forces.lack(found, words.rest(found).best.name)
+    course = [_course(found, lacking)] if lacking.where != "sensor" and found.twin.actuators else []
+    return [_gap(found), _map(found, lacking), *course, _residual(found), _candidates(found)]
 
 
 def _gap(found: Discovery) -> Plate:
@@ -89,18 +93,13 @@ def _gap(found: Discovery) -> Plate:
     return Plate("gap", "The gap", caption, figure)
 
 
-def _map(found: Discovery) -> Plate:
+def _map(found: Discovery, lacking: forces.Lack) -> Plate:
     """Draw the lacking force over displacement and rate, before and after, with the law."""
-    lacking = forces.lack(found)
     has_after = lacking.after is not None and bool(found.effects)
     what = {"element": "force", "actuator": "command", "sensor": "reading"}[lacking.where]
     said = _seen(found, lacking, what)
     values = [lacking.before, *([lacking.law] if lacking.law is not None else [])]
-    by, unit = (
-        shown(lacking.units[0], *(np.abs(v) for v in values))
-        if lacking.units[0] in {"V", "m", "N"}
-        else _milli(lacking.units[0], values)
-    )
+    by, unit = _scale(lacking.units[0], values)
     reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
     rows_of = [(lacking.before, BEFORE, "lacking"), *([(lacking.after, AFTER, "left")] if has_after else [])]
     figure, rows = panels(len(rows_of), 2.05, (3.62, 3.62), top(said))
@@ -109,10 +108,10 @@ def _map(found: Discovery) -> Plate:
     for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
         assert values_of is not None  # noqa: S101  # those that are None have no row
         for axes, x, x_unit, (left, right) in zip(row, (lacking.x, lacking.rate), lacking.units[1:], low, strict=True):
-            times, name = shown(x_unit, x) if x_unit in {"V", "m"} else _milli(x_unit, [x])
+            times, name = _scale(x_unit, [x])
             axes.plot(times * x[::step], by * values_of[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
             centres, means, _ = forces.binned(x, values_of)
-            half = 2.0 * lacking.deviation
+            half = 2.0 * lacking.deviations[row is not rows[0]]
             axes.fill_between(times * centres, by * (means - half), by * (means + half), color=colour, alpha=0.16, lw=0)
             axes.plot(times * centres, by * means, color=colour, lw=1.8)
             if kind == "lacking" and lacking.law is not None:
@@ -123,7 +122,8 @@ def _map(found: Discovery) -> Plate:
             label = {"element": "displacement", "actuator": "command", "sensor": "reading"}[lacking.where]
             if row is rows[-1]:
                 axes.set_xlabel(with_unit(label if x is lacking.x else f"rate of {label}", words.pretty(name)))
-        row[0].set_ylabel(with_unit(f"{kind} {what}", words.pretty(unit)))
+        label = f"lacking {what}" if kind == "lacking" else f"{what} that is left"
+        row[0].set_ylabel(with_unit(label, words.pretty(unit)))
         row[1].tick_params(labelleft=False)
         row[1].yaxis.get_offset_text().set_visible(False)
     heading(figure, said)
@@ -152,11 +152,84 @@ def _seen(found: Discovery, lacking: forces.Lack, what: str) -> str:
         return f"At {lacking.place} the record shows no {what} beyond its deviation that follows the motion"
     if found.verdict == "unknown" or lacking.after is None or not found.effects:
         return words.look(found)
-    noise = lacking.deviation**2 if lacking.where == "sensor" else 0.0
+    noise = lacking.deviations[0] ** 2 if lacking.where == "sensor" else 0.0
     after, before = (max(float((v**2).mean()) - noise, 0.0) for v in (lacking.after, lacking.before))
     taken = f"{100.0 * max(1.0 - after / max(before, 1e-300), 0.0):.3g} % of the mean square of the {what}"
     name = words.spoken(found.effects[-1].name, found.effects[-1].on) if lacking.law is not None else "what was found"
     return f"{words.capital(name)} takes away {taken} that the model lacks at {lacking.place}"
+
+
+def _course(found: Discovery, lacking: forces.Lack) -> Plate:
+    """Draw what is lacking over a command, time and frequency, before and after."""
+    what = {"element": "force", "actuator": "command"}[lacking.where]
+    seen = words.subject(found)
+    command = max(seen.actuators, key=lambda name: seen.actuators[name])
+    column = found.record.acting[:, found.twin.actuators.index(command)]
+    said = _coursed(found, lacking, command)
+    by, unit = _scale(lacking.units[0], [lacking.before])
+    figure, ((over, time, spectrum),) = panels(1, 1.75, (2.05, 2.7, 1.6), top(said))
+    t, step = np.arange(len(lacking.before)) / found.record.rate, max(1, len(lacking.before) // POINTS)
+    pairs = [(lacking.before, BEFORE), *([(lacking.after, AFTER)] if found.effects else [])]
+    drawn = [(values, colour) for values, colour in pairs if values is not None]
+    times, name = _scale(forces.command_unit(found, command), [column])
+    for values, colour in drawn:
+        over.plot(times * column[::step], by * values[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
+        time.plot(*thin(t, by * values, 500), color=colour, lw=0.7)
+        f, density = _density(values, found.record.rate)
+        spectrum.plot(f, density, color=colour, lw=1.2)
+        if colour == BEFORE:
+            strong = density > FAINT * density.max()
+            spectrum.set_xlim(f[0], f[strong][-1])
+            spectrum.set_ylim(0.03 * FAINT * density.max(), 2.0 * density.max())
+    for side in (-2.0, 2.0):
+        for axes in (over, time):
+            axes.axhline(side * by * lacking.deviations[0], color=INK, lw=0.9, ls=DASHED, zorder=4)
+    reach = 1.05 * by * max(2.0 * lacking.deviations[0], *(float(np.abs(values).max()) for values, _ in drawn))
+    over.set_ylim(-reach, reach)
+    time.set(xlim=(0.0, t[-1]), ylim=(-reach, reach))
+    time.tick_params(labelleft=False)
+    time.yaxis.get_offset_text().set_visible(False)
+    over.xaxis.set_major_locator(MaxNLocator(4))
+    over.set_ylabel(with_unit(f"lacking {what}", words.pretty(unit)))
+    over.set_xlabel(with_unit(f"command {symbol(command)}", words.pretty(name)))
+    time.set_xlabel("time (s)")
+    spectrum.set_xscale("log")
+    spectrum.set_yscale("log")
+    spectrum.set_xlabel("frequency (Hz)")
+    spectrum.set_ylabel(with_unit("density", f"{words.pretty(lacking.units[0])}/√Hz" if lacking.units[0] else ""))
+    low, high = spectrum.get_xlim()
+    steps = (1.0, 2.0, 5.0) if high < WIDE * low else (1.0,)
+    spectrum.xaxis.set_major_locator(LogLocator(subs=steps))
+    spectrum.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    spectrum.yaxis.set_major_locator(LogLocator(numticks=5))
+    for axis in (spectrum.xaxis, spectrum.yaxis):
+        axis.set_minor_formatter(NullFormatter())
+    heading(figure, said)
+    handles = [Line2D([], [], color=BEFORE, lw=2, label=f"{what} that the model lacks")]
+    if len(drawn) > 1:
+        handles.append(Line2D([], [], color=AFTER, lw=2, label="what is left"))
+    label = "± 2 deviations" + " of the first" * (len(drawn) > 1)
+    handles.append(Line2D([], [], color=INK, lw=1, ls=DASHED, label=label))
+    legend(figure, spectrum, handles)
+    caption = (
+        f"The {what} at {lacking.place} that the model lacks, over the command that it follows most, over time, and "
+        "the root of its power spectral density. What changes with time, or at a frequency of its own, shows here."
+    )
+    return Plate("course", "When, and under which command", caption, figure)
+
+
+def _coursed(found: Discovery, lacking: forces.Lack, command: str) -> str:
+    """Say how much of what is lacking follows a command, and how alike the thirds of the record are."""
+    seen = words.subject(found)
+    if not any(seen.coordinates.values()):
+        return f"What seems to be lacking at {lacking.place} is not beyond its deviation"
+    told = words.capital(words.follows_command(seen, command))
+    place = next((place for place in seen.places if place.name == lacking.place), None)
+    if place is None or not place.portrait.regions:
+        return told
+    thirds = [energy for energy, _ in place.portrait.regions["record"].values()]
+    parts = words.listed([words.percent(part) for part in thirds])
+    return f"{told}; the thirds of the record hold {parts} of the energy of the force at {lacking.place}"
 
 
 def _law(axes: Axes, x: Array, law: Array) -> None:
@@ -164,7 +237,7 @@ def _law(axes: Axes, x: Array, law: Array) -> None:
     order = np.argsort(x)
     steps = np.abs(np.diff(law[order]))
     size = float(np.abs(law).max())
-    rough = float(np.ptp(law)) > 1e-9 * size and float(np.median(steps)) > 2e-3 * float(np.ptp(law))
+    rough = float(np.ptp(law)) > 1e-9 * size and float(np.quantile(steps, 0.9)) > 2e-3 * float(np.ptp(law))
     if not rough:
         axes.plot(*thin(x[order], law[order], 400), color=INK, lw=1.6, zorder=5)
         return
@@ -322,8 +395,10 @@ def _percents(axes: Axes, low: float, high: float) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g} %"))
 
 
-def _milli(unit: str, values: Sequence[Array]) -> tuple[float, str]:
-    """Return the factor and unit in which values are drawn: metres in thousandths where these are small."""
+def _scale(unit: str, values: Sequence[Array]) -> tuple[float, str]:
+    """Return the factor and unit in which values are drawn: metres, volts, newtons in thousandths where small."""
+    if unit in {"V", "m", "N"}:
+        return shown(unit, *(np.abs(v) for v in values))
     largest = max(float(np.abs(v).max()) for v in values)
     if unit.startswith(("m/", "V/", "N/")) and largest < 0.1:
         return 1e3, f"m{unit}"

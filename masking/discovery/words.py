@@ -10,9 +10,16 @@ import numpy as np
 
 from masking.discovery import forces
 from masking.discovery.discover import Discovery, Named
+from masking.discovery.where import Lacking, Place, where
 from masking.effects import EFFECTS
+from masking.identification.whiteness import Whiteness
 
-NOTABLE = 0.15  # part of a force's variance from which a dependence is told
+NOTABLE = 0.15  # part of a force's energy from which a dependence is told
+ALIKE = 0.9  # part of it that turns round with the motion, or does not, from which it is called so
+CONSTANT = 0.9  # part of its mean square that is its mean's, from which it hardly changes
+MOST = 0.5  # part of what is lacking from which a place or a side of the rig is told
+MUCH = 1.5  # times the part of the time: a part of the energy from which a region is told
+TAKEN = 0.2  # of the power that a force could take out of the motion, from which that is told
 SHOWN = 0.01  # probability from which an alternative is told
 SURE = 2.0  # deviations of a parameter from which it is told in a sentence
 CLOSED = 1.1  # of the noise: errors from here on are told as more than noise
@@ -97,25 +104,140 @@ def worst(found: Discovery) -> str:
 
 
 def look(found: Discovery) -> str:
-    """Say what the lacking force looks like."""
-    lacking = forces.lack(found)
-    rest = lacking.before if lacking.after is None or not found.effects else lacking.after
-    kind = forces.shape(lacking.x, lacking.rate, rest)
-    of = {
-        "element": ("displacement", "its rate"),
-        "actuator": ("command", "its rate"),
-        "sensor": ("reading", "its rate"),
-    }
-    x, rate = of[lacking.where]
+    """Say what is lacking, or is left beside the causes, looks like."""
+    lacking = rest(found)
+    place = lacking.best
+    portrait, (unit, *_) = place.portrait, place.units
+    of_command = max(lacking.actuators, key=lambda name: lacking.actuators[name], default="")
+    if of_command and lacking.actuators[of_command] > max(MOST, place.explained):
+        return f"It looks like a force: {follows_command(lacking, of_command)}"
+    size = f"{number(portrait.size, 2)} {pretty(unit)}".rstrip()
+    return f"It looks like a force of {size} (rms) at {place.name}: {portrayed(place)}"
+
+
+def rest(found: Discovery) -> Lacking:
+    """Return what is lacking, or what is left where causes are known that do not explain it."""
+    seen = where(found)
+    return seen.lacking if seen.left is None or not found.effects else seen.left
+
+
+def subject(found: Discovery) -> Lacking:
+    """Return what is lacking, or what is left where the causes that are known do not explain it."""
+    return rest(found) if found.verdict == "unknown" else where(found).lacking
+
+
+def whereabouts(found: Discovery) -> list[str]:
+    """Say where it is lacking, and whether what is left is white; nothing where neither says anything."""
+    seen, lacking = where(found), where(found).lacking
     told = []
-    for part, odd, what in ((kind.by_x, kind.odd_x, x), (kind.by_rate, kind.odd_rate, rate)):
-        if part > NOTABLE:
-            symmetry = "alike in both directions" if odd > forces.ODD else "different in the two directions"
-            told.append(f"{100.0 * part:.0f} % of it follows the {what.removeprefix('its ')}, {symmetry}")
-    size = f"{number(float(np.std(rest)), 2)} {pretty(lacking.units[0])}".rstrip()
-    what = "reading" if lacking.where == "sensor" else "force"
-    shown = "; ".join(told) or f"it follows neither the {x} nor {rate} alone: time, memory or another place matters"
-    return f"It looks like a {what} of {size} (rms) at {lacking.place}: {shown}"
+    if found.verdict in {"named", "ambiguous"} and found.effects[-1].name in EFFECTS:
+        on, side = found.effects[-1].on, EFFECTS[found.effects[-1].name].where
+        if side == "element" and lacking.best.explained > MOST:
+            place = lacking.best
+            told.append(f"{capital(much(place.share))} of what is lacking sits at {place.name}: {portrayed(place)}")
+        elif side == "actuator" and lacking.actuators.get(on, 0.0) > MOST:
+            told.append(capital(follows_command(lacking, on)))
+        elif side == "sensor" and lacking.sensors.get(on, 0.0) > MOST:
+            told.append(f"{capital(much(lacking.sensors[on]))} of what is lacking of {on} follows its reading")
+    if found.verdict == "unknown":
+        return told
+    coloured = {
+        name: last for name, (first, after) in seen.whiteness.items() for last in (after or first,) if not last.white
+    }
+    if coloured:
+        told.append(
+            f"On data that were not used, what is left of {listed([f'{n} is {white(w)}' for n, w in coloured.items()])}"
+        )
+    return told
+
+
+def follows_command(lacking: Lacking, name: str) -> str:
+    """Say how much of what is lacking follows a command."""
+    return f"{much(lacking.actuators[name])} of what is lacking follows the command of {name}"
+
+
+def portrayed(place: Place) -> str:
+    """Say what a force at a place follows, how alike it is in both directions, where it sits and what it takes."""
+    parts = place.portrait.parts
+    if parts is None:
+        return "it is hardly beyond its deviation"
+    if place.portrait.mean**2 > CONSTANT * place.portrait.size**2:
+        return "it hardly changes"
+    follows = [
+        (much(part), what)
+        for part, what in (
+            (parts.displacement, "the displacement"),
+            (parts.rate, "the rate"),
+            (parts.both, "displacement and rate together"),
+        )
+        if part > NOTABLE
+    ]
+    told = []
+    if follows:
+        (first, what), *others = follows
+        said = listed([f"{first} of its energy follows {what}", *(f"{part} {what}" for part, what in others)])
+        told.append(said if parts.odd is None else f"{said}, {symmetry(parts.odd)}")
+    if parts.neither > NOTABLE:
+        told.append(
+            f"{much(parts.neither)} follows neither displacement nor rate: time, memory or another place matters"
+        )
+    told.extend(regions(place))
+    if abs(place.portrait.taken) > TAKEN:
+        way = ("takes", "out of") if place.portrait.loss > 0.0 else ("puts", "into")
+        told.append(f"it {way[0]} {power(abs(place.portrait.loss), place.units)} {way[1]} the motion")
+    return "; ".join(told)
+
+
+def symmetry(odd: float) -> str:
+    """Say how alike a force is in both directions, by the part of it that turns round with the motion."""
+    if odd > ALIKE:
+        return "alike in both directions"
+    return "the same way on both sides" if odd < 1.0 - ALIKE else "different in the two directions"
+
+
+def regions(place: Place) -> list[str]:
+    """Say in which part of travel, speed and record a force has much more of its energy than there is time."""
+    told, of = [], place.portrait.regions
+    ends = [of["displacement"][name] for name in ("low", "high")]
+    (energy, time), parts = np.sum(ends, axis=0), place.portrait.parts
+    if energy > MUCH * time and energy > MOST and min(part / max(spent, 1e-9) for part, spent in ends) > 1.0:
+        told.append("most of it is at the ends of the travel")
+    else:
+        told.extend(
+            f"{much(part)} of it is where the displacement is {name if name != 'middle' else 'in the middle'}"
+            for name, (part, spent) in of["displacement"].items()
+            if part > max(MUCH * spent, MOST)
+        )
+    if parts is not None and parts.rate < MOST:  # what follows the rate is larger where that is
+        told.extend(
+            f"{much(part)} of it is where the motion is {name}"
+            for name, (part, spent) in of["speed"].items()
+            if part > MUCH * spent
+        )
+    told.extend(
+        f"{much(part)} of it is in the {name} third of the record"
+        for name, (part, spent) in of["record"].items()
+        if part > MUCH * spent
+    )
+    return told
+
+
+def white(one: Whiteness) -> str:
+    """Say whether residuals are white, and if not, at which frequency they are not."""
+    if one.white:
+        return "white"
+    at = "an offset" if not one.frequency else f"{number(one.frequency, 2)} Hz"
+    return f"not white ({'slow, ' if one.slow and one.frequency else ''}{at})"
+
+
+def power(value: float, units: Sequence[str]) -> str:
+    """Write a power with its unit: that of a force times that of a rate."""
+    unit = _put_together("F*V", {"F": units[0] or "1", "V": units[2] or "1"})
+    unit = {"m**2/s**3": "W/kg", "N*m/s": "W"}.get(unit, unit)
+    scale = math.floor(math.log10(value) / 3.0) * 3 if value > 0.0 else 0
+    if unit in {"W", "W/kg"} and scale in _PREFIXES:
+        return f"{number(value / 10.0**scale)} {_PREFIXES[scale]}{unit}"
+    return f"{number(value)} {pretty(unit)}".rstrip()
 
 
 def remedies(found: Discovery) -> list[tuple[str, str, str, str]]:
@@ -136,7 +258,7 @@ def units(found: Discovery, named: Named) -> dict[str, str]:
     elif effect.where == "sensor":
         known = {"S": twin.declaration.sensors[named.on].unit}
     else:
-        known = {"U": (twin.declaration.actuators or twin.base.inputs)[named.on].unit}
+        known = {"U": forces.command_unit(found, named.on)}
     return {n: pretty(_put_together(effect.parameters[n].unit, known)) for n in named.parameters}
 
 
@@ -204,6 +326,11 @@ def number(value: float, digits: int = 3) -> str:
 def percent(part: float) -> str:
     """Write a part in percent."""
     return f"{100.0 * part:.2g}\N{NO-BREAK SPACE}%" if part < 0.995 else f"{100.0 * part:.0f}\N{NO-BREAK SPACE}%"
+
+
+def much(part: float) -> str:
+    """Write how much of something: all, nothing, or a part in percent."""
+    return "all" if part >= 0.995 else percent(part) if part >= 0.005 else "nothing"
 
 
 def capital(text: str) -> str:

@@ -24,6 +24,7 @@ from masking.discovery import laws, words
 from masking.discovery.discover import Discovery
 from masking.discovery.opened import Slot
 from masking.discovery.places import identifier, opened
+from masking.discovery.where import where
 from masking.effects import EFFECTS, attach
 from masking.errors import RecordError
 from masking.model import Model
@@ -136,6 +137,7 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     told["parameters"] = {name: {"value": value, "std": std} for name, value, std in refitted(found)}
     told["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
     told["page"] = str(files.page)
+    told["where"] = where(found).as_dict()
     return told
 
 

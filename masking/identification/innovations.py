@@ -9,6 +9,7 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.identification import estimates
+from masking.identification.whiteness import ljung_box
 from masking.kernels import Array
 from masking.twin import Twin
 
@@ -92,14 +93,9 @@ class KalmanFit:
 
     @property
     def whiteness(self) -> dict[str, float]:
-        """Return the probability of innovations at least as correlated as these if they were white, by sensor.
-
-        Source: Ljung and Box, Biometrika 65 (1978), 297-303.
-        """
-        rho, m = self.autocorrelation, len(self.normalised)
-        lags = np.arange(1, len(rho) + 1)[:, None]
-        statistic = m * (m + 2) * (rho**2 / (m - lags)).sum(axis=0)
-        return dict(zip(self.twin.sensors, map(float, stats.chi2.sf(statistic, len(rho))), strict=True))
+        """Return the probability of innovations at least as correlated as these if they were white, by sensor."""
+        chances = ljung_box(self.autocorrelation, len(self.normalised))
+        return dict(zip(self.twin.sensors, map(float, chances), strict=True))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fit as JSON can hold it; what is over time is left out."""

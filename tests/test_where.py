@@ -1,0 +1,418 @@
+"""Where a model lacks something: forces in closed form along known motions, white and other noise, and a real rig."""
+
+import gc
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from masking.discovery import fitting, pages, words
+from masking.discovery.discover import Discovery, Gap, Named, believed
+from masking.discovery.evidence import Evidence
+from masking.discovery.harmonics import Periods, period
+from masking.discovery.memory import once
+from masking.discovery.opened import OpenRig, Slot
+from masking.discovery.portrait import followed, portrait
+from masking.discovery.search import Explanation, Found
+from masking.discovery.smoothing import smooth
+from masking.discovery.where import where
+from masking.effects import EFFECTS
+from masking.identification.data import Data
+from masking.identification.whiteness import autocorrelation, ljung_box, whiteness
+from masking.twin import Twin
+from tests.test_discovery import PLANT
+
+RATE = 1000.0
+LINES = np.arange(1, 60, 2)
+
+
+def multisine(seconds, seed=0, lines=LINES, cycle=20.0):
+    """Return a displacement and its rate: a few millimetres, up to 3 Hz."""
+    rng, t = np.random.default_rng(seed), np.arange(round(seconds * RATE)) / RATE
+    w, phase = 2.0 * np.pi * lines / cycle, rng.uniform(0.0, 2.0 * np.pi, len(lines))
+    x, rate = np.zeros(len(t)), np.zeros(len(t))
+    for one, start in zip(w, phase, strict=True):
+        x += 4e-4 * np.sin(one * t + start)
+        rate += 4e-4 * one * np.cos(one * t + start)
+    return x, rate
+
+
+X, V = multisine(60.0)
+
+
+def jenkins(x, k, fc):
+    """Return the force of a spring in line with a slider (m,)."""
+    force = np.zeros(len(x))
+    for i in range(1, len(x)):
+        force[i] = np.clip(force[i - 1] + k * (x[i] - x[i - 1]), -fc, fc)
+    return force
+
+
+def dahl(x, fc, x0):
+    """Return Dahl's friction (m,), exactly along straight pieces of the motion."""
+    z = np.zeros(len(x))
+    for i in range(1, len(x)):
+        step = x[i] - x[i - 1]
+        z[i] = np.sign(step) + (z[i - 1] - np.sign(step)) * np.exp(-abs(step) / x0)
+    return fc * z
+
+
+# force, parts that follow displacement, rate, both together and neither, and the odd part
+FORCES = {
+    "spring": (100.0 * X, (1, 0, 0, 0), 1.0),
+    "damper": (3.0 * V, (0, 1, 0, 0), 1.0),
+    "Coulomb": (0.05 * np.sign(V), (0, 1, 0, 0), 1.0),
+    "cubic": (1e6 * X**3, (1, 0, 0, 0), 1.0),
+    "quadratic": (1e4 * X**2, (1, 0, 0, 0), 0.0),
+    "offset": (np.full(len(X), 0.01), (1, 0, 0, 0), 0.0),
+    "drag": (100.0 * V * np.abs(V), (0, 1, 0, 0), 1.0),
+    # max(x, 0) = x/2 + |x|/2
+    "contact on one side": (100.0 * np.maximum(X, 0.0), (1, 0, 0, 0), 0.5),
+    # 3/4 of the sign and 1/4 of its square: squares as 9 to 1
+    "friction of two sizes": (np.where(V > 0.0, 1.0, -0.5), (1 / 10, 9 / 10, 0, 0), 0.9),
+}
+
+
+@pytest.mark.parametrize("name", FORCES)
+def test_parts_of_the_energy(name):
+    force, truth, odd = FORCES[name]
+    parts = portrait(X, V, force).parts
+    assert (parts.displacement, parts.rate, parts.both, parts.neither) == pytest.approx(truth, abs=0.03)
+    assert parts.odd == pytest.approx(odd, abs=0.03)
+    told = parts.as_dict()
+    assert sum(told[n] for n in ("displacement", "rate", "both", "neither")) == pytest.approx(1.0)
+
+
+def test_what_follows_displacement_and_rate_together():
+    # x^2 v less its best function of the rate: a share that depends on neither alone
+    force = X**2 * V
+    parts = portrait(X, V, force).parts
+    alone = np.mean(X**2 * V**2) ** 2 / np.mean(V**2) / np.mean(force**2)  # of a damper, the best straight one
+    assert parts.rate == pytest.approx(alone, abs=0.1)
+    assert parts.rate + parts.both > 0.97
+    assert parts.odd > 0.99
+
+
+@pytest.mark.parametrize("force", [jenkins(X, 100.0, 0.05), dahl(X, 0.05, 1e-3)], ids=["Jenkins", "Dahl"])
+def test_a_memory_follows_neither(force):
+    found = portrait(X, V, force)
+    assert found.parts.neither > 0.12
+    assert found.loss > 0.0
+    assert found.parts.odd > 0.95
+
+
+def test_what_does_not_follow_the_motion_follows_neither():
+    t = np.arange(len(X)) / RATE
+    parts = portrait(X, V, np.sin(2.0 * np.pi * 0.7123 * t)).parts
+    assert parts.neither > 0.9
+    assert parts.odd is None
+    # of another multisine on other lines, which repeats itself as the motion does
+    parts = portrait(X, V, multisine(60.0, seed=5, lines=np.arange(2, 60, 2))[0], cycle=20000).parts
+    assert parts.neither > 0.9
+
+
+def test_noise_is_no_energy():
+    rng = np.random.default_rng(0)
+    force = 100.0 * X
+    noise = 0.5 * force.std() * rng.standard_normal(len(X))
+    found = portrait(X, V, force + noise, 0.5 * force.std())
+    assert found.parts.displacement == pytest.approx(1.0, abs=0.03)
+    nothing = portrait(X, V, noise, 0.5 * force.std())
+    assert nothing.parts is None
+    assert nothing.regions == {}
+
+
+def test_losses_are_those_of_the_laws():
+    x, v = multisine(20.0)  # one whole period
+    assert portrait(x, v, 100.0 * x).taken == pytest.approx(0.0, abs=1e-9)
+    assert portrait(x, v, 1e6 * x**3).taken == pytest.approx(0.0, abs=1e-3)
+    viscous = portrait(x, v, 3.0 * v)
+    assert viscous.loss == pytest.approx(3.0 * np.mean(v**2), rel=1e-3)
+    assert viscous.taken == pytest.approx(1.0)
+    assert portrait(x, v, 0.05 * np.sign(v)).loss == pytest.approx(0.05 * np.mean(np.abs(v)), rel=1e-3)
+    assert portrait(x, v, -3.0 * v).taken == pytest.approx(-1.0)
+
+
+def test_the_area_of_a_loop():
+    # a spring k in line with a slider fc under a sine of size a: 4 fc (a - fc/k) in a cycle
+    t, k, fc, a, f = np.arange(10000) / RATE, 100.0, 0.05, 2e-3, 1.0
+    x, v = a * np.sin(2.0 * np.pi * f * t), a * 2.0 * np.pi * f * np.cos(2.0 * np.pi * f * t)
+    whole = slice(1000, None)  # it begins at rest
+    assert portrait(x[whole], v[whole], jenkins(x, k, fc)[whole]).loss == pytest.approx(
+        4.0 * fc * (a - fc / k) * f, rel=1e-2
+    )
+
+
+def test_regions():
+    t = np.arange(30000) / RATE
+    x, v = np.sin(2.0 * np.pi * t), 2.0 * np.pi * np.cos(2.0 * np.pi * t)
+    of = portrait(x, v, x * t).regions
+    # the integral of t^2 over each third
+    assert [energy for energy, _ in of["record"].values()] == pytest.approx([1 / 27, 7 / 27, 19 / 27], abs=0.01)
+    # |sin| < 1/3 for 2/pi asin(1/3) of the time, with (u - sin(u) cos(u)) 2/pi of its square, u = asin(1/3)
+    u = np.arcsin(1.0 / 3.0)
+    energy, time = of["displacement"]["middle"]
+    assert time == pytest.approx(2.0 / np.pi * u, abs=0.005)
+    assert energy == pytest.approx(2.0 / np.pi * (u - np.sin(u) * np.cos(u)), abs=0.005)
+    # cos^2 above its median: 1/2 + 1/pi
+    assert portrait(x, v, v).regions["speed"]["fast"] == pytest.approx((0.5 + 1.0 / np.pi, 0.5), abs=0.005)
+    high = portrait(x, v, np.maximum(x - 0.5, 0.0)).regions["displacement"]["high"]
+    assert high[0] > 0.99
+    assert high[1] < 0.4
+
+
+def test_a_motion_on_one_side_tells_no_symmetry():
+    found = portrait(X + 5.0, V, 100.0 * (X + 5.0))
+    assert found.parts.odd is None
+    assert found.parts.displacement == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("still", ["displacement", "rate", "both"])
+def test_a_place_that_does_not_move(still):
+    x = X if still == "rate" else np.zeros(len(X))
+    v = V if still == "displacement" else np.zeros(len(V))
+    found = portrait(x, v, 1.0 + 0.0 * X)
+    assert found.parts.displacement == pytest.approx(1.0)
+    assert followed(x, 1.0 + 0.0 * X) == pytest.approx(1.0)
+
+
+def test_a_short_record():
+    x, v = X[::50][:400], V[::50][:400]
+    assert portrait(x, v, 100.0 * x).parts.displacement == pytest.approx(1.0, abs=0.01)
+
+
+def test_what_follows_a_command():
+    command = multisine(60.0, seed=3)[0]
+    limited = np.clip(command, -1.5e-3, 1.5e-3) - command
+    assert followed(command, limited) == pytest.approx(np.mean(limited**2), rel=0.02)
+    assert followed(command, X) < 0.05 * np.mean(X**2)
+
+
+def periods(command):
+    return Periods.of(command[:, None], RATE)
+
+
+def test_periods_are_found():
+    assert period(X[:, None]) == 20000
+    two = np.column_stack([X, np.full(len(X), 0.3), multisine(60.0, seed=1, lines=np.arange(2, 60, 4))[0]])
+    assert Periods.of(two, RATE).length == 20000
+    assert period(multisine(60.0, lines=np.array([4, 12]))[0][:, None]) == 5000
+    rng = np.random.default_rng(0)
+    assert Periods.of(rng.standard_normal((3000, 2)), RATE) is None
+    assert Periods.of(X[:50000, None], RATE).harmonics(X[:50000]) is None  # two and a half
+    assert Periods.of(X[:24000, None], RATE) is None
+    assert Periods.of(np.ones((3000, 1)), RATE) is None
+    assert Periods.of(np.zeros((3000, 0)), RATE) is None
+
+
+def test_harmonics_of_a_sine():
+    x = np.sin(2.0 * np.pi * np.arange(10000) / 1000.0)
+    found = periods(x)
+    # sin^3 = 3/4 sin - 1/4 sin 3: squares as 9 to 1. sin^2 = 1/2 - 1/2 cos 2
+    cubic, quadratic = found.harmonics(x**3), found.harmonics(x**2)
+    assert (cubic.excited, cubic.even, cubic.odd) == pytest.approx((0.9, 0.0, 0.1), abs=1e-9)
+    assert (quadratic.excited, quadratic.even, quadratic.odd) == pytest.approx((0.0, 1.0, 0.0), abs=1e-9)
+    # an offset and a sine: 1 to 1/2
+    both = found.harmonics(1.0 + x)
+    assert (both.excited, both.even) == pytest.approx((1 / 3, 2 / 3), abs=1e-9)
+    assert (cubic.base, cubic.periods, cubic.only_odd) == (1.0, 9, True)
+    assert json.loads(json.dumps(cubic.as_dict()))["odd"] == pytest.approx(0.1)
+
+
+def test_harmonics_of_odd_multisines():
+    found = periods(X)
+    assert found.harmonics(1e6 * X**3).even == pytest.approx(0.0, abs=1e-6)
+    assert found.harmonics(np.sign(V)).even == pytest.approx(0.0, abs=1e-3)
+    assert found.harmonics(jenkins(X, 100.0, 0.05)).even == pytest.approx(0.0, abs=1e-3)  # settled after a period
+    assert found.harmonics(X**2).even == pytest.approx(1.0, abs=1e-6)
+    every = multisine(60.0, lines=np.arange(1, 30))[0]
+    assert not periods(every).harmonics(every**3).only_odd
+    rng = np.random.default_rng(0)
+    noisy = found.harmonics(1e6 * X**3 + 0.5 * (1e6 * X**3).std() * rng.standard_normal(len(X)))
+    assert noisy.even == pytest.approx(0.0, abs=0.05)
+
+
+def test_the_statistic_of_ljung_and_box():
+    rng = np.random.default_rng(1)
+    e = rng.standard_normal(500)
+    rho = [float(e[lag:] @ e[:-lag] / (e @ e)) for lag in range(1, 21)]
+    np.testing.assert_allclose(autocorrelation(e, 20), rho, atol=1e-12)
+    q = 500 * 502 * sum(r**2 / (500 - lag) for lag, r in enumerate(rho, 1))
+    # the density of chi-squared with 20 degrees of freedom, integrated
+    tail = integrate.quad(lambda s: s**9 * np.exp(-s / 2.0) / (2.0**10 * 362880.0), q, np.inf)[0]
+    assert float(ljung_box(np.array(rho), 500)) == pytest.approx(tail, rel=1e-6)
+
+
+def test_white_noise_is_called_white_as_often_as_it_should():
+    rng = np.random.default_rng(2)
+    reading = X[:4000]
+    p = np.array([whiteness(rng.standard_normal(4000), reading, 1.0, RATE).p for _ in range(400)])
+    assert np.mean(p < 0.05) == pytest.approx(0.05, abs=0.035)
+    assert np.median(p) == pytest.approx(0.5, abs=0.08)
+    assert whiteness(rng.standard_normal(60000), X, 1.0, RATE).white
+
+
+@pytest.mark.parametrize(("frequency", "slow"), [(0.0, True), (0.1, True), (2.0, False), (37.0, False), (220.0, False)])
+def test_what_is_not_white_is_told_with_its_frequency(frequency, slow):
+    rng, t = np.random.default_rng(3), np.arange(60000) / RATE
+    size = 0.1
+    found = whiteness(rng.standard_normal(60000) + size * np.cos(2.0 * np.pi * frequency * t), X, 1.0, RATE)
+    assert not found.white
+    assert found.frequency == pytest.approx(frequency, abs=0.05)
+    assert found.slow is slow
+    assert found.beyond == pytest.approx(size**2 / (2.0 if frequency else 1.0), abs=0.02)
+    assert found.as_dict().keys() == {"p", "white", "beyond", "frequency", "slow"}
+    assert words.white(found).startswith("not white (")
+
+
+def test_residuals_that_are_zero_are_white():
+    assert whiteness(np.zeros(1000), X[:1000], 1.0, RATE).white
+
+
+def test_memory_forgets():
+    class Thing:
+        calls = 0
+
+    @once
+    def count(thing):
+        thing.calls += 1
+        return thing.calls
+
+    one, other = Thing(), Thing()
+    assert [count(one), count(one), count(other)] == [1, 1, 1]
+    known = count.__closure__[1].cell_contents
+    assert len(known) == 2
+    del one
+    gc.collect()
+    assert len(known) == 1
+
+
+NOISE = 1e-3
+SLOTS = {
+    "friction": Slot("dry_friction", "spring1", (0.0055, 1e-3), (0,)),
+    "square": Slot("polynomial_spring", "spring2", (0.0, 0.0, 3e3, 0.0, 0.0, 0.0), (2,)),
+    "limit": Slot("saturation", "V3", (0.08,), (0,)),
+    "bent": Slot("sensor_cubic", "s1", (0.1,), (0,)),
+}
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    path = tmp_path_factory.mktemp("plant") / "plant.yaml"
+    path.write_text(PLANT)
+    twin = Twin.load(path)
+    return OpenRig(twin, twin.equation_parameters())
+
+
+@pytest.fixture(scope="module")
+def discoveries(rig):
+    """Return what a discovery finds that knows the cause: one record, three periods of odd multisines."""
+    odd = np.arange(1, 32, 2)
+    commands = np.array([multisine(24.0, i, odd[i::3], cycle=8.0)[0] for i in range(3)]).T
+    commands = np.ascontiguousarray(commands / commands.std(axis=0) * np.array([0.004, 0.004, 0.05]))
+    empty = Data("a record", RATE, commands, np.zeros((len(commands), 3)))
+    plain = Evidence(rig, empty, believed(rig.twin, rig, 0.01), np.full(3, NOISE), 2)
+
+    def find(slot):
+        told = rig.equations(plain, rig.start, np.zeros((1, 6)), (slot,), np.array(slot.estimated)).simulated
+        noise = NOISE * np.random.default_rng(1).standard_normal(told.shape)
+        evidence = replace(plain, record=replace(empty, readings=told + noise))
+        base, known = fitting.fit(evidence), fitting.fit(evidence, (slot,))
+        first = Explanation("none", (), base)
+        chosen = Explanation("effects", ((slot.effect, slot.at),), known)
+        motion = smooth(evidence, base.theta, base.start)
+        found = Found(first, ((chosen,),), motion)
+        parameters = {n: (slot.values[i], 0.0) for n, i in zip(slot.names, slot.free, strict=True)}
+        named = (Named(slot.effect, slot.at, parameters, 1.0),)
+        gap = Gap(*[(dict.fromkeys(rig.twin.sensors, 0.1),) * 2] * 2, *[dict.fromkeys(rig.twin.sensors, 0.1)] * 2)
+        return Discovery(
+            "named", named, gap, 0.0, rig.twin, chosen, (chosen,), 1.0, found, evidence, evidence, base, known
+        )
+
+    known = {}
+    return lambda name: known.setdefault(name, known.get(name) or find(SLOTS[name]))
+
+
+def test_friction_is_where_it_is(discoveries):
+    found = discoveries("friction")
+    seen = where(found)
+    assert where(found) is seen
+    assert seen.lacking.coordinates["x1"] > 0.95
+    assert sum(seen.lacking.coordinates.values()) == pytest.approx(1.0)
+    best = seen.lacking.best
+    assert best.name == "spring1"
+    assert best.share > 0.95
+    assert best.portrait.parts.rate > 0.9
+    assert best.portrait.parts.odd > 0.95
+    assert best.harmonics.only_odd
+    assert best.harmonics.even < 0.02
+    rate = found.found.motion.rate[:, 0]
+    assert best.portrait.loss == pytest.approx(0.0055 * np.mean(np.abs(rate)), rel=0.05)
+    assert best.units == ("m/s**2", "m", "m/s")
+    assert max(seen.lacking.actuators.values()) < 0.5
+    assert max(seen.left.coordinates.values()) == 0.0
+    assert [after.white for _, after in seen.whiteness.values()] == [True] * 3
+    assert not seen.whiteness["s1"][0].white
+
+
+def test_what_is_said_of_friction(discoveries):
+    found = discoveries("friction")
+    (told,) = words.whereabouts(found)
+    assert told.startswith("All of what is lacking sits at spring1: 9")
+    assert "of its energy follows the rate, alike in both directions; it takes " in told
+    assert told.endswith("µW/kg out of the motion")
+    lost = replace(found, verdict="unknown")
+    assert words.whereabouts(lost) == []
+
+
+def test_a_quadratic_spring_is_even(discoveries):
+    best = where(discoveries("square")).lacking.best
+    assert best.name == "spring2"
+    assert best.portrait.parts.displacement > 0.9
+    assert best.portrait.parts.odd < 0.05
+    assert best.harmonics.even > 0.95
+    assert "the same way on both sides" in words.portrayed(best)
+
+
+def test_a_gap_on_the_side_of_actuators_follows_a_command(discoveries):
+    found = discoveries("limit")
+    lacking = where(found).lacking
+    assert lacking.actuators["V3"] > 0.9 > 2.0 * lacking.best.explained
+    assert "follows the command of V3" in words.whereabouts(found)[0]
+    assert "follows the command of V3" in words.look(replace(found, verdict="unknown", effects=()))
+
+
+def test_a_gap_on_the_side_of_sensors_follows_a_reading(discoveries):
+    found = discoveries("bent")
+    lacking = where(found).lacking
+    assert lacking.sensors["s1"] > 0.95
+    assert max(lacking.sensors["s2"], lacking.sensors["s3"]) < 0.1
+    assert words.whereabouts(found)[0].endswith("of what is lacking of s1 follows its reading")
+
+
+def test_it_goes_into_json(discoveries):
+    told = json.loads(json.dumps(where(discoveries("square")).as_dict(), allow_nan=False))
+    assert told.keys() == {"lacking", "left", "whiteness"}
+    spring = told["lacking"]["places"]["spring2"]
+    assert spring["energy"]["even"] > 0.95
+    assert spring["units"] == {"force": "m/s**2", "displacement": "m", "rate": "m/s"}
+    assert told["whiteness"]["s1"]["before"].keys() >= {"p", "white", "beyond"}
+
+
+def test_the_page_tabulates_it(discoveries):
+    found = discoveries("square")
+    assert "Ljung and Box" in pages._whiteness(found, set())
+    table = pages._where(found, set())
+    assert "<td>spring2</td>" in table
+    assert "odd multiples of 0.125 Hz only" in table
+
+
+def test_powers_have_units():
+    assert words.power(5.4e-5, ("m/s**2", "m", "m/s")) == "54 µW/kg"
+    assert words.power(2.0, ("N", "m", "m/s")) == "2 W"
+    assert words.power(3.0, ("N*m", "rad", "rad/s")) == "3 N m rad/s"
+    assert words.power(3.0, ("", "", "")) == "3"
+    assert words.power(0.0, ("N", "m", "m/s")) == "0 W"
+    assert set(EFFECTS) >= {slot.effect for slot in SLOTS.values()}
