@@ -100,10 +100,9 @@ def _bristles(more: float) -> Shapes:
     return shapes
 
 
-def _bends(n: float) -> Shapes:
+def _bends(span: Span) -> list[Mapping[str, float]]:
     """Return shapes of a general hysteresis: a path back that bends soon or late, and yields or opens."""
-    parts, deltas = (0.1, 0.3, 1.0, 3.0), (-1.5, -0.5, 0.5)
-    return lambda span: [{"x0": part * span.size, "delta": delta, "n": n} for part in parts for delta in deltas]
+    return [{"x0": part * span.size, "delta": delta} for part in (0.15, 0.6, 2.4) for delta in (-1.3, 0.0)]
 
 
 def _steps(span: Span) -> list[Mapping[str, float]]:
@@ -133,7 +132,7 @@ RECIPES: dict[str, tuple[_Recipe, ...]] = {
     "lugre_friction": tuple(_Recipe(("s0",), ("fc", "fs", "vst", "s1"), _bristles(more)) for more in (1.2, 2.0)),
     "dahl_friction": (_Recipe(("fc",), ("x0",), _parts("x0", 0.003, 0.01, 0.03, 0.1, 0.3)),),
     "hysteresis": (_Recipe(("k",), ("zmax",), _parts("zmax", 0.01, 0.03, 0.08, 0.2, 0.4, 0.8)),),
-    "bouc_wen_hysteresis": tuple(_Recipe(("k",), ("x0", "delta"), _bends(n)) for n in (1.0, 2.0)),
+    "bouc_wen_hysteresis": (_Recipe(("k",), ("x0", "delta"), _bends),),
     "backlash": (_Recipe(("k",), ("gap",), _parts("gap", 0.05, 0.15, 0.3, 0.5, 0.8, 1.2)),),
     "stop": (_Recipe(("k",), ("edge",), _edges),),
     "local_friction": (_Recipe(("fc",), ("edge",), lambda span: _edges(span, width=0.04 * span.size)),),

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from masking.declaration.expression import Expression
 from masking.discovery import fitting
 from masking.discovery.evidence import Belief, Evidence
 from masking.discovery.experiment import NextExperiment, next_experiment
@@ -34,6 +35,7 @@ from masking.discovery.search import (
     temperature,
 )
 from masking.discovery.smoothing import linearised
+from masking.effects import EFFECTS, Effect
 from masking.errors import IntegrationError, RecordError
 from masking.identification.data import Data
 from masking.identification.simulation import relative
@@ -51,7 +53,6 @@ ROUNDED = 0.3  # part of the noise's variance that rounding must make to be name
 RESTLESS = 10.0  # eigenvalue times the length of a record: what is slower does not come to rest in it
 SHARES = 20  # windows of a record of what does not come to rest
 FEWEST = 200  # samples of a window
-FEWEST_STEPS = 2  # between samples: effects may be faster than the rig
 UNSEEN = 0.1  # of the noise: what integration may add
 HELD_OUT = 0.3  # of a record, where no other is given to judge by
 LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "actuator_gain", "constant_force")
@@ -268,7 +269,7 @@ def _substeps(evidence: Evidence) -> int:
     def simulated(substeps: int) -> Array:
         return evidence.rig.equations(replace(evidence, substeps=substeps), theta, start).simulated
 
-    steps, before = min(FEWEST_STEPS, most), simulated(min(FEWEST_STEPS, most))
+    steps, before = 1, simulated(1)
     while steps < most:
         after = simulated(min(2 * steps, most))
         if bool((np.sqrt(((after - before) ** 2).mean(axis=0)) < UNSEEN * evidence.sigma).all()):
@@ -388,7 +389,7 @@ def _verdict(
     weights = [float(weight) for weight in probabilities(rivals, heat)]
     others = [(*r.names[-1], weight) for r, weight in zip(rivals[1:], weights[1:], strict=True) if weight > 1e-4]
     causes = _causes(rig, chosen, heat, weights[0], tuple(others))
-    if rest > REST and not closed:
+    if (rest > REST and not closed) or _is_patched(causes):
         return "unknown", causes
     if chosen.kind == "parameter" or all(_is_parameter(c, chosen) for c in causes):
         return "parameter", causes
@@ -406,6 +407,23 @@ def _with_rounding(
         if step**2 / 12.0 > ROUNDED * noise**2
     ]
     return ("named" if verdict == "none" and rounded else verdict), (*causes, *rounded)
+
+
+def _is_patched(causes: Sequence[Named]) -> bool:
+    """Return whether several laws of one kind at one place are put together to a law that the dictionary lacks."""
+    kinds = [(cause.on, _kind(EFFECTS[cause.name])) for cause in causes if cause.name in EFFECTS]
+    kinds = [kind for kind in kinds if kind[1]]
+    return len(set(kinds)) < len(kinds)
+
+
+def _kind(effect: Effect) -> str:
+    """Return what the force of an element follows; '' where it follows neither displacement nor rate."""
+    if effect.where != "element" or effect.name in LIKE_PARAMETERS:
+        return ""
+    if effect.states:
+        return "memory"
+    names = Expression(effect.expression).symbols & {"d", "d_rate"}
+    return " and ".join(sorted(names))
 
 
 def _is_parameter(cause: Named, chosen: Explanation) -> bool:
