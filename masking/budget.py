@@ -327,7 +327,7 @@ class _Bench:
             return float(np.linalg.norm(_accelerations(rig, run.states[rows], n) - believed))
 
         bare = error(())
-        kinds = {name: EFFECTS[use.effect].where for name, use in twin.declaration.effects.items()}
+        kinds = {name: twin.dictionary[use.effect].where for name, use in twin.declaration.effects.items()}
         return frozenset(
             cause
             for cause, effects in found.items()

@@ -1,4 +1,4 @@
-"""Descriptions for people: what a model, a plant or an experiment is, typeset for a terminal or as JSON."""
+"""Descriptions for people: what a declaration or a physical effect is, typeset for a terminal or as JSON."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 
 from masking.declaration import schema
-from masking.effects import Effect
+from masking.effects import Effect, EffectParameter, own
 from masking.experiment import Experiment
 from masking.model import Model
 
@@ -78,16 +78,38 @@ def model(subject: Model) -> Description:
 
 def effect(subject: Effect) -> Description:
     """Describe a physical effect: what it is, its expression and parameters, where it comes from and what helps."""
-    lines = [subject.name.replace("_", " "), subject.meaning, f"source: {subject.source}", ""]
+    lines = [subject.name.replace("_", " "), subject.meaning]
+    lines += [f"source: {subject.source}", ""] if subject.source else [""]
     lines += [f"in {_ARTICLES[subject.where]}: {subject.expression or 'what is commanded acts later'}"]
     lines += [*(f"with {name}' = {state.rate}" for name, state in subject.states.items()), ""]
     rows = []
     for name, p in subject.parameters.items():
         taken = "" if p.value is None else f"{p.value:g} where none is given"
-        rows.append((name, p.unit, f"{p.prior[0]:g} to {p.prior[1]:g}", taken, p.meaning))
+        rows.append((name, p.unit, _range(p), taken or _tried(subject, name), p.meaning))
     lines += _table("parameters (unit of the place, usual range)", rows)
-    lines += [f"usual causes: {subject.cause}", f"what helps: {subject.remedy}"]
-    return Description("\n".join(lines), asdict(subject))
+    lines += [f"usual causes: {subject.cause}"] if subject.cause else []
+    lines += [f"what helps: {subject.remedy}"] if subject.remedy else []
+    return Description("\n".join(lines).rstrip(), asdict(subject))
+
+
+def dictionary(declaration: schema.DictionaryDeclaration) -> Description:
+    """Describe a dictionary of own effects: each of them as `effect` does."""
+    told = [effect(one).text for one in own(declaration).values()]
+    return Description("\n\n".join(["\n".join(_head(declaration)).rstrip(), *told]), declaration.canonical())
+
+
+def _range(parameter: EffectParameter) -> str:
+    """Return the usual range of a parameter; of an own effect, its bounds."""
+    low, high = parameter.prior or parameter.bounds
+    if low is not None and high is not None:
+        return f"{low:g} to {high:g}"
+    return f"from {low:g}" if low is not None else f"to {high:g}" if high is not None else ""
+
+
+def _tried(subject: Effect, name: str) -> str:
+    """Say what a discovery makes of a parameter of an own effect."""
+    tried = ", ".join(f"{part:g}" for part in subject.parameters[name].tried)
+    return "a factor" if name in subject.factors else f"tried: {tried}" if tried else ""
 
 
 def plant(declaration: schema.PlantDeclaration) -> Description:

@@ -19,7 +19,6 @@ from masking.blocks import Transform, check_actuation
 from masking.closed_loop import ClosedLoop
 from masking.controller import Controller
 from masking.declaration import meeting, registry, schema
-from masking.effects import EFFECTS
 from masking.errors import DeclarationError, ModelError, Problem
 from masking.fidelity import fidelity
 from masking.instruments import Instruments
@@ -361,7 +360,7 @@ class Experiment:
 
     def _acts(self, effect: PlacedEffect) -> bool:
         """Tell whether an effect acts in a run: one outside the rig does not, where the true state is known."""
-        return self.has_observer or EFFECTS[effect.kind].where == "element"
+        return self.has_observer or effect.entry.where == "element"
 
     def _manifest(
         self, columns: Mapping[str, Mapping[str, str]], chi: Mapping[str, float], timing: Mapping[str, float]

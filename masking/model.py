@@ -21,7 +21,7 @@ from masking.compile.source import Module
 from masking.declaration import registry, schema
 from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.expression import Expression
-from masking.effects import Setting, attach
+from masking.effects import Effect, Setting, attach
 from masking.equations import Equations
 from masking.errors import DeclarationError, ModelError
 from masking.kernels import Kernels, Trajectory
@@ -104,11 +104,11 @@ class Model:
         changed.values()
         return changed
 
-    def attach(self, effect: str, at: str, *, label: str | None = None, **parameters: Setting) -> Model:
+    def attach(self, effect: str | Effect, at: str, *, label: str | None = None, **parameters: Setting) -> Model:
         """Return the model with a physical effect in one of its elements.
 
         Args:
-            effect: a name of `effects.EFFECTS`, such as `dry_friction`.
+            effect: a name of `effects.EFFECTS`, such as `dry_friction`, or an own effect of `effects.load`.
             at: the element that it sits in.
             label: stands before the names of its parameters and states; by default `<at>_<effect>`. The parameter
                 `<label>_on` switches it.

@@ -7,7 +7,6 @@ what the rig really does, and the masked motion is truer. What sits in sensors a
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -18,12 +17,10 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import yaml
 
-from masking.declaration import catalogue
-from masking.declaration.schema import Declaration
+from masking.declaration import registry
 from masking.discovery import asked, words, written
-from masking.discovery.discover import TOLERANCE, Discovery, discover
+from masking.discovery.discover import TOLERANCE, Discovery, Named, discover
 from masking.discovery.written import Files
-from masking.effects import EFFECTS
 from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, SingularityError
 from masking.experiment import Experiment
 from masking.identification.data import Assumption
@@ -95,7 +92,8 @@ class Refinement:
     @property
     def sentence(self) -> str:
         """Say how much truer the masking became."""
-        causes = [words.spoken(c.name, c.on) for c in self.discovery.effects if _is_of_model(c.name)]
+        found = self.discovery
+        causes = [words.spoken(found, c.name, c.on) for c in found.effects if _is_of_model(found, c)]
         told = f"With {words.listed([*causes, 'adjusted parameters'])} in the controller's model, "
         if self.after.recording is None:
             return f"{told}the run could not go on: {self.after.trouble}"
@@ -112,16 +110,17 @@ class Refinement:
     @property
     def uncompensated(self) -> tuple[str, ...]:
         """Say of each finding in sensors, actuators and the loop that the control law does not make up for it."""
-        found = []
+        told = []
         for cause in self.discovery.effects:
-            if _is_of_model(cause.name):
+            if _is_of_model(self.discovery, cause):
                 continue
+            effect = self.discovery.twin.dictionary[cause.name]
             helps = "a controller predicts a delay of whole samples that the plant file declares"
-            if EFFECTS[cause.name].where != "loop":
-                helps = EFFECTS[cause.name].remedy
-            what = words.capital(words.spoken(cause.name, cause.on))
-            found.append(f"{what} is not compensated: it is no part of the controller's model; what helps: {helps}.")
-        return tuple(found)
+            helps = effect.remedy if effect.where != "loop" else helps
+            what = words.capital(words.spoken(self.discovery, cause.name, cause.on))
+            why = f"{what} is not compensated: it is no part of the controller's model"
+            told.append(f"{why}; what helps: {helps}." if helps else f"{why}.")
+        return tuple(told)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the refinement and where its files lie, as JSON can hold it."""
@@ -160,6 +159,7 @@ def refine(
     between: Assumption = "held",
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
+    effects: str | Path | None = None,
     out: str | Path | None = None,
     tell: Tell | None = None,
 ) -> Refinement:
@@ -176,6 +176,7 @@ def refine(
         between: how inputs go from each sample to the next, as for `masking.identify`.
         columns: of the files, by the names that they get.
         dt: time between samples in s, for a table without a clock.
+        effects: a dictionary of own effects, which are tried, too.
         out: folder to save in: the files of a discovery, both runs in `before/` and `after/`, each with its report,
             `experiment.yaml` and `refine.json`; nothing is saved where none is given, and nothing half where it is
             interrupted.
@@ -186,7 +187,7 @@ def refine(
     """
     asked.check_tolerance(tolerance)
     say = tell or (lambda text, part: None)
-    twin = believed(experiment)
+    twin = asked.with_effects(believed(experiment), effects)
     if not twin.sensors:
         message, mend = f"{twin.declaration.name} declares no sensors", "declare what the record holds of the rig"
         raise DeclarationError(Problem(None, "sensors", message, mend))
@@ -235,7 +236,7 @@ def believed(experiment: Experiment) -> Twin:
             known[name] = use.model_copy(update=values)
     own = {} if settings.model else assembly.plant.parameters
     parameters = {n: v for n, v in {**own, **settings.parameters}.items() if n in base.parameters}
-    changed = {"model": _reference(base), "parameters": parameters, "effects": known}
+    changed = {"model": registry.name_from(base), "parameters": parameters, "effects": known}
     return Twin(assembly.plant.model_copy(update=changed), base)
 
 
@@ -262,9 +263,10 @@ def refined(experiment: Experiment, found: Discovery, files: Files, folder: Path
     return Experiment(replace(made.assembly, experiment=declaration))
 
 
-def _is_of_model(name: str) -> bool:
+def _is_of_model(found: Discovery, cause: Named) -> bool:
     """Tell whether a cause sits in the equations of the rig: an effect of an element, or a parameter."""
-    return name not in EFFECTS or EFFECTS[name].where == "element"
+    effect = found.twin.dictionary.get(cause.name)
+    return effect is None or effect.where == "element"
 
 
 def _run(experiment: Experiment, progress: Callable[[float], None]) -> Run:
@@ -302,23 +304,14 @@ def _experiment(result: Refinement, folder: Path) -> dict[str, Any]:
     """Return the content of the refined experiment's file, which names other files by their paths from its folder."""
     assembly = result.experiment.assembly
     made, settings = assembly.experiment.canonical(), assembly.experiment.controller
-    made["plant"] = _reference(assembly.plant, folder)
-    made["virtual"] = _reference(assembly.virtual_model, folder)
+    made["plant"] = registry.name_from(assembly.plant, folder)
+    made["virtual"] = registry.name_from(assembly.virtual_model, folder)
     if result.files is not None and result.files.model is not None:
         made["controller"]["model"] = result.files.model.relative_to(folder).as_posix()
     elif settings.model is not None:
-        made["controller"]["model"] = _reference(assembly.believed_model, folder)
+        made["controller"]["model"] = registry.name_from(assembly.believed_model, folder)
     source = filter(None, (made.get("source"), result.origin.source(result.discovery).replace("discover", "refine", 1)))
     return {"name": made.pop("name"), "source": "; ".join(source), **made}
-
-
-def _reference(declaration: Declaration, folder: Path | None = None) -> str:
-    """Return the name of a packaged declaration, or else its file, by its path from a folder where one is given."""
-    file = Path(next(iter(declaration.files), declaration.name)).resolve()
-    packaged = catalogue.folder(declaration.kind_name).resolve()
-    if file.is_relative_to(packaged):
-        return file.relative_to(packaged).with_suffix("").as_posix()
-    return str(file) if folder is None else os.path.relpath(file, folder.resolve())
 
 
 def _move(made: Path, folder: Path) -> None:

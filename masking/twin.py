@@ -20,7 +20,7 @@ from masking.compile.graph import Graph, Node
 from masking.compile.source import Module
 from masking.declaration import registry, schema, units
 from masking.declaration.expression import Expression
-from masking.effects import EFFECTS, Attachment, Effect, attach_all, expressions
+from masking.effects import Attachment, Effect, attach_all, dictionary, expressions
 from masking.errors import DeclarationError, Problem, nearest
 from masking.kernels import Array, Kernels, steps_between
 from masking.lowering import LoweredEquations
@@ -38,10 +38,11 @@ FEWEST_STEPS = 2
 
 @dataclass(frozen=True)
 class PlacedEffect:
-    """One effect at one place: its label, its kind, where it is, how strong, and whether it is on."""
+    """One effect at one place: its label, its kind and what that is, where, how strong, and whether it is on."""
 
     label: str
     kind: str
+    entry: Effect
     at: str
     parameters: Mapping[str, float | Expression]
     enabled: bool
@@ -95,7 +96,12 @@ class Twin:
         Raises:
             DeclarationError: tells of all effects or of all wires that do not.
         """
-        _ = self.effects, self.wiring, self.attached
+        _ = self.dictionary, self.effects, self.wiring, self.attached
+
+    @cached_property
+    def dictionary(self) -> Mapping[str, Effect]:
+        """Return all effects that there are: those of the package, and of the dictionaries that the plant names."""
+        return dictionary(self.declaration.dictionaries)
 
     @cached_property
     def effects(self) -> tuple[PlacedEffect, ...]:
@@ -117,9 +123,9 @@ class Twin:
     def _at_each_place(self, name: str, problems: list[Problem]) -> Iterator[PlacedEffect]:
         use, change = self.declaration.effects[name], self.changes.get(name, schema.EffectChange())
         path = f"effects.{name}"
-        known = EFFECTS.get(use.effect)
+        known = self.dictionary.get(use.effect)
         if known is None:
-            message, mend = f"there is no effect '{use.effect}'", nearest(use.effect, EFFECTS)
+            message, mend = f"there is no effect '{use.effect}'", nearest(use.effect, self.dictionary)
             problems.append(Problem(self.declaration.place(f"{path}.effect"), f"{path}.effect", message, mend))
             return
         places = {"element": self.base.elements, "sensor": self.sensors, "actuator": self.actuators}
@@ -129,7 +135,7 @@ class Twin:
         enabled = use.enabled if change.enabled is None else change.enabled
         for at in use.at or ("",):
             label = f"{name}_{at}" if len(use.at) > 1 else name
-            yield PlacedEffect(label, use.effect, at, given, enabled, path)
+            yield PlacedEffect(label, use.effect, known, at, given, enabled, path)
 
     def _check(
         self,
@@ -161,7 +167,7 @@ class Twin:
     def attached(self) -> schema.ModelDeclaration:
         """Return the declaration of the rig's model with the effects of its elements."""
         return attach_all(
-            self.base, [Attachment(e.kind, e.at, e.label, _as_text(e.parameters)) for e in self._of("element")]
+            self.base, [Attachment(e.entry, e.at, e.label, _as_text(e.parameters)) for e in self._of("element")]
         )
 
     @cached_property
@@ -187,7 +193,7 @@ class Twin:
         return self.changed({**self.changes, **dict.fromkeys(rounding, schema.EffectChange(enabled=False))})
 
     def _of(self, where: str) -> list[PlacedEffect]:
-        return [effect for effect in self.effects if EFFECTS[effect.kind].where == where]
+        return [effect for effect in self.effects if effect.entry.where == where]
 
     def _on(self, where: str, at: str) -> list[PlacedEffect]:
         return [effect for effect in self._of(where) if effect.at == at]
@@ -210,7 +216,7 @@ class Twin:
     @cached_property
     def chain_states(self) -> tuple[tuple[PlacedEffect, str], ...]:
         """Return the internal states of effects in actuators and sensors, which follow those of the model in y."""
-        return tuple((effect, name) for effect in self._chain for name in _states(effect))
+        return tuple((effect, name) for effect in self._chain for name in effect.entry.states)
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -248,14 +254,14 @@ class Twin:
     def _value(self, effect: PlacedEffect, name: str) -> float:
         if f"{effect.label}_{name}" in self.chosen:
             return self.chosen[f"{effect.label}_{name}"]
-        value = effect.parameters.get(name, EFFECTS[effect.kind].parameters[name].value)
+        value = effect.parameters.get(name, effect.entry.parameters[name].value)
         if isinstance(value, Expression):
             return value.evaluate(self.model.parameter_values())
         return float(value)  # type: ignore[arg-type]  # checked in `effects`
 
     def values(self) -> Array:
         """Return the parameter array: the model's, the wiring, the sensors' gains, the parameters of their effects."""
-        rest = [self._value(effect, name) for effect in self._chain for name in _parameters(effect)]
+        rest = [self._value(effect, name) for effect in self._chain for name in effect.entry.parameters]
         switches = [float(effect.enabled) for effect in self._chain]
         gains = [self._gain(name) for name in self.sensors]
         return np.concatenate([self.model.values(), self.wiring.ravel(), gains, rest, switches])
@@ -264,7 +270,7 @@ class Twin:
     def parameter_names(self) -> dict[str, tuple[PlacedEffect, str] | None]:
         """Return the parameters that may be changed by name: None for those of the model, else effect and parameter."""
         model = {name: None for name in self.model.parameters if not name.endswith("_on")}
-        chain = {f"{e.label}_{name}": (e, name) for e in self._chain for name in _parameters(e)}
+        chain = {f"{e.label}_{name}": (e, name) for e in self._chain for name in e.entry.parameters}
         return {**model, **chain}
 
     def parameter_value(self, name: str) -> float:
@@ -280,7 +286,7 @@ class Twin:
         found = self.parameter_names[name]
         if found is not None:
             effect, parameter = found
-            return EFFECTS[effect.kind].parameters[parameter].bounds
+            return effect.entry.parameters[parameter].bounds
         return self.model.declaration.parameters[name].bounds
 
     def with_parameters(self, values: Mapping[str, float]) -> Twin:
@@ -289,7 +295,7 @@ class Twin:
         chain = {name: value for name, value in values.items() if self.parameter_names[name] is not None}
         plant = self.declaration.model_copy(update={"parameters": {**self.declaration.parameters, **model}})
         made = replace(self, declaration=plant, chosen={**self.chosen, **chain})
-        vars(made)["attached"], vars(made)["kernels"] = self.attached, self.kernels
+        vars(made).update(dictionary=self.dictionary, attached=self.attached, kernels=self.kernels)
         return made
 
     @property
@@ -330,7 +336,7 @@ class Twin:
             "model": self.model.structure(),
             "sensors": {n: [s.measures.text, s.gain.unit, s.unit] for n, s in self.declaration.sensors.items()},
             "actuators": list(self.actuators),
-            "chain": [[effect.label, effect.kind, effect.at] for effect in self._chain],
+            "chain": [[effect.label, effect.entry.structure(), effect.at] for effect in self._chain],
             "units": sorted(_units(self.declaration, self.base)),
         }
 
@@ -380,7 +386,7 @@ class LoweredTwin:
         wires = [[self._parameter(f"w_{i}_{j}") for j in range(channels)] for i in range(inputs)]
         gains = [self._parameter(f"gain_{name}") for name in twin.sensors]
         self.parameters = {
-            effect.label: {name: self._parameter(f"e_{effect.label}_{name}") for name in _parameters(effect)}
+            effect.label: {name: self._parameter(f"e_{effect.label}_{name}") for name in effect.entry.parameters}
             for effect in twin._chain
         }
         self.switches = {effect.label: self._parameter(f"on_{effect.label}") for effect in twin._chain}
@@ -418,7 +424,7 @@ class LoweredTwin:
     def _through(self, where: str, at: str, x: Node, noise: Node | None = None) -> Node:
         """Return what the effects at one sensor or actuator make of a value, one after the other."""
         for effect in self.twin._on(where, at):
-            result, rates = expressions(effect.kind)
+            result, rates = expressions(effect.entry)
             nodes = {name: self.states[effect.label, name] for name in rates}
             nodes |= {"on": self.switches[effect.label], "u" if where == "actuator" else "s": x}
             nodes |= self.parameters[effect.label]
@@ -478,14 +484,6 @@ def wiring(plant: schema.PlantDeclaration, model: schema.ModelDeclaration, param
 
 def _as_text(parameters: Mapping[str, float | Expression]) -> dict[str, float | str]:
     return {name: p.text if isinstance(p, Expression) else p for name, p in parameters.items()}
-
-
-def _parameters(effect: PlacedEffect) -> list[str]:
-    return [*EFFECTS[effect.kind].parameters]
-
-
-def _states(effect: PlacedEffect) -> list[str]:
-    return [*EFFECTS[effect.kind].states]
 
 
 def _units(plant: schema.PlantDeclaration, model: schema.ModelDeclaration) -> set[str]:

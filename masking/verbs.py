@@ -14,7 +14,6 @@ import lazy_loader as lazy
 from masking.declaration import catalogue, strict_yaml
 from masking.errors import (
     DeclarationError,
-    IntegrationError,
     MaskingError,
     ModelError,
     Place,
@@ -25,7 +24,7 @@ from masking.errors import (
 
 if TYPE_CHECKING:
     from masking import budget as budgets
-    from masking import describe, drawing, effects, experiment, model, recording, reporting, twin
+    from masking import describe, effects, experiment, model, recording, reporting, twin
     from masking import feasibility as feasibilities
     from masking import refinement as refinements
     from masking.declaration import registry
@@ -45,7 +44,6 @@ if TYPE_CHECKING:
         written,
     )
     from masking.identification import fit as fits
-    from masking.identification import simulation as simulations
     from masking.identification.data import Assumption
 else:  # each verb loads only what it needs
     answers = lazy.load("masking.discovery.answered", suppress_warning=True)
@@ -68,11 +66,10 @@ else:  # each verb loads only what it needs
     reporting = lazy.load("masking.reporting", suppress_warning=True)
     responses = lazy.load("masking.identification.responses", suppress_warning=True)
     schemas = lazy.load("masking.declaration.schema", suppress_warning=True)
-    simulations = lazy.load("masking.identification.simulation", suppress_warning=True)
     twin = lazy.load("masking.twin", suppress_warning=True)
     written = lazy.load("masking.identification.written", suppress_warning=True)
 
-KINDS = ("model", "plant", "experiment")
+KINDS = ("model", "plant", "experiment", "dictionary")
 METHODS = ("least-squares", "kalman")
 BETWEEN = ("held", "straight", "smooth")  # those of `data.Assumption`
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none, in a discovery
@@ -95,7 +92,7 @@ class Checked:
 
     Args:
         file: as it was named.
-        kind: model, plant or experiment, or "file" where it cannot be told.
+        kind: one of `KINDS`, or "file" where it cannot be told.
         problems: all that is wrong.
         feasibility: what a sound experiment asks of its rig; None for all else, and where that cannot be told.
         untold: why that cannot be told.
@@ -116,7 +113,7 @@ class Checked:
 
 
 def list() -> tuple[Entry, ...]:
-    """Return the packaged models, plants and experiments."""
+    """Return the packaged models, plants, experiments and dictionaries of effects."""
     entries = []
     for kind in KINDS:
         for name in catalogue.names(kind):
@@ -127,11 +124,11 @@ def list() -> tuple[Entry, ...]:
 
 
 def show(name_or_path: str | Path, kind: str | None = None) -> describe.Description:
-    """Describe a model, a plant or an experiment: equations, parameters, blocks; or a physical effect.
+    """Describe a model, a plant or an experiment: equations, parameters, blocks; or physical effects.
 
     Args:
-        name_or_path: a packaged name, a file, or the name of an effect in the dictionary.
-        kind: model, plant or experiment, where a name stands for more than one; by default the first of these.
+        name_or_path: a packaged name, a file, or the name of an effect that comes with the package.
+        kind: one of `KINDS`, where a name stands for more than one; by default the first of these.
 
     Raises:
         DeclarationError: there is no such declaration, or it is wrong.
@@ -143,6 +140,8 @@ def show(name_or_path: str | Path, kind: str | None = None) -> describe.Descript
         return describe.model(model.load_model(name_or_path))
     if kind == "plant":
         return describe.plant(registry.load_plant(name_or_path))
+    if kind == "dictionary":
+        return describe.dictionary(registry.load_dictionary(name_or_path))
     return describe.experiment(experiment.Experiment.load(name_or_path))
 
 
@@ -165,7 +164,7 @@ def schema(kind: str) -> dict[str, Any]:
     """Return the JSON Schema of a kind of declaration, for editors.
 
     Args:
-        kind: model, plant or experiment.
+        kind: one of `KINDS`.
 
     Raises:
         DeclarationError: there is no such kind.
@@ -269,7 +268,7 @@ def identify(
     else:
         found = fits.fit(wanted, train, names, validation=unseen, horizon=horizon, progress=progress)
     if out is not None:
-        plates, sentence = _fit_plates(found, train, unseen)
+        plates, sentence = fit_figures.plates(found, train, unseen)
         written.save(found, out)
         pages.save_fit(found, plates, sentence, out)
     return found
@@ -421,23 +420,6 @@ def _check_method(method: str, records: Sequence[str | Path], horizon: float | N
         raise DeclarationError(Problem(None, "method", message, "give the method kalman"))
 
 
-def _fit_plates(
-    found: fits.Fit | innovations.KalmanFit, train: Sequence[data.Data], unseen: Sequence[data.Data]
-) -> tuple[Sequence[drawing.Plate], str]:
-    """Return the figures of a fit and what they say; without a record whose simulation is not finite."""
-    plates, sentence = [], "The simulation with the fitted values is not finite"
-    for record, was_fitted in ((train[0], True), *((record, False) for record in unseen[:1])):
-        try:
-            made = simulations.simulate(found.twin, record, found.names)
-        except IntegrationError:
-            continue
-        plates.append(fit_figures.fit(made, was_fitted=was_fitted))
-        sentence = fit_figures.verdict(made, was_fitted=was_fitted)
-    if not isinstance(found, fits.Fit) and found.names:
-        plates.append(fit_figures.estimates(found))
-    return plates, sentence
-
-
 def _kinds(file: str | Path) -> tuple[str, ...]:
     """Return every kind that a packaged name stands for; '' where the file itself must tell."""
     return tuple(kind for kind in KINDS if str(file) in catalogue.names(kind)) or ("",)
@@ -451,6 +433,8 @@ def _check(file: str | Path, kind: str, compiling: Callable[[], None] | None) ->
         elif kind == "plant":
             registry.check_plant_file(file)
             twin.Twin.load(file).validate()
+        elif kind == "dictionary":
+            effects.load(file)
         else:
             wanted = experiment.Experiment.load(file)
             wanted.validate()

@@ -38,7 +38,7 @@ def test_list_names_every_packaged_file(capsys):
     status, out, _ = run(capsys, "list", "--json")
     entries = json.loads(out)
     assert status == 0
-    for kind in ("model", "plant", "experiment"):
+    for kind in ("model", "plant", "experiment", "dictionary"):
         assert [e["name"] for e in entries if e["kind"] == kind] == catalogue.names(kind)
     assert {"duffing", "huygens", "setup", "discs"} <= {e["name"] for e in entries}
 
@@ -86,7 +86,7 @@ def test_show_of_a_plant(capsys):
 
 
 def test_check_passes_everything_that_is_packaged(capsys):
-    names = [name for kind in ("model", "plant", "experiment") for name in catalogue.names(kind)]
+    names = [name for kind in ("model", "plant", "experiment", "dictionary") for name in catalogue.names(kind)]
     status, out, _ = run(capsys, "check", *names)
     assert status == 1, out  # no problems, but duffing_enoc asks for more than the rig has
     assert out.count("a sound") >= len(names)
@@ -135,7 +135,7 @@ def test_check_tells_effects_that_do_not_fit_a_plant(capsys, tmp_path):
     assert "effects.friction2: the effect dry_friction needs fc" in out
 
 
-@pytest.mark.parametrize("kind", ["model", "plant", "experiment"])
+@pytest.mark.parametrize("kind", ["model", "plant", "experiment", "dictionary"])
 def test_schema_describes_the_packaged_files(capsys, kind):
     status, out, _ = run(capsys, "schema", kind)
     properties = json.loads(out)["properties"]
@@ -173,7 +173,7 @@ def test_set_changes_a_parameter_of_the_virtual_system(capsys, short, tmp_path):
         (["run", "duffing", "--set", "w3"], "'w3' is not a change of a parameter; write it as in --set w3=0.6"),
         (["run", "duffing", "--set", "w9=1"], "'w9' is not a parameter of coupled Duffing oscillators; did you mean"),
         (["run", "duffing", "--plant", "idea"], "there is no plant 'idea'; did you mean 'ideal'?"),
-        (["show", "huigens"], "there is no model, plant or experiment 'huigens'; did you mean 'huygens'?"),
+        (["show", "huigens"], "there is no model, plant, experiment or dictionary 'huigens'; did you mean 'huygens'?"),
         (["report", "nowhere"], "nowhere"),
     ],
 )
@@ -195,7 +195,7 @@ def test_an_unknown_verb_is_refused(capsys):
 
 def test_the_wheel_carries_models_plants_and_examples():
     text = (Path(__file__).parent.parent / "pyproject.toml").read_text(encoding="utf-8")
-    for folder in ("models", "plants", "examples"):
+    for folder in ("models", "plants", "examples", "dictionaries"):
         assert f'"{folder}" = "masking/shipped/{folder}"' in text
 
 

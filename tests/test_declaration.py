@@ -590,7 +590,7 @@ def test_files_that_are_not_there(tmp_path, monkeypatch, name, expected):
         (tmp_path / made).mkdir()
     for call, kinds, a in (
         (registry.load_experiment, "experiment", "an experiment"),
-        (catalogue.kind_of, "model, plant or experiment", "a declaration"),
+        (catalogue.kind_of, "model, plant, experiment or dictionary", "a declaration"),
     ):
         with pytest.raises(DeclarationError) as caught:
             call(name)

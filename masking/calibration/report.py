@@ -17,7 +17,6 @@ import numpy as np
 from masking import markup
 from masking.calibration import records
 from masking.calibration.findings import ALIKE, PAGE, Calibration, Stage
-from masking.effects import EFFECTS
 from masking.errors import RecordError
 from masking.wording import number
 
@@ -184,7 +183,7 @@ def _parameters(found: Calibration, symbols: set[str]) -> str:
     lacking = {
         effect.kind
         for effect in declared.effects
-        if effect.enabled and EFFECTS[effect.kind].where == "element" and effect.path not in fitted
+        if effect.enabled and effect.entry.where == "element" and effect.path not in fitted
     }
     if lacking:
         kinds = _listed(sorted(lacking)).replace("_", " ")

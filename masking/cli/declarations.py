@@ -13,8 +13,8 @@ from masking.cli.adding import Add
 
 def add(verb: Add) -> None:
     """Add the verbs."""
-    verb(_list, "list", "list the models, plants and experiments that are there")
-    show = verb(_show, "show", "show a model, a plant, an experiment or a physical effect")
+    verb(_list, "list", "list the models, plants, experiments and dictionaries of effects that are there")
+    show = verb(_show, "show", "show a model, a plant, an experiment or physical effects")
     show.add_argument("name", metavar="NAME", help="a name that 'masking list' shows, or a YAML file")
     show.add_argument("--kind", choices=verbs.KINDS, help="which, where the name stands for more than one")
     check = verb(
@@ -38,7 +38,7 @@ def _list(chosen: argparse.Namespace) -> int:
         return 0
     width = max(len(entry.name) for entry in entries)
     for kind in verbs.KINDS:
-        print(f"{kind}s")
+        print("dictionaries" if kind == "dictionary" else f"{kind}s")
         for entry in entries:
             if entry.kind == kind:
                 print(f"  {entry.name:{width}}  {entry.title}")

@@ -64,6 +64,8 @@ def _add_of_records(sub: argparse.ArgumentParser) -> None:
         "windows where the model does not come to rest by itself)"
     )
     sub.add_argument("--horizon", metavar="SECONDS", type=float, help=text)
+    text = "a dictionary of effects of your own, which are tried, too: a YAML file or a name"
+    sub.add_argument("--effects", metavar="FILE", help=text)
     add_of_tables(sub)
 
 
@@ -84,6 +86,7 @@ def _discover(chosen: argparse.Namespace) -> int:
             between=chosen.between,
             columns=formats.mapping(chosen.map),
             dt=chosen.dt,
+            effects=chosen.effects,
             out=out,
             tell=bar.tell,
         )
@@ -108,6 +111,7 @@ def _refine(chosen: argparse.Namespace) -> int:
             between=chosen.between,
             columns=formats.mapping(chosen.map),
             dt=chosen.dt,
+            effects=chosen.effects,
             tell=bar.tell,
         )
     return _tell(chosen.json, out / "refine.json", lambda: str(found))

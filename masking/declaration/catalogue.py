@@ -14,8 +14,14 @@ from masking.declaration.strict_yaml import Node
 from masking.errors import DeclarationError, Place, Problem, nearest
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-_FOLDERS = {"model": "models", "plant": "plants", "experiment": "examples"}
-_ARTICLE = {"model": "a model", "plant": "a plant", "experiment": "an experiment", None: "a declaration"}
+_FOLDERS = {"model": "models", "plant": "plants", "experiment": "examples", "dictionary": "dictionaries"}
+_ARTICLE = {
+    "model": "a model",
+    "plant": "a plant",
+    "experiment": "an experiment",
+    "dictionary": "a dictionary of effects",
+    None: "a declaration",
+}
 OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
     "experiment": frozenset(
         [
@@ -31,7 +37,7 @@ OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
             "seed",
         ]
     ),
-    "plant": frozenset(["kind", "model", "sensors", "actuators", "limits", "wiring"]),
+    "plant": frozenset(["kind", "model", "sensors", "actuators", "limits", "wiring", "own_effects"]),
     "model": frozenset(
         [
             "extends",
@@ -51,6 +57,7 @@ OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
             "elements",
         ]
     ),
+    "dictionary": frozenset(["dictionary"]),
 }
 _NAMED_BY = {("plant", "experiment"): "plant", ("model", "experiment"): "virtual", ("model", "plant"): "model"}
 
@@ -74,7 +81,7 @@ def folder(kind: str) -> Path:
 
 
 def names(kind: str) -> list[str]:
-    """List the names of the packaged files of a kind ("model", "plant" or "experiment")."""
+    """List the names of the packaged files of a kind ("model", "plant", "experiment" or "dictionary")."""
     root = folder(kind)
     return sorted(path.relative_to(root).with_suffix("").as_posix() for path in root.rglob("*.yaml"))
 
@@ -82,7 +89,7 @@ def names(kind: str) -> list[str]:
 def find(kind: str | None, name_or_path: str | Path, reference: Reference = NOWHERE) -> Path:
     """Give the file of a name in the registry, or of a path: one that ends in .yaml or contains a slash.
 
-    With None as kind the name may be that of a model, a plant or an experiment, in this order.
+    With None as kind the name may be that of a model, a plant, an experiment or a dictionary, in this order.
     """
     text = str(name_or_path)
     for some in [kind] if kind else _FOLDERS:
@@ -104,7 +111,7 @@ def find(kind: str | None, name_or_path: str | Path, reference: Reference = NOWH
 
 
 def kind_of(name_or_path: str | Path) -> str:
-    """Tell whether a name or file is a model, a plant or an experiment, by its name or by its keys."""
+    """Tell of which kind a name or file is, by its name or by its keys."""
     path = find(None, name_or_path)
     for kind in _FOLDERS:
         if str(name_or_path) in names(kind):
@@ -124,7 +131,7 @@ def wrong_kind(kind: str, found: str, shown: str, reference: Reference, node: No
     """Say that a file, whose content may be given, is of another kind than is needed."""
     needed = f"{_ARTICLE[kind]} is needed here"
     entry = node.value.get(_NAMED_BY.get((kind, found), "")) if node and isinstance(node.value, dict) else None
-    if kind == "experiment":
+    if kind == "experiment" and found in {"plant", "model"}:
         plant, virtual = (shown, "duffing") if found == "plant" else ("ideal", shown)
         mend = f"{needed}, which names a plant and a model: 'plant: {plant}', 'virtual: {virtual}'"
     elif (kind, found) == ("plant", "model"):
@@ -138,7 +145,11 @@ def wrong_kind(kind: str, found: str, shown: str, reference: Reference, node: No
 
 def _not_found(kind: str | None, text: str, is_name: bool, candidates: list[Path], reference: Reference) -> Problem:
     """Say that there is no such file or name, and what was probably meant."""
-    message = f"there is no {kind or 'model, plant or experiment'} '{text}'" if is_name else f"there is no file {text}"
+    message = (
+        f"there is no {kind or 'model, plant, experiment or dictionary'} '{text}'"
+        if is_name
+        else f"there is no file {text}"
+    )
     mend = f"{_ARTICLE[kind]} is a .yaml file"
     if is_name:
         mend = nearest(text, [name for some in ([kind] if kind else _FOLDERS) for name in names(some)])

@@ -105,6 +105,15 @@ class Expression:
         """Give the first step that is this symbol."""
         return next(step for step in self.steps if step.operation == "symbol" and step.value == symbol)
 
+    def renamed(self, names: Mapping[str, str]) -> str:
+        """Give the text with other names for some of its symbols."""
+        parts, end = [], 0
+        symbols = (step for step in self.steps if step.operation == "symbol" and step.value in names)
+        for step in sorted(symbols, key=lambda step: step.start):
+            parts += [self.text[end : step.start], names[step.value]]
+            end = step.end
+        return "".join([*parts, self.text[end:]])
+
     def unknown(self, allowed: Collection[str]) -> list[str]:
         """List every symbol that is not allowed, once each, in the order of the text."""
         return sorted(self.symbols - set(allowed), key=lambda symbol: self.first(symbol).start)

@@ -1,10 +1,11 @@
-"""Loading declarations: the packaged models and plants by name, any file by path, `extends` resolved."""
+"""Loading declarations: the packaged ones by name, any file by path, `extends` and `own_effects` resolved."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+import os
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,12 +21,19 @@ from masking.declaration.catalogue import (
     wrong_kind,
 )
 from masking.declaration.checks import check_model
+from masking.declaration.dictionary import check_dictionary
 from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.fields import Real, Text
 from masking.declaration.meeting import check_experiment, check_plant
 from masking.declaration.plant_units import check_plant_units
 from masking.declaration.reading import Places, in_order, plain_mapping, read
-from masking.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration
+from masking.declaration.schema import (
+    Declaration,
+    DictionaryDeclaration,
+    ExperimentDeclaration,
+    ModelDeclaration,
+    PlantDeclaration,
+)
 from masking.declaration.strict_yaml import Node
 from masking.errors import DeclarationError, Place, Problem, nearest
 
@@ -40,11 +48,14 @@ __all__ = [
     "find",
     "folder",
     "kind_of",
+    "load_dictionary",
     "load_experiment",
     "load_model",
     "load_plant",
+    "name_from",
     "names",
     "refer",
+    "with_dictionary",
 ]
 
 D = TypeVar("D", bound=Declaration)
@@ -105,8 +116,26 @@ def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> Mode
 
 
 def load_plant(name_or_path: str | Path, reference: Reference = NOWHERE) -> PlantDeclaration:
-    """Load a plant; its model is a file of its own."""
-    return _load(PlantDeclaration, name_or_path, reference)
+    """Load a plant with the dictionaries that it names; its model is a file of its own."""
+    plant = _load(PlantDeclaration, name_or_path, reference)
+    for i, name in enumerate(plant.own_effects):
+        plant = with_dictionary(plant, name, replace(refer(plant, f"own_effects.{i}"), path="own_effects"))
+    return plant
+
+
+def load_dictionary(name_or_path: str | Path, reference: Reference = NOWHERE) -> DictionaryDeclaration:
+    """Load a dictionary of own effects."""
+    return _load(DictionaryDeclaration, name_or_path, reference, check_dictionary)
+
+
+def with_dictionary(
+    plant: PlantDeclaration, name_or_path: str | Path, reference: Reference = NOWHERE
+) -> PlantDeclaration:
+    """Return a plant that names one more dictionary of own effects; one that it has read already is not read anew."""
+    file = find("dictionary", name_or_path, reference).resolve()
+    if any(Path(known).resolve() == file for own in plant.dictionaries for known in own.files):
+        return plant
+    return plant.with_dictionaries(load_dictionary(name_or_path, reference))
 
 
 def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
@@ -123,6 +152,18 @@ def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
 def load_experiment(name_or_path: str | Path, reference: Reference = NOWHERE) -> ExperimentDeclaration:
     """Load an experiment; its plant and its virtual system are files of their own."""
     return _load(ExperimentDeclaration, name_or_path, reference)
+
+
+def name_from(declaration: Declaration, start: Path | None = None) -> str:
+    """Return how a file in a folder names a declaration: by its packaged name, or by its path from there.
+
+    Without a folder to start from it is the whole path.
+    """
+    file = Path(next(iter(declaration.files), declaration.name)).resolve()
+    packaged = folder(declaration.kind_name).resolve()
+    if file.is_relative_to(packaged):
+        return file.relative_to(packaged).with_suffix("").as_posix()
+    return str(file) if start is None else os.path.relpath(file, start.resolve())
 
 
 def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str, object]) -> ExperimentDeclaration:
@@ -156,13 +197,18 @@ def refer(declaration: Declaration, path: str) -> Reference:
     return Reference(place, path, Path(place.file).parent if place else None)
 
 
-def _load(kind: type[D], name_or_path: str | Path, reference: Reference) -> D:
+def _load(
+    kind: type[D],
+    name_or_path: str | Path,
+    reference: Reference,
+    check: Callable[[D, bool, Collection[str]], list[Problem]] = lambda *_: [],
+) -> D:
     path = find(kind.kind_name, name_or_path, reference)
     refused: list[Problem] = []
     node, digest = _read_file(kind.kind_name, path, str(name_or_path), reference, refused)
     places = Places()
     places.add(node)
-    return read(kind, plain_mapping(node), places, {str(path): digest}, lambda *_: [], refused=refused)
+    return read(kind, plain_mapping(node), places, {str(path): digest}, check, refused=refused)
 
 
 def _read_file(kind: str, path: Path, shown: str, reference: Reference, refused: list[Problem]) -> tuple[Node, str]:

@@ -1,4 +1,4 @@
-"""What a model, a plant and an experiment file may hold.
+"""What a model, a plant, an experiment and a dictionary file may hold.
 
 Every block is frozen and refuses unknown keys. A value that may be written shortly (`w3: 0.53` for `w3: {value: 0.53}`)
 is brought to its full form on reading, so code meets only one form.
@@ -200,6 +200,43 @@ class EffectUse(Block):
     enabled: Truth = True
 
 
+class OwnParameter(Block):
+    """A parameter of an own effect.
+
+    Its unit is made of those of the place: F and D of an element, S of a sensor, U of an actuator, and s. It is `value`
+    where none is given. `tried` are values that a discovery begins from: parts of the largest displacement where the
+    unit is D, of the largest reading or command where it is S or U, of the rms rate where it is D/s.
+    """
+
+    unit: TextField = "1"
+    meaning: TextField = ""
+    value: Number | None = None
+    bounds: tuple[Number | None, Number | None] = (None, None)
+    tried: tuple[Number, ...] = ()
+
+
+class OwnState(Block):
+    """An internal state of an own effect, which begins at 0; a record may begin up to `size` away from that."""
+
+    rate: Formula
+    unit: TextField = "1"
+    meaning: TextField = ""
+    size: Formula | None = None
+
+
+class OwnEffect(Block):
+    """An effect of one's own: the force of an element, or what a sensor or actuator makes of its value."""
+
+    meaning: TextField
+    where: Literal["element", "sensor", "actuator"]
+    expression: Formula
+    parameters: dict[Name, OwnParameter] = {}
+    states: dict[Name, OwnState] = {}
+    cause: TextField = ""
+    remedy: TextField = ""
+    source: TextField = ""
+
+
 class EffectChange(Block):
     """What an experiment changes of an effect that its plant has: `false` switches it off."""
 
@@ -381,10 +418,19 @@ class ModelDeclaration(Declaration):
         return {name: found[name] for name in self.states if name in found}
 
 
+class DictionaryDeclaration(Declaration):
+    """Effects of one's own, beside those of `masking.effects.EFFECTS`."""
+
+    kind_name = "dictionary"
+
+    dictionary: dict[Name, OwnEffect]
+
+
 class PlantDeclaration(Declaration):
-    """A rig: the model that describes it, its sensors and its limits."""
+    """A rig: the model that describes it, its sensors and its limits; `own_effects` names dictionaries."""
 
     kind_name = "plant"
+    _dictionaries: tuple[DictionaryDeclaration, ...] = PrivateAttr(default=())
 
     kind: Literal["simulated"] = "simulated"
     model: TextField
@@ -396,7 +442,20 @@ class PlantDeclaration(Declaration):
     actuators: dict[Name, Annotated[Actuator, _MEANING]] = {}
     wiring: dict[Name, Formula] = {}
     limits: Limits = Limits()
+    own_effects: Annotated[tuple[TextField, ...], _SEVERAL] = ()
     effects: dict[Name, EffectUse] = {}
+
+    @property
+    def dictionaries(self) -> tuple[DictionaryDeclaration, ...]:
+        """The dictionaries that `own_effects` names, as they were read with the plant."""
+        return self._dictionaries
+
+    def with_dictionaries(self, *own: DictionaryDeclaration) -> PlantDeclaration:
+        """Give the plant with more dictionaries than it names."""
+        changed = self.model_copy()
+        changed._dictionaries = (*self._dictionaries, *own)
+        changed._files = {**self._files, **{file: digest for one in own for file, digest in one.files.items()}}
+        return changed
 
 
 class ExperimentDeclaration(Declaration):
@@ -422,6 +481,7 @@ KINDS: dict[str, type[Declaration]] = {
     "model": ModelDeclaration,
     "plant": PlantDeclaration,
     "experiment": ExperimentDeclaration,
+    "dictionary": DictionaryDeclaration,
 }
 
 

@@ -23,6 +23,7 @@ def answered(
     between: Assumption = "held",
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
+    effects: str | Path | None = None,
     out: str | Path | None = None,
     tell: Callable[[str, float], None] | None = None,
 ) -> tuple[Discovery, Files | None]:
@@ -41,6 +42,7 @@ def answered(
         between: how inputs go from each sample to the next, as for `identify`.
         columns: of the files, by the names that they get, such as `{"t": "time", "u": "V1"}`.
         dt: time between samples in s, for a table without a clock.
+        effects: a dictionary of own effects, a file or a packaged name, which are tried, too.
         out: folder to save in: `models/<model>+<effect>.yaml`, `plant.yaml`, `discovery.json`, `discovery.html` and
             its figures; nothing is saved where none is given, and nothing half where it is interrupted.
         tell: told what is done, and the part done.
@@ -52,7 +54,7 @@ def answered(
         MaskingError: a declaration, a name, a setting or a record is wrong; says what to do about it.
     """
     asked.check_tolerance(tolerance)
-    what = asked.asked(record, model, plant, validation, between=between, columns=columns, dt=dt)
+    what = asked.asked(record, model, plant, validation, between=between, columns=columns, dt=dt, effects=effects)
     found = discover(
         what.twin,
         what.record,

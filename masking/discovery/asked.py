@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from masking import formats
@@ -39,6 +39,7 @@ def asked(
     between: Assumption = "held",
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
+    effects: str | Path | None = None,
 ) -> Asked:
     """Read and check what a discovery needs.
 
@@ -50,12 +51,14 @@ def asked(
         between: how inputs go from sample to sample, see `Data`.
         columns: of the files, by the names that they get.
         dt: time between samples in s, for files without a clock.
+        effects: a dictionary of own effects, which are tried, too.
 
     Raises:
         DeclarationError: neither a model nor a plant is given, or one is wrong.
         RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates.
     """
-    return read(rig(model, plant), record, validation, between=between, columns=columns, dt=dt)
+    twin = with_effects(rig(model, plant), effects)
+    return read(twin, record, validation, between=between, columns=columns, dt=dt)
 
 
 def read(
@@ -116,6 +119,19 @@ def rig(model: str | Path | None, plant: str | Path | None) -> Twin:
     return twin
 
 
+def with_effects(twin: Twin, effects: str | Path | None) -> Twin:
+    """Return a rig that knows the effects of a dictionary, too; the rig itself where none is named.
+
+    Raises:
+        DeclarationError: there is no such dictionary, or it is wrong.
+    """
+    if effects is None:
+        return twin
+    made = replace(twin, declaration=registry.with_dictionary(twin.declaration, effects))
+    made.validate()
+    return made
+
+
 def check_tolerance(tolerance: float) -> None:
     """Refuse a relative deviation of parameters that is none.
 
@@ -149,4 +165,4 @@ def _sensors(base: ModelDeclaration) -> dict[str, Sensor]:
     }
 
 
-__all__ = ["Asked", "asked", "check_tolerance", "parameters", "read", "rig"]
+__all__ = ["Asked", "asked", "check_tolerance", "parameters", "read", "rig", "with_effects"]

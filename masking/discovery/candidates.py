@@ -1,17 +1,19 @@
 """Candidates: every effect of the dictionary at every place where it may sit, with values to begin from.
 
 Of each effect some parameters enter its force as factors; the others are its shape, for which a few values are tried
-that are spread over the motion of the record.
+that are spread over the motion of the record. Own effects say themselves what is tried.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from masking.discovery import laws
 from masking.discovery.opened import OpenRig, Slot
-from masking.effects import EFFECTS
+from masking.effects import EFFECTS, Effect, EffectParameter
 
 BRISTLES = 3e-3  # s: damping of bristles for their stiffness, to begin with
 EDGES = (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)  # parts of the travel at which a contact is tried
@@ -165,12 +167,13 @@ def candidates(rig: OpenRig, spans: Mapping[str, Span], period: float) -> Iterat
         spans: of each place, sensor and actuator by name.
         period: time between samples, s.
     """
+    every = [EFFECTS[name] for name in RECIPES] + [e for n, e in rig.twin.dictionary.items() if n not in EFFECTS]
     for place in rig.places:
-        kinds = [e for e in RECIPES if EFFECTS[e].where == "element"]
-        for effect in kinds if place.declared or place.coordinate else PAIRS:
+        kinds = [e for e in every if e.where == "element"]
+        for effect in kinds if place.declared or place.coordinate else [EFFECTS[name] for name in PAIRS]:
             yield from _of(effect, place.name, spans[place.name])
     for where, names in (("sensor", rig.twin.sensors), ("actuator", rig.twin.actuators)):
-        for effect in [e for e in RECIPES if EFFECTS[e].where == where]:
+        for effect in [e for e in every if e.where == where]:
             for name in names:
                 yield from _of(effect, name, spans[name])
     for at in ("", *rig.twin.actuators):
@@ -178,15 +181,34 @@ def candidates(rig: OpenRig, spans: Mapping[str, Span], period: float) -> Iterat
         yield Candidate(laws.DELAY, at, (), (0,), slots)
 
 
-def _of(effect: str, at: str, span: Span) -> Iterator[Candidate]:
-    names = list(EFFECTS[effect].parameters)
-    for recipe in RECIPES[effect]:
+def _own(effect: Effect) -> _Recipe:
+    """Return how an own effect is tried: all combinations of what its declaration says."""
+    shape = {name: parameter for name, parameter in effect.parameters.items() if parameter.tried}
+
+    def shapes(span: Span) -> list[Mapping[str, float]]:
+        starts = itertools.product(*(_starts(parameter, span) for parameter in shape.values()))
+        return [dict(zip(shape, values, strict=True)) for values in starts]
+
+    return _Recipe(effect.factors, tuple(shape), shapes)
+
+
+def _starts(parameter: EffectParameter, span: Span) -> list[float]:
+    """Return what is tried of a parameter, within its bounds, in coherent units."""
+    size = {"D": span.size, "S": span.size, "U": span.size, "D/s": span.rate}.get(parameter.unit.replace(" ", ""), 1.0)
+    low, high = parameter.bounds
+    least, most = -math.inf if low is None else low, math.inf if high is None else high
+    return [min(max(part * size, least), most) for part in parameter.tried]
+
+
+def _of(effect: Effect, at: str, span: Span) -> Iterator[Candidate]:
+    names, own = list(effect.parameters), None if effect.name in EFFECTS else effect
+    for recipe in RECIPES[effect.name] if own is None else (_own(own),):
         factors = tuple(names.index(name) for name in recipe.factors)
         free = tuple(sorted((*factors, *(names.index(name) for name in recipe.shape))))
         slots = []
         for shape in recipe.shapes(span):
-            values = {n: (0.0 if p.value is None else p.value) for n, p in EFFECTS[effect].parameters.items()}
+            values = {n: (0.0 if p.value is None else p.value) for n, p in effect.parameters.items()}
             values |= dict.fromkeys(recipe.factors, 0.0) | dict(shape)
-            slots.append(Slot(effect, at, tuple(values.values()), free))
+            slots.append(Slot(effect.name, at, tuple(values.values()), free, own))
         if slots:
-            yield Candidate(effect, at, factors, free, tuple(slots))
+            yield Candidate(effect.name, at, factors, free, tuple(slots))

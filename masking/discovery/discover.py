@@ -6,7 +6,7 @@ and 16; the terms are physical effects with parameters and states of their own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -35,7 +35,7 @@ from masking.discovery.search import (
     temperature,
 )
 from masking.discovery.smoothing import linearised
-from masking.effects import EFFECTS, Effect
+from masking.effects import Effect
 from masking.errors import IntegrationError, RecordError
 from masking.identification.data import Data
 from masking.identification.simulation import relative
@@ -389,7 +389,7 @@ def _verdict(
     weights = [float(weight) for weight in probabilities(rivals, heat)]
     others = [(*r.names[-1], weight) for r, weight in zip(rivals[1:], weights[1:], strict=True) if weight > 1e-4]
     causes = _causes(rig, chosen, heat, weights[0], tuple(others))
-    if (rest > REST and not closed) or _is_patched(causes):
+    if (rest > REST and not closed) or _is_patched(causes, rig.twin.dictionary):
         return "unknown", causes
     if chosen.kind == "parameter" or all(_is_parameter(c, chosen) for c in causes):
         return "parameter", causes
@@ -409,9 +409,9 @@ def _with_rounding(
     return ("named" if verdict == "none" and rounded else verdict), (*causes, *rounded)
 
 
-def _is_patched(causes: Sequence[Named]) -> bool:
+def _is_patched(causes: Sequence[Named], known: Mapping[str, Effect]) -> bool:
     """Return whether several laws of one kind at one place are put together to a law that the dictionary lacks."""
-    kinds = [(cause.on, _kind(EFFECTS[cause.name])) for cause in causes if cause.name in EFFECTS]
+    kinds = [(cause.on, _kind(known[cause.name])) for cause in causes if cause.name in known]
     kinds = [kind for kind in kinds if kind[1]]
     return len(set(kinds)) < len(kinds)
 

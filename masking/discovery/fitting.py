@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from masking.discovery import laws
 from masking.discovery.evidence import Evidence
 from masking.discovery.opened import Equations, Slot
-from masking.effects import EFFECTS
 from masking.errors import IntegrationError
 from masking.kernels import Array
 
@@ -222,7 +221,7 @@ def bounds(slot: Slot) -> list[tuple[float, float]]:
     """Return the least and largest value of each free parameter of a slot; infinite where there is none."""
     if slot.effect == laws.DELAY:
         return [(0.0, np.inf)]
-    every = list(EFFECTS[slot.effect].parameters.values())
+    every = list(slot.entry.parameters.values())
     return [
         (-np.inf if low is None else low, np.inf if high is None else high)
         for low, high in (every[i].bounds for i in slot.free)

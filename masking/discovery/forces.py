@@ -22,7 +22,6 @@ from masking.discovery.discover import Discovery
 from masking.discovery.memory import once
 from masking.discovery.opened import Slot
 from masking.discovery.smoothing import Motion, smooth
-from masking.effects import EFFECTS
 from masking.errors import IntegrationError
 from masking.kernels import Array
 
@@ -84,7 +83,7 @@ def lack(found: Discovery, most: str) -> Lack:
         slot = next((slot for slot in reversed(slots) if slot.at == most), None)
         return _force(found, slot, "element", most)
     slot = slots[-1]
-    where = "actuator" if slot.effect == laws.DELAY else EFFECTS[slot.effect].where
+    where = slot.where
     name = slot.at or _busiest(found)
     return _sensor(found, slot, name) if where == "sensor" else _force(found, slot, where, name)
 
@@ -175,7 +174,7 @@ def _without(found: Discovery, motion: Motion) -> Motion:
     """Return a motion whose lacking forces are less by what the causes give along it."""
     forces = motion.forces.copy()
     for slot in found.explanation.hypothesis.slots:
-        where = "actuator" if slot.effect == laws.DELAY else EFFECTS[slot.effect].where
+        where = slot.where
         at = (
             [*range(len(found.twin.actuators))] if not slot.at else [] if where == "sensor" else [found.rig.index(slot)]
         )

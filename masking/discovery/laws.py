@@ -1,4 +1,4 @@
-"""Laws: the effects of the dictionary as compiled functions with derivatives, told apart by a number.
+"""Laws: the effects of a dictionary as compiled functions with derivatives, told apart by a number.
 
 Each function takes what the effect acts on (displacement and rate of an element, or the value of a sensor or actuator),
 its internal state and its parameters, and gives a row for the force or value, and one for the rate of the state: the
@@ -8,7 +8,7 @@ effect is put anywhere in one without compiling.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
@@ -17,38 +17,33 @@ from masking.compile.graph import Graph
 from masking.compile.printers import statements
 from masking.compile.source import DECORATOR
 from masking.compile.tangent import derivatives
+from masking.declaration.dictionary import MOST_PARAMETERS, MOST_STATES
 from masking.declaration.expression import Expression
-from masking.effects import EFFECTS, Effect
+from masking.effects import Effect
 
 if TYPE_CHECKING:
     import sympy as sp
 else:
     sp = lazy.load("sympy")
 
-MOST_PARAMETERS = 6
 WIDTH = 4 + MOST_PARAMETERS  # of a row: value, by displacement, by rate, by state, by each parameter
 FIRST_PARAMETER = 4
 SUBJECTS = {"element": "d", "sensor": "s", "actuator": "u"}
 DELAY = "delay"  # has no expression: the commands are read earlier
 
 
-def known() -> tuple[str, ...]:
+def known(dictionary: Mapping[str, Effect]) -> dict[str, Effect]:
     """Return the effects that can be tried, in the order of their numbers: at most one state, and an expression."""
-    return tuple(
-        name
-        for name, effect in EFFECTS.items()
-        if effect.where in SUBJECTS and len(effect.states) < 2 and len(effect.parameters) <= MOST_PARAMETERS
-    )
+    return {
+        name: effect
+        for name, effect in dictionary.items()
+        if effect.where in SUBJECTS and len(effect.states) <= MOST_STATES and len(effect.parameters) <= MOST_PARAMETERS
+    }
 
 
-def number(effect: str) -> int:
-    """Return the number of an effect; that of a delay is -1."""
-    return -1 if effect == DELAY else known().index(effect)
-
-
-def text(kinds: Sequence[str]) -> str:
+def text(kinds: Mapping[str, Effect]) -> str:
     """Return the source of `law(kind, t, x, rate, z, theta, rows)` over the effects that are known."""
-    functions = [_function(name, EFFECTS[name]) for name in kinds]
+    functions = [_function(name, effect) for name, effect in kinds.items()]
     lines = [DECORATOR, "def _law(kind, t, x, rate, z, theta, rows):"]
     lines += ["    for i in range(2):", f"        for j in range({WIDTH}):", "            rows[i, j] = 0.0"]
     for i, name in enumerate(kinds):

@@ -8,7 +8,7 @@ Source: as `masking.sensitivity`.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -17,11 +17,12 @@ import numpy as np
 from masking.compile import store
 from masking.compile.source import Module
 from masking.compile.tangent import derivatives
+from masking.declaration.dictionary import MOST_PARAMETERS
 from masking.declaration.expression import Expression
 from masking.declaration.schema import EffectUse
 from masking.discovery import laws, steps
 from masking.discovery.places import Place, identifier, opened
-from masking.effects import EFFECTS
+from masking.effects import EFFECTS, Effect
 from masking.errors import IntegrationError
 from masking.kernels import Array, Kernels
 from masking.sensitivity import Sensitivity, is_straight
@@ -41,16 +42,28 @@ class Slot:
     """An effect at a place with values of all its parameters, and which of them are estimated.
 
     Args:
-        effect: its name in the dictionary, or `delay`.
+        effect: its name in the dictionary, which may be `delay`.
         at: name of the place, sensor or actuator; '' for a delay of all actuators.
         values: of its parameters, in the order of the dictionary, in coherent units of the place.
         free: indices of those that are estimated.
+        own: what the effect is, where it does not come with the package.
     """
 
     effect: str
     at: str
     values: tuple[float, ...]
     free: tuple[int, ...]
+    own: Effect | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def entry(self) -> Effect:
+        """Return what the effect is."""
+        return self.own or EFFECTS[self.effect]
+
+    @property
+    def where(self) -> str:
+        """Return where the effect sits; a delay sits in the actuators."""
+        return "actuator" if self.effect == laws.DELAY else self.entry.where
 
     @property
     def estimated(self) -> tuple[float, ...]:
@@ -69,14 +82,13 @@ class Slot:
         """Return how far from 0 its state may begin; 0 where it begins there, and nothing where it has none."""
         if self.effect == laws.DELAY:
             return ()
-        effect = EFFECTS[self.effect]
-        values = dict(zip(effect.parameters, self.values, strict=True))
-        return tuple(Expression(state.size or "0").evaluate(values) for state in effect.states.values())
+        values = dict(zip(self.entry.parameters, self.values, strict=True))
+        return tuple(Expression(state.size or "0").evaluate(values) for state in self.entry.states.values())
 
     @property
     def names(self) -> tuple[str, ...]:
         """Return the names of the estimated parameters."""
-        every = ("tau",) if self.effect == laws.DELAY else tuple(EFFECTS[self.effect].parameters)
+        every = ("tau",) if self.effect == laws.DELAY else tuple(self.entry.parameters)
         return tuple(every[i] for i in self.free)
 
 
@@ -117,6 +129,11 @@ class OpenRig:
         effects = {**commands, **ports, **self.twin.declaration.effects}
         declaration = self.twin.declaration.model_copy(update={"effects": effects})
         return Twin(declaration, base, self.twin.changes, self.twin.chosen), found
+
+    @cached_property
+    def laws(self) -> dict[str, Effect]:
+        """Return the effects that can be tried, in the order of their numbers."""
+        return laws.known(self.twin.dictionary)
 
     @property
     def places(self) -> tuple[Place, ...]:
@@ -176,7 +193,7 @@ class OpenRig:
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
         twin, _ = self._opened
-        texts = {e: [EFFECTS[e].expression, *(s.rate for s in EFFECTS[e].states.values())] for e in laws.known()}
+        texts = [effect.structure() for effect in self.laws.values()]
         made_from = {
             "discovery": twin.structure(), "affected": list(self._sensitivity.affected), "laws": texts,
             "steps": [steps.FLOW, steps.RUN, *steps.OTHERS],
@@ -219,7 +236,7 @@ class OpenRig:
         nodes = [*texts, *rate]
         results = [(f"d[{i}]", node) for i, node in enumerate(nodes)]
         module.add("placed(t, y, p, d, jy)", graph, [*results, *jacobian("jy", nodes, y, at)], loads)
-        module.functions.append(laws.text(laws.known()))
+        module.functions.append(laws.text(self.laws))
         force_p, force_column, command_column = self.columns
         many = {
             "n": n, "moving": moving, "forces": moving, "places": len(found), "channels": len(twin.actuators),
@@ -227,7 +244,7 @@ class OpenRig:
             "command_column": command_column, "coordinate_ports": tuple(force_p[i] for i in self.coordinate_places),
         }  # fmt: skip
         size = n + MOST_STATES
-        width = max(len(self.names) + 4 * laws.MOST_PARAMETERS + size, len(affected), MOST_COLUMNS)
+        width = max(len(self.names) + 4 * MOST_PARAMETERS + size, len(affected), MOST_COLUMNS)
         rows = 10 * size + 8 * len(found) + 16 * len(readings) + 4 * len(twin.actuators) + 42
         module.add_kernel(steps.FLOW.format(**many) + steps.RUN.format(**many), "i", (rows, width))
         for text in steps.OTHERS:
@@ -250,7 +267,7 @@ class OpenRig:
             slots: the effects.
             theta: their free parameters, one after the other (f,).
         """
-        table, columns = np.zeros((len(slots), 5)), np.full((len(slots), laws.MOST_PARAMETERS), -1.0)
+        table, columns = np.zeros((len(slots), 5)), np.full((len(slots), MOST_PARAMETERS), -1.0)
         values: list[float] = []
         used, states = 0, 0
         n, k = len(self.twin.state_names), len(self.names)
@@ -265,13 +282,12 @@ class OpenRig:
                 at = self.twin.actuators.index(slot.at) if slot.at else -1
                 table[i] = -1, steps.ACTUATOR, at, first, -1
                 continue
-            effect = EFFECTS[slot.effect]
-            table[i] = laws.number(slot.effect), WHERE[effect.where], self.index(slot), first, -1
-            if effect.states:
+            table[i] = self._number(slot), WHERE[slot.where], self.index(slot), first, -1
+            if slot.entry.states:
                 table[i, 4] = n + states
                 states += 1
         # Laws read as many parameters as they have from where theirs begin.
-        return table, columns, np.array([*values, *np.zeros(laws.MOST_PARAMETERS)]), states
+        return table, columns, np.array([*values, *np.zeros(MOST_PARAMETERS)]), states
 
     def along(self, slot: Slot, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
         """Return what an effect gives along a known motion, and its derivatives by some parameters (m, 1 + c).
@@ -284,18 +300,21 @@ class OpenRig:
             by: indices of these parameters.
         """
         features = np.empty((len(x), 1 + len(by)))
-        theta = np.array([*slot.values, *np.zeros(laws.MOST_PARAMETERS)])
+        theta = np.array([*slot.values, *np.zeros(MOST_PARAMETERS)])
         columns = np.array([[*by]], dtype=float) if by else np.zeros((1, 1))
-        kind, states = laws.number(slot.effect), len(EFFECTS[slot.effect].states)
+        kind, states = self._number(slot), len(slot.entry.states)
         x, rate = np.ascontiguousarray(x), np.ascontiguousarray(rate)
         self.kernels.along(len(x), dt, kind, states, x, rate, columns, theta, features)
         return features
 
     def index(self, slot: Slot) -> int:
         """Return the index of a slot's place among the places, sensors or actuators."""
-        where = EFFECTS[slot.effect].where
         names = {"element": [p.name for p in self.places], "sensor": self.twin.sensors, "actuator": self.twin.actuators}
-        return list(names[where]).index(slot.at)
+        return list(names[slot.where]).index(slot.at)
+
+    def _number(self, slot: Slot) -> int:
+        """Return the number of a slot's effect among the laws."""
+        return list(self.laws).index(slot.effect)
 
     def equations(
         self,

@@ -13,11 +13,10 @@ import numpy as np
 
 from masking import markup
 from masking.discovery import forces, words, written
-from masking.discovery.discover import Discovery
+from masking.discovery.discover import Discovery, Named
 from masking.discovery.search import probabilities
 from masking.discovery.where import where
 from masking.discovery.written import Files, Origin
-from masking.effects import EFFECTS
 from masking.identification.whiteness import DOUBTED
 
 if TYPE_CHECKING:
@@ -94,7 +93,7 @@ def is_more_left(found: Discovery) -> bool:
 def _tiles(found: Discovery, names: set[str]) -> list[str]:
     tiles = []
     for one in found.effects[:3] if found.verdict != "unknown" else ():
-        tiles.append(markup.tile(_spoken(one.name, one.on), words.percent(one.probability), "probability", names=names))
+        tiles.append(markup.tile(_spoken(found, one), words.percent(one.probability), "probability", names=names))
     floor, after, worst = found.gap.validation_floor, found.gap.validation[1], words.worst(found)
     if found.effects:
         before = words.percent(found.adjusted_gap[worst])
@@ -111,8 +110,8 @@ def _tiles(found: Discovery, names: set[str]) -> list[str]:
     return tiles
 
 
-def _spoken(name: str, on: str) -> str:
-    return words.capital(words.spoken(name, on))
+def _spoken(found: Discovery, one: Named) -> str:
+    return words.capital(words.spoken(found, one.name, one.on))
 
 
 def _what_helps(found: Discovery) -> list[str]:
@@ -123,20 +122,15 @@ def _what_helps(found: Discovery) -> list[str]:
     for one in found.effects:
         units = words.units(found, one)
         for name, (value, std) in one.parameters.items():
-            meaning = EFFECTS[one.name].parameters[name].meaning if one.name in EFFECTS and name != "tau" else ""
-            if one.name not in EFFECTS:
-                declared = float(found.rig.start[found.rig.names.index(name)])
-                meaning = f"declared {words.number(declared, 5)}"
-            elif not meaning:
-                meaning = (
-                    EFFECTS[one.name].parameters[name].meaning if name in EFFECTS[one.name].parameters else "delay"
-                )
-            rows.append(
-                (_spoken(one.name, one.on), name, words.with_deviation(value, std, units.get(name, "")), meaning)
-            )
+            effect = found.twin.dictionary.get(one.name)
+            if effect is None:
+                meaning = f"declared {words.number(float(found.rig.start[found.rig.names.index(name)]), 5)}"
+            else:
+                meaning = effect.parameters[name].meaning if name in effect.parameters else "delay"
+            rows.append((_spoken(found, one), name, words.with_deviation(value, std, units.get(name, "")), meaning))
     body = markup.table(("what", "parameter", "value", "meaning"), rows)
     cards = [
-        (name, f"{meaning} Usual causes: {cause}.", f"{remedy}.")
+        (name, f"{meaning} Usual causes: {cause}." if cause else meaning, f"{remedy}." if remedy else "")
         for name, meaning, cause, remedy in words.remedies(found)
     ]
     if cards:
@@ -230,7 +224,7 @@ def _rivals(found: Discovery) -> str:
     rows = []
     sure = probabilities(rivals, heat)
     for rival, probability in zip(rivals, sure, strict=True):
-        told = " and ".join(words.spoken(*name) for name in rival.names)
+        told = " and ".join(words.spoken(found, *name) for name in rival.names)
         deviations = np.sqrt(heat) * rival.hypothesis.deviations[len(found.rig.names) :]
         values, used = [], 0
         for slot in rival.hypothesis.slots:
@@ -250,7 +244,7 @@ def _rivals(found: Discovery) -> str:
 
 def _tried(found: Discovery) -> str:
     rows = [
-        (words.capital(words.spoken(effect, at)), f"{100.0 * part:.3g} %", f"{100.0 * paid:.3g} %")
+        (words.capital(words.spoken(found, effect, at)), f"{100.0 * part:.3g} %", f"{100.0 * paid:.3g} %")
         for effect, at, part, paid in plates.tried(found)[:MOST_TRIED]
     ]
     head = ("candidate", "would close of the gap", "of what would count")
@@ -280,6 +274,7 @@ def _provenance(found: Discovery, origin: Origin, folder: Path) -> str:
         ("samples", f"{len(record)} to find, {len(judge)} to judge by, {record.rate:g} Hz"),
         ("rig", found.twin.declaration.name),
         ("model", ", ".join(found.twin.base.files) or found.twin.declaration.model),
+        *[("own effects", file) for one in found.twin.declaration.dictionaries for file in one.files],
         ("written", ", ".join(str(p) for p in (files.model, files.plant, files.numbers) if p)),
         ("versions", ", ".join([f"python {platform.python_version()}", *map(_version, ("masking", "numpy", "numba"))])),
     ]
@@ -311,10 +306,10 @@ def summary(found: Discovery, files: Files | None) -> str:
     widths = [max(len(row[i]) for row in table) for i in range(len(head))]
     lines += ["  " + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
     for one in found.effects:
-        if one.name in EFFECTS:
-            lines.append(
-                f"{one.name.replace('_', ' ')}: {EFFECTS[one.name].cause}; what helps: {EFFECTS[one.name].remedy}"
-            )
+        effect = found.twin.dictionary.get(one.name)
+        if effect is not None and (effect.cause or effect.remedy):
+            told = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]
+            lines.append(f"{one.name.replace('_', ' ')}: {'; '.join(told)}")
     if files is not None:
         told = [str(path) for path in (files.model, files.plant, files.numbers) if path]
         lines += [f"written: {', '.join(told)}", f"page: {files.page}"]

@@ -155,7 +155,11 @@ def _seen(found: Discovery, lacking: forces.Lack, what: str) -> str:
     noise = lacking.deviations[0] ** 2 if lacking.where == "sensor" else 0.0
     after, before = (max(float((v**2).mean()) - noise, 0.0) for v in (lacking.after, lacking.before))
     taken = f"{100.0 * max(1.0 - after / max(before, 1e-300), 0.0):.3g} % of the mean square of the {what}"
-    name = words.spoken(found.effects[-1].name, found.effects[-1].on) if lacking.law is not None else "what was found"
+    name = (
+        words.spoken(found, found.effects[-1].name, found.effects[-1].on)
+        if lacking.law is not None
+        else "what was found"
+    )
     return f"{words.capital(name)} takes away {taken} that the model lacks at {lacking.place}"
 
 
@@ -308,7 +312,7 @@ def _candidates(found: Discovery) -> Plate:
     rows = [row for i, row in enumerate(every) if i < MOST_TRIED or (row[0], row[1]) in chosen]
     if not rows:
         return Plate("candidates", "What was tried", "No candidate would have closed any of the gap.", None)
-    names = [words.spoken(effect, at) for effect, at, _, _ in rows]
+    names = [words.spoken(found, effect, at) for effect, at, _, _ in rows]
     parts = [100.0 * (paid if nothing else part) for _, _, part, paid in rows]
     fitted = {key for rival in found.rivals for key in rival.names}
     near = [part for part in parts if part > NEAR * parts[0]]

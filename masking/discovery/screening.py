@@ -19,7 +19,6 @@ from masking.discovery.evidence import Evidence
 from masking.discovery.fitting import Hypothesis, bounds, within
 from masking.discovery.opened import MOST_COLUMNS, OpenRig, Slot
 from masking.discovery.smoothing import Motion, linearised
-from masking.effects import EFFECTS
 from masking.kernels import Array
 
 HIGHEST = 60.0  # Hz, or twice what the rig does by itself; what is faster is averaged away
@@ -132,7 +131,7 @@ class Screen:
                 many += features[last].shape[1]
                 last += 1
             part = slice(first, last)
-            found += self._at_sensors([slot.effect for slot in slots[part]], features[part], at[part])
+            found += self._at_sensors([slot.where for slot in slots[part]], features[part], at[part])
             first = last
         for i, slot in enumerate(slots):
             if slot.effect == laws.DELAY:  # the columns of each actuator: values, then slopes
@@ -140,9 +139,9 @@ class Screen:
                 found[i] = np.stack([half.sum(axis=2) for half in halves], axis=2)
         return found
 
-    def _at_sensors(self, effects: Sequence[str], features: Sequence[Array], at: Sequence[Array]) -> list[Array]:
+    def _at_sensors(self, where: Sequence[str], features: Sequence[Array], at: Sequence[Array]) -> list[Array]:
         """Return what effects do to the sensors (blocks, sensors, c) each, from thinned features (m, c) and columns."""
-        inside = [i for i, effect in enumerate(effects) if where_of(effect) != "sensor"]
+        inside = [i for i, place in enumerate(where) if place != "sensor"]
         found = [np.zeros((self.blocks, len(self.rig.twin.sensors), table.shape[1])) for table in features]
         if inside:
             spread = self._spread(np.hstack([features[i] for i in inside]), np.concatenate([at[i] for i in inside]))
@@ -150,7 +149,7 @@ class Screen:
             for i, part in zip(inside, np.split(spread, edges, axis=2), strict=True):
                 found[i] = part
         for i, table in enumerate(features):
-            if where_of(effects[i]) == "sensor":
+            if where[i] == "sensor":
                 found[i][:, int(at[i][0])] = self._means(table, self.every // self.thin)
         return found
 
@@ -175,7 +174,7 @@ class Screen:
             return np.hstack([late, (later - late) / half]), np.concatenate([at, at])
         x, rate, column = self._subject(slot)
         made = self.rig.along(slot, x, rate, 1.0 / self.record.rate, slot.free)
-        if EFFECTS[slot.effect].where != "element":
+        if slot.where != "element":
             made[:, 0] -= x
         return made, np.full(made.shape[1], column)
 
@@ -254,11 +253,11 @@ class Screen:
     def _settle(self, chunk: list[tuple[Candidate, Slot, Array, Array]], found: dict[int, Promise]) -> None:
         if not chunk:
             return
-        candidates, _, features, at = zip(*chunk, strict=True)
+        candidates, slots, features, at = zip(*chunk, strict=True)
         tables = [
             table.sum(axis=2, keepdims=True) if candidate.effect == laws.DELAY else table
             for candidate, table in zip(
-                candidates, self._at_sensors([c.effect for c in candidates], features, at), strict=True
+                candidates, self._at_sensors([slot.where for slot in slots], features, at), strict=True
             )
         ]
         sizes = [table.shape[2] for table in tables]
@@ -315,7 +314,7 @@ class Screen:
             scaled_by = (0, 1, 3, 4)
             slot = slot.with_values(scaled_by, factors[0] * np.array([slot.values[i] for i in scaled_by]))
         else:
-            entries = list(EFFECTS[candidate.effect].parameters.values())
+            entries = list(slot.entry.parameters.values())
             lows = [entries[i].bounds[0] for i in candidate.factors]
             if any(low is not None and factor < low for low, factor in zip(lows, factors, strict=True)):
                 if (factors <= 0.0).all():
@@ -330,10 +329,9 @@ class Screen:
             return self._late(slot)
         rig, record = self.rig, self.record
         x, rate, column = self._subject(slot)
-        where = EFFECTS[candidate.effect].where
         if not candidate.factors or candidate.effect == "lugre_friction":
             value = rig.along(slot, x, rate, 1.0 / record.rate)
-            return (value[:, :1] - (0.0 if where == "element" else x[:, None])), np.array([column])
+            return (value[:, :1] - (0.0 if slot.where == "element" else x[:, None])), np.array([column])
         slot = slot.with_values(candidate.factors, np.zeros(len(candidate.factors)))
         if candidate.effect in {"stribeck_friction", "asymmetric_friction", "dry_friction"}:
             slot = slot.with_values(candidate.factors, np.ones(len(candidate.factors)))
@@ -354,7 +352,7 @@ class Screen:
     def _subject(self, slot: Slot) -> tuple[Array, Array, float]:
         """Return what an effect acts on and its rate (m,), and the column where it acts."""
         rig, record, motion = self.rig, self.record, self.motion
-        where, at = EFFECTS[slot.effect].where, rig.index(slot)
+        where, at = slot.where, rig.index(slot)
         nothing = np.zeros(len(record))
         if where == "element":
             x, rate, column = motion.displacement[:, at], motion.rate[:, at], float(rig.columns[1][at])
@@ -414,8 +412,3 @@ def _thinned(table: Array, thin: int) -> Array:
         total += cut[i::thin]
     found: Array = np.ascontiguousarray(total / thin)
     return found
-
-
-def where_of(effect: str) -> str:
-    """Return where an effect sits; a delay sits in the actuators."""
-    return "actuator" if effect == laws.DELAY else EFFECTS[effect].where

@@ -21,7 +21,6 @@ from masking.discovery.fitting import Hypothesis
 from masking.discovery.opened import Slot
 from masking.discovery.screening import Promise, Screen
 from masking.discovery.smoothing import Motion, smooth
-from masking.effects import EFFECTS
 from masking.errors import IntegrationError
 from masking.kernels import Array
 
@@ -367,7 +366,7 @@ def occam(hypothesis: Hypothesis, temperature: float = 1.0) -> float:
     strength = np.abs(added) / size * np.sqrt(np.maximum(np.diag(information), 0.0))  # each by itself, in deviations
     widths, used = np.abs(added) / size, 0
     for slot in hypothesis.slots:
-        own = [used + i for i, name in enumerate(slot.names) if name in FACTORS.get(slot.effect, ())]
+        own = [used + i for i, name in enumerate(slot.names) if name in FACTORS.get(slot.effect, slot.entry.factors)]
         for i, width in enumerate(_expected(slot)):
             widths[used + i] = max(widths[used + i], width / size[used + i])
         used += len(slot.free)
@@ -382,8 +381,8 @@ def _expected(slot: Slot) -> list[float]:
     """Return half the range in which each estimated parameter is expected, where it is a plain number; else 0."""
     if slot.effect == laws.DELAY:
         return [0.0]
-    declared = EFFECTS[slot.effect].parameters
-    return [0.5 * (p.prior[1] - p.prior[0]) if p.unit == "1" else 0.0 for p in (declared[n] for n in slot.names)]
+    declared = [slot.entry.parameters[name] for name in slot.names]
+    return [0.5 * (p.prior[1] - p.prior[0]) if p.unit == "1" and p.prior else 0.0 for p in declared]
 
 
 def probabilities(explanations: Sequence[Explanation], temperature: float) -> Array:

@@ -11,7 +11,6 @@ import numpy as np
 from masking.discovery import forces
 from masking.discovery.discover import Discovery, Named
 from masking.discovery.where import Lacking, Place, where
-from masking.effects import EFFECTS
 from masking.identification.whiteness import Whiteness
 
 NOTABLE = 0.15  # part of a force's energy from which a dependence is told
@@ -38,7 +37,10 @@ def sentence(found: Discovery) -> str:
         return f"{capital(what)}, {'is' if len(found.effects) == 1 else 'are'} missing. {gap(found)}"
     if found.verdict == "ambiguous":
         last = found.effects[-1]
-        names = [spoken(last.name, last.on), *(spoken(n, on) for n, on, p in last.alternatives if p > SHOWN)]
+        names = [
+            spoken(found, last.name, last.on),
+            *(spoken(found, n, on) for n, on, p in last.alternatives if p > SHOWN),
+        ]
         before = [cause(found, one) for one in found.effects[:-1]]
         first = (
             f"{capital(listed(before, '; '))} is missing, and {alternatives(names)}" if before else alternatives(names)
@@ -60,14 +62,14 @@ def left(found: Discovery) -> str:
     )
 
 
-def spoken(name: str, on: str) -> str:
+def spoken(found: Discovery, name: str, on: str) -> str:
     """Name a cause with its place: 'dry friction in spring1'."""
-    words = name.replace("_", " ")
-    if name in EFFECTS and EFFECTS[name].where == "loop":
-        return f"a {words} of {on or 'all actuators'}"
-    if name not in EFFECTS:
+    words, effect = name.replace("_", " "), found.twin.dictionary.get(name)
+    if effect is None:
         return f"another {name}"
-    return f"{words} {'in' if EFFECTS[name].where == 'element' else 'of'} {on}"
+    if effect.where == "loop":
+        return f"a {words} of {on or 'all actuators'}"
+    return f"{words} {'in' if effect.where == 'element' else 'of'} {on}"
 
 
 def cause(found: Discovery, named: Named) -> str:
@@ -77,13 +79,13 @@ def cause(found: Discovery, named: Named) -> str:
     for name in sure or named.parameters:
         value, std = named.parameters[name]
         told = f"{name} = {with_deviation(value, std, units(found, named).get(name, ''))}"
-        if named.name not in EFFECTS:
+        if named.name not in found.twin.dictionary:
             declared = float(found.rig.start[found.rig.names.index(name)])
             told += (
                 f", {abs(value / declared - 1.0) * 100.0:.2g} % {'more' if value > declared else 'less'} than declared"
             )
         values.append(told)
-    what = spoken(named.name, named.on) if named.name in EFFECTS else ""
+    what = spoken(found, named.name, named.on) if named.name in found.twin.dictionary else ""
     return ", ".join(filter(None, [what, *values]))
 
 
@@ -130,8 +132,8 @@ def whereabouts(found: Discovery) -> list[str]:
     """Say where it is lacking, and whether what is left is white; nothing where neither says anything."""
     seen, lacking = where(found), where(found).lacking
     told = []
-    if found.verdict in {"named", "ambiguous"} and found.effects[-1].name in EFFECTS:
-        on, side = found.effects[-1].on, EFFECTS[found.effects[-1].name].where
+    if found.verdict in {"named", "ambiguous"} and found.effects[-1].name in found.twin.dictionary:
+        on, side = found.effects[-1].on, found.twin.dictionary[found.effects[-1].name].where
         if side == "element" and lacking.best.explained > MOST:
             place = lacking.best
             told.append(f"{capital(much(place.share))} of what is lacking sits at {place.name}: {portrayed(place)}")
@@ -242,16 +244,17 @@ def power(value: float, units: Sequence[str]) -> str:
 
 def remedies(found: Discovery) -> list[tuple[str, str, str, str]]:
     """Return what each named effect is, what causes it and what helps: (name, meaning, cause, remedy)."""
+    dictionary = found.twin.dictionary
     seen = dict.fromkeys(n for e in found.effects for n in (e.name, *(a[0] for a in e.alternatives if a[2] > 0.05)))
-    known = [(name, EFFECTS[name]) for name in seen if name in EFFECTS]
+    known = [(name, dictionary[name]) for name in seen if name in dictionary]
     return [(name.replace("_", " "), e.meaning, e.cause, e.remedy) for name, e in known]
 
 
 def units(found: Discovery, named: Named) -> dict[str, str]:
     """Return the units of the parameters of a cause."""
-    if named.name not in EFFECTS:
+    if named.name not in found.twin.dictionary:
         return {n: pretty(found.twin.base.parameters[n].unit) for n in named.parameters}
-    effect, twin = EFFECTS[named.name], found.twin
+    effect, twin = found.twin.dictionary[named.name], found.twin
     if effect.where == "element":
         force, displacement, _ = forces.element_units(found, named.on)
         known = {"F": force or "1", "D": displacement or "1", "s": "s" if displacement else "1"}

@@ -25,7 +25,7 @@ from masking.discovery.discover import Discovery
 from masking.discovery.opened import Slot
 from masking.discovery.places import identifier, opened
 from masking.discovery.where import where
-from masking.effects import EFFECTS, attach
+from masking.effects import attach
 from masking.errors import RecordError
 from masking.model import Model
 from masking.twin import Twin
@@ -88,7 +88,7 @@ def save(
     contents = {files.page: page.encode(), **dict(zip(files.figures, images.values(), strict=True))}
     if files.model is not None and files.plant is not None:
         contents[files.model] = _yaml(model(found, files.model.parent, origin)).encode()
-        contents[files.plant] = _yaml(plant(found, files.model.relative_to(out), origin)).encode()
+        contents[files.plant] = _yaml(plant(found, files.model.relative_to(out), origin, out)).encode()
     contents[files.numbers] = (
         json.dumps(as_dict(found, lies or out, origin), indent=2, ensure_ascii=False) + "\n"
     ).encode()
@@ -188,8 +188,8 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
     return made | ({"terms": terms} if terms else {})
 
 
-def plant(found: Discovery, model_file: Path, origin: Origin) -> dict[str, Any]:
-    """Return the content of a plant file with a model and with the causes in sensors, actuators and the loop."""
+def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> dict[str, Any]:
+    """Return the content of a plant file in a folder, with a model and with the causes outside of its equations."""
     twin = found.twin
     made = twin.declaration.canonical() | {"name": f"{twin.declaration.name} with {_causes(found)}"}
     made |= {
@@ -199,15 +199,16 @@ def plant(found: Discovery, model_file: Path, origin: Origin) -> dict[str, Any]:
     left = {n: v for n, v in made.pop("parameters", {}).items() if n not in found.rig.names}
     made |= {"parameters": left} if left else {}  # those that were fitted are the model's now
     before = made.pop("effects", {})
+    made.pop("own_effects", None)
     first: dict[str, Any] = {}
     last: dict[str, Any] = {}
     for slot in found.explanation.hypothesis.slots:
         if slot.effect == laws.DELAY:
             _add_delay(found, slot, first, {*before, *first, *last})
-        elif EFFECTS[slot.effect].where != "element":
-            values = dict(zip(EFFECTS[slot.effect].parameters, map(_rounded, slot.values), strict=True))
+        elif slot.where != "element":
+            values = dict(zip(slot.entry.parameters, map(_rounded, slot.values), strict=True))
             # Commands pass what was found first; readings pass it last.
-            target = first if EFFECTS[slot.effect].where == "actuator" else last
+            target = first if slot.where == "actuator" else last
             name = _free(f"{slot.effect}_{slot.at}", {*before, *first, *last})
             target[name] = {"effect": slot.effect, "at": slot.at, "parameters": values}
     for cause in found.effects[len(found.explanation.hypothesis.slots) or found.explanation.kind == "parameter" :]:
@@ -215,7 +216,12 @@ def plant(found: Discovery, model_file: Path, origin: Origin) -> dict[str, Any]:
         values = {n: _rounded(value) for n, (value, _) in cause.parameters.items()}
         last[name] = {"effect": cause.name, "at": cause.on, "parameters": values}
     effects = {**first, **before, **last}
-    return made | ({"effects": effects} if effects else {})
+    own = [
+        registry.name_from(one, folder)
+        for one in twin.declaration.dictionaries
+        if any(use["effect"] in one.dictionary for use in effects.values())
+    ]
+    return made | ({"own_effects": own} if own else {}) | ({"effects": effects} if effects else {})
 
 
 def labels(found: Discovery) -> dict[Slot, str]:
@@ -223,7 +229,7 @@ def labels(found: Discovery) -> dict[Slot, str]:
     made: dict[Slot, str] = {}
     base = found.twin.attached
     for slot in found.explanation.hypothesis.slots:
-        if slot.effect == laws.DELAY or EFFECTS[slot.effect].where != "element":
+        if slot.where != "element":
             continue
         taken = {*made.values(), *(n.removesuffix("_on") for n in base.parameters if n.endswith("_on"))}
         names = [*base.parameters, *base.definitions, *base.states, *base.coordinates, *base.inputs]
@@ -239,8 +245,8 @@ def _attached(found: Discovery, whole: ModelDeclaration, slot: Slot, label: str)
     if at not in whole.elements:
         element = opened(found.twin.base)[0].elements[at]
         whole = whole.model_copy(update={"elements": {**whole.elements, at: element}})
-    values = dict(zip(EFFECTS[slot.effect].parameters, map(_rounded, slot.values), strict=True))
-    return attach(whole, slot.effect, at, label, values)
+    values = dict(zip(slot.entry.parameters, map(_rounded, slot.values), strict=True))
+    return attach(whole, slot.entry, at, label, values)
 
 
 def _element(found: Discovery, slot: Slot) -> str:
@@ -295,7 +301,7 @@ def _written(parameter: Parameter, std: float) -> dict[str, Any]:
 def _causes(found: Discovery) -> str:
     if found.explanation.kind == "parameter":
         return f"another {found.effects[0].name}"
-    return " and ".join(words.spoken(cause.name, cause.on) for cause in found.effects)
+    return " and ".join(words.spoken(found, cause.name, cause.on) for cause in found.effects)
 
 
 def _free(name: str, taken: set[str]) -> str:

@@ -1,13 +1,14 @@
 """Physical effects that a model may lack: what each is, where it may sit, and how it is put there.
 
-`EFFECTS` is the dictionary of all of them; `attach` puts one into an element of a declared model, `attach_all`
-several; `expressions`, `parameters` and `unit_of` give the parts from which those of a sensor or an actuator are
-compiled.
+`EFFECTS` is the dictionary of all that come with the package, `load` reads a dictionary of one's own, and `dictionary`
+puts both together; `attach` puts one into an element of a declared model, `attach_all` several; `expressions`,
+`parameters` and `unit_of` give the parts from which those of a sensor or an actuator are compiled.
 """
 
 from masking.effects.attachment import Attachment, Setting, attach, attach_all, expressions, find, parameters, unit_of
 from masking.effects.entries import EFFECTS
 from masking.effects.entry import Effect, EffectParameter, EffectState
+from masking.effects.own import dictionary, load, own
 
 __all__ = [
     "EFFECTS",
@@ -18,8 +19,11 @@ __all__ = [
     "Setting",
     "attach",
     "attach_all",
+    "dictionary",
     "expressions",
     "find",
+    "load",
+    "own",
     "parameters",
     "unit_of",
 ]

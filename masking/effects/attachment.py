@@ -32,18 +32,20 @@ Setting = float | str | Expression | Mapping[str, Any]
 _SUBJECTS = {"sensor": "s", "actuator": "u"}
 
 
-def find(name: str) -> Effect:
-    """Return an effect by its name.
+def find(name: str | Effect) -> Effect:
+    """Return an effect by its name in the dictionary; one that is given as itself is returned.
 
     Raises:
         DeclarationError: there is none; says which was probably meant.
     """
+    if isinstance(name, Effect):
+        return name
     if name not in EFFECTS:
         raise _refusal("", f"there is no effect '{name}'", nearest(name, EFFECTS))
     return EFFECTS[name]
 
 
-def expressions(name: str) -> tuple[Expression, dict[str, Expression]]:
+def expressions(name: str | Effect) -> tuple[Expression, dict[str, Expression]]:
     """Return what an effect makes of its place, switch included, and the rates of its states.
 
     The symbols are those of the dictionary and `on`, the switch: on * f in an element, s + on * (g - s) in a sensor
@@ -54,11 +56,11 @@ def expressions(name: str) -> tuple[Expression, dict[str, Expression]]:
     """
     effect = find(name)
     if not effect.expression:
-        raise _refusal("", f"the effect '{name}' has no expression: it sits in the loop")
+        raise _refusal("", f"the effect '{effect.name}' has no expression: it sits in the loop")
     subject = _SUBJECTS.get(effect.where)
     text = f"on*({effect.expression})" if subject is None else f"{subject} + on*({effect.expression} - {subject})"
-    rates = {state: Expression(entry.rate, path=f"{name}.{state}") for state, entry in effect.states.items()}
-    return Expression(text, path=name), rates
+    rates = {state: Expression(z.rate, path=f"{effect.name}.{state}") for state, z in effect.states.items()}
+    return Expression(text, path=effect.name), rates
 
 
 def unit_of(template: str, units: Mapping[str, str]) -> str:
@@ -68,14 +70,16 @@ def unit_of(template: str, units: Mapping[str, str]) -> str:
         template: a unit of the dictionary, such as `F/D`.
         units: the units that stand for its letters, such as `{"F": "m/s**2", "D": "m"}`.
     """
-    return describe(dimension_of(_renamed(Expression(template), {name: f"({u})" for name, u in units.items()})))
+    return describe(dimension_of(Expression(template).renamed({name: f"({u})" for name, u in units.items()})))
 
 
-def parameters(name: str, label: str, given: Mapping[str, Setting], units: Mapping[str, str]) -> dict[str, Parameter]:
+def parameters(
+    name: str | Effect, label: str, given: Mapping[str, Setting], units: Mapping[str, str]
+) -> dict[str, Parameter]:
     """Return the parameters of an effect as a model declares them, named `<label>_<parameter>`, with `<label>_on`.
 
     Args:
-        name: the effect.
+        name: the effect, or its name in the dictionary.
         label: stands before each name.
         given: values of the effect's parameters by their short names; a number is in coherent SI units.
         units: the units of the place, as those of `unit_of`.
@@ -85,7 +89,7 @@ def parameters(name: str, label: str, given: Mapping[str, Setting], units: Mappi
     """
     effect = find(name)
     problems = [
-        Problem(None, label, f"the effect '{name}' has no parameter '{key}'", nearest(key, effect.parameters))
+        Problem(None, label, f"the effect '{effect.name}' has no parameter '{key}'", nearest(key, effect.parameters))
         for key in given
         if key not in effect.parameters
     ]
@@ -95,14 +99,15 @@ def parameters(name: str, label: str, given: Mapping[str, Setting], units: Mappi
         unit = unit_of(entry.unit, units)
         setting = given.get(key, entry.value)
         if setting is None:
-            missing.append(f"{key} in {unit} ({entry.meaning}, such as {entry.nominal:g})")
+            such = "" if entry.nominal is None else f", such as {entry.nominal:g}"
+            missing.append(f"{key} in {unit} ({entry.meaning}{such})")
             continue
         try:
             found[f"{label}_{key}"] = _parameter(f"{label}.{key}", entry, unit, setting)
         except DeclarationError as error:
             problems += error.problems
     if missing:
-        problems.append(Problem(None, label, f"the effect '{name}' needs values", f"give {', '.join(missing)}"))
+        problems.append(Problem(None, label, f"the effect '{effect.name}' needs values", f"give {', '.join(missing)}"))
     if problems:
         raise DeclarationError(problems)
     return found
@@ -110,7 +115,7 @@ def parameters(name: str, label: str, given: Mapping[str, Setting], units: Mappi
 
 def attach(
     declaration: ModelDeclaration,
-    effect: str,
+    effect: str | Effect,
     at: str,
     label: str | None = None,
     parameters: Mapping[str, Setting] | None = None,
@@ -119,7 +124,7 @@ def attach(
 
     Args:
         declaration: the model.
-        effect: the name of an effect that sits in an element.
+        effect: an effect that sits in an element, or its name in the dictionary.
         at: the element.
         label: stands before the names of the effect's parameters and states; by default `<at>_<effect>`.
         parameters: values of the effect's parameters by their short names: numbers in coherent SI units, expressions
@@ -136,7 +141,7 @@ def attach(
 class Attachment:
     """One effect to attach: the arguments of `attach`."""
 
-    effect: str
+    effect: str | Effect
     at: str
     label: str | None
     parameters: Mapping[str, Setting]
@@ -159,9 +164,9 @@ def _with_effect(
     declaration: ModelDeclaration, attachment: Attachment, dimensions: Mapping[str, Dimension | None]
 ) -> ModelDeclaration:
     """Return a model with one more effect; `dimensions` are those of the symbols that its elements may use."""
-    effect, at, label = attachment.effect, attachment.at, attachment.label
-    entry, element = find(effect), _element(declaration, effect, at)
-    label = f"{at}_{effect}" if label is None else label
+    entry, at, label = find(attachment.effect), attachment.at, attachment.label
+    element = _element(declaration, entry, at)
+    label = f"{at}_{entry.name}" if label is None else label
     _check_label(declaration, label)
     units = _units(declaration, element, at, dimensions)
     names = {key: f"{label}_{key}" for key in (*entry.parameters, *entry.states)}
@@ -172,17 +177,17 @@ def _with_effect(
     definitions = {f"{label}_d": Expression(element.displacement.text, path=f"{label}.displacement")}
     definitions |= {f"{label}_v": Expression(rate_of(element.displacement, declaration.coordinates), path=label)}
     definitions = {n: e for n, e in definitions.items() if n in {names[key] for key in used & {"d", "d_rate"}}}
-    definitions[f"{label}_f"] = Expression(f"{label}_on*({_renamed(force, names)})", path=label)
+    definitions[f"{label}_f"] = Expression(f"{label}_on*({force.renamed(names)})", path=label)
     changed = _with_force(declaration, element, f"{label}_f")
     new_states = {
         names[state]: State(meaning=f"{e.meaning}, {label}", unit=unit_of(e.unit, units))
         for state, e in entry.states.items()
     }
     new_equations = {
-        Expression(f"{names[state]}'", path=label): Expression(_renamed(rate, names), path=label)
+        Expression(f"{names[state]}'", path=label): Expression(rate.renamed(names), path=label)
         for state, rate in rates.items()
     }
-    all_parameters = parameters(effect, label, attachment.parameters, units)
+    all_parameters = parameters(entry, label, attachment.parameters, units)
     _check_free(declaration, label, [*new_states, *all_parameters, *definitions])
     return changed.model_copy(
         update={
@@ -194,12 +199,11 @@ def _with_effect(
     )
 
 
-def _element(declaration: ModelDeclaration, effect: str, at: str) -> Element:
-    where = find(effect).where
-    if where != "element":
-        place = {"sensor": "a sensor", "actuator": "an actuator", "loop": "the loop"}[where]
+def _element(declaration: ModelDeclaration, effect: Effect, at: str) -> Element:
+    if effect.where != "element":
+        place = {"sensor": "a sensor", "actuator": "an actuator", "loop": "the loop"}[effect.where]
         raise _refusal(
-            at, f"the effect '{effect}' sits in {place}, not in an element of a model", "declare it in a plant"
+            at, f"the effect '{effect.name}' sits in {place}, not in an element of a model", "declare it in a plant"
         )
     if at not in declaration.elements:
         mend = nearest(at, declaration.elements) if declaration.elements else "declare it under elements"
@@ -280,16 +284,6 @@ def _sum(before: Expression | None, factor: Expression, force: str) -> Expressio
     signs = {"1": f"+ {force}", "-1": f"- {force}"}
     term = signs.get(factor.text.strip(), f"+ ({factor.text})*{force}")
     return Expression(term.removeprefix("+ ")) if before is None else replace(before, text=f"{before.text} {term}")
-
-
-def _renamed(expression: Expression, names: Mapping[str, str]) -> str:
-    """Return the text of an expression with other names for some of its symbols."""
-    text, parts, end = expression.text, [], 0
-    symbols = (step for step in expression.steps if step.operation == "symbol" and step.value in names)
-    for step in sorted(symbols, key=lambda step: step.start):
-        parts += [text[end : step.start], names[step.value]]
-        end = step.end
-    return "".join([*parts, text[end:]])
 
 
 def _refusal(path: str, message: str, mend: str = "") -> DeclarationError:

@@ -25,15 +25,17 @@ class EffectParameter:
     """A parameter of an effect.
 
     `value` is taken where none is given, and None where one must be; `prior` is the range in which values are expected,
-    `nominal` a usual one; `bounds` are the least and the largest that make sense.
+    `nominal` a usual one, None where nobody knows; `bounds` are the least and the largest that make sense. `tried` are
+    values that a discovery begins from, of an own effect; see `masking.declaration.schema.OwnParameter`.
     """
 
     unit: str
     meaning: str
-    prior: tuple[float, float]
-    nominal: float
+    prior: tuple[float, float] | None
+    nominal: float | None
     value: float | None = None
     bounds: Bounds = (None, None)
+    tried: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,10 @@ class EffectState:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A physical effect: the expression of what it does, where it may sit, what causes it and what helps."""
+    """A physical effect: the expression of what it does, where it may sit, what causes it and what helps.
+
+    `factors` are the parameters of an own effect that are factors of what it does.
+    """
 
     name: str
     meaning: str
@@ -63,6 +68,12 @@ class Effect:
     remedy: str
     source: str
     states: Mapping[str, EffectState] = field(default_factory=dict)
+    factors: tuple[str, ...] = ()
+
+    def structure(self) -> list[object]:
+        """Return all that compiled functions of it depend on."""
+        rates = {name: state.rate for name, state in self.states.items()}
+        return [self.name, self.where, self.expression, [*self.parameters], rates]
 
 
 POSITIVE: Bounds = (1e-12, None)

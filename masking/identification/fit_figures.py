@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import lazy_loader as lazy
@@ -11,13 +12,17 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from masking.drawing import COLOURS, INK, LIMIT, MUTED, SIZE, Plate, panels, symbol, thin, with_unit
+from masking.errors import IntegrationError
+from masking.identification.data import Data
 from masking.identification.figures import BAND, DASHED, heading, legend, shown, ticks, top
 from masking.identification.innovations import KalmanFit
 from masking.identification.measurement import percent
-from masking.identification.simulation import Simulated
+from masking.identification.simulation import Simulated, simulate
 
 if TYPE_CHECKING:
     from scipy import signal
+
+    from masking.identification.fit import Fit
 else:
     signal = lazy.load("scipy.signal", suppress_warning=True)
 
@@ -33,6 +38,21 @@ _MOST_SENSORS = 6
 _MOST_PARAMETERS = 24
 _TITLE = 0.22  # inches above axes for the value of a parameter
 _SETTLED = 0.15  # of the record: after that, a band sets the range of its axis
+
+
+def plates(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]) -> tuple[list[Plate], str]:
+    """Return the figures of a fit and what they say; without a record whose simulation is not finite."""
+    drawn, sentence = [], "The simulation with the fitted values is not finite"
+    for record, was_fitted in ((train[0], True), *((record, False) for record in unseen[:1])):
+        try:
+            made = simulate(found.twin, record, found.names)
+        except IntegrationError:
+            continue
+        drawn.append(fit(made, was_fitted=was_fitted))
+        sentence = verdict(made, was_fitted=was_fitted)
+    if isinstance(found, KalmanFit) and found.names:
+        drawn.append(estimates(found))
+    return drawn, sentence
 
 
 def fit(made: Simulated, *, was_fitted: bool) -> Plate:

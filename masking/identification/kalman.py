@@ -25,7 +25,6 @@ import numpy as np
 
 from masking.compile import store
 from masking.compile.source import Module
-from masking.effects import EFFECTS
 from masking.errors import IntegrationError, ModelError, RecordError
 from masking.identification.data import Data
 from masking.identification.innovations import KalmanFit
@@ -196,7 +195,7 @@ class _Scales:
             unit = model.declaration.parameters[name].unit
             return model.units.size(unit, model.overrides) / model.units.conversions[unit].factor
         effect, parameter = found
-        unit = EFFECTS[effect.kind].parameters[parameter].unit
+        unit = effect.entry.parameters[parameter].unit
         if unit == "S":
             return float(readings[twin.sensors.index(effect.at)])
         return time if unit == "s" else 1.0
@@ -258,8 +257,8 @@ class _Filter(Sensitivity):
         off = {
             f"{effect.label}_{name}"
             for effect in self.twin.effects
-            if not effect.enabled and EFFECTS[effect.kind].where == "element"
-            for name in EFFECTS[effect.kind].parameters
+            if not effect.enabled and effect.entry.where == "element"
+            for name in effect.entry.parameters
         }
         idle = {i for i, name in enumerate(self.twin.model.parameters) if name in off}
         return [row for row, index in enumerate(self.affected) if index not in idle]

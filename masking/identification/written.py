@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from masking.declaration import catalogue
+from masking.declaration import catalogue, registry
 from masking.identification.fit import Fit
 from masking.identification.innovations import KalmanFit
 from masking.twin import Twin
@@ -26,7 +26,7 @@ def save(fit: Fit | KalmanFit, folder: str | Path) -> dict[str, Path]:
     out.mkdir(parents=True, exist_ok=True)
     texts = {
         "model": yaml.safe_dump(model(fit, out), sort_keys=False, width=110, allow_unicode=True),
-        "plant": yaml.safe_dump(plant(fit), sort_keys=False, width=110, allow_unicode=True),
+        "plant": yaml.safe_dump(plant(fit, out), sort_keys=False, width=110, allow_unicode=True),
         "fit": json.dumps(fit.as_dict(), indent=2) + "\n",
     }
     paths = {kind: out / f"{kind}.{'json' if kind == 'fit' else 'yaml'}" for kind in texts}
@@ -46,12 +46,14 @@ def model(fit: Fit | KalmanFit, folder: Path) -> dict[str, Any]:
     return {"name": f"{twin.base.name}, identified", "extends": _reference(twin, folder), "parameters": values}
 
 
-def plant(fit: Fit | KalmanFit) -> dict[str, Any]:
+def plant(fit: Fit | KalmanFit, folder: Path) -> dict[str, Any]:
     """Return the content of a plant file with the fitted model, in the same folder, and the fitted effects."""
     twin = fit.twin
     made = twin.declaration.canonical() | {"name": f"{twin.declaration.name}, identified", "model": "model.yaml"}
     left = {n: v for n, v in made.pop("parameters", {}).items() if n in twin.base.parameters and n not in fit.names}
     made |= {"parameters": left} if left else {}  # those that were fitted are the model's now
+    own = [registry.name_from(one, folder) for one in twin.declaration.dictionaries]
+    made |= {"own_effects": own} if own else {}
     effects: dict[str, Any] = {}
     for effect in twin.effects:
         key = effect.path.removeprefix("effects.")
