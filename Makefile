@@ -1,8 +1,8 @@
 # make demo   run the Duffing experiment and write its report
 # make test   format, lint, types and tests: the gate
 # make bench  speed against other tools, side by side
-# make bench-discovery  name what is hidden in more than a thousand records, PySINDy beside: hours; an interrupted run
-#             goes on where it stopped; OPTIONS=--quick is about 30 records
+# make bench-discovery  name what is hidden in more than a thousand records, some made by MuJoCo, PySINDy beside: hours;
+#             an interrupted run goes on where it stopped; OPTIONS=--quick is about 30 records
 # Each sets itself up in .venv and needs nothing but Python 3.11 or newer.
 
 PYTHON ?= python3

@@ -78,6 +78,12 @@ OWN, CUBIC = ("dry_friction", "spring1"), ("actuator_cubic", "V1")
         (OFF, told("parameter", ("linear_spring", "spring1")), True, "equivalent"),
         (OFF, told("parameter", ("w2", "")), False, "another parameter"),
         (OFF, told("named", ("linear_spring", "spring1")), False, "not `parameter` but `named`"),
+        # what an engine made is judged by what is hidden in it
+        (case(*OWN, "mujoco", fc=1.0), told("named", OWN), True, "exact"),
+        (case(*OWN, "mujoco", fc=1.0), told("named", STRIBECK), False, "near kin"),
+        (case("parameter", "w1", "mujoco", relative=0.1), told("named", ("linear_spring", "spring1")), False,
+         "not `parameter` but `named`"),
+        (case("", "", "mujoco"), told("parameter", ("w1", "")), False, "something where nothing is"),
         (EMPTY, told("none"), True, "nothing"),
         (EMPTY, told("parameter", ("w1", "")), False, "something where nothing is"),
         (DIRTY_EMPTY, told("unknown", CUBIC), True, "no confident name"),

@@ -16,6 +16,7 @@ from masking.discovery.opened import OpenRig, Slot
 from masking.effects import EFFECTS, Effect, EffectParameter
 
 BRISTLES = 3e-3  # s: damping of bristles for their stiffness, to begin with
+SHARP = 5e-5  # m/s, or another unit of rate: where friction turns round at once
 EDGES = (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)  # parts of the travel at which a contact is tried
 MOST_LEVELS = 10.0  # steps of a converter from the middle to the end of its range that are tried
 
@@ -128,7 +129,7 @@ RECIPES: dict[str, tuple[_Recipe, ...]] = {
     "hardening_spring": (_Recipe(("k3",)),),
     "viscous_damping": (_Recipe(("c",)),),
     "quadratic_damping": (_Recipe(("c",)),),
-    "dry_friction": (_Recipe(("fc",)),),
+    "dry_friction": (_Recipe(("fc",)), _Recipe(("fc",), (), lambda span: [{"vs": SHARP}])),
     "asymmetric_friction": (_Recipe(("fp", "fm")),),
     "stribeck_friction": (_Recipe(("fc", "fs"), ("vst",), _rates("vst", 0.05, 0.15, 0.4, 0.8)),),
     "lugre_friction": tuple(_Recipe(("s0",), ("fc", "fs", "vst", "s1"), _bristles(more)) for more in (1.2, 2.0)),

@@ -372,7 +372,8 @@ def _chosen(found: Found, judged: Evidence, size: int) -> tuple[Explanation, ...
         little = (SMALL - 1.0) * size if closed else max((SMALL - 1.0) * size, TRACE * start)
         explained = chosen[0] is not found.base and excess <= min(REST * start, little)
         enough = left <= (1.0 - SHARE) * excess or left < (CLEAN**2 - 1.0) * size
-        wrong = best.kind == "parameter" and after < CLEAN * before  # its error is in what was fitted before, too
+        like = best.kind == "parameter" or _is_like_parameter(best.names[-1][0], best)
+        wrong = like and after < CLEAN * before  # its error is in what was fitted before, too
         if not (after < before or wrong) or (explained and not enough):
             break
         chosen, excess, before = step, left, after
@@ -391,7 +392,7 @@ def _verdict(
     causes = _causes(rig, chosen, heat, weights[0], tuple(others))
     if (rest > REST and not closed) or _is_patched(causes, rig.twin.dictionary):
         return "unknown", causes
-    if chosen.kind == "parameter" or all(_is_parameter(c, chosen) for c in causes):
+    if chosen.kind == "parameter" or all(_is_like_parameter(c.name, chosen) for c in causes):
         return "parameter", causes
     return ("named" if weights[0] >= SURE else "ambiguous"), causes
 
@@ -426,8 +427,9 @@ def _kind(effect: Effect) -> str:
     return " and ".join(sorted(names))
 
 
-def _is_parameter(cause: Named, chosen: Explanation) -> bool:
-    return cause.name in LIKE_PARAMETERS and chosen.own < SAME
+def _is_like_parameter(effect: str, chosen: Explanation) -> bool:
+    """Return whether an effect is what parameters of the rig could be, too."""
+    return effect in LIKE_PARAMETERS and chosen.own < SAME
 
 
 def _deviations(explanation: Explanation, heat: float) -> Array:

@@ -17,7 +17,7 @@ from matplotlib.patches import Rectangle
 
 from masking import drawing, markup
 from masking.drawing import COLOURS, DPI, GRID, INK, LIMIT, MUTED, SIZE, WIDTH, Plate
-from tests.benchmarks import table
+from tests.benchmarks import mujoco_records, table
 from tests.benchmarks.discovering import scoring, sindy, summary
 from tests.benchmarks.discovering.scoring import said, shortened, wilson
 from tests.benchmarks.discovering.summary import Bar, Confusion, Result
@@ -40,6 +40,7 @@ def write(
         markup.section("What was taken for what", picture(plates[1], images)),
         markup.section(f"The same records with {THEIRS}", _contender(theirs) + picture(plates[2], images)),
         markup.section("Beside the bars", _facts(ours, theirs)),
+        markup.section("Records made by MuJoCo", _engine(ours)),
         markup.section("Every wrong answer", _wrong(ours)),
         markup.section("Every gap that is not closed, or has grown", _open(ours)),
         markup.section("How it is scored", _scored()),
@@ -284,6 +285,37 @@ def _truth(result: Result) -> str:
     return " + ".join(said((one.effect, one.at)) for one in case.hidden) or "nothing"
 
 
+def _unit(result: Result) -> str:
+    return " of the rms" if result.case.family == "mujoco" else " V"
+
+
+def _engine(ours: Sequence[Result]) -> str:
+    made = [r for r in ours if r.case.family == "mujoco"]
+    if not made:
+        why = "No record has been run yet" if mujoco_records.version() else "MuJoCo is not installed here"
+        return markup.paragraph(f"{why}.", "missing")
+    text = (
+        "These records are made by an engine that nobody here wrote, with what is hidden in its own terms "
+        "(tests/benchmarks/mujoco_records.py tells which, and how near its laws are to those of the dictionary). Noise "
+        "is told in parts of the rms of each reading; the error is the largest of the effect's parameters."
+    )
+    head = ("hidden", "answer", "right", "error of parameters", "gap/noise", "s")
+    rows = []
+    for r in made:
+        errors = [p.error for p in scoring.parameters(r.case, r.answer) if p.error is not None]
+        rows.append(
+            (
+                _truth(r),
+                shortened(str(r.answer)),
+                r.score.how if r.score.right else f"no: {r.score.how}",
+                summary.percent(max(errors)) if errors else "",
+                "" if r.left is None else f"{r.left:.3f}",
+                f"{r.seconds:.0f}",
+            )
+        )
+    return markup.paragraph(text, "missing") + markup.table(head, rows, numbers=(3, 4, 5))
+
+
 def _wrong(ours: Sequence[Result]) -> str:
     wrong = [r for r in ours if not r.score.right]
     if not wrong:
@@ -291,7 +323,7 @@ def _wrong(ours: Sequence[Result]) -> str:
     head = ("record", "strength", "truth", "meaning", "why it is wrong", "gap/noise")
     rows = [
         (
-            f"{r.case.family}, {r.case.damping}, {r.case.noise:g} V, seed {r.case.seed}",
+            f"{r.case.family}, {r.case.damping}, {r.case.noise:g}{_unit(r)}, seed {r.case.seed}",
             r.case.strength or "",
             _truth(r),
             shortened(str(r.answer)),

@@ -27,7 +27,7 @@ from masking.discovery.discover import discover
 from masking.discovery.opened import OpenRig
 from masking.identification.data import Data
 from masking.twin import Twin
-from tests.benchmarks import hidden
+from tests.benchmarks import hidden, mujoco_records
 from tests.benchmarks.discovering import sindy, suite
 from tests.benchmarks.hidden.rig import LIGHT, RATE, Damping
 
@@ -35,6 +35,7 @@ PROCESSES = 2
 PIECE = 10  # records generated together: making one takes as long as making ten
 JUDGED = ("masking/discovery", "masking/effects", "tests/benchmarks/hidden")
 CONTENDER = ("tests/benchmarks/discovering/sindy.py", "tests/benchmarks/hidden")
+ENGINE = "tests/benchmarks/mujoco_records.py"
 WAIT = 5.0  # s between looks at whether a process has died
 
 Outcome = dict[str, Any]
@@ -89,7 +90,13 @@ TOOLS: dict[str, Callable[[hidden.Case, hidden.Record, hidden.Record], Outcome]]
 
 def keys(case: hidden.Case, sources: dict[str, str]) -> dict[str, str]:
     """Return the key of the outcome of each tool."""
-    return {tool: f"{tool}:{suite.key(case, digest)}" for tool, digest in sources.items()}
+    made = f"-{_engine()}" if case.family == "mujoco" else ""
+    return {tool: f"{tool}:{suite.key(case, digest + made)}" for tool, digest in sources.items()}
+
+
+@cache
+def _engine() -> str:
+    return f"{suite.digest(ENGINE)}-{mujoco_records.version()}"
 
 
 def sources() -> dict[str, str]:
@@ -100,7 +107,7 @@ def sources() -> dict[str, str]:
 
 def every_case(lines: Sequence[suite.Line], folder: Path) -> list[hidden.Case]:
     """Return the cases of a suite, which are drawn once and then kept in a file."""
-    name = "-".join((suite.digest("tests/benchmarks/hidden"), suite.digest("tests/benchmarks/discovering/suite.py")))
+    name = "-".join(map(suite.digest, ("tests/benchmarks/hidden", ENGINE, "tests/benchmarks/discovering/suite.py")))
     path = folder / f"cases-{len(lines)}-{name}.json"
     if not path.exists():
         parts = dict(spread(_drawn, list(enumerate(lines))))
@@ -196,7 +203,8 @@ def _drawn(job: tuple[int, suite.Line]) -> Iterator[tuple[int, list[hidden.Case]
 
 def _work(job: Job) -> Iterator[Outcome]:
     cases, tools = job
-    for (case, training, validation), wanted in zip(hidden.generate(cases), tools, strict=True):
+    generate = mujoco_records.generate if cases[0].family == "mujoco" else hidden.generate  # no piece mixes families
+    for (case, training, validation), wanted in zip(generate(cases), tools, strict=True):
         for tool, key in wanted.items():
             told = TOOLS[tool](case, training, validation)
             yield {"key": key, "tool": tool, "case": suite.kept(case), **told}

@@ -121,14 +121,14 @@ def judge(case: hidden.Case, told: Answer) -> Score:
 def _judged(case: hidden.Case, told: Answer) -> tuple[bool, str]:  # noqa: PLR0911  # one for each family
     if told.verdict == "failed":
         return False, "failed"
-    if case.family == "none":
+    if case.asked == "none":
         return told.verdict == "none", "nothing" if told.verdict == "none" else "something where nothing is"
     if case.family == "dirty_none":
         if told.verdict not in CONFIDENT:
             return True, "no confident name"
         real = set(told.keys) <= {(one.effect, one.at) for one in case.imperfections}
         return False, "a small imperfection, named" if real else "a name where no main effect is"
-    if case.family == "parameter":
+    if case.asked == "parameter":
         if told.verdict != "parameter":
             return False, f"not `parameter` but `{told.verdict}`"
         (allowed,) = hidden.answers(case)

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tests.benchmarks import hidden
+from tests.benchmarks import hidden, mujoco_records
 from tests.benchmarks.hidden.rig import Damping
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -18,9 +18,9 @@ Size = Literal["quick", "full"]
 
 @dataclass(frozen=True)
 class Line:
-    """Records of one family; `noise` is the standard deviation of a reading in V, `seed` fixes what is drawn."""
+    """Records of one family; `noise` is that of `hidden.Case`, `seed` fixes what is drawn."""
 
-    family: hidden.Family
+    family: hidden.AnyFamily
     noise: float
     damping: Damping
     count: int
@@ -31,7 +31,7 @@ DAMPINGS: tuple[Damping, ...] = ("own", "light")
 # Seeds that nobody tunes by: records to try things on are drawn from others.
 QUICK_SEED, FULL_SEED = 7001, 2026
 
-_QUICK: tuple[tuple[hidden.Family, float, Damping, int], ...] = (
+_QUICK: tuple[tuple[hidden.AnyFamily, float, Damping, int], ...] = (
     ("effect", 1e-3, "own", 5),
     ("effect", 1e-3, "light", 4),
     ("effect", 1e-4, "light", 3),
@@ -43,6 +43,7 @@ _QUICK: tuple[tuple[hidden.Family, float, Damping, int], ...] = (
     ("outside", 1e-3, "own", 3),
     ("dirty", 1e-3, "own", 2),
     ("dirty_none", 1e-3, "own", 2),
+    ("mujoco", 1e-3, "own", 2),
 )
 
 _FULL: tuple[tuple[hidden.Family, float, int], ...] = (
@@ -64,10 +65,13 @@ QUICK = tuple(
     for number, (family, noise, damping, count) in enumerate(_QUICK)
 )
 
-FULL = tuple(
-    Line(family, noise, damping, count, FULL_SEED + 2 * number + i)
-    for number, (family, noise, count) in enumerate(_FULL)
-    for i, damping in enumerate(DAMPINGS)
+FULL = (
+    *(
+        Line(family, noise, damping, count, FULL_SEED + 2 * number + i)
+        for number, (family, noise, count) in enumerate(_FULL)
+        for i, damping in enumerate(DAMPINGS)
+    ),
+    Line("mujoco", 1e-3, "own", len(mujoco_records.HIDDEN), FULL_SEED + 2 * len(_FULL)),
 )
 
 SUITES: Mapping[Size, tuple[Line, ...]] = {"quick": QUICK, "full": FULL}
@@ -75,6 +79,8 @@ SUITES: Mapping[Size, tuple[Line, ...]] = {"quick": QUICK, "full": FULL}
 
 def cases(line: Line) -> list[hidden.Case]:
     """Return the cases of a line."""
+    if line.family == "mujoco":
+        return mujoco_records.cases(line.count, noise=line.noise, damping=line.damping, seed=line.seed)
     return hidden.cases(line.family, noise=line.noise, damping=line.damping, count=line.count, seed=line.seed)
 
 
@@ -129,7 +135,7 @@ def pieces(todo: Iterable[hidden.Case], size: int) -> list[list[hidden.Case]]:
     groups: dict[str, list[hidden.Case]] = {}
     for case in todo:
         groups.setdefault(case.family, []).append(case)
-    order: Sequence[str] = ("two", "outside", "dirty", "dirty_none", "effect", "parameter", "none")
+    order: Sequence[str] = ("two", "outside", "dirty", "dirty_none", "mujoco", "effect", "parameter", "none")
     return [
         groups[family][i : i + size]
         for family in sorted(groups, key=order.index)

@@ -179,6 +179,7 @@ def bars(ours: Sequence[Result], theirs: Sequence[Result]) -> list[Bar]:
             "outside the dictionary: a confident wrong name",
             of(ours, "outside"), of(theirs, "outside"), lambda r: r.score.confidently_wrong, 0.05, at_most=True,
         ),
+        right("made by MuJoCo: right effect and place", "mujoco", 0.97),
     ]  # fmt: skip
     named = [r for r in ours if r.case.family in ("effect", "two") and r.answer.verdict in NAMING]
     made.append(
@@ -310,8 +311,8 @@ def confusion(results: Sequence[Result]) -> Confusion:
         case = result.case
         if case.family == "two":
             continue
-        row = {"none": "none", "dirty_none": EMPTY}.get(case.family, case.effect)
-        groups[row] = "effect" if case.family == "dirty" else case.family
+        row = {"none": "none", "dirty_none": EMPTY}.get(case.asked, case.effect)
+        groups[row] = "effect" if case.family == "dirty" else case.asked
         column, placed = _column(result)
         good, bad = cells.get((row, column), (0, 0))
         cells[row, column] = (good + placed, bad + (not placed))
@@ -327,7 +328,7 @@ def _column(result: Result) -> tuple[str, bool]:
     case, told = result.case, result.answer
     if told.verdict in ("none", "unknown", "failed"):
         meant = {"none": ("none",), "dirty_none": ("none", "unknown"), "outside": ("unknown",)}
-        return told.verdict, told.verdict in meant.get(case.family, ())
+        return told.verdict, told.verdict in meant.get(case.asked, ())
     name, at = told.causes[0].key
     if (name, at) in hidden.acceptable(case):
         return ("stop" if case.family == "outside" else case.effect), True

@@ -2,6 +2,7 @@
 
 from tests.benchmarks.hidden.cases import (
     FAMILIES,
+    AnyFamily,
     Case,
     Family,
     Truth,
@@ -16,6 +17,7 @@ from tests.benchmarks.hidden.simulate import Hidden
 
 __all__ = [
     "FAMILIES",
+    "AnyFamily",
     "Case",
     "Family",
     "Hidden",

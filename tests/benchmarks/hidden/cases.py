@@ -37,6 +37,7 @@ from tests.benchmarks.hidden.rig import ELEMENTS, PARAMETERS, Array, Damping, de
 from tests.benchmarks.hidden.simulate import Hidden
 
 Family = Literal["effect", "none", "parameter", "two", "outside", "dirty", "dirty_none"]
+AnyFamily = Literal[Family, "mujoco"]  # these are drawn here, or made by `tests.benchmarks.mujoco_records`
 FAMILIES: tuple[Family, ...] = ("effect", "none", "parameter", "two", "outside", "dirty", "dirty_none")
 NOISY = 3e-3  # from this noise on, weak effects are left out
 SECONDS = 60.0  # of a training record
@@ -56,7 +57,8 @@ class Case:
 
     `effect`, `at` and `parameters` (SI) are the hidden effect, empty where there is none; a parameter of the rig that
     is off has effect `parameter`, its name as `at`, and `relative`. `second` is the other one of two effects. `noise`
-    is the standard deviation of a reading in V. Each parameter of the rig is off by at most `base_error`, relatively.
+    is the standard deviation of a reading in V, or in parts of its rms in the family `mujoco`. Each parameter of the
+    rig is off by at most `base_error`, relatively.
     """
 
     name: str
@@ -68,7 +70,7 @@ class Case:
     damping: Damping
     base_error: float
     seed: int
-    family: Family = "effect"
+    family: AnyFamily = "effect"
     second: Hidden | None = None
     imperfections: tuple[Hidden, ...] = ()
 
@@ -76,6 +78,13 @@ class Case:
     def dirty(self) -> bool:
         """Return whether inputs are disturbed and half the variance of the noise is coloured."""
         return self.family in ("dirty", "dirty_none")
+
+    @property
+    def asked(self) -> Family:
+        """Return the family whose answers are right: an engine's record is judged by what is hidden in it."""
+        if self.family != "mujoco":
+            return self.family
+        return "effect" if self.hidden else "parameter" if self.effect else "none"
 
     @property
     def hidden(self) -> tuple[Hidden, ...]:
