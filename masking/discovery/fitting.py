@@ -22,6 +22,7 @@ from masking.kernels import Array
 
 MOST_ROUNDS = 40
 GROWTH = 2.0  # times what is positive may become in a round
+HOPE, SLOW = 0.03, 6  # a fit ends that comes nearer to a better one by no more than this part so many times
 CONVERGED = 0.02  # of the cost, in units of -2 log likelihood, for each reading's, that a step may still take off
 
 
@@ -72,6 +73,7 @@ def fit(
     start: Array | None = None,
     rounds: int = MOST_ROUNDS,
     frozen: bool = False,
+    rival: float = np.inf,
 ) -> Hypothesis:
     """Fit a rig with effects to a record.
 
@@ -82,6 +84,7 @@ def fit(
         start: initial states to begin from (windows, states); from the first readings where none are given.
         rounds: most rounds.
         frozen: whether only the initial state is estimated.
+        rival: cost of another hypothesis; where this one does not come near it any more, it is left as it is.
 
     Raises:
         IntegrationError: the motion is not finite from where it begins.
@@ -89,7 +92,9 @@ def fit(
     x = evidence.belief.mean.copy() if theta is None else theta.copy()
     state = first_states(evidence, x) if start is None else start.copy()
     problem = _Problem(evidence, tuple(slots))
-    return problem.solve(_Point(x, estimated(slots), np.zeros(len(problem.begins)), state), rounds, frozen=frozen)
+    return problem.solve(
+        _Point(x, estimated(slots), np.zeros(len(problem.begins)), state), rounds, frozen=frozen, rival=rival
+    )
 
 
 def cost(evidence: Evidence, slots: Sequence[Slot], theta: Array, start: Array) -> float:
@@ -146,11 +151,11 @@ class _Problem:
         """Return how far from 0 the states of effects may begin (s,)."""
         return np.array([size for slot in self.slots for size in slot.begins])
 
-    def solve(self, at: _Point, rounds: int, *, frozen: bool) -> Hypothesis:
+    def solve(self, at: _Point, rounds: int, *, frozen: bool, rival: float) -> Hypothesis:
         k, f, s, moving = len(at.theta), len(at.added), len(at.inner), 2 * len(self.evidence.rig.coordinates)
         held = np.zeros(k + f + s + len(at.start) * moving, dtype=bool)
         held[: k + f], held[k + f : k + f + s] = frozen, self.begins == 0.0
-        damping, size = 1e-6, self.evidence.record.readings.size
+        slow, damping, size = 0, 1e-6, self.evidence.record.readings.size
         found = self.equations(at)
         cost = self.cost(found, at)
         low, high = self._bounds()
@@ -166,6 +171,9 @@ class _Problem:
                 new = self.cost(tried, then)
             except IntegrationError:
                 new = np.inf
+            slow = slow + 1 if cost > rival and cost - new < HOPE * (cost - rival) else 0
+            if slow == SLOW:
+                break
             if new < cost:
                 at, found = then, tried
                 taken, cost = cost - new, new

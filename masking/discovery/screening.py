@@ -9,6 +9,7 @@ Source: Frisch and Waugh (1933), Econometrica 1(4), for regression with some col
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -180,19 +181,8 @@ class Screen:
 
     def promises(self, candidates: Sequence[Candidate]) -> list[Promise]:
         """Return what each candidate could take off, the best first."""
-        jobs = [(candidate, slot) for candidate in candidates for slot in candidate.slots]
         found: dict[int, Promise] = {}
-        chunk: list[tuple[Candidate, Slot, Array, Array]] = []
-        many = 0
-        for candidate, slot in jobs:
-            features, at = self._features(candidate, slot)
-            features = _thinned(features, self.thin)
-            if many + features.shape[1] > MOST_COLUMNS:
-                self._settle(chunk, found)
-                chunk, many = [], 0
-            chunk.append((candidate, slot, features, at))
-            many += features.shape[1]
-        self._settle(chunk, found)
+        self._settle([(candidate, slot) for candidate in candidates for slot in candidate.slots], found)
         self._zoom(found)
         best = max((promise.gain for promise in found.values()), default=0.0)
         near = [p for p in found.values() if p.gain > NEAR * best and _has_shape(p.candidate)]
@@ -203,13 +193,12 @@ class Screen:
     def _zoom(self, found: dict[int, Promise]) -> None:
         """Look nearer at the steps of converters, whose effect has no slope to follow."""
         for width in ZOOMS:
-            for promise in [p for p in found.values() if p.candidate.effect == "dac_quantisation" and p.gain > 0.0]:
-                chunk = []
-                for part in np.linspace(-width, width, 9):
-                    slot = promise.slot.with_values((0,), (promise.slot.values[0] * (1.0 + part),))
-                    features, at = self._features(promise.candidate, slot)
-                    chunk.append((promise.candidate, slot, _thinned(features, self.thin), at))
-                self._settle(chunk, found)
+            near = [p for p in found.values() if p.candidate.effect == "dac_quantisation" and p.gain > 0.0]
+            parts = 1.0 + np.linspace(-width, width, 9)
+            self._settle(
+                [(p.candidate, p.slot.with_values((0,), (p.slot.values[0] * part,))) for p in near for part in parts],
+                found,
+            )
 
     def _sharpened(self, promises: Sequence[Promise]) -> dict[int, Promise]:
         """Return promises whose shapes are brought to their best values, by the method of Levenberg and Marquardt."""
@@ -250,10 +239,29 @@ class Screen:
             active = going
         return best
 
-    def _settle(self, chunk: list[tuple[Candidate, Slot, Array, Array]], found: dict[int, Promise]) -> None:
-        if not chunk:
-            return
-        candidates, slots, features, at = zip(*chunk, strict=True)
+    def _settle(self, jobs: Sequence[tuple[Candidate, Slot]], found: dict[int, Promise]) -> None:
+        """Judge slots of candidates, and keep the best of each candidate."""
+        chunks: list[list[tuple[Candidate, Slot]]] = [[]]
+        many = 0
+        for candidate, slot in jobs:
+            columns = len(self.rig.twin.actuators) if candidate.effect == laws.DELAY else max(1, len(candidate.factors))
+            if many + columns > MOST_COLUMNS:
+                chunks.append([])
+                many = 0
+            chunks[-1].append((candidate, slot))
+            many += columns
+        with ThreadPoolExecutor(2) as pool:
+            for promises in pool.map(self._judged, filter(None, chunks)):
+                for promise in promises:
+                    before = found.get(id(promise.candidate))
+                    if before is None or promise.gain > before.gain:
+                        found[id(promise.candidate)] = promise
+
+    def _judged(self, jobs: Sequence[tuple[Candidate, Slot]]) -> list[Promise]:
+        """Return what slots of candidates take off; their columns together are at most `MOST_COLUMNS`."""
+        candidates, slots = zip(*jobs, strict=True)
+        features, at = zip(*(self._features(candidate, slot) for candidate, slot in jobs), strict=True)
+        features = tuple(_thinned(table, self.thin) for table in features)
         tables = [
             table.sum(axis=2, keepdims=True) if candidate.effect == laws.DELAY else table
             for candidate, table in zip(
@@ -268,16 +276,14 @@ class Screen:
         squares = np.einsum("ij,ij->j", rows, rows)
         gram, right = rows.T @ rows - known.T @ known, rows.T @ self.left[: len(rows)]
         beyond = np.maximum(squares - (possible**2).sum(axis=0), 0.0)
-        first = 0
-        for (candidate, slot, _, _), count in zip(chunk, sizes, strict=True):
+        made, first = [], 0
+        for (candidate, slot), count in zip(jobs, sizes, strict=True):
             part = slice(first, first + count)
             first += count
             total = float(squares[part].sum())
             own = float(np.sqrt(beyond[part].sum() / total)) if total > 0.0 else 0.0
-            promise = self._judge(Promise(candidate, slot, 0.0, own), gram[part, part], right[part], squares[part])
-            before = found.get(id(candidate))
-            if before is None or promise.gain > before.gain:
-                found[id(candidate)] = promise
+            made.append(self._judge(Promise(candidate, slot, 0.0, own), gram[part, part], right[part], squares[part]))
+        return made
 
     def _judge(self, nothing: Promise, gram: Array, right: Array, squares: Array) -> Promise:
         """Return what a slot takes off.

@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from masking.discovery import fitting, laws
 from masking.discovery.candidates import FACTORS, Candidate, Span, candidates
-from masking.discovery.evidence import Belief, Evidence
+from masking.discovery.evidence import Evidence
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.opened import Slot
 from masking.discovery.screening import Promise, Screen
@@ -114,7 +115,7 @@ class Search:
     def run(self) -> Found:
         """Search for causes, one after the other, until nothing pays."""
         self.tell("fitting the model as it is", 0.0)
-        plain = self._fit((), None, None)
+        plain = fitting.fit(self.evidence)
         base = Explanation("none", (), plain)
         self.tell("smoothing the motion", 0.1)
         motion = smooth(self.evidence, base.hypothesis.theta, base.hypothesis.start)
@@ -148,12 +149,7 @@ class Search:
         self, now: Explanation, promises: Sequence[Promise], screen: Screen, *, parameters: bool
     ) -> list[Explanation]:
         """Return explanations with one more cause, best first; none where the best is no better than chance."""
-        jobs: list[Callable[[], Explanation]] = []
-        if parameters:
-            gains = self._releases(now.hypothesis)
-            for i in np.argsort(-gains)[:3]:
-                if gains[i] > WRONG:
-                    jobs.append(lambda i=int(i): self._released(now, i))  # type: ignore[misc]
+        jobs: list[Callable[[float], Explanation]] = []
         noise = float(self.evidence.record.readings.size // screen.every)
         best = max([promise.gain for promise in promises] + [*self._releases(now.hypothesis)], default=0.0)
         least = max(screen.total - best - noise, 0.05 * noise)
@@ -169,10 +165,18 @@ class Search:
         simpler = {(e, at) for effect, at in keys for e in SIMPLER.get(effect, ())} - keys - {*now.names}
         chosen += [promise for promise in promises if promise.candidate.key in simpler]
         for promise in chosen:
-            jobs.append(lambda p=promise: self._added(now, p, screen.around(p.slot)))  # type: ignore[misc]
+            jobs.append(lambda rival, p=promise: self._added(now, p, screen.around(p.slot), rival))  # type: ignore[misc]
+        if parameters:
+            gains = self._releases(now.hypothesis)
+            for i in np.argsort(-gains)[:3]:
+                if gains[i] > WRONG:
+                    jobs.append(lambda rival, i=int(i): self._released(now, i, rival))  # type: ignore[misc]
         self.tell(f"fitting {len(jobs)} of them", 0.3)
+        found: list[Explanation] = []
         with ThreadPoolExecutor(2) as pool:
-            found = [e for e in pool.map(self._tried, jobs) if e is not None]
+            for some in (jobs[:2], jobs[2:]):  # the most promising set the mark for the others
+                rival = min((e.hypothesis.cost for e in found), default=np.inf)
+                found += [e for e in pool.map(partial(self._tried, rival=rival), some) if e is not None]
         if not found:
             return []
         heat = temperature(self.evidence, min(found, key=lambda e: e.hypothesis.cost).hypothesis)
@@ -207,9 +211,9 @@ class Search:
         return explanation.hypothesis.cost <= CLEAN**2 * self.evidence.record.readings.size
 
     @staticmethod
-    def _tried(job: Callable[[], Explanation]) -> Explanation | None:
+    def _tried(job: Callable[[float], Explanation], rival: float) -> Explanation | None:
         try:
-            return job()
+            return job(rival)
         except IntegrationError:
             return None
 
@@ -228,10 +232,13 @@ class Search:
         for i in range(len(best.names) - 1):
             names, others = _without(best, i)
             self.tell(f"trying others than {best.names[i][0]}", 0.9)
-            promises = Screen(self.evidence, base.hypothesis, motion, others).promises(every)
-            for promise in [p for p in promises if p.candidate.key not in best.names][:SWAPS]:
+            screen = Screen(self.evidence, base.hypothesis, motion, others)
+            noise = float(self.evidence.record.readings.size // screen.every)
+            most = WORTH * max(best.hypothesis.cost / screen.every - noise, 0.05 * noise) + 1.3 * noise
+            promises = [p for p in screen.promises(every) if p.candidate.key not in best.names]
+            for promise in [p for p in promises if screen.total - p.gain < most][:SWAPS]:
                 try:
-                    found = self._fit((promise.slot, *others), best.hypothesis.theta, best.hypothesis.start)
+                    found = self._fit((promise.slot, *others), best.hypothesis, best.hypothesis.cost)
                 except IntegrationError:
                     continue
                 heat, whole = temperature(self.evidence, found), (promise.candidate.key, *names)
@@ -251,7 +258,7 @@ class Search:
         for i in reversed(range(len(best.names))):
             names, slots = _without(best, i)
             try:
-                less = self._fit(slots, best.hypothesis.theta, best.hypothesis.start)
+                less = self._fit(slots, best.hypothesis, best.hypothesis.cost)
             except IntegrationError:
                 continue
             heat, fewer = temperature(self.evidence, best.hypothesis), Explanation("effects", names, less, best.own)
@@ -259,22 +266,19 @@ class Search:
                 return self._reduced(fewer)
         return best
 
-    def _fit(
-        self, slots: tuple[Slot, ...], theta: Array | None, start: Array | None, belief: Belief | None = None
-    ) -> Hypothesis:
-        evidence = self.evidence if belief is None else replace(self.evidence, belief=belief)
-        return fitting.fit(evidence, slots, theta=theta, start=start)
+    def _fit(self, slots: tuple[Slot, ...], like: Hypothesis, rival: float) -> Hypothesis:
+        return fitting.fit(self.evidence, slots, theta=like.theta, start=like.start, rival=rival)
 
-    def _added(self, now: Explanation, promise: Promise, around: tuple[Array, Array]) -> Explanation:
+    def _added(self, now: Explanation, promise: Promise, around: tuple[Array, Array], rival: float) -> Explanation:
         """Return a fit with one more effect, from parameters as they are or as screening has them."""
         slots, here = (*now.hypothesis.slots, promise.slot), (now.hypothesis.theta, now.hypothesis.start)
-        begin = min((here, around), key=lambda at: fitting.cost(self.evidence, slots, *at))
-        found = self._fit(slots, *begin)
+        theta, start = min((here, around), key=lambda at: fitting.cost(self.evidence, slots, *at))
+        found = fitting.fit(self.evidence, slots, theta=theta, start=start, rival=rival)
         return Explanation("effects", (*now.names, promise.candidate.key), found, promise.own)
 
-    def _released(self, now: Explanation, index: int) -> Explanation:
-        belief = self.evidence.belief.released(index)
-        found = self._fit((), now.hypothesis.theta, now.hypothesis.start, belief)
+    def _released(self, now: Explanation, index: int, rival: float) -> Explanation:
+        free = replace(self.evidence, belief=self.evidence.belief.released(index))
+        found = fitting.fit(free, theta=now.hypothesis.theta, start=now.hypothesis.start, rival=rival)
         return Explanation("parameter", ((self.evidence.rig.names[index], ""),), found)
 
     def _releases(self, hypothesis: Hypothesis) -> Array:
