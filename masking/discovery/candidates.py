@@ -16,7 +16,7 @@ from masking.discovery.opened import OpenRig, Slot
 from masking.effects import EFFECTS, Effect, EffectParameter
 
 BRISTLES = 3e-3  # s: damping of bristles for their stiffness, to begin with
-SHARP = 5e-5  # m/s, or another unit of rate: where friction turns round at once
+TURNS = (1e-3, 1e-4, 1e-5)  # m/s, or another unit of rate, over which friction turns round
 EDGES = (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)  # parts of the travel at which a contact is tried
 MOST_LEVELS = 10.0  # steps of a converter from the middle to the end of its range that are tried
 
@@ -103,6 +103,10 @@ def _bristles(more: float) -> Shapes:
     return shapes
 
 
+def _turning(vs: float) -> Shapes:
+    return lambda span: [{"vs": vs}]
+
+
 def _bends(span: Span) -> list[Mapping[str, float]]:
     """Return shapes of a general hysteresis: a path back that bends soon or late, and yields or opens."""
     return [{"x0": part * span.size, "delta": delta} for part in (0.15, 0.6, 2.4) for delta in (-1.3, 0.0)]
@@ -129,7 +133,7 @@ RECIPES: dict[str, tuple[_Recipe, ...]] = {
     "hardening_spring": (_Recipe(("k3",)),),
     "viscous_damping": (_Recipe(("c",)),),
     "quadratic_damping": (_Recipe(("c",)),),
-    "dry_friction": (_Recipe(("fc",)), _Recipe(("fc",), (), lambda span: [{"vs": SHARP}])),
+    "dry_friction": tuple(_Recipe(("fc",), (), _turning(vs)) for vs in TURNS),
     "asymmetric_friction": (_Recipe(("fp", "fm")),),
     "stribeck_friction": (_Recipe(("fc", "fs"), ("vst",), _rates("vst", 0.05, 0.15, 0.4, 0.8)),),
     "lugre_friction": tuple(_Recipe(("s0",), ("fc", "fs", "vst", "s1"), _bristles(more)) for more in (1.2, 2.0)),
