@@ -41,7 +41,7 @@ CAUSES: Final[Mapping[str, frozenset[str]]] = {
             "local_friction",
         }
     ),
-    "hysteresis": frozenset({"hysteresis"}),
+    "hysteresis": frozenset({"hysteresis", "bouc_wen_hysteresis"}),
     "backlash": frozenset({"backlash"}),
     "end stop": frozenset({"stop"}),
     "periodic force": frozenset({"periodic_force"}),
