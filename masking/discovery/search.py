@@ -163,7 +163,8 @@ class Search:
                 chosen.append(promise)
         keys = {promise.candidate.key for promise in chosen}
         simpler = {(e, at) for effect, at in keys for e in SIMPLER.get(effect, ())} - keys - {*now.names}
-        chosen += [promise for promise in promises if promise.candidate.key in simpler]
+        kin = simpler | (keys & {(e, at) for names in SIMPLER.values() for e in names for _, at in keys})
+        chosen += [p for p in promises if p.candidate.key in kin and all(p is not one for one in chosen)]
         for promise in chosen:
             jobs.append(lambda rival, p=promise: self._added(now, p, screen.around(p.slot), rival))  # type: ignore[misc]
         if parameters:
