@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 
@@ -71,50 +71,40 @@ def _add_of_records(sub: argparse.ArgumentParser) -> None:
 
 def _discover(chosen: argparse.Namespace) -> int:
     out = Path(chosen.out or "results/discovered")
-    if chosen.json and chosen.json is not True:
-        verbs.check_folder(Path(chosen.json).parent)
-    raise_interrupts()
+    _prepare(chosen)
     with Bar("reading the record") as bar:
-        found, files = verbs.discovered(
-            chosen.record,
-            model=chosen.model,
-            plant=chosen.plant,
-            validation=chosen.validate,
-            parameters=names(chosen.parameters),
-            tolerance=chosen.tolerance,
-            horizon=chosen.horizon,
-            between=chosen.between,
-            columns=formats.mapping(chosen.map),
-            dt=chosen.dt,
-            effects=chosen.effects,
-            out=out,
-            tell=bar.tell,
-        )
+        found, files = verbs.discovered(chosen.record, model=chosen.model, out=out, tell=bar.tell, **_settings(chosen))
     return _tell(chosen.json, out / NUMBERS, lambda: pages.summary(found, files))
 
 
 def _refine(chosen: argparse.Namespace) -> int:
     out = Path(chosen.out or f"results/{Path(chosen.experiment).stem}_refined")
+    _prepare(chosen)
+    with Bar("reading the record") as bar:
+        found = verbs.refine(chosen.experiment, record=chosen.record, out=out, tell=bar.tell, **_settings(chosen))
+    return _tell(chosen.json, out / "refine.json", lambda: str(found))
+
+
+def _prepare(chosen: argparse.Namespace) -> None:
+    """Refuse a file for JSON that cannot be written, before any work, and let signals interrupt."""
     if chosen.json and chosen.json is not True:
         verbs.check_folder(Path(chosen.json).parent)
     raise_interrupts()
-    with Bar("reading the record") as bar:
-        found = verbs.refine(
-            chosen.experiment,
-            record=chosen.record,
-            plant=chosen.plant,
-            out=out,
-            validation=chosen.validate,
-            parameters=names(chosen.parameters),
-            tolerance=chosen.tolerance,
-            horizon=chosen.horizon,
-            between=chosen.between,
-            columns=formats.mapping(chosen.map),
-            dt=chosen.dt,
-            effects=chosen.effects,
-            tell=bar.tell,
-        )
-    return _tell(chosen.json, out / "refine.json", lambda: str(found))
+
+
+def _settings(chosen: argparse.Namespace) -> dict[str, Any]:
+    """Return what is said of records, and of the model that is held against them."""
+    return {
+        "plant": chosen.plant,
+        "validation": chosen.validate,
+        "parameters": names(chosen.parameters),
+        "tolerance": chosen.tolerance,
+        "horizon": chosen.horizon,
+        "between": chosen.between,
+        "columns": formats.mapping(chosen.map),
+        "dt": chosen.dt,
+        "effects": chosen.effects,
+    }
 
 
 def _tell(wanted: str | bool, numbers: Path, summary: Callable[[], str]) -> int:

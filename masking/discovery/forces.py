@@ -174,12 +174,10 @@ def _without(found: Discovery, motion: Motion) -> Motion:
     """Return a motion whose lacking forces are less by what the causes give along it."""
     forces = motion.forces.copy()
     for slot in found.explanation.hypothesis.slots:
-        where = slot.where
-        at = (
-            [*range(len(found.twin.actuators))] if not slot.at else [] if where == "sensor" else [found.rig.index(slot)]
-        )
-        for i in at:
-            if where == "actuator":
+        if slot.where == "sensor":
+            continue
+        for i in [found.rig.index(slot)] if slot.at else range(len(found.twin.actuators)):
+            if slot.where == "actuator":
                 x = found.record.acting[:, i]
                 law, column = along(found, slot, x, np.zeros_like(x)) - x, found.rig.columns[2][i]
             else:

@@ -52,6 +52,7 @@ SIMPLER = {  # of what each is nearly the same where its further parameters do l
     "local_friction": ("dry_friction",),
     "lugre_friction": ("dry_friction", "stribeck_friction"),
 }
+SIMPLE = {effect for kin in SIMPLER.values() for effect in kin}
 SMALL = 4.0  # cost per reading below which what is left of a fit is small enough to be looked at by itself
 
 
@@ -150,28 +151,24 @@ class Search:
     ) -> list[Explanation]:
         """Return explanations with one more cause, best first; none where the best is no better than chance."""
         jobs: list[Callable[[float], Explanation]] = []
-        noise = float(self.evidence.record.readings.size // screen.every)
-        best = max([promise.gain for promise in promises] + [*self._releases(now.hypothesis)], default=0.0)
-        least = max(screen.total - best - noise, 0.05 * noise)
+        gains = self._releases(now.hypothesis)
+        best = max([promise.gain for promise in promises] + [*gains], default=0.0)
+        most = self._worth(screen, screen.total - best)
         chosen: list[Promise] = []
         for promise in promises:
-            left = screen.total - promise.gain - noise
             pays = promise.gain > self.price * len(promise.candidate.free) + 0.5 * SIGN
             if promise.candidate.key in now.names or not pays or len(chosen) == FITTED:
                 continue
-            if left < WORTH * least + 0.3 * noise or len(chosen) < FEWEST:
+            if screen.total - promise.gain < most or len(chosen) < FEWEST:
                 chosen.append(promise)
         keys = {promise.candidate.key for promise in chosen}
         simpler = {(e, at) for effect, at in keys for e in SIMPLER.get(effect, ())} - keys - {*now.names}
-        kin = simpler | (keys & {(e, at) for names in SIMPLER.values() for e in names for _, at in keys})
+        kin = simpler | {key for key in keys if key[0] in SIMPLE}
         chosen += [p for p in promises if p.candidate.key in kin and all(p is not one for one in chosen)]
         for promise in chosen:
-            jobs.append(lambda rival, p=promise: self._added(now, p, screen.around(p.slot), rival))  # type: ignore[misc]
+            jobs.append(partial(self._added, now, promise, screen))
         if parameters:
-            gains = self._releases(now.hypothesis)
-            for i in np.argsort(-gains)[:3]:
-                if gains[i] > WRONG:
-                    jobs.append(lambda rival, i=int(i): self._released(now, i, rival))  # type: ignore[misc]
+            jobs += [partial(self._released, now, int(i)) for i in np.argsort(-gains)[:3] if gains[i] > WRONG]
         self.tell(f"fitting {len(jobs)} of them", 0.3)
         found: list[Explanation] = []
         with ThreadPoolExecutor(2) as pool:
@@ -185,10 +182,15 @@ class Search:
         for explanation in sorted(found, key=lambda e: e.score(heat)):
             merged.setdefault(tuple(sorted(explanation.names)), explanation)
         # Of what is the same, a parameter of the rig comes first.
-        ranked = sorted(merged.values(), key=lambda e: e.score(heat) - (0.5 * self.price if _is_wrong(e) else 0.0))
-        if now.score(heat) - ranked[0].score(heat) < (WRONG if _is_wrong(ranked[0]) else SIGN):
+        ranked = sorted(merged.values(), key=lambda e: e.score(heat) - 0.5 * self.price * (e.kind == "parameter"))
+        if now.score(heat) - ranked[0].score(heat) < (WRONG if ranked[0].kind == "parameter" else SIGN):
             return []
         return self._simplest_first(now, ranked)
+
+    def _worth(self, screen: Screen, left: float) -> float:
+        """Return what a candidate may leave of a screen's cost to be fitted, where the best leaves so much."""
+        noise = float(self.evidence.record.readings.size // screen.every)
+        return WORTH * max(left - noise, 0.05 * noise) + 1.3 * noise
 
     def _simplest_first(self, now: Explanation, ranked: list[Explanation]) -> list[Explanation]:
         """Return explanations without the richer ones, where a simpler kin of the best takes nearly as much.
@@ -234,8 +236,7 @@ class Search:
             names, others = _without(best, i)
             self.tell(f"trying others than {best.names[i][0]}", 0.9)
             screen = Screen(self.evidence, base.hypothesis, motion, others)
-            noise = float(self.evidence.record.readings.size // screen.every)
-            most = WORTH * max(best.hypothesis.cost / screen.every - noise, 0.05 * noise) + 1.3 * noise
+            most = self._worth(screen, best.hypothesis.cost / screen.every)
             promises = [p for p in screen.promises(every) if p.candidate.key not in best.names]
             for promise in [p for p in promises if screen.total - p.gain < most][:SWAPS]:
                 try:
@@ -270,10 +271,10 @@ class Search:
     def _fit(self, slots: tuple[Slot, ...], like: Hypothesis, rival: float) -> Hypothesis:
         return fitting.fit(self.evidence, slots, theta=like.theta, start=like.start, rival=rival)
 
-    def _added(self, now: Explanation, promise: Promise, around: tuple[Array, Array], rival: float) -> Explanation:
+    def _added(self, now: Explanation, promise: Promise, screen: Screen, rival: float) -> Explanation:
         """Return a fit with one more effect, from parameters as they are or as screening has them."""
         slots, here = (*now.hypothesis.slots, promise.slot), (now.hypothesis.theta, now.hypothesis.start)
-        theta, start = min((here, around), key=lambda at: fitting.cost(self.evidence, slots, *at))
+        theta, start = min((here, screen.around(promise.slot)), key=lambda at: fitting.cost(self.evidence, slots, *at))
         found = fitting.fit(self.evidence, slots, theta=theta, start=start, rival=rival)
         return Explanation("effects", (*now.names, promise.candidate.key), found, promise.own)
 
@@ -340,15 +341,11 @@ def temperature(evidence: Evidence, hypothesis: Hypothesis) -> float:
     found = 1.0
     for column, sigma in zip(hypothesis.residuals.T, evidence.sigma, strict=True):
         found = max(found, float((column**2).mean() / sigma**2))
-        for length in {BLOCK, evidence.begin if evidence.horizon else BLOCK}:
+        for length in {BLOCK, evidence.horizon or BLOCK}:
             blocks = column[: len(column) // length * length].reshape(-1, length).mean(axis=1)
             slow = float((blocks**2).mean() * length / sigma**2)
             found = max(found, slow if slow > 1.3 else 1.0)
     return found
-
-
-def _is_wrong(explanation: Explanation) -> bool:
-    return explanation.kind == "parameter"
 
 
 def occam(hypothesis: Hypothesis, temperature: float = 1.0) -> float:
