@@ -42,6 +42,7 @@ CAUSES: Final[Mapping[str, frozenset[str]]] = {
         }
     ),
     "hysteresis": frozenset({"hysteresis", "bouc_wen_hysteresis"}),
+    "mass": frozenset({"added_mass"}),
     "backlash": frozenset({"backlash"}),
     "end stop": frozenset({"stop"}),
     "periodic force": frozenset({"periodic_force"}),

@@ -167,24 +167,33 @@ class Equations:
         residual = sp.Matrix([residuals[i] for i in order])
         zero = dict.fromkeys(self.symbols.a, 0)
         mass = residual.jacobian(self.symbols.a) if self.coordinates else sp.zeros(0, 0)
+        self._check_linear(mass)
+        return sp.ImmutableMatrix(mass), sp.ImmutableMatrix(-residual.subs(zero))
+
+    def _check_linear(self, mass: sp.Matrix) -> None:
+        """Refuse equations that are not linear in the accelerations."""
         if mass.free_symbols & set(self.symbols.a):
             names = ", ".join(sorted(s.name for s in mass.free_symbols & set(self.symbols.a)))
             raise ModelError(
                 f"{self.name}: the equations are not linear in {names}; accelerations may appear on both sides, "
                 "but only to the first power"
             )
-        return sp.ImmutableMatrix(mass), sp.ImmutableMatrix(-residual.subs(zero))
 
     def _euler_lagrange(self, lagrangian: sp.Expr) -> tuple[sp.ImmutableMatrix, sp.ImmutableMatrix]:
-        """Return M and f of d/dt dL/dv - dL/dq = Q - dR/dv, with Rayleigh's dissipation R and forces Q."""
+        """Return M and f of d/dt dL/dv - dL/dq = Q - dR/dv, with Rayleigh's dissipation R and forces Q.
+
+        Forces may hold accelerations to the first power, as those of an added mass do.
+        """
         s, declaration = self.symbols, self.declaration
         dissipation = self.symbolic(declaration.dissipation) if declaration.dissipation is not None else sp.Integer(0)
-        mass, force = sp.zeros(len(s.q), len(s.q)), sp.zeros(len(s.q), 1)
+        mass, force, inertia = sp.zeros(len(s.q), len(s.q)), sp.zeros(len(s.q), 1), sp.zeros(len(s.q), len(s.q))
         for i, name in enumerate(self.coordinates):
             momentum = sp.diff(lagrangian, s.v[i])
             for j in range(len(s.q)):
                 mass[i, j] = sp.diff(momentum, s.v[j])
-            applied = self.symbolic(declaration.forces[name]) if name in declaration.forces else 0
+            applied = self.symbolic(declaration.forces[name]) if name in declaration.forces else sp.Integer(0)
+            inertia[i, :] = sp.Matrix([[-sp.diff(applied, a) for a in s.a]])
+            applied = applied.subs(dict.fromkeys(s.a, 0))
             gyroscopic = sum(sp.diff(momentum, q) * v for q, v in zip(s.q, s.v, strict=True)) + sp.diff(momentum, s.t)
             gyroscopic += sum(sp.diff(momentum, z) * rate for z, rate in zip(s.s, self.rates, strict=True))
             force[i] = applied - sp.diff(dissipation, s.v[i]) + sp.diff(lagrangian, s.q[i]) - gyroscopic
@@ -193,7 +202,8 @@ class Equations:
             raise ModelError(
                 f"{self.name}: the Lagrangian has no kinetic energy in {massless}'; give {massless} a mass"
             )
-        return sp.ImmutableMatrix(mass), sp.ImmutableMatrix(force)
+        self._check_linear(inertia)
+        return sp.ImmutableMatrix(mass + inertia), sp.ImmutableMatrix(force)
 
 
 class _Symbolic:

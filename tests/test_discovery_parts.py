@@ -6,17 +6,21 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from masking.discovery import fitting
+from masking.declaration import catalogue
+from masking.declaration.dimensions import is_plain
+from masking.discovery import asked, fitting
 from masking.discovery.candidates import candidates
 from masking.discovery.discover import believed, steps_of
 from masking.discovery.evidence import Evidence
 from masking.discovery.opened import OpenRig, Slot
-from masking.discovery.places import places
+from masking.discovery.places import opened, places
 from masking.discovery.screening import Screen
 from masking.discovery.search import Search, occam
 from masking.discovery.smoothing import smooth
+from masking.effects import attach
+from masking.errors import DeclarationError
 from masking.identification.data import Data
-from masking.model import load_model
+from masking.model import Model, load_model
 from masking.twin import Twin
 from tests.test_discovery import PLANT
 
@@ -26,6 +30,8 @@ SLOTS = {
     "hysteresis": Slot("hysteresis", "beam", (10.0, 1e-3, 0.5, 2.0), (0, 1)),
     "a stop": Slot("stop", "spring2", (50.0, 1e-3, 0.0, 1.0), (0, 1)),
     "a spring between oscillators": Slot("linear_spring", "x1-x2", (5.0,), (0,)),
+    "an added mass": Slot("added_mass", "x1", (0.05,), (0,)),
+    "an inertia between oscillator and beam": Slot("added_mass", "spring2", (0.3,), (0,)),
     "a lag of a sensor": Slot("sensor_lag", "s2", (0.004,), (0,)),
     "a bent sensor": Slot("sensor_cubic", "s1", (0.1,), (0,)),
     "a lag of an actuator": Slot("actuator_lag", "V3", (0.01,), (0,)),
@@ -132,6 +138,41 @@ def test_two_coordinates_push_each_other_by_their_masses():
     values = {name: model.value(name) for name in ("mu1", "mu2")}
     acts = {name: factor.evaluate(values) for name, factor in found["x1-x2"].element.acts.items()}
     assert values["mu1"] * acts["x1"] + values["mu2"] * acts["x2"] == pytest.approx(0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("name", catalogue.names("model"))
+def test_every_packaged_model_has_a_place_at_each_coordinate(name):
+    # pushed by 1 in the unit of its place, each coordinate gets what its equation divides by
+    twin = asked.rig(name, None)
+    rig = OpenRig(twin, twin.equation_parameters())
+    assert rig.start.shape == (len(rig.names),)
+    assert len(rig.coordinate_places) == len(rig.coordinates)
+    units = UNITS.get(name, dict.fromkeys(rig.coordinates, "1" if is_plain(twin.base) else "m/s**2"))
+    assert {rig.places[i].coordinate: rig.places[i].element.unit for i in rig.coordinate_places} == units
+
+
+UNITS = {
+    "pendula": {"th1": "N*m", "th2": "N*m", "x": "N"},
+    "setup_lagrangian": {"x1": "N", "x2": "N", "x3": "N"},
+}
+
+
+def test_a_place_acts_in_an_equation_with_a_factor():
+    twin = asked.rig("duffing_enoc", None)
+    model = opened(twin.base)[0]
+    pushed = Model(attach(model, "constant_force", "x3_place", "f", {"f0": 1.0}))
+    out, rest, values = np.empty(3), np.zeros(3), pushed.values()
+    pushed.kernels.accelerations(0.0, rest, rest, np.zeros(0), values, out)
+    np.testing.assert_allclose(out, [0.0, 0.0, -1.0 / 0.8])
+
+
+def test_a_coordinate_without_an_equation_of_its_own_is_refused(tmp_path):
+    (tmp_path / "both.yaml").write_text(
+        "name: both\ncoordinates: {x: '', y: ''}\nequations: {x'' + y'': -x, y'': -y}\n"
+    )
+    twin = asked.rig(tmp_path / "both.yaml", None)
+    with pytest.raises(DeclarationError, match="no equation has x'' and no other acceleration on its left side"):
+        places(twin.base)
 
 
 def test_the_smoother_finds_a_force_and_how_well_it_is_known(evidence):

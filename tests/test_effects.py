@@ -24,7 +24,7 @@ from masking.model import Model, load_model
 
 IN_ELEMENTS = [name for name, effect in EFFECTS.items() if effect.where == "element"]
 OUTSIDE = [name for name, effect in EFFECTS.items() if effect.where in {"sensor", "actuator"}]
-LETTERS = {"element": ("d", "d_rate", "t"), "sensor": ("s", "xi"), "actuator": ("u",), "loop": ()}
+LETTERS = {"element": ("d", "d_rate", "d_acc", "t"), "sensor": ("s", "xi"), "actuator": ("u",), "loop": ()}
 SIZES = st.floats(-1.0, 1.0)
 
 
@@ -80,7 +80,7 @@ class TestDictionary:
             assert least is None or least <= low
             assert most is None or high <= most
         names = {*effect.parameters, *effect.states}
-        assert not names & {"d", "v", "f", "on", "s", "u", "xi", "t", "d_rate", "label", "at", "effect"}
+        assert not names & {"d", "v", "f", "on", "s", "u", "xi", "t", "d_rate", "d_acc", "label", "at", "effect"}
 
     @pytest.mark.parametrize("name", [name for name in EFFECTS if EFFECTS[name].expression])
     def test_its_expressions_are_over_what_is_there(self, name):
@@ -145,6 +145,49 @@ class TestLaws:
         assert derivative(model, 0.0, [0.0, 1.0])[1] == -0.2
         assert force("quadratic_damping", d_rate=-3.0, c=2.0) == -18.0
         assert force("constant_force", f0=2.5) == 2.5
+
+    @pytest.mark.parametrize("is_lagrangian", [False, True])
+    def test_an_added_mass_slows_a_spring_down(self, declared, is_lagrangian):
+        # w^2 = k/(m0 + m), also where both masses are of the equation of a factor
+        parts = {"equations": {"m0*x''": "-k*x"}} if not is_lagrangian else {"lagrangian": "m0*x'**2/2 - k*x**2/2"}
+        model = declared(
+            coordinates={"x": {"initial": 1.0}},
+            parameters={"m0": 2.0, "k": 3.0},
+            elements={"spring": {"displacement": "x", "acts": {"x": -1}}},
+            **parts,
+        ).attach("added_mass", "spring", label="more", m=0.5)
+        times = np.linspace(0.0, 9.0, 19)
+        np.testing.assert_allclose(model.simulate(times)["x"], np.cos(math.sqrt(3.0 / 2.5) * times), atol=1e-8)
+        bare = model.with_parameters(more_on=0.0).simulate(times)["x"]
+        np.testing.assert_allclose(bare, np.cos(math.sqrt(1.5) * times), atol=1e-8)
+
+    def test_an_inertia_between_two_leaves_their_momentum(self, declared):
+        # m1 x1'' + m2 x2'' = 0, and with mu = m1 m2/(m1 + m2) the distance has w^2 = k/(mu + m)
+        m1, m2, k, m = 1.0, 3.0, 2.0, 0.4
+        model = declared(
+            coordinates={"x1": {"initial": 1.0}, "x2": {"initial": 0.0}},
+            equations={"x1''": f"-{k / m1}*(x1 - x2)", "x2''": f"{k / m2}*(x1 - x2)"},
+            elements={"spring": {"displacement": "x1 - x2", "acts": {"x1": -1.0 / m1, "x2": 1.0 / m2}}},
+        ).attach("added_mass", "spring", m=m)
+        times = np.linspace(0.0, 9.0, 19)
+        run, speed = model.simulate(times), math.sqrt(k / (m1 * m2 / (m1 + m2) + m))
+        np.testing.assert_allclose(run["x1"] - run["x2"], np.cos(speed * times), atol=1e-8)
+        np.testing.assert_allclose(m1 * run["x1"] + m2 * run["x2"], m1, atol=1e-8)
+
+    @pytest.mark.parametrize("is_lagrangian", [False, True])
+    def test_a_mass_at_the_end_of_an_arm_keeps_its_energy(self, declared, is_lagrangian):
+        # d = l sin(th) of a free arm of inertia 1: (1 + m (l cos th)^2) th'^2 is conserved
+        parts = {"equations": {"th''": "0"}} if not is_lagrangian else {"lagrangian": "th'**2/2"}
+        model = declared(
+            coordinates={"th": {"initial": 0.4, "initial_velocity": 0.7}},
+            parameters={"l": 2.0},
+            elements={"end": {"displacement": "l*sin(th)", "acts": {"th": "-l*cos(th)"}}},
+            **parts,
+        ).attach("added_mass", "end", m=0.8)
+        run = model.simulate(np.linspace(0.0, 8.0, 17))
+        energy = (1.0 + 0.8 * (2.0 * np.cos(run["th"])) ** 2) * run["th'"] ** 2
+        np.testing.assert_allclose(energy, energy[0], rtol=1e-8)
+        assert np.ptp(run["th'"]) > 0.3
 
     def test_friction_of_stribeck_falls_from_the_static_to_the_sliding_force(self):
         parameters = {"fc": 1.0, "fs": 2.0, "vst": 1e-2, "vs": 1e-6}
@@ -643,11 +686,23 @@ class TestElements:
             coordinates={"x": ""},
             equations={"2*x''": "-x"},
             elements={"e": {"displacement": "x", "acts": {"x": -1}}},
+        ).attach("constant_force", "e", f0=3.0)
+        assert derivative(model, 0.0, [0.0, 0.0])[1] == -1.5
+        model = declared(
+            coordinates={"x": "", "y": ""},
+            equations={"x'' + y''": "-x", "y''": "-y"},
+            elements={"e": {"displacement": "x", "acts": {"x": -1, "y": 1}}},
         )
         assert [str(problem) for problem in check_model(model.declaration)] == [
-            "elements.e.acts.x: no equation has the left side x''; an element acts in explicit equations, or in those "
-            "of a lagrangian"
+            "elements.e.acts.x: no equation has x'' and no other acceleration on its left side; a force on x acts in "
+            "such an equation, as x'': ..., or in those of a lagrangian"
         ]
+
+    def test_its_force_may_hold_accelerations_to_the_first_power(self, declared):
+        parts = {"coordinates": {"x": {}}, "lagrangian": "x'**2/2 - x**2/2"}
+        assert derivative(declared(**parts, forces={"x": "-3*x''"}), 0.0, [1.0, 0.0])[1] == -0.25
+        with pytest.raises(ModelError, match="not linear in x''"):
+            declared(**parts, forces={"x": "-x''**2"}).validate()
 
     @pytest.mark.parametrize("is_lagrangian", [False, True])
     def test_its_unit(self, declared, is_lagrangian):
@@ -680,6 +735,20 @@ def test_the_rate_of_a_displacement_is_that_of_finite_differences(text):
     )
     found = rate.evaluate({"x": 0.7, "y": -0.4, "x'": -1.3, "y'": 0.6, "p": 1.7})
     assert found == pytest.approx((ahead - behind) / (2.0 * h), rel=1e-7, abs=1e-9)
+
+
+@pytest.mark.parametrize("text", RATES)
+def test_the_rate_of_a_rate_is_that_of_finite_differences(text):
+    rate = Expression(rate_of(Expression(text), ("x", "y")))
+    second = Expression(rate_of(rate, ("x", "y", "x'", "y'")))
+    h, start, speed, force = 1e-5, np.array([0.7, -0.4]), np.array([-1.3, 0.6]), np.array([0.9, 2.0])
+
+    def at(position, velocity):
+        return dict(zip(("x", "y", "x'", "y'"), (*position, *velocity), strict=True)) | {"p": 1.7}
+
+    ahead, behind = (rate.evaluate(at(start + s * speed, speed + s * force)) for s in (h, -h))
+    found = second.evaluate(at(start, speed) | {"x''": 0.9, "y''": 2.0})
+    assert found == pytest.approx((ahead - behind) / (2.0 * h), rel=1e-6, abs=1e-8)
 
 
 def test_floor_is_flat_between_its_steps(declared):

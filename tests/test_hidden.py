@@ -91,6 +91,22 @@ def test_lags_and_delays_are_exact():
         state = ad @ state + bd @ now
 
 
+def test_an_added_mass_is_another_mass():
+    # (4.1)-(4.3) with m1 (1 + m) or m3 (1 + m): w_i^2 = k_i/m_i, 2 z_i w_i = b_i/m_i, mu_i = m_i/m3, c_i = k_vi/m_i
+    m, one = 0.04, declared("own")
+    heavier = np.repeat(one[None], 2, axis=0)
+    powers = {"w": -0.5, "z": -0.5, "c": -1.0}
+    for row, number in enumerate("13"):
+        for i, name in enumerate(PARAMETERS):
+            if name[-1] == number and name[0] in powers:
+                heavier[row, i] *= (1.0 + m) ** powers[name[0]]
+    heavier[0, PARAMETERS.index("mu1")] *= 1.0 + m
+    heavier[1, [PARAMETERS.index("mu1"), PARAMETERS.index("mu2")]] /= 1.0 + m
+    u = told(2.0, 2)
+    batch = Batch(rigs(2), [[Hidden("added_mass", at, {"m": m})] for at in ("x1", "beam")])
+    np.testing.assert_allclose(batch.motion(u), linear_response(Rigs(heavier), u), atol=1e-12)
+
+
 def test_forces_do_the_work_that_their_places_say():
     """At any state, the kinetic energy changes by the powers of all forces: each acts and reacts as it should."""
     rng = np.random.default_rng(5)

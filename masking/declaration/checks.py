@@ -44,6 +44,16 @@ def accelerations(names: Iterable[str]) -> list[str]:
     return [f"{name}''" for name in names]
 
 
+def equation_of(model: ModelDeclaration, coordinate: str) -> Expression | None:
+    """Give the left-hand side of the equation in which a force on a coordinate acts: x'', or such as m*x''.
+
+    It holds this acceleration and no other. None where there is no such equation, as in a Lagrangian model.
+    """
+    others = {f"{name}''" for name in model.coordinates if name != coordinate}
+    own = [left for left in model.motion if f"{coordinate}''" in left.symbols and not left.symbols & others]
+    return own[0] if own else None
+
+
 def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
     """Yield every expression of a model with its path, the left-hand sides of equations included."""
     for name, parameter in model.parameters.items():
@@ -137,7 +147,7 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
             yield expression.problem(expression.first(symbol), message, f"write {name}': ... under equations, alone")
         allowed = {"parameters": static, "scales": static, "elements": [*static, *coordinates]}.get(section, moving)
         yield from check_symbols(expression, [*allowed, *rates], coordinates, known=moving)
-        where = section if section in {"lagrangian", "dissipation", "energy", "forces"} else ""
+        where = section if section in {"lagrangian", "dissipation", "energy"} else ""
         if path in of_states:
             where = "the equation of an internal state"
         if where:
@@ -224,7 +234,6 @@ def _counted_states(model: ModelDeclaration) -> Iterator[Problem]:
 
 def _elements(model: ModelDeclaration) -> Iterator[Problem]:
     """Check that every element can be stretched, and that its force has equations to act in."""
-    lefts = {left.text.strip() for left in model.motion}
     for name, element in model.elements.items():
         if not element.displacement.names & model.coordinates.keys():
             path, message = f"elements.{name}.displacement", "a displacement must contain a coordinate"
@@ -233,10 +242,15 @@ def _elements(model: ModelDeclaration) -> Iterator[Problem]:
             path, message = f"elements.{name}.acts", "an element acts on at least one coordinate"
             yield problem_at(model, path, message, "write {x1: -1, x3: 1}")
         for coordinate in element.acts:
-            if model.lagrangian is None and coordinate in model.coordinates and f"{coordinate}''" not in lefts:
-                path, message = f"elements.{name}.acts.{coordinate}", f"no equation has the left side {coordinate}''"
-                mend = "an element acts in explicit equations, or in those of a lagrangian"
-                yield problem_at(model, path, message, mend, at_key=True)
+            if model.lagrangian is None and coordinate in model.coordinates and not equation_of(model, coordinate):
+                yield no_equation(model, coordinate, f"elements.{name}.acts.{coordinate}")
+
+
+def no_equation(model: ModelDeclaration, coordinate: str, path: str) -> Problem:
+    """Describe that no equation of motion is a coordinate's own, so that a force cannot act on it."""
+    message = f"no equation has {coordinate}'' and no other acceleration on its left side"
+    mend = f"a force on {coordinate} acts in such an equation, as {coordinate}'': ..., or in those of a lagrangian"
+    return problem_at(model, path, message, mend, at_key=True)
 
 
 def _counted(model: ModelDeclaration) -> Iterator[Problem]:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 
-from masking.declaration.checks import formulas
+from masking.declaration.checks import equation_of, formulas
 from masking.declaration.expression import Expression
 from masking.declaration.operations import COMPARISONS, Step
 from masking.declaration.schema import Declaration, ModelDeclaration
@@ -28,6 +28,7 @@ __all__ = [
     "describe",
     "dimension_in",
     "dimension_of",
+    "force_dimensions",
     "symbol_dimensions",
 ]
 
@@ -89,6 +90,23 @@ def symbol_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None] | 
     checker = _Checker(model, units)
     checker.start()
     return checker.symbols
+
+
+def force_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None]:
+    """Give the dimension of a force on each coordinate: that of its equation, or energy per coordinate of a Lagrangian.
+
+    Raises:
+        DeclarationError: a unit or an expression of the model has no dimension.
+    """
+    units, problems = _dimensions(model)
+    checker = _Checker(model, units, problems=problems)
+    if not problems:
+        checker.start()
+        action = None if model.lagrangian is None else checker.of(model.lagrangian)
+        found = {name: checker.on(name, action) for name in model.coordinates}
+    if problems:
+        raise DeclarationError(problems)
+    return found
 
 
 def dimension_in(expression: Expression, symbols: Mapping[str, Dimension | None]) -> Dimension | None:
@@ -188,9 +206,9 @@ class _Checker:
             power = None if action is None else _times(action, time, -1)
             self.same(power, self.model.dissipation, "a dissipation must be {} as the lagrangian says, not {}")
         for name, force in self.model.forces.items():
-            coordinate = self.symbols[name]
-            wanted = None if action is None or coordinate is None else _times(action, coordinate, -1)
-            self.same(wanted, force, "a force on this coordinate must be {} as the lagrangian says, not {}")
+            self.same(
+                self.on(name, action), force, "a force on this coordinate must be {} as the lagrangian says, not {}"
+            )
 
     def element(self, name: str, action: Dimension | None) -> None:
         """Check that the force of an element, times what it acts with, goes with the equations of motion."""
@@ -198,11 +216,16 @@ class _Checker:
         self.of(element.displacement)
         message = f"the force in {element.unit} must be multiplied by {{}} to act here, not by {{}}"
         for coordinate, factor in element.acts.items():
-            wanted = self.symbols.get(f"{coordinate}''")
-            if self.model.lagrangian is not None:
-                moved = self.symbols.get(coordinate)
-                wanted = None if action is None or moved is None else _times(action, moved, -1)
+            wanted = self.on(coordinate, action)
             self.same(None if wanted is None else _times(wanted, force, -1), factor, message)
+
+    def on(self, coordinate: str, action: Dimension | None) -> Dimension | None:
+        """Give the dimension of a force on a coordinate: of its equation, or L/q where L, the `action`, has it."""
+        if self.model.lagrangian is None:
+            left = equation_of(self.model, coordinate)
+            return None if left is None else self.of(left)
+        moved = self.symbols.get(coordinate)
+        return None if action is None or moved is None else _times(action, moved, -1)
 
     def define(self) -> None:
         """Find the dimensions of definitions, each after those it uses."""

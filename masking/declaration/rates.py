@@ -1,4 +1,4 @@
-"""The rate of an expression of coordinates, as text: the chain rule over a smooth expression."""
+"""The rate of an expression of coordinates and velocities, as text: the chain rule over a smooth expression."""
 
 from __future__ import annotations
 
@@ -41,6 +41,8 @@ class _Text:
 
 def rate_of(expression: Expression, coordinates: Collection[str]) -> str:
     """Give the rate of an expression of coordinates and of what is constant, such as "x1' - x3'" of "x1 - x3".
+
+    Velocities that are named among the coordinates count as these: the rate of "x1'" is "x1''".
 
     Raises:
         DeclarationError: the expression contains what has no derivative, such as abs.

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from masking.discovery import laws
 from masking.discovery.opened import OpenRig, Slot
+from masking.discovery.places import is_of_one
 from masking.effects import EFFECTS, Effect, EffectParameter
 
 BRISTLES = 3e-3  # s: damping of bristles for their stiffness, to begin with
@@ -133,6 +134,7 @@ RECIPES: dict[str, tuple[_Recipe, ...]] = {
     "hardening_spring": (_Recipe(("k3",)),),
     "viscous_damping": (_Recipe(("c",)),),
     "quadratic_damping": (_Recipe(("c",)),),
+    "added_mass": (_Recipe(("m",)),),
     "dry_friction": tuple(_Recipe(("fc",), (), _turning(vs)) for vs in TURNS),
     "asymmetric_friction": (_Recipe(("fp", "fm")),),
     "stribeck_friction": (_Recipe(("fc", "fs"), ("vst",), _rates("vst", 0.05, 0.15, 0.4, 0.8)),),
@@ -174,7 +176,8 @@ def candidates(rig: OpenRig, spans: Mapping[str, Span], period: float) -> Iterat
     """
     every = [EFFECTS[name] for name in RECIPES] + [e for n, e in rig.twin.dictionary.items() if n not in EFFECTS]
     for place in rig.places:
-        kinds = [e for e in every if e.where == "element"]
+        straight = is_of_one(place.element.displacement, rig.coordinates)  # inertias take the displacement as linear
+        kinds = [e for e in every if e.where == "element" and (straight or not e.is_inertia)]
         for effect in kinds if place.declared or place.coordinate else [EFFECTS[name] for name in PAIRS]:
             yield from _of(effect, place.name, spans[place.name])
     for where, names in (("sensor", rig.twin.sensors), ("actuator", rig.twin.actuators)):

@@ -55,7 +55,8 @@ SHARES = 20  # windows of a record of what does not come to rest
 FEWEST = 200  # samples of a window
 UNSEEN = 0.1  # of the noise: what integration may add
 HELD_OUT = 0.3  # of a record, where no other is given to judge by
-LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "actuator_gain", "constant_force")
+LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "added_mass", "actuator_gain", "constant_force")
+BELIEVED = 0.5  # part of what a cause takes off the cost from which it is parameters that need not be off
 
 
 @dataclass(frozen=True)
@@ -373,7 +374,10 @@ def _chosen(found: Found, judged: Evidence, size: int) -> tuple[Explanation, ...
         explained = chosen[0] is not found.base and excess <= min(REST * start, little)
         enough = left <= (1.0 - SHARE) * excess or left < (CLEAN**2 - 1.0) * size
         like = best.kind == "parameter" or _is_like_parameter(best.names[-1][0], best)
-        wrong = like and after < CLEAN * before  # its error is in what was fitted before, too
+        told = float((chosen[0].hypothesis.squares - best.hypothesis.squares) @ judged.weights)
+        together = told < BELIEVED * (chosen[0].hypothesis.cost - best.hypothesis.cost)
+        # Its error is in what was fitted before, too; so is what several parameters could only have together.
+        wrong = (like or together) and after < CLEAN * before
         if not (after < before or wrong) or (explained and not enough):
             break
         chosen, excess, before = step, left, after

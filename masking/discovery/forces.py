@@ -9,18 +9,17 @@ Source: Larsen and McCleary (1972), Technometrics 14(3), 781-790, for partial re
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from masking.declaration.dimensions import dimension_in, is_plain, symbol_dimensions
-from masking.declaration.expression import Expression
 from masking.declaration.units import describe
 from masking.discovery import laws
 from masking.discovery.discover import Discovery
 from masking.discovery.memory import once
 from masking.discovery.opened import Slot
+from masking.discovery.places import is_of_one
 from masking.discovery.smoothing import Motion, smooth
 from masking.errors import IntegrationError
 from masking.kernels import Array
@@ -127,7 +126,8 @@ def _force(found: Discovery, slot: Slot | None, where: str, name: str) -> Lack:
     after, afterwards = (None, deviation) if left is None else projected(left, by)
     law = None
     if slot is not None:
-        law = along(found, slot, x, rate)
+        moved = motion.acted_on(slot.entry, at) if where == "element" else (x, rate)
+        law = along(found, slot, *moved)
         law = law - x if where == "actuator" else law
     return Lack(name, where, x, rate, before, after, law, (deviation, afterwards), units)
 
@@ -181,7 +181,7 @@ def _without(found: Discovery, motion: Motion) -> Motion:
                 x = found.record.acting[:, i]
                 law, column = along(found, slot, x, np.zeros_like(x)) - x, found.rig.columns[2][i]
             else:
-                law, column = along(found, slot, motion.displacement[:, i], motion.rate[:, i]), found.rig.columns[1][i]
+                law, column = along(found, slot, *motion.acted_on(slot.entry, i)), found.rig.columns[1][i]
             forces -= np.outer(law, directions(found, column))
     return replace(motion, forces=forces)
 
@@ -229,17 +229,12 @@ def element_units(found: Discovery, name: str) -> tuple[str, str, str]:
     if is_plain(base) or symbols is None:
         return "", "", ""
     known = {base.coordinates[n].unit for n in element.displacement.names & base.coordinates.keys()}
-    if len(known) == 1 and element.displacement.names <= base.coordinates.keys() and is_of_one(element.displacement):
+    if len(known) == 1 and is_of_one(element.displacement, base.coordinates):
         (unit,) = known
         return element.unit, unit, _per_second(unit)
     dimension = dimension_in(element.displacement, symbols)
     unit = "" if dimension is None else describe(dimension)
     return element.unit, unit, _per_second(unit)
-
-
-def is_of_one(displacement: Expression) -> bool:
-    """Return whether a displacement is a coordinate, or a difference of coordinates."""
-    return re.fullmatch(r"\s*\w+(\s*[-+]\s*\w+)*\s*", displacement.text) is not None
 
 
 def _per_second(unit: str) -> str:

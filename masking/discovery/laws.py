@@ -1,9 +1,9 @@
 """Laws: the effects of a dictionary as compiled functions with derivatives, told apart by a number.
 
-Each function takes what the effect acts on (displacement and rate of an element, or the value of a sensor or actuator),
-its internal state and its parameters, and gives a row for the force or value, and one for the rate of the state: the
-value itself, then its derivatives by displacement, rate, state and parameters. They do not know any model, so that an
-effect is put anywhere in one without compiling.
+Each function takes what the effect acts on (displacement and rate of an element, its acceleration where the effect is
+an inertia, or the value of a sensor or actuator), its internal state and its parameters, and gives a row for the force
+or value, and one for the rate of the state: the value itself, then its derivatives by displacement, rate, state and
+parameters. They do not know any model, so that an effect is put anywhere in one without compiling.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def text(kinds: Mapping[str, Effect]) -> str:
 
 def _function(name: str, effect: Effect) -> str:
     graph = Graph()
-    subject = SUBJECTS[effect.where]
+    subject = "d_acc" if effect.is_inertia else SUBJECTS[effect.where]
     reads = {"t": "t", subject: "x", "d_rate": "rate", **dict.fromkeys(effect.states, "z"), "xi": "0.0"}
     reads |= {p: f"theta[{i}]" for i, p in enumerate(effect.parameters)}
     nodes = {symbol: graph.symbol(f"s_{symbol}", varying=True) for symbol in reads}

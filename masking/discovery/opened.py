@@ -241,7 +241,8 @@ class OpenRig:
         many = {
             "n": n, "moving": moving, "forces": moving, "places": len(found), "channels": len(twin.actuators),
             "sensors": len(twin.sensors), "affected": len(affected), "force_p": force_p, "force_column": force_column,
-            "command_column": command_column, "coordinate_ports": tuple(force_p[i] for i in self.coordinate_places),
+            "command_column": command_column or (0,),  # of none, nothing is read
+            "coordinate_ports": tuple(force_p[i] for i in self.coordinate_places),
         }  # fmt: skip
         size = n + MOST_STATES
         width = max(len(self.names) + 4 * MOST_PARAMETERS + size, len(affected), MOST_COLUMNS)
@@ -282,7 +283,8 @@ class OpenRig:
                 at = self.twin.actuators.index(slot.at) if slot.at else -1
                 table[i] = -1, steps.ACTUATOR, at, first, -1
                 continue
-            table[i] = self._number(slot), WHERE[slot.where], self.index(slot), first, -1
+            kind = steps.INERTIA if slot.entry.is_inertia else WHERE[slot.where]
+            table[i] = self._number(slot), kind, self.index(slot), first, -1
             if slot.entry.states:
                 table[i, 4] = n + states
                 states += 1

@@ -7,11 +7,17 @@ itself, as in equations that are divided by a mass, they follow from its element
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
+from masking.declaration.checks import equation_of, no_equation
+from masking.declaration.dimensions import force_dimensions, is_plain
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Element, ModelDeclaration
+from masking.declaration.units import Dimension, describe, dimension_of
+from masking.errors import DeclarationError
+
+USUAL = ("1", "N", "N*m")  # units of forces
 
 
 @dataclass(frozen=True)
@@ -25,26 +31,32 @@ class Place:
 
 
 def places(model: ModelDeclaration) -> tuple[Place, ...]:
-    """Return every place of a model: elements, coordinates and pairs of coordinates, none of them twice."""
+    """Return every place of a model: elements, coordinates and pairs of coordinates, none of them twice.
+
+    Raises:
+        DeclarationError: a force cannot act on a coordinate, since no equation is its own.
+    """
+    forces = force_dimensions(model)
+    lost = [name for name in model.coordinates if model.lagrangian is None and not equation_of(model, name)]
+    if lost:
+        raise DeclarationError([no_equation(model, name, f"coordinates.{name}") for name in lost])
     found = [Place(name, e, declared=True, coordinate=_coordinate(model, e)) for name, e in model.elements.items()]
     taken = {place.coordinate for place in found}
-    units = {e.unit for e in model.elements.values()}
-    unit = units.pop() if len(units) == 1 else ""
     for name in model.coordinates:
         if name not in taken:
-            element = Element(
-                displacement=Expression(name), unit=_force_unit(model, name, unit), acts={name: _one("-1")}
-            )
+            unit = _force_unit(model, name, forces[name])
+            element = Element(displacement=Expression(name), unit=unit, acts={name: _one("-1")})
             found.append(Place(name, element, declared=False, coordinate=name))
     between = {_text(e.displacement.text) for e in model.elements.values()}
     weights = _weights(model)
     for a, b in itertools.combinations(model.coordinates, 2):
         if f"{a}-{b}" in between or f"{b}-{a}" in between or a not in weights or b not in weights:
             continue
-        if model.coordinates[a].unit != model.coordinates[b].unit:
+        if model.coordinates[a].unit != model.coordinates[b].unit or forces[a] != forces[b]:
             continue
         acts = {a: _one("-1"), b: _one(f"({weights[a]})/({weights[b]})")}
-        element = Element(displacement=Expression(f"{a} - {b}"), unit=_force_unit(model, a, unit), acts=acts)
+        unit = _force_unit(model, a, forces[a])
+        element = Element(displacement=Expression(f"{a} - {b}"), unit=unit, acts=acts)
         found.append(Place(f"{a}-{b}", element, declared=False))
     return tuple(found)
 
@@ -59,6 +71,12 @@ def opened(model: ModelDeclaration) -> tuple[ModelDeclaration, tuple[Place, ...]
 def identifier(name: str) -> str:
     """Return the name of an element for a place, such as `x1_x2` for x1-x2."""
     return name.replace("-", "_") if "-" in name else f"{name}_place" if name.isidentifier() else name
+
+
+def is_of_one(displacement: Expression, coordinates: Collection[str]) -> bool:
+    """Return whether a displacement is a coordinate, or a sum or difference of coordinates."""
+    alone = all(step.operation in {"symbol", "+", "-", "negative"} for step in displacement.steps)
+    return alone and displacement.symbols <= set(coordinates)
 
 
 def _coordinate(model: ModelDeclaration, element: Element) -> str | None:
@@ -84,10 +102,12 @@ def _weights(model: ModelDeclaration) -> Mapping[str, str]:
     return known
 
 
-def _force_unit(model: ModelDeclaration, name: str, unit: str) -> str:
-    if model.lagrangian is not None and unit:
-        return unit
-    return f"{model.coordinates[name].unit}/s**2" if model.coordinates[name].unit != "1" else "1"
+def _force_unit(model: ModelDeclaration, name: str, dimension: Dimension | None) -> str:
+    """Return the unit of a force on a coordinate, as it is usually written."""
+    if is_plain(model) or dimension is None:
+        return "1"
+    usual = (*(e.unit for e in model.elements.values()), f"{model.coordinates[name].unit}/s**2", *USUAL)
+    return next((unit for unit in usual if dimension_of(unit) == dimension), describe(dimension))
 
 
 def _one(text: str) -> Expression:

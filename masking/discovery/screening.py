@@ -38,7 +38,8 @@ class Promise:
         candidate: the candidate.
         slot: with the best shape, and its factors.
         gain: of the cost (-2 log likelihood).
-        own: part of its effect on the sensors that parameters of the rig could not have.
+        own: part of its effect on the sensors that parameters of the rig could not have; of an inertia, that no one of
+            them could have: equations that are divided by a mass hold it in several.
     """
 
     candidate: Candidate
@@ -96,6 +97,7 @@ class Screen:
         self.taken, self._back = u[:, told], v[told].T / s[told] / size[:, None]
         u, s, _ = np.linalg.svd(own / size, full_matrices=False)
         self.possible = u[:, s > 1e-7 * s[0]]
+        self.single = _apart(own[:, :k], own[:, k:])
         left = self._rows((self._means(base.residuals) - (0.0 if taken else values))[:, :, None])[:, 0]
         self._whole_left = np.concatenate([left, (belief.mean - base.theta) / belief.deviation])
         self.left = self._out(self._whole_left)
@@ -275,7 +277,12 @@ class Screen:
         known, possible = self.taken[: len(rows)].T @ rows, self.possible.T @ rows
         squares = np.einsum("ij,ij->j", rows, rows)
         gram, right = rows.T @ rows - known.T @ known, rows.T @ self.left[: len(rows)]
-        beyond = np.maximum(squares - (possible**2).sum(axis=0), 0.0)
+        beyond = squares - (possible**2).sum(axis=0)
+        inertias = np.repeat([slot.entry.is_inertia for slot in slots], sizes)
+        if inertias.any():
+            others, ones = (part.T @ rows for part in self.single)
+            beyond = np.where(inertias, squares - (others**2).sum(axis=0) - (ones**2).max(axis=0), beyond)
+        beyond = np.maximum(beyond, 0.0)
         made, first = [], 0
         for (candidate, slot), count in zip(jobs, sizes, strict=True):
             part = slice(first, first + count)
@@ -361,7 +368,8 @@ class Screen:
         where, at = slot.where, rig.index(slot)
         nothing = np.zeros(len(record))
         if where == "element":
-            x, rate, column = motion.displacement[:, at], motion.rate[:, at], float(rig.columns[1][at])
+            x, rate = motion.acted_on(slot.entry, at)
+            column = float(rig.columns[1][at])
         elif where == "actuator":
             x, rate, column = record.acting[:, at], nothing, float(rig.columns[2][at])
         else:
@@ -395,6 +403,16 @@ class Screen:
     def _out(self, x: Array) -> Array:
         """Return what is left of columns once what rig and belief explain is taken out."""
         return x - self.taken @ (self.taken.T @ x)
+
+
+def _apart(columns: Array, others: Array) -> tuple[Array, Array]:
+    """Return a basis of other columns (r, o), and each of the columns (r, k) without these, of length 1."""
+    u, s, _ = np.linalg.svd(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300), full_matrices=False)
+    basis = u[:, s > 1e-7 * s[0]]
+    left = columns - basis @ (basis.T @ columns)
+    size = np.linalg.norm(left, axis=0)
+    told = size > 1e-9 * np.linalg.norm(columns, axis=0)
+    return basis, np.where(told, left / np.where(told, size, 1.0), 0.0)
 
 
 def _has_shape(candidate: Candidate) -> bool:

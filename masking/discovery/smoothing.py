@@ -16,6 +16,7 @@ from scipy import linalg
 
 from masking.discovery.evidence import Evidence
 from masking.discovery.opened import OpenRig
+from masking.effects import Effect
 from masking.errors import IntegrationError
 from masking.kernels import Array
 from masking.sensitivity import is_straight
@@ -36,6 +37,8 @@ class Motion:
         innovations: what each reading adds to the past, in standard deviations (m, sensors).
         displacement: of each place (m, places).
         rate: of each place (m, places).
+        acceleration: of each place (m, places): what the rig's own equations make of the motion, the commands and these
+            forces. Differences of velocities would miss what commands change within a sample.
     """
 
     states: Array
@@ -44,6 +47,12 @@ class Motion:
     innovations: Array
     displacement: Array
     rate: Array
+    acceleration: Array
+
+    def acted_on(self, effect: Effect, at: int) -> tuple[Array, Array]:
+        """Return what an effect in an element follows at a place (m,): displacement and rate, or the acceleration."""
+        x = self.acceleration if effect.is_inertia else self.displacement
+        return x[:, at], self.rate[:, at]
 
 
 @dataclass(frozen=True)
@@ -78,13 +87,13 @@ def smooth(evidence: Evidence, theta: Array, start: Array) -> Motion:
     innovations, states, predicted = _filter(evidence, theta, start, gains)
     rig.kernels.back(len(record), gains.backward, states, predicted)
     n = len(rig.twin.state_names)
-    motion = np.ascontiguousarray(states[:, :n])
-    placed = np.empty((len(record), 2 * len(rig.places)))
-    rig.kernels.motions(len(record), 1.0 / record.rate, rig.basis(theta)[0], motion, placed)
-    many = len(rig.places)
+    placed = np.empty((len(record), 3 * len(rig.places)))
+    acting = np.ascontiguousarray(record.acting)
+    rig.kernels.motions(len(record), 1.0 / record.rate, rig.basis(theta)[0], states, acting, placed)
+    displacement, rate, acceleration = (np.ascontiguousarray(part) for part in np.split(placed, 3, axis=1))
     return Motion(
-        motion, states[:, n:], gains.deviation, innovations / np.sqrt(np.diag(gains.spread)),
-        np.ascontiguousarray(placed[:, :many]), np.ascontiguousarray(placed[:, many:]),
+        np.ascontiguousarray(states[:, :n]), states[:, n:], gains.deviation,
+        innovations / np.sqrt(np.diag(gains.spread)), displacement, rate, acceleration,
     )  # fmt: skip
 
 

@@ -6,9 +6,13 @@ A slot is an effect at a place: a row of `slots` (number of the effect, kind of 
 
 from __future__ import annotations
 
-ELEMENT, ACTUATOR, SENSOR = range(3)
+from masking.discovery.inertia import INERTIAS
 
-FLOW = """
+ELEMENT, ACTUATOR, SENSOR, INERTIA = range(4)
+
+FLOW = (
+    INERTIAS
+    + """
 @compiled
 def _flow(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, w):
     n, moving, places, channels, sensors, affected = {n}, {moving}, {places}, {channels}, {sensors}, {affected}
@@ -18,23 +22,29 @@ def _flow(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, w):
     jd, top = w[top : top + 2 * places], top + 2 * places
     df, dv, top = w[top : top + places], w[top + places : top + places + channels], top + places + channels
     rows, d, v, s, noise = w[top : top + 2], w[top + 2], w[top + 3], w[top + 4], w[top + 5]
+    share, acc, top = w[top + 6], w[top + 7], top + 8
+    pushed, heavier = w[top : top + places], w[top + places : top + 2 * places]
     for e in range(places):
         p[{force_p}[e]] = 0.0
+        acc[e] = 0.0
         for j in range(width):
             df[e, j] = 0.0
+            heavier[e, j] = 0.0
     for a in range(channels):
         v[a] = u[a]
         for j in range(width):
             dv[a, j] = 0.0
         if lead[1, a] >= 0.0:
             dv[a, int(lead[1, a])] = lead[0, a]
-    elements, inner = False, False
+    elements, inner, inertias = False, False, False
     for i in range(slots.shape[0]):
         if slots[i, 1] == 0.0:
             elements = True
+        if slots[i, 1] == 3.0:
+            inertias = True
         if slots[i, 1] == 2.0 and slots[i, 4] >= 0.0:
             inner = True
-    if elements:
+    if elements or inertias:
         placed(t, y, p, d, jd)
     if inner:
         sensed(t, y, p, noise, s, js, jps)
@@ -43,18 +53,23 @@ def _flow(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, w):
         first, z = int(slots[i, 3]), int(slots[i, 4])
         if kind < 0 or (where == 2 and z < 0):
             continue
-        own = y[z] if z >= 0 else 0.0
+        x, moved = 1.0, 0.0  # a unit of acceleration
         if where == 0:
-            _law(kind, t, d[at], d[places + at], own, theta[first:], rows)
+            x, moved = d[at], d[places + at]
+        elif where == 1:
+            x = v[at]
+        elif where == 2:
+            x = s[at]
+        _law(kind, t, x, moved, y[z] if z >= 0 else 0.0, theta[first:], rows)
+        if where == 0:
             p[{force_p}[at]] += rows[0, 0]
         elif where == 1:
-            _law(kind, t, v[at], 0.0, own, theta[first:], rows)
             v[at] = rows[0, 0]
-        else:
-            _law(kind, t, s[at], 0.0, own, theta[first:], rows)
+        elif where == 3:
+            acc[at] += rows[0, 0]
         if z >= 0:
             dy[z] = rows[1, 0]
-        for j in range(width):
+        for j in range(width if where < 3 else 0):
             by = 0.0
             rate = 0.0
             if where == 0:
@@ -84,9 +99,14 @@ def _flow(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, w):
                     df[at, j] += rows[0, 4 + l]
                 elif where == 1:
                     dv[at, j] += rows[0, 4 + l]
+                elif where == 3:
+                    heavier[at, j] += rows[0, 4 + l]
                 if z >= 0:
                     ds[z, j] += rows[1, 4 + l]
-    slopes(t, y, v, p, dy, jy, jp)
+    for again in range(2 if inertias else 1):
+        if again:
+            _inertias(width, jp, jd, share, pushed, acc, heavier, p, dy, df)
+        slopes(t, y, v, p, dy, jy, jp)
     for i in range(moving):
         for j in range(width):
             ds[i, j] = sens[moving + i, j]
@@ -113,6 +133,10 @@ def _flow(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, w):
             if by != 0.0:
                 for j in range(width):
                     ds[i, j] += by * dv[a, j]
+    if inertias:
+        for e in range(places):
+            for j in range(width):
+                _drawn(share[e], jd[e], pushed[e], ds[:, j])
 
 
 @compiled
@@ -149,6 +173,7 @@ def _command(commands, index, a, samples, part, straight):
     share = at - low
     return (1.0 - share) * commands[min(max(low, 0), last), a] + share * commands[min(max(low + 1, 0), last), a]
 """
+)
 
 RUN = """
 @compiled
@@ -291,13 +316,25 @@ def back(count, gain, states, estimates):
 
 PLACES = """
 @compiled
-def motions(count, dt, p, states, estimates, work):
-    # Displacement and rate of each place along states (count, n): estimates (count, 2 places).
-    d, jd = work[0], work[1:]
+def motions(count, dt, p, states, commands, estimates, work):
+    # Displacement, rate and acceleration of each place along states with forces on the coordinates
+    # (count, n + forces): estimates (count, 3 places).
+    n, forces, moving, places = {n}, {forces}, {moving}, {places}
+    work[:] = 0.0
+    d, dy, jd = work[0], work[1], work[2 : 2 + 2 * places]
+    jy, jp = work[2 + 2 * places : 2 + 2 * places + n], work[2 + 2 * places + n : 2 + 2 * places + 2 * n]
     for index in range(count):
+        for i in range(forces):
+            p[{coordinate_ports}[i]] = states[index, n + i]
         placed(index * dt, states[index], p, d, jd)
-        for e in range({places} * 2):
+        slopes(index * dt, states[index], commands[index], p, dy, jy, jp)
+        for e in range(places):
             estimates[index, e] = d[e]
+            estimates[index, places + e] = d[places + e]
+            total = 0.0
+            for i in range(moving):
+                total += jd[e, i] * dy[moving + i]
+            estimates[index, 2 * places + e] = total
 """
 
 ALONG = """

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from masking.declaration.units import describe, dimension_of
 from masking.discovery import forces
 from masking.discovery.discover import Discovery, Named
 from masking.discovery.where import Lacking, Place, where
@@ -34,7 +35,8 @@ def sentence(found: Discovery) -> str:
         return f"No effect is missing, but a parameter is off: {cause(found, found.effects[-1])}. {gap(found)}"
     if found.verdict == "named":
         what = listed([cause(found, one) for one in found.effects], "; ")
-        return f"{capital(what)}, {'is' if len(found.effects) == 1 else 'are'} missing. {gap(found)}"
+        pause = "," if ", " in what else ""
+        return f"{capital(what)}{pause} {'is' if len(found.effects) == 1 else 'are'} missing. {gap(found)}"
     if found.verdict == "ambiguous":
         last = found.effects[-1]
         names = [
@@ -63,17 +65,22 @@ def left(found: Discovery) -> str:
 
 
 def spoken(found: Discovery, name: str, on: str) -> str:
-    """Name a cause with its place: 'dry friction in spring1'."""
+    """Name a cause with its place: 'dry friction in spring1', 'an added mass on x1'."""
     words, effect = name.replace("_", " "), found.twin.dictionary.get(name)
     if effect is None:
         return f"another {name}"
+    if effect.is_inertia:
+        return f"an {words} on {on}"
     if effect.where == "loop":
         return f"a {words} of {on or 'all actuators'}"
     return f"{words} {'in' if effect.where == 'element' else 'of'} {on}"
 
 
 def cause(found: Discovery, named: Named) -> str:
-    """Name a cause with its parameters: 'dry friction in spring1, fc = 0.00547 ± 0.00001 m/s²'."""
+    """Name a cause with its parameters: 'dry friction in spring1, fc = 0.00547 ± 0.00001 m/s²'.
+
+    That of an inertia is said as one says it: 'an added mass of 0.0312 ± 0.0005 kg on x1'.
+    """
     values = []
     sure = [n for n, (value, std) in named.parameters.items() if abs(value) > SURE * std]
     for name in sure or named.parameters:
@@ -86,6 +93,8 @@ def cause(found: Discovery, named: Named) -> str:
             )
         values.append(told)
     what = spoken(found, named.name, named.on) if named.name in found.twin.dictionary else ""
+    if what and found.twin.dictionary[named.name].is_inertia:
+        return what.replace(" on ", f" of {values[0].removeprefix('m = ')} on ", 1)
     return ", ".join(filter(None, [what, *values]))
 
 
@@ -262,7 +271,10 @@ def units(found: Discovery, named: Named) -> dict[str, str]:
         known = {"S": twin.declaration.sensors[named.on].unit}
     else:
         known = {"U": forces.command_unit(found, named.on)}
-    return {n: pretty(_put_together(effect.parameters[n].unit, known)) for n in named.parameters}
+    made = {n: _put_together(effect.parameters[n].unit, known) for n in named.parameters}
+    if effect.is_inertia:  # kg, rather than N s²/m
+        made = {n: describe(dimension_of(unit)) for n, unit in made.items()}
+    return {n: pretty(unit) for n, unit in made.items()}
 
 
 def _put_together(template: str, known: Mapping[str, str]) -> str:

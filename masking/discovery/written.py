@@ -19,6 +19,7 @@ from typing import Any
 import yaml
 
 from masking.declaration import catalogue, registry
+from masking.declaration.checks import equation_of
 from masking.declaration.schema import ModelDeclaration, Parameter
 from masking.discovery import laws, words
 from masking.discovery.discover import Discovery
@@ -256,11 +257,11 @@ def _element(found: Discovery, slot: Slot) -> str:
 
 def _terms(found: Discovery, whole: ModelDeclaration) -> dict[str, str]:
     """Return what the causes add to each equation."""
-    lefts = {left.steps[0].value: left.text for left in whole.motion if len(left.steps) == 1}
     terms: dict[str, str] = {}
     for slot, label in labels(found).items():
         for coordinate, factor in whole.elements[_element(found, slot)].acts.items():
-            key = coordinate if whole.lagrangian is not None else lefts[f"{coordinate}''"]
+            left = equation_of(whole, coordinate)
+            key = coordinate if left is None else left.text  # a Lagrangian has forces instead
             text = factor.text.strip()
             by = text if text.isidentifier() else f"({text})"
             sign = {"1": f"{label}_f", "-1": f"-{label}_f"}.get(text, f"{by}*{label}_f")

@@ -1,8 +1,8 @@
 """Putting an effect into a declared model, and the parts from which one elsewhere is compiled.
 
-The element's displacement, its rate and the force become definitions `<label>_d`, `<label>_v` and `<label>_f`; the
-parameters and states of the effect carry the label too. The parameter `<label>_on` multiplies the force: at 0 the
-model is what it was, and switching takes no compilation.
+The element's displacement, its rate, its acceleration and the force become definitions `<label>_d`, `<label>_v`,
+`<label>_acc` and `<label>_f`; the parameters and states of the effect carry the label too. The parameter `<label>_on`
+multiplies the force: at 0 the model is what it was, and switching takes no compilation.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from masking.declaration.checks import check_model
+from masking.declaration.checks import check_model, equation_of, no_equation, velocities
 from masking.declaration.dimensions import check_dimensions, dimension_in, is_plain, symbol_dimensions
 from masking.declaration.expression import Expression
 from masking.declaration.fields import NAME_PATTERN
@@ -170,13 +170,16 @@ def _with_effect(
     _check_label(declaration, label)
     units = _units(declaration, element, at, dimensions)
     names = {key: f"{label}_{key}" for key in (*entry.parameters, *entry.states)}
-    names |= {"d": f"{label}_d", "d_rate": f"{label}_v"}
+    names |= {"d": f"{label}_d", "d_rate": f"{label}_v", "d_acc": f"{label}_acc"}
     force = Expression(entry.expression, path=label)
     rates = {state: Expression(e.rate, path=label) for state, e in entry.states.items()}
     used = force.names.union(*(rate.names for rate in rates.values()))
     definitions = {f"{label}_d": Expression(element.displacement.text, path=f"{label}.displacement")}
     definitions |= {f"{label}_v": Expression(rate_of(element.displacement, declaration.coordinates), path=label)}
-    definitions = {n: e for n, e in definitions.items() if n in {names[key] for key in used & {"d", "d_rate"}}}
+    if entry.is_inertia:
+        moving = [*declaration.coordinates, *velocities(declaration.coordinates)]
+        definitions |= {f"{label}_acc": Expression(rate_of(definitions[f"{label}_v"], moving), path=label)}
+    definitions = {n: e for n, e in definitions.items() if n in {names[key] for key in used & {"d", "d_rate", "d_acc"}}}
     definitions[f"{label}_f"] = Expression(f"{label}_on*({force.renamed(names)})", path=label)
     changed = _with_force(declaration, element, f"{label}_f")
     new_states = {
@@ -271,10 +274,11 @@ def _with_force(declaration: ModelDeclaration, element: Element, force: str) -> 
             before = forces.get(coordinate)
             forces[coordinate] = _sum(before, factor, force)
         return declaration.model_copy(update={"forces": forces})
-    lefts = {left.steps[0].value: left for left in declaration.motion if len(left.steps) == 1}
     equations = dict(declaration.equations)
     for coordinate, factor in element.acts.items():
-        left = lefts[f"{coordinate}''"]
+        left = equation_of(declaration, coordinate)
+        if left is None:
+            raise DeclarationError(no_equation(declaration, coordinate, f"coordinates.{coordinate}"))
         equations[left] = _sum(equations[left], factor, force)
     return declaration.model_copy(update={"equations": equations})
 

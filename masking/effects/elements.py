@@ -1,4 +1,7 @@
-"""Physical effects in an element of a model: forces of its displacement `d`, its rate `d_rate`, and time `t`."""
+"""Physical effects in an element of a model: forces of its displacement `d`, its rate `d_rate`, and time `t`.
+
+One is a force of the acceleration of the displacement, `d_acc`: an inertia.
+"""
 
 from __future__ import annotations
 
@@ -82,6 +85,16 @@ ELEMENTS: dict[str, Effect] = {
         cause="drag of air or of a liquid on plates and arms, flow through an orifice",
         remedy="make the moving surfaces smaller, or add it to the model",
         source="Nayfeh and Mook (1979), Nonlinear Oscillations, section 3.3.2",
+    ),
+    "added_mass": Effect(
+        "added_mass",
+        "What moves has more inertia than declared, by m; between two coordinates, both are drawn to move alike.",
+        "element",
+        "m*d_acc",
+        {"m": EffectParameter("F*s**2/D", "additional mass", (-10.0, 10.0), 0.05)},
+        cause="a coil, a bracket, a target or glue that was not weighed, cables that move along, a liquid around it",
+        remedy="weigh what moves, and correct the mass in the model",
+        source="Smith (2002), IEEE Trans. Autom. Control 47(10), 1648-1662; to the ground it is a mass",
     ),
     "dry_friction": Effect(
         "dry_friction",

@@ -2,7 +2,8 @@
 
 Expressions are in the language of declarations, over the effect's own parameters and states and
 
-* in an element: `d`, its displacement, `d_rate`, the rate of that, and the time `t`; they give the force f;
+* in an element: `d`, its displacement, `d_rate`, the rate of that, and the time `t`; they give the force f. That of an
+  inertia is in proportion to `d_acc`, the acceleration of the displacement, and to nothing else of the motion;
 * in a sensor: `s`, the value that it should give, and for noise `xi`, a sample of the standard normal distribution;
 * in an actuator: `u`, the value that it is told.
 
@@ -69,6 +70,11 @@ class Effect:
     source: str
     states: Mapping[str, EffectState] = field(default_factory=dict)
     factors: tuple[str, ...] = ()
+
+    @property
+    def is_inertia(self) -> bool:
+        """Tell whether its force follows the acceleration of its displacement."""
+        return "d_acc" in self.expression
 
     def structure(self) -> list[object]:
         """Return all that compiled functions of it depend on."""

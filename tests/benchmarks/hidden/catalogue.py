@@ -145,6 +145,10 @@ OTHERS: tuple[Entry, ...] = (  # laws that no dictionary of effects has, but for
     Entry("fading_magnet", _E, lambda a, sign, phase: {"k": a, "d0": 1e-3}, 10.0),
 )
 
+INERTIAS: tuple[Entry, ...] = (  # all of whose effect the eleven parameters can have together: in no family
+    Entry("added_mass", ("x1", "beam"), _scaled("m"), 0.05),
+)
+
 IMPERFECTIONS = (  # of the families `dirty`: each grows in proportion to its amplitude
     "bilinear_spring",
     "position_damping",
@@ -156,7 +160,7 @@ IMPERFECTIONS = (  # of the families `dirty`: each grows in proportion to its am
 )
 
 PLACED: dict[str, tuple[Entry, str]] = {
-    f"{entry.key}@{place}": (entry, place) for entry in (*EFFECTS, *OTHERS) for place in entry.places
+    f"{entry.key}@{place}": (entry, place) for entry in (*EFFECTS, *OTHERS, *INERTIAS) for place in entry.places
 }
 
 

@@ -257,6 +257,8 @@ def rounded(s: Array, step: Array | float) -> Array:
     return np.asarray(step * np.floor(s / step + 0.5))
 
 
+INERTIA = "added_mass"  # m: a force m x'' on x1 or the beam, by the mass of what it is on
+
 COMMANDS: dict[str, tuple[str, Change]] = {  # what an actuator makes of its command, sample by sample
     "actuator_gain": ("e", lambda u, e: (1.0 + e) * u),
     "actuator_offset": ("u0", lambda u, u0: u + u0),
@@ -276,4 +278,4 @@ READINGS: dict[str, tuple[str, Change]] = {  # what a sensor makes of 200 V/m ti
 
 TIMED = ("actuator_lag", "delay", "sensor_lag")  # these need the time between samples: tau in s, or seconds
 LAST = "quantisation"  # after the noise: step in V
-KNOWN = (*FORCES, *COMMANDS, *READINGS, *TIMED, LAST)
+KNOWN = (*FORCES, INERTIA, *COMMANDS, *READINGS, *TIMED, LAST)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.benchmarks.hidden.laws import COMMANDS, ELEMENT_LAWS, LAST, READINGS, ElementLaw, Motion, rounded
+from tests.benchmarks.hidden.laws import COMMANDS, ELEMENT_LAWS, INERTIA, LAST, READINGS, ElementLaw, Motion, rounded
 from tests.benchmarks.hidden.rig import (
     ACTUATORS,
     ALL_ACTUATORS,
@@ -21,6 +21,7 @@ from tests.benchmarks.hidden.rig import (
 )
 
 SUBSTEPS = 4  # per sample of 1 ms
+HEAVY = ("x1", "x2", "beam")  # what a mass may be added to
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ class Batch:
         self.states = 6 * self.size
         self._stiffness, self._damping = rigs.stiffness.ravel(), rigs.damping.ravel()
         self._passed, self._ratio = rigs.passed_on, rigs["mu1"] / rigs["mu2"]
+        self.masses = np.ones((3, self.size))  # of oscillators and beam, by those without what is added
         collected: dict[str, list[tuple[int, Hidden]]] = {}
         for row, hidden in enumerate(effects):
             seen: set[tuple[str, str]] = set()
@@ -88,6 +90,9 @@ class Batch:
         for name, members in collected.items():
             if name in ELEMENT_LAWS:
                 self._collect(ELEMENT_LAWS[name], members)
+            elif name == INERTIA:
+                for row, one in members:
+                    self.masses[HEAVY.index(one.at), row] += one.parameters["m"]
             elif name == "sensor_lag":
                 at = np.array([SENSORS.index(one.at) * self.size + row for row, one in members])
                 tau = np.array([one.parameters["tau"] for _, one in members])
@@ -95,6 +100,7 @@ class Batch:
                 self.states += len(at)
             elif name not in (*COMMANDS, *READINGS, LAST, "actuator_lag", "delay"):
                 raise ValueError(f"no law of {name}")
+        self.heavy = bool((self.masses != 1.0).any())
         self.wide = any(int(group.at.max()) >= 3 * self.size for group in self.groups)
 
     def _collect(self, law: ElementLaw, members: Sequence[tuple[int, Hidden]]) -> None:
@@ -108,7 +114,8 @@ class Batch:
         """Write the rates of the whole state (states,) at time t into `out`.
 
         `push` (3, batch) is what the actuators add to d1'', d2'' and x3''. A force F at spring i adds -F to x_i'' and
-        mu_i F to x3''; at beam, -F to x3''; at x1 or x2, -F to that; at x1-x2, -F to x1'' and mu1/mu2 F to x2''.
+        mu_i F to x3''; at beam, -F to x3''; at x1 or x2, -F to that; at x1-x2, -F to x1'' and mu1/mu2 F to x2''. More
+        mass than declared gets as much force, and less acceleration.
         """
         n = self.size
         d, v = state[: 3 * n], state[3 * n : 6 * n]
@@ -134,6 +141,10 @@ class Batch:
         if self.wide:
             acceleration[:2] -= f[3:5]
         acceleration += push
+        if self.heavy:
+            acceleration[:2] += acceleration[2]
+            acceleration /= self.masses
+            acceleration[:2] -= acceleration[2]
 
     def _wide(self, x: Array) -> Array:
         rows = x.reshape(3, self.size)
