@@ -216,3 +216,16 @@ def test_readings_on_a_lattice_are_rounded():
     free = rng.standard_normal((5000, 2))
     readings = np.column_stack([0.02 * np.round(free[:, 0] / 0.02), free[:, 1]])
     assert steps_of(Data("a record", RATE, free, readings)) == pytest.approx([0.02, 0.0])
+
+
+@pytest.mark.parametrize("rest", [1, 7, 500])
+def test_first_states_of_windows_lie_on_the_readings_also_where_the_last_is_short(evidence, rest):
+    t = np.arange(1000 + rest) / RATE
+    readings = np.add(np.outer(t, (1e-3, -2e-3, 3e-3)), (1e-3, 2e-3, 0.0))
+    record = Data("a line", RATE, np.zeros_like(readings), readings)
+    windows = replace(evidence, record=record, horizon=500)
+    found = fitting.first_states(windows, evidence.rig.start)
+    offset, sensing = evidence.rig.reading(evidence.rig.start, np.zeros(6))
+    assert found.shape == (3, 6)
+    np.testing.assert_allclose(offset + sensing @ found[2], readings[1000], atol=1e-12)
+    np.testing.assert_allclose(sensing[:, :3] @ found[2, 3:], (1e-3, -2e-3, 3e-3), atol=1e-10)

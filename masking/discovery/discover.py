@@ -257,6 +257,8 @@ def _horizon(evidence: Evidence, seconds: float | None) -> int:
     elif not seconds * rate >= FEWEST:
         least = FEWEST / rate
         raise RecordError(f"the horizon is {seconds:g} s; give {least:g} s or more, which are {FEWEST} samples")
+    if seconds * rate >= count:
+        return 0
     _, block = thinning(evidence.rig, rate)
     samples = round(seconds * rate / block) * block
     return samples if samples < count else 0

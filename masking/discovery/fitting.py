@@ -116,8 +116,11 @@ def first_states(evidence: Evidence, theta: Array, samples: int = 20) -> Array:
     back = np.linalg.pinv(sensing[:, :n])
     found = np.tile(from_rest, (evidence.windows, 1))
     for i, state in enumerate(found):
-        read = record.readings[i * evidence.begin :][:samples]
-        slope, first = np.polynomial.polynomial.polyfit(np.arange(len(read)) / record.rate, read, 1)[::-1]
+        begin = i * evidence.begin
+        early = min(begin, max(len(record) - samples, 0))  # the line of a short last window begins before it
+        read = record.readings[early:][:samples]
+        times = (np.arange(len(read)) + early - begin) / record.rate
+        slope, first = np.polynomial.polynomial.polyfit(times, read, 1)[::-1]
         state[:n] = back @ (first - told)
         state[n : 2 * n] = back @ slope
     return found
