@@ -18,14 +18,15 @@ def case(effect, at, family="effect", second=None, imperfections=(), **parameter
     )  # fmt: skip
 
 
-def told(verdict, *causes, rivals=(), between=()):
+def told(verdict, *causes, rivals=(), between=(), closed=True):
     effects = [
         {"name": name, "on": on, "parameters": {}, "probability": 1.0, "alternatives": []} for name, on in causes
     ]
     if effects:
         effects[-1]["alternatives"] = [{"name": n, "on": on, "probability": p} for n, on, p in rivals]
     coming = {"separates": True, "between": list(between)} if between else None
-    return scoring.answer({"verdict": verdict, "effects": effects, "next_experiment": coming})
+    found = {"verdict": verdict, "closed": closed, "effects": effects, "next_experiment": coming}
+    return scoring.answer(found)
 
 
 DRY = case("dry_friction", "spring1", fc=1.0, vs=1e-3)
@@ -97,13 +98,17 @@ OWN, CUBIC = ("dry_friction", "spring1"), ("actuator_cubic", "V1")
         (PLAY, told("unknown", ("dry_friction", "beam")), True, "unknown"),
         (PLAY, told("ambiguous", ("dry_friction", "beam")), False, "another name, in doubt"),
         (PLAY, told("named", ("dry_friction", "beam")), False, "a wrong name"),
+        (PLAY, told("named", ("dry_friction", "beam"), closed=False), True, "the nearest, marked"),
+        (PLAY, told("named", ("dry_friction", "spring1"), closed=False), False, "a wrong name"),
+        (DRY, told("named", STRIBECK, closed=False), False, "near kin"),
         (BILINEAR, told("named", ("stop", "beam")), True, "equivalent"),
     ],
 )  # fmt: skip
 def test_answers_are_judged_strictly(hiding, answer, right, how):
     score = scoring.judge(hiding, answer)
     assert (score.right, score.how) == (right, how), str(answer)
-    assert score.confidently_wrong == (not right and answer.verdict in ("named", "parameter"))
+    marked = hiding.family == "outside" and not answer.closed
+    assert score.confidently_wrong == (not right and not marked and answer.verdict in ("named", "parameter"))
 
 
 def test_parameters_are_compared_in_their_own_units():
@@ -148,7 +153,7 @@ def test_gaps_are_told_in_units_of_the_noise():
 def outcome(verdict, causes, after):
     effects = [{"name": n, "on": on, "parameters": {}, "probability": 1.0, "alternatives": []} for n, on in causes]
     gap = {"validation": {"before": {"s1": 0.1}, "after": {"s1": after}}}
-    answer = {"verdict": verdict, "effects": effects, "gap": gap, "validation_floor": {"s1": 0.01}}
+    answer = {"verdict": verdict, "closed": True, "effects": effects, "gap": gap, "validation_floor": {"s1": 0.01}}
     return {"tool": "masking", "answer": answer, "seconds": 30.0, "memory": 0.5}
 
 

@@ -34,7 +34,7 @@ actuators: {V1: {unit: V}, V2: {unit: V}, V3: {unit: V}}
 wiring: {u1: V1, u2: V2, u3: V3 - V1 - V2}
 limits: {inputs: {V1: {max: 0.42, unit: V}, V2: {max: 0.42, unit: V}, V3: {max: 0.42, unit: V}}}
 """
-KEYS = {"verdict", "effects", "gap", "model", "next_experiment"}
+KEYS = {"verdict", "closed", "effects", "gap", "model", "next_experiment"}
 
 
 BASE = hidden.Case("", "", "", {}, None, NOISE, "own", 0.01, 5, "none")

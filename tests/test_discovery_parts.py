@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import optimize, signal
 
 from masking.declaration import catalogue
 from masking.declaration.dimensions import is_plain
@@ -229,3 +229,33 @@ def test_first_states_of_windows_lie_on_the_readings_also_where_the_last_is_shor
     assert found.shape == (3, 6)
     np.testing.assert_allclose(offset + sensing @ found[2], readings[1000], atol=1e-12)
     np.testing.assert_allclose(sensing[:, :3] @ found[2, 3:], (1e-3, -2e-3, 3e-3), atol=1e-10)
+
+
+def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, evidence, commands):
+    """By scipy's least squares on the residuals of both, simulated by the rig alone."""
+    slot = Slot("hardening_spring", "spring1", (3e4,), (0,))
+    records = []
+    for seed, more in ((1, 1.0), (2, 0.7)):
+        record = noisy(replace(evidence, record=replace(evidence.record, commands=more * commands)), (slot,), seed)
+        records.append(record)
+    first, second = records
+    start = slot.with_values((0,), (2e4,))
+    alone = fitting.fit(first, (start,))
+    both = fitting.together(first, second, alone)
+    k = len(rig.start)
+
+    def residuals(x):
+        theta, k3, states = x[:k] * rig.start, x[k] * 3e4, x[k + 1 :].reshape(2, 1, 6) * 1e-4
+        parts = [(theta - first.belief.mean) / first.belief.deviation]
+        for one, state in zip(records, states, strict=True):
+            simulated = rig.equations(one, theta, state, (start,), np.array([k3])).simulated
+            parts.append(((one.record.readings - simulated) / one.sigma).ravel())
+        return np.concatenate(parts)
+
+    begin = np.concatenate([both.theta / rig.start, both.added / 3e4, both.start.ravel() / 1e-4])
+    assert both.cost == pytest.approx((residuals(begin) ** 2).sum(), rel=1e-9)
+    found = optimize.least_squares(residuals, begin, x_scale="jac", max_nfev=3)
+    assert 2.0 * found.cost == pytest.approx(both.cost, abs=0.1)
+    deviation = 3e4 * np.sqrt(np.linalg.inv(found.jac.T @ found.jac)[k, k])
+    assert both.deviations[k] == pytest.approx(deviation, rel=1e-2)
+    assert both.deviations[k] < 0.9 * alone.deviations[k]

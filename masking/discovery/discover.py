@@ -7,6 +7,7 @@ and 16; the terms are physical effects with parameters and states of their own.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -49,13 +50,16 @@ TOLERANCE = 0.01  # relative standard deviation of a parameter that declares non
 SURE = 0.9  # probability from which a name is given
 NEAR = 60.0  # of the score: rivals that the record that judges may decide between
 LATTICE = 0.1  # different values per reading below which readings may be rounded
-ROUNDED = 0.3  # part of the noise's variance that rounding must make to be named
+ROUNDED = 0.3  # part of the noise's variance, or of what is left, that rounding must make to be named
 RESTLESS = 10.0  # eigenvalue times the length of a record: what is slower does not come to rest in it
 SHARES = 20  # windows of a record of what does not come to rest
 FEWEST = 200  # samples of a window
 UNSEEN = 0.1  # of the noise: what integration may add
 HELD_OUT = 0.3  # of a record, where no other is given to judge by
+CLOSED = 1.1  # of the noise: a gap from here on is more than noise
 LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "added_mass", "actuator_gain", "constant_force")
+LINEAR = (*LIKE_PARAMETERS, "delay", "actuator_lag", "sensor_lag", "sensor_gain")
+ENOUGH = 3  # linear causes that together are any linear system
 BELIEVED = 0.5  # part of what a cause takes off the cost from which it is parameters that need not be off
 
 
@@ -165,10 +169,17 @@ class Discovery:
         """Return the relative error of each sensor that adjusted parameters alone leave, where it is judged."""
         return relative(self.twin.sensors, [self.judge], self.adjusted.squares)
 
+    @property
+    def closed(self) -> bool:
+        """Return whether what was found leaves no more than noise of any sensor, on the record that judges."""
+        after, floor = self.gap.validation[1], self.gap.validation_floor
+        return all(after[name] <= CLOSED * floor[name] for name in floor)
+
     def as_dict(self) -> dict[str, Any]:
         """Return the discovery as JSON can hold it."""
         return {
             "verdict": self.verdict,
+            "closed": self.closed,
             "effects": [effect.as_dict() for effect in self.effects],
             "gap": self.gap.as_dict(),
             "rest": self.rest,
@@ -229,7 +240,7 @@ def discover(
         _floor(evidence),
         _floor(judged),
     )
-    verdict, effects = _with_rounding(evidence, *_verdict(rig, rivals, heat, rest, size))
+    verdict, effects = _with_rounding(evidence, chosen.hypothesis, *_verdict(rig, rivals, heat, rest, size))
     coming = None
     if verdict == "ambiguous":
         say("looking for an experiment that tells them apart", 0.95)
@@ -354,12 +365,17 @@ def _split(record: Data) -> tuple[Data, Data]:
 
 
 def _reordered(rivals: tuple[Explanation, ...], evidence: Evidence, judged: Evidence) -> tuple[Explanation, ...]:
-    """Return explanations that are nearly as good as the best, ordered by what they predict of another record, too."""
+    """Return explanations that are nearly as good as the best, ordered by how well they explain another record, too."""
     heat = temperature(evidence, rivals[0].hypothesis)
     near = [rival for rival in rivals if rival.score(heat) <= rivals[0].score(heat) + NEAR]
     if len(near) < 2 or any(rival.score(heat) < rivals[0].score(heat) for rival in near):
         return rivals
-    both = [replace(rival, judged=_cost(judged, rival.hypothesis)) for rival in near]
+    both: list[Explanation] = []
+    for rival in near:
+        best = min((one.judged.cost for one in both if one.judged), default=np.inf)
+        with suppress(IntegrationError):
+            joint = fitting.together(rival.believed(evidence), judged, rival.hypothesis, best)
+            both.append(replace(rival, judged=joint))
     return tuple(sorted(both, key=lambda rival: rival.score(heat)))
 
 
@@ -404,20 +420,27 @@ def _verdict(
 
 
 def _with_rounding(
-    evidence: Evidence, verdict: Verdict, causes: tuple[Named, ...]
+    evidence: Evidence, hypothesis: Hypothesis, verdict: Verdict, causes: tuple[Named, ...]
 ) -> tuple[Verdict, tuple[Named, ...]]:
-    """Add the rounding of sensors, which is seen in the readings themselves."""
-    sensors = evidence.rig.twin.sensors
-    rounded = [
-        Named("quantisation", name, {"step": (float(step), 0.0)}, 1.0)
-        for name, step, noise in zip(sensors, steps_of(evidence.record), evidence.sigma, strict=True)
-        if step**2 / 12.0 > ROUNDED * noise**2
-    ]
-    return ("named" if verdict == "none" and rounded else verdict), (*causes, *rounded)
+    """Add the rounding of sensors, which is seen in the readings themselves, where the rig does not declare it."""
+    twin = evidence.rig.twin
+    known = {effect.at for effect in twin.effects if effect.kind == "quantisation" and effect.enabled}
+    left = hypothesis.squares / len(evidence.record)
+    rounded, is_much = [], False
+    for i, (name, step) in enumerate(zip(twin.sensors, steps_of(evidence.record), strict=True)):
+        if name not in known and step**2 / 12.0 > ROUNDED * evidence.sigma[i] ** 2:
+            rounded.append(Named("quantisation", name, {"step": (float(step), 0.0)}, 1.0))
+            is_much = is_much or step**2 / 12.0 > ROUNDED * left[i]
+    return ("named" if is_much and not causes else verdict), (*causes, *rounded)
 
 
 def _is_patched(causes: Sequence[Named], known: Mapping[str, Effect]) -> bool:
-    """Return whether several laws of one kind at one place are put together to a law that the dictionary lacks."""
+    """Return whether several laws are put together to one that the dictionary lacks.
+
+    Such are laws of one kind at one place, and linear laws of which so many can make any linear system.
+    """
+    if len(causes) >= ENOUGH and all(cause.name in LINEAR for cause in causes):
+        return True
     kinds = [(cause.on, _kind(known[cause.name])) for cause in causes if cause.name in known]
     kinds = [kind for kind in kinds if kind[1]]
     return len(set(kinds)) < len(kinds)

@@ -97,6 +97,27 @@ def fit(
     )
 
 
+def together(evidence: Evidence, other: Evidence, known: Hypothesis, rival: float = np.inf) -> Hypothesis:
+    """Fit a hypothesis to its own record and to another one at once, from where the first has left it.
+
+    Args:
+        evidence: of its own record.
+        other: of the other one, with its own initial states.
+        known: the hypothesis, fitted to its own record.
+        rival: as in `fit`.
+
+    Returns:
+        The hypothesis; its initial states are those of both, its residuals those of its own record.
+
+    Raises:
+        IntegrationError: the motion is not finite.
+    """
+    problem = _Problem(evidence, known.slots, (other,))
+    start = np.concatenate([known.start, first_states(other, known.theta)])
+    at = _Point(known.theta, known.added, np.zeros(len(problem.begins)), start)
+    return problem.solve(at, MOST_ROUNDS, frozen=False, rival=rival)
+
+
 def cost(evidence: Evidence, slots: Sequence[Slot], theta: Array, start: Array) -> float:
     """Return the cost of a hypothesis that is not fitted; infinite where its motion is not finite."""
     problem = _Problem(evidence, tuple(slots))
@@ -148,11 +169,17 @@ class _Point:
 class _Problem:
     evidence: Evidence
     slots: tuple[Slot, ...]
+    others: tuple[Evidence, ...] = ()
+
+    @property
+    def records(self) -> tuple[Evidence, ...]:
+        """Return the evidence of each record."""
+        return (self.evidence, *self.others)
 
     @cached_property
     def begins(self) -> Array:
-        """Return how far from 0 the states of effects may begin (s,)."""
-        return np.array([size for slot in self.slots for size in slot.begins])
+        """Return how far from 0 the states of effects may begin, in one record after the other (s,)."""
+        return np.tile([size for slot in self.slots for size in slot.begins], len(self.records))
 
     def solve(self, at: _Point, rounds: int, *, frozen: bool, rival: float) -> Hypothesis:
         k, f, s, moving = len(at.theta), len(at.added), len(at.inner), 2 * len(self.evidence.rig.coordinates)
@@ -196,7 +223,18 @@ class _Problem:
         )  # fmt: skip
 
     def equations(self, at: _Point) -> Equations:
-        return self.evidence.rig.equations(self.evidence, at.theta, at.start, self.slots, at.added, inner=at.inner)
+        rig, starts = self.evidence.rig, np.cumsum([one.windows for one in self.records])[:-1]
+        return _joined(
+            [
+                rig.equations(one, at.theta, start, self.slots, at.added, inner=inner)
+                for one, start, inner in zip(
+                    self.records, np.split(at.start, starts), np.split(at.inner, len(self.records)), strict=True
+                )
+            ],
+            len(at.theta) + len(at.added),
+            len(at.inner) // len(self.records),
+            [one.weights / self.evidence.weights for one in self.records],
+        )
 
     def cost(self, found: Equations, at: _Point) -> float:
         off = (at.theta - self.evidence.belief.mean) / self.evidence.belief.deviation
@@ -217,6 +255,29 @@ class _Problem:
     def _bounds(self) -> tuple[Array, Array]:
         pairs = [pair for slot in self.slots for pair in bounds(slot)]
         return np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])
+
+
+def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequence[Array]) -> Equations:
+    """Return the equations of several records as those of one.
+
+    Args:
+        parts: of each record.
+        shared: columns that all have, the first.
+        inner: columns of states inside of effects, which come next; each record has its own.
+        weights: of squared residuals, beside those of the first record (sensors,).
+    """
+    if len(parts) == 1:
+        return parts[0]
+    sizes = [len(part.gradient) - shared - inner for part in parts]
+    ends = shared + inner * len(parts) + np.cumsum([0, *sizes])
+    matrix, gradient = np.zeros((ends[-1], ends[-1])), np.zeros(ends[-1])
+    for i, part in enumerate(parts):
+        first = shared + i * inner
+        own = np.concatenate([np.arange(shared), np.arange(first, first + inner), np.arange(ends[i], ends[i + 1])])
+        matrix[np.ix_(own, own)] += part.matrix
+        gradient[own] += part.gradient
+    squares = np.sum([part.squares * weight for part, weight in zip(parts, weights, strict=True)], axis=0)
+    return Equations(matrix, gradient, squares, parts[0].simulated)
 
 
 def within(values: Array, step: Array, low: Array, high: Array) -> Array:

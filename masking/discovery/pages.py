@@ -13,7 +13,7 @@ import numpy as np
 
 from masking import markup
 from masking.discovery import forces, words, written
-from masking.discovery.discover import Discovery, Named
+from masking.discovery.discover import CLOSED, Discovery, Named
 from masking.discovery.search import probabilities
 from masking.discovery.where import where
 from masking.discovery.written import Files, Origin
@@ -79,15 +79,9 @@ def page(
     told = words.whereabouts(found)
     if told:
         lead += markup.paragraph(f"{'. '.join(told)}.", "changed", names)
-    if found.effects and found.verdict != "unknown" and is_more_left(found):
-        lead += markup.paragraph(f"Something else is left. {words.look(found)}.", "card", names)
+    if words.beside(found):
+        lead += markup.paragraph(f"{words.beside(found)}.", "card", names)
     return markup.document(TITLES[found.verdict], lead, _tiles(found, names), sections)
-
-
-def is_more_left(found: Discovery) -> bool:
-    """Return whether more than noise is left of a sensor in the record that judges."""
-    after, floor = found.gap.validation[1], found.gap.validation_floor
-    return any(after[name] > words.CLOSED * floor[name] for name in floor)
 
 
 def _tiles(found: Discovery, names: set[str]) -> list[str]:
@@ -103,7 +97,7 @@ def _tiles(found: Discovery, names: set[str]) -> list[str]:
             f"error in {worst}" + " with it" * bool(found.effects),
             words.percent(after[worst]),
             f"noise {words.percent(floor[worst])}",
-            is_wrong=after[worst] > words.CLOSED * floor[worst],
+            is_wrong=after[worst] > CLOSED * floor[worst],
             names=names,
         )
     )
@@ -288,8 +282,8 @@ def _version(library: str) -> str:
 def summary(found: Discovery, files: Files | None) -> str:
     """Say in a few lines for the terminal what was found, and what was written."""
     lines = [f"{words.sentence(found)}."]
-    if found.effects and found.verdict != "unknown" and is_more_left(found):
-        lines.append(f"Something else is left. {words.look(found)}.")
+    if words.beside(found):
+        lines.append(f"{words.beside(found)}.")
     lines += [f"{told}." for told in words.whereabouts(found)]
     gap = found.gap
     head = ("error on unseen data", *found.twin.sensors)

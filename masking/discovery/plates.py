@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from masking.discovery import forces, words
-from masking.discovery.discover import Discovery
+from masking.discovery.discover import CLOSED, Discovery
 from masking.discovery.screening import Promise
 from masking.discovery.search import SIGN
 from masking.drawing import COLOURS, GRID, INK, MUTED, SIZE, Plate, panels, symbol, thin, with_unit
@@ -254,9 +254,7 @@ def _residual(found: Discovery) -> Plate:
     names = found.twin.sensors[:MOST_SENSORS]
     sigma, record = found.judged.sigma, found.judge
     more = [
-        n
-        for i, n in enumerate(found.twin.sensors)
-        if found.after.squares[i] > words.CLOSED**2 * len(record) * sigma[i] ** 2
+        n for i, n in enumerate(found.twin.sensors) if found.after.squares[i] > CLOSED**2 * len(record) * sigma[i] ** 2
     ]
     said = (
         f"What is left of {words.listed(found.twin.sensors)} on data that were not used is noise"

@@ -8,7 +8,7 @@ Source: Kass and Raftery (1995), JASA 90(430), 773-795; for what is worth a fit,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -52,6 +52,7 @@ SIMPLER = {  # of what each is nearly the same where its further parameters do l
     "local_friction": ("dry_friction",),
     "lugre_friction": ("dry_friction", "stribeck_friction"),
 }
+IDLE = 2.0  # of the cost: further parameters that take no more do nothing
 SIMPLE = {effect for kin in SIMPLER.values() for effect in kin}
 SMALL = 4.0  # cost per reading below which what is left of a fit is small enough to be looked at by itself
 
@@ -65,18 +66,25 @@ class Explanation:
         names: (parameter, '') or (effect, place) of each.
         hypothesis: fitted.
         own: least part of an effect that parameters could not have.
-        judged: cost on another record, where it has been judged by one.
+        judged: the hypothesis fitted to this and another record, where it has been judged by one.
     """
 
     kind: str
     names: tuple[tuple[str, str], ...]
     hypothesis: Hypothesis
     own: float = 1.0
-    judged: float = 0.0
+    judged: Hypothesis | None = None
+
+    def believed(self, evidence: Evidence) -> Evidence:
+        """Return evidence in which the parameter that is off, where one is, may be anything."""
+        if self.kind != "parameter":
+            return evidence
+        return replace(evidence, belief=evidence.belief.released(evidence.rig.names.index(self.names[0][0])))
 
     def score(self, temperature: float) -> float:
         """Return its cost, divided by a temperature, with what its parameters pay."""
-        return (self.hypothesis.cost + self.judged) / temperature + occam(self.hypothesis, temperature)
+        told = self.judged or self.hypothesis
+        return told.cost / temperature + occam(told, temperature)
 
 
 @dataclass(frozen=True)
@@ -123,8 +131,9 @@ class Search:
         every = list(candidates(self.evidence.rig, self._spans(motion), self.evidence.dt))
         steps: list[tuple[Explanation, ...]] = []
         tried: tuple[Promise, ...] = ()
-        now = base
-        for number in range(MOST_EFFECTS):
+        now = settled = base
+        number = 0
+        while number < MOST_EFFECTS:
             self.tell(f"screening {len(every)} candidates", 0.2 + 0.25 * number)
             near = now.hypothesis.cost < SMALL * self.evidence.record.readings.size
             looked_at = now.hypothesis if near else base.hypothesis
@@ -134,6 +143,14 @@ class Search:
             found = self._round(now, promises, screen, parameters=number == 0)
             if not found or self._is_little(base, now, found[0]):
                 break
+            if len(now.names) > 1 and now is not settled:
+                # What was named first may be only like what is there: it was compared while the others were lacking.
+                now, before = self._settled(now, base, motion, every), now
+                settled = now
+                if now is not before:
+                    steps[-1] = (now,)
+                    continue
+            number += 1
             now, before = self._reduced(found[0]), now
             if now is not found[0] and set(now.names) == set(before.names):
                 steps[-1] = (now, *steps[-1][1:])  # the last adds nothing: the others had not settled
@@ -141,9 +158,9 @@ class Search:
             steps.append(tuple(found) if now is found[0] else (now,))
             if now.kind == "parameter":
                 break
-        if len(now.names) > 1 and now is steps[-1][0]:
-            swapped = self._swapped(now, base, motion, every)
-            steps[-1] = steps[-1] if swapped is now else (swapped,)
+        if len(now.names) > 1 and now is steps[-1][0] and now is not settled:
+            settled = self._settled(now, base, motion, every)
+            steps[-1] = steps[-1] if settled is now else (settled,)
         return Found(base, tuple(steps), motion, tried)
 
     def _round(
@@ -161,6 +178,9 @@ class Search:
                 continue
             if screen.total - promise.gain < most or len(chosen) < FEWEST:
                 chosen.append(promise)
+        excess = now.hypothesis.cost - self.evidence.record.readings.size
+        if self._closes(now) and self._is_excess(excess):
+            chosen = [promise for promise in chosen if promise.gain > LITTLE * excess]
         keys = {promise.candidate.key for promise in chosen}
         simpler = {(e, at) for effect, at in keys for e in SIMPLER.get(effect, ())} - keys - {*now.names}
         kin = simpler | {key for key in keys if key[0] in SIMPLE}
@@ -181,8 +201,9 @@ class Search:
         merged: dict[tuple[tuple[str, str], ...], Explanation] = {}
         for explanation in sorted(found, key=lambda e: e.score(heat)):
             merged.setdefault(tuple(sorted(explanation.names)), explanation)
+        telling = [e for e in merged.values() if not _is_idle(e, merged.values(), heat)]
         # Of what is the same, a parameter of the rig comes first.
-        ranked = sorted(merged.values(), key=lambda e: e.score(heat) - 0.5 * self.price * (e.kind == "parameter"))
+        ranked = sorted(telling, key=lambda e: e.score(heat) - 0.5 * self.price * (e.kind == "parameter"))
         if now.score(heat) - ranked[0].score(heat) < (WRONG if ranked[0].kind == "parameter" else SIGN):
             return []
         return self._simplest_first(now, ranked)
@@ -210,6 +231,10 @@ class Search:
         richer = {(e, at) for e, simple in SIMPLER.items() if kin[0].names[-1][0] in simple}
         return [kin[0], *(e for e in ranked if e is not kin[0] and e.names[-1] not in richer)]
 
+    def _is_excess(self, left: float) -> bool:
+        """Return whether what is left beyond noise is more than chance makes, such as errors of integration."""
+        return left > 3.0 * float(np.sqrt(2.0 * self.evidence.record.readings.size))
+
     def _closes(self, explanation: Explanation) -> bool:
         return explanation.hypothesis.cost <= CLEAN**2 * self.evidence.record.readings.size
 
@@ -224,11 +249,18 @@ class Search:
         """Return whether one more cause would take too little of what is left, as what only resembles it does."""
         size = self.evidence.record.readings.size
         start, before, after = (max(e.hypothesis.cost - size, 0.0) for e in (base, now, then))
-        if then.kind == "parameter" or self._closes(then):
+        if then.kind == "parameter":
             return False
+        if self._closes(then):
+            return after > (1.0 - LITTLE) * before and self._is_excess(before)
         little = max((SMALL - 1.0) * size, TRACE * start if after > FAR * size else 0.0)
         explained = now is not base and before <= min(REST * start, little)
         return after > (1.0 - (SHARE if explained else LITTLE)) * before
+
+    def _settled(self, best: Explanation, base: Explanation, motion: Motion, every: Sequence[Candidate]) -> Explanation:
+        """Return an explanation in which no other effect would do better in the place of one, and none is idle."""
+        found = self._swapped(best, base, motion, every)
+        return best if found is best else self._reduced(found)
 
     def _swapped(self, best: Explanation, base: Explanation, motion: Motion, every: Sequence[Candidate]) -> Explanation:
         """Try other effects in the place of each but the last, which has just been chosen among all."""
@@ -279,9 +311,10 @@ class Search:
         return Explanation("effects", (*now.names, promise.candidate.key), found, promise.own)
 
     def _released(self, now: Explanation, index: int, rival: float) -> Explanation:
-        free = replace(self.evidence, belief=self.evidence.belief.released(index))
+        names = ((self.evidence.rig.names[index], ""),)
+        free = Explanation("parameter", names, now.hypothesis).believed(self.evidence)
         found = fitting.fit(free, theta=now.hypothesis.theta, start=now.hypothesis.start, rival=rival)
-        return Explanation("parameter", ((self.evidence.rig.names[index], ""),), found)
+        return Explanation("parameter", names, found)
 
     def _releases(self, hypothesis: Hypothesis) -> Array:
         """Return what setting each parameter free would take off the cost, to first order (k,)."""
@@ -327,6 +360,14 @@ def _without(explanation: Explanation, i: int) -> tuple[tuple[tuple[str, str], .
     """Return names and slots of an explanation without one of its causes."""
     names, slots = explanation.names, explanation.hypothesis.slots
     return (*names[:i], *names[i + 1 :]), (*slots[:i], *slots[i + 1 :])
+
+
+def _is_idle(richer: Explanation, others: Iterable[Explanation], heat: float) -> bool:
+    """Return whether a simpler law at the same place does all that a richer one does, which is then that law itself."""
+    effect, at = richer.names[-1]
+    simple = {(name, at) for name in SIMPLER.get(effect, ())}
+    most = richer.hypothesis.cost + IDLE * heat
+    return any(other.names[-1] in simple and other.hypothesis.cost < most for other in others)
 
 
 def _span(x: Array, rate: float = 0.0, tones: tuple[float, ...] = ()) -> Span:

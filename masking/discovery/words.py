@@ -22,7 +22,6 @@ MUCH = 1.5  # times the part of the time: a part of the energy from which a regi
 TAKEN = 0.2  # of the power that a force could take out of the motion, from which that is told
 SHOWN = 0.01  # probability from which an alternative is told
 SURE = 2.0  # deviations of a parameter from which it is told in a sentence
-CLOSED = 1.1  # of the noise: errors from here on are told as more than noise
 _PREFIXES = {-9: "n", -6: "µ", -3: "m"}
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -112,6 +111,13 @@ def worst(found: Discovery) -> str:
     """Return the sensor in which adjusted parameters alone leave most, beside its noise."""
     floor, before = found.gap.validation_floor, found.adjusted_gap
     return max(floor, key=lambda name: before[name] / max(floor[name], 1e-300))
+
+
+def beside(found: Discovery) -> str:
+    """Say what is left beside the causes that are known, where more than noise is; '' where not, or it is said."""
+    if found.closed or not found.effects or found.verdict == "unknown":
+        return ""
+    return f"{'This does' if len(found.effects) == 1 else 'These do'} not explain all. {look(found)}"
 
 
 def look(found: Discovery) -> str:

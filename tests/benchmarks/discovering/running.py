@@ -67,7 +67,7 @@ def discovered(case: hidden.Case, training: hidden.Record, validation: hidden.Re
             warnings.simplefilter("ignore", RuntimeWarning)
             found = discover(twin, data(training, "training"), data(validation, "validation"), rig=opened)
     except Exception:  # whatever it is, the other records go on
-        told: Outcome = {"verdict": "failed", "effects": [], "error": traceback.format_exc()}
+        told: Outcome = {"verdict": "failed", "closed": False, "effects": [], "error": traceback.format_exc()}
     else:
         told = {**found.as_dict(), "validation_floor": found.gap.validation_floor}
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20

@@ -2,7 +2,8 @@
 
 Right is the effect AND the place that were hidden, alone and on top, or what `hidden.cases` shows to give exactly the
 same readings. Nothing else counts but for near kin that a record leaves open: there the verdict must be `ambiguous`,
-the truth among what it names, and the proposed experiment must tell the two apart.
+the truth among what it names, and the proposed experiment must tell the two apart. What no dictionary has is `unknown`,
+or the nearest law at its place, marked as not explaining all.
 Source of the interval: Wilson (1927), J. Am. Stat. Assoc. 22(158), 209-212.
 """
 
@@ -47,6 +48,7 @@ class Answer:
 
     verdict: str
     causes: tuple[Cause, ...] = ()
+    closed: bool = True  # False: the answer says itself that it does not explain all
     separated: frozenset[str] = frozenset()  # labels, as `labelled` makes them
 
     @property
@@ -108,12 +110,12 @@ def answer(told: Mapping[str, Any]) -> Answer:
     )
     coming = told.get("next_experiment") or {}
     separated = frozenset(coming["between"]) if coming.get("separates") else frozenset()
-    return Answer(told["verdict"], causes, separated)
+    return Answer(told["verdict"], causes, told["closed"], separated)
 
 
 def judge(case: hidden.Case, told: Answer) -> Score:
     """Return the score of an answer."""
-    confident = told.verdict in CONFIDENT
+    confident = told.verdict in CONFIDENT and (told.closed or case.family != "outside")
     right, how = _judged(case, told)
     return Score(right, how, confident)
 
@@ -139,6 +141,8 @@ def _judged(case: hidden.Case, told: Answer) -> tuple[bool, str]:  # noqa: PLR09
         return True, "unknown"
     found = _named(case, told)
     if case.family == "outside" and not found[0]:
+        if not told.closed and told.causes and told.causes[0].key[1] == case.at:
+            return True, "the nearest, marked"
         return False, "another name, in doubt" if told.verdict == "ambiguous" else "a wrong name"
     return found
 
