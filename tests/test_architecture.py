@@ -16,7 +16,7 @@ ROWS = (
     {"errors", "status"},
     {"declaration", "parquet", "hdf5", "part", "dop853", "linear"},
     {"markup"},
-    {"recording", "drawing", "scales", "fidelity", "integrate"},
+    {"recording", "drawing", "scales", "fidelity", "integrate", "synchronisation"},
     {"signals", "formats"},
     {"sampling"},
     {"compile"},
@@ -33,7 +33,6 @@ ROWS = (
     {"discovery"},
     {"plants"},
     {"realtime"},
-    {"synchronisation"},
     {"study"},
     {"figures", "wording"},
     {"tables"},
@@ -49,7 +48,8 @@ ROWS = (
     {"cli", "__init__"},
 )
 
-# A run and its study meet in the file on disk: only a refinement, the verbs and the command line know both.
+# A run and its study meet in the file on disk: only a refinement, the verbs and the command line know both. Mathematics
+# on series, such as synchronisation, which knows neither, serves both.
 ONLINE = {
     "blocks",
     "observer",
@@ -64,7 +64,6 @@ ONLINE = {
 }
 ONLINE |= {"plants", "realtime", "rig"}
 OFFLINE = {
-    "synchronisation",
     "study",
     "drawing",
     "markup",
