@@ -25,6 +25,7 @@ ROWS = (
     {"equations"},
     {"lowering"},
     {"model"},
+    {"stability"},
     {"blocks", "twin", "observer"},
     {"controller", "instruments", "sensitivity"},
     {"closed_loop", "sampled"},
