@@ -39,6 +39,7 @@ ROWS = (
     {"tables"},
     {"page"},
     {"reporting", "calibration"},
+    {"ending"},
     {"experiment"},
     {"budget"},
     {"rig"},
@@ -60,6 +61,7 @@ ONLINE = {
     "sampled",
     "loop",
     "budget",
+    "ending",
     "experiment",
     "feasibility",
 }

@@ -187,11 +187,12 @@ def about_drift(a: Series) -> Series:
     if size <= 2 * (_TREND + 3):
         return a - np.mean(a) if size else a
     window = np.hanning(size + 2)[1:-1]
-    root = np.sqrt(window)
     basis: Series = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, size), _TREND).astype(np.float64)
 
     def fitted(columns: Series) -> Series:
-        return np.asarray(np.linalg.lstsq(columns * root[:, None], a * root, rcond=None)[0], dtype=np.float64)
+        # Few columns, nearly orthogonal: normal equations lose nothing, and take a tenth of the time.
+        weighted = columns * window[:, None]
+        return np.asarray(np.linalg.lstsq(weighted.T @ columns, weighted.T @ a, rcond=None)[0], dtype=np.float64)
 
     found: Series = a - basis @ fitted(basis)
     for _ in range(_REFITS):  # by itself, the polynomial takes a part of few oscillations with it
