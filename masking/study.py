@@ -34,6 +34,7 @@ Series = NDArray[np.float64]
 
 SUM_WINDOW_PERIODS = 3
 _END = 0.05  # part of the record over which its last phase is stated
+_ROWS = 64  # of a period, which tell as much as thousands
 _ROUNDING = 1e-9
 _AT_REST = 1e-12  # of the largest coordinate: below this a coordinate has not moved
 
@@ -301,14 +302,17 @@ def _pairs(tau: Series, motions: Mapping[str, Series], mean_period: float) -> tu
     for name in rest:
         series = phase_difference(tau, motions[first], motions[name])
         (start, steady_start), (end, steady_end) = mean_phase(series[head]), mean_phase(series[tail])
-        verdict = _verdict(tau, motions, (first, name))
+        verdict = _verdict(tau, motions, (first, name), mean_period)
         pairs.append(PhasePair(first, name, series, start, end, steady_start, steady_end, verdict))
     return tuple(pairs)
 
 
-def _verdict(tau: Series, motions: Mapping[str, Series], names: tuple[str, str]) -> Synchronisation | None:
+def _verdict(
+    tau: Series, motions: Mapping[str, Series], names: tuple[str, str], mean_period: float
+) -> Synchronisation | None:
+    rows = slice(None, None, max(1, int(mean_period / _ROWS * (len(tau) - 1) / (tau[-1] - tau[0]))))
     try:
-        return synchronisation(tau, motions[names[0]], motions[names[1]], names=names)
+        return synchronisation(tau[rows], motions[names[0]][rows], motions[names[1]][rows], names=names)
     except RecordError:
         return None
 
