@@ -53,7 +53,14 @@ def test_figure_5_3_oscillators_that_differ_die_out_in_their_slowest_mode():
 
 
 @pytest.mark.parametrize(
-    ("name", "end"), [("setup_identical", 1500.0), ("duffing", 2500.0), ("huygens", 400.0), ("discs_eccentric", 900.0)]
+    ("name", "end"),
+    [
+        ("setup_identical", 1500.0),
+        ("setup_undamped", 1200.0),
+        ("duffing", 2500.0),
+        ("huygens", 400.0),
+        ("discs_eccentric", 900.0),
+    ],
 )
 def test_noise_changes_alpha_by_less_than_a_percent(name, end):
     t, a, b = motion(name, end)  # noise of 1e-2 of the largest motion, which at last is down to a tenth of it

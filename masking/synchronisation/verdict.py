@@ -144,7 +144,7 @@ def synchronisation(
         signals = (analytic_signal(a), analytic_signal(b))
     except RecordError:  # fewer than three periods
         return nothing
-    phases = tuple(np.unwrap(np.angle(x)) for x in signals)
+    phases = tuple(_phase(t, x, whole) for x, whole in zip(signals, periods, strict=True))
     for ratio in _ratios(t, phases, tail):
         found = _lock(t, phases, tail, ratio)
         if found is not None:
@@ -233,7 +233,7 @@ def _told(
     if n != m:
         alpha = float(np.std(ends[0]) / np.std(ends[1]))
         turned = np.exp(1j * (lock.difference - phase))
-        time = synchronisation_time(record.t, np.abs(np.angle(_averaged(turned, record, first))), record.within)
+        time = synchronisation_time(record.t, np.abs(np.angle(_averaged(turned, record.t, first))), record.within)
         return replace(found, kind="locked", alpha=alpha, time=time)
     kind: Kind = "in-phase" if abs(phase) <= _NEAR else "anti-phase" if abs(phase) >= math.pi - _NEAR else "locked"
     whole = first if np.std(ends[0]) >= np.std(ends[1]) else second
@@ -241,15 +241,24 @@ def _told(
     alpha, g = proportion(t, *ends, turn / (2 * math.pi) * whole, whole)
     # The envelope of g, which needs no sample beyond the end and averages over noise.
     line = np.exp(-2j * np.pi * record.t / whole)
-    envelope = np.abs(_averaged((signal_a - alpha * signal_b * np.exp(1j * turn)) * line, record, whole))
+    envelope = np.abs(_averaged((signal_a - alpha * signal_b * np.exp(1j * turn)) * line, record.t, whole))
     amplitude = float(np.mean(np.abs(signal_a[tail])))
     time = synchronisation_time(record.t, envelope, record.within * amplitude)
     return replace(found, kind=kind, alpha=alpha, eps=float(np.nanmax(np.abs(g))), time=time)
 
 
-def _averaged(x: NDArray[np.complex128], record: _Record, length: float) -> NDArray[np.complex128]:
+def _phase(t: Series, signal: NDArray[np.complex128], length: float) -> Series:
+    """Return the unwrapped phase of an analytic signal, averaged over a period, where it has one, against noise."""
+    if not math.isfinite(length):
+        return np.asarray(np.unwrap(np.angle(signal)), dtype=np.float64)
+    turn = 2 * np.pi * (t - t[0]) / length
+    averaged = _averaged(signal * np.exp(-1j * turn), t, length)
+    return np.asarray(np.unwrap(np.angle(averaged)) + turn, dtype=np.float64)
+
+
+def _averaged(x: NDArray[np.complex128], t: Series, length: float) -> NDArray[np.complex128]:
     """Return the mean over a length of time around each sample, over less of it at both ends."""
-    half = max(1, round(length / 2 * (len(x) - 1) / (record.t[-1] - record.t[0])))
+    half = max(1, round(length / 2 * (len(x) - 1) / (t[-1] - t[0])))
     total = np.concatenate([[0.0], np.cumsum(x)])
     index = np.arange(len(x))
     first, last = np.maximum(index - half, 0), np.minimum(index + half + 1, len(x))
