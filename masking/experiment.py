@@ -19,6 +19,7 @@ from masking.blocks import Transform, check_actuation
 from masking.closed_loop import ClosedLoop
 from masking.controller import Controller
 from masking.declaration import meeting, registry, schema
+from masking.ending import SYNCHRONISED, Ending, cut
 from masking.errors import DeclarationError, ModelError, Problem
 from masking.fidelity import fidelity
 from masking.instruments import Instruments
@@ -174,6 +175,17 @@ class Experiment:
         """Return sampled controller and twin, compiled together."""
         return SampledLoop(self.sampled, self.twin)
 
+    @cached_property
+    def ending(self) -> Ending | None:
+        """Return what ends a run before its duration; None where nothing does."""
+        declaration, rate = self.declaration, self.declaration.controller.rate
+        if declaration.stop is None:
+            return None
+        rows = declaration.record.rate * self.time_scale if declaration.record else float(ROWS_PER_UNIT)
+        step = 1.0 / rows if rate is None else self.every / (rate * self.time_scale)
+        initial = self.virtual.initial_state(declaration.initial)
+        return Ending.of(declaration.stop, self.virtual, initial, step=step, duration=declaration.duration)
+
     @property
     def stem(self) -> str:
         """Return the name of the experiment's file, without its ending."""
@@ -201,6 +213,7 @@ class Experiment:
         self.virtual.initial_state(self.declaration.initial)
         if self.has_observer:
             _ = self.sampled.gain
+        _ = self.ending
 
     def _check_size(self) -> list[Problem]:
         rows = meeting.recorded_rows(self.declaration, self.time_scale, ROWS_PER_UNIT)
@@ -247,6 +260,8 @@ class Experiment:
             run = run_continuous(self.loop, state, times, tolerance=declaration.tolerance, progress=progress)
         else:
             run = run_sampled(self.loop, state, rate=rate, duration=duration, every=self.every, progress=progress)
+        row = self.ending.row(run.virtual) if self.ending else None
+        run = run if row is None else cut(run, row + 1)
         ran = time.perf_counter()
         ideal = self._ideal(run.times)
         commands = run.inputs @ self.instruments.allocation.T
@@ -257,7 +272,7 @@ class Experiment:
             "run": ran - prepared,
             "ideal": time.perf_counter() - ran,
         }
-        return self._record(columns, timing)
+        return self._record(columns, timing, is_stopped=row is not None)
 
     def _run_sampled(self, clock: float, progress: Callable[[float], None] | None) -> Recording:
         declaration, sampled = self.declaration, self.sampled
@@ -275,6 +290,9 @@ class Experiment:
         run = run_twin(
             self.sampled_loop, start, duration=duration, seed=declaration.seed, every=self.every, progress=progress
         )
+        # What ends it is what the controller takes for the motion, as on a rig.
+        row = self.ending.row(self._virtual(run.times, run.estimates)) if self.ending else None
+        run = run if row is None else cut(run, row + 1)
         ran = time.perf_counter()
         columns = self.sampled_columns(run)
         timing = {
@@ -283,14 +301,18 @@ class Experiment:
             "run": ran - prepared,
             "ideal": time.perf_counter() - ran,
         }
-        return self._record(columns, timing)
+        return self._record(columns, timing, is_stopped=row is not None)
+
+    def _virtual(self, times: Array, states: Array) -> Array:
+        """Return the virtual coordinates and velocities (m, 2 k) of the rig's states (m, .)."""
+        virtual = np.empty((len(times), 2 * len(self.virtual.coordinates)))
+        self.sampled.kernels.transforms(times, np.ascontiguousarray(states), self.sampled.values(), virtual)
+        return virtual
 
     def sampled_columns(self, run: TwinRun) -> Columns:
         """Return the columns of a sampled run; where a rig's true states are not known, `states` are estimates."""
         times, states = run.times, run.states
-        virtual = np.empty((len(times), 2 * len(self.virtual.coordinates)))
-        self.sampled.kernels.transforms(times, np.ascontiguousarray(states), self.sampled.values(), virtual)
-        columns = Columns(self).add_motion(times, states, virtual, self._ideal(times))
+        columns = Columns(self).add_motion(times, states, self._virtual(times, states), self._ideal(times))
         columns.add_sensors(run.readings)
         columns.add_actuators("input", run.applied).add_actuators("demanded", run.demanded)
         if self.assembly.plant.limits.power is not None:
@@ -322,14 +344,16 @@ class Experiment:
             lockstep: whether controller and plant waited for each other.
             told: how the run ended and what was counted, for the manifest.
         """
-        made = self._record(self.sampled_columns(run), {})
+        made = self._record(self.sampled_columns(run), {}, is_stopped=told["end"] == SYNCHRONISED)
         made.manifest.update(mode="lockstep" if lockstep else "real time", states="estimated", rig=dict(told))
         return made
 
-    def _record(self, made: Columns, timing: Mapping[str, float]) -> Recording:
+    def _record(self, made: Columns, timing: Mapping[str, float], *, is_stopped: bool) -> Recording:
         columns = made.columns
+        at = float(columns["t"][-1]) / self.time_scale if is_stopped else None
+        stop = {"stop": self.ending.told(at)} if self.ending else {}
         chi = {c: fidelity(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in self.virtual.coordinates}
-        return Recording(columns, {**self._manifest(made.units, chi, timing), **self._start_told(columns)})
+        return Recording(columns, {**self._manifest(made.units, chi, timing), **self._start_told(columns), **stop})
 
     def _start_told(self, columns: Mapping[str, Array]) -> dict[str, Any]:
         """Return where an approach should have brought the rig, and where it did, for the manifest."""

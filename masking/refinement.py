@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import yaml
 
+from masking.budget import in_full
 from masking.declaration import registry
 from masking.discovery import asked, words, written
 from masking.discovery.discover import TOLERANCE, Discovery, Named, discover
@@ -271,7 +272,7 @@ def _is_of_model(found: Discovery, cause: Named) -> bool:
 
 def _run(experiment: Experiment, progress: Callable[[float], None]) -> Run:
     try:
-        return Run(experiment.run(progress))
+        return Run(in_full(experiment).run(progress))  # else the two are of different lengths
     except (IntegrationError, SingularityError) as error:
         return Run(None, str(error))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from masking.ending import SYNCHRONISED
 from masking.errors import MaskingError, ModelError
 from masking.experiment import Experiment
 from masking.kernels import Array
@@ -21,6 +22,7 @@ from masking.realtime import FAILED, FINISHED, LOST, REFUSED, STOPPED, RigRun, c
 from masking.recording import Recording
 from masking.sampled import Memory, SampledController
 from masking.sampling import LARGEST
+from masking.synchronisation import Watch
 from masking.twin import Twin
 
 WATCHDOG = 0.02
@@ -85,7 +87,8 @@ def run(
     """Run an experiment on a plant, from rest through the approach to the end.
 
     SIGINT, SIGTERM and SIGHUP end the run in order; what there is since the release is returned. The manifest's
-    `rig.end` says why the run ended: "finished", "interrupted", "stopped", "plant lost", "command refused" or "failed".
+    `rig.end` says why the run ended: "finished", "synchronised", "interrupted", "stopped", "plant lost", "command
+    refused" or "failed".
 
     Args:
         experiment: with a sampled controller, an observer and an approach.
@@ -109,7 +112,9 @@ def run(
     before = round(sampled.approach * sampled.rate) + sampled.delay
     after = int(np.floor(experiment.declaration.duration * experiment.time_scale * sampled.rate * (1.0 + 1e-12))) + 1
     _prepare(sampled)
-    keeper = _Keeper(sampled, before, after)
+    ending = experiment.ending
+    watched = _Watched(ending.detector.begin(), ending.columns, experiment.every) if ending else None
+    keeper = _Keeper(sampled, before, after, watched)
     declared, instruments = experiment.assembly.plant, experiment.instruments
     wanted = Path(next(iter(declared.files), declared.name)).stem
 
@@ -117,7 +122,7 @@ def run(
         return keeper.is_over or (stop is not None and stop())
 
     def made(ran: RigRun) -> Recording:
-        reason = FINISHED if ran.reason == STOPPED and keeper.is_over else ran.reason
+        reason = keeper.reason if ran.reason in {STOPPED, FINISHED} and keeper.is_over else ran.reason
         return experiment.record_rig(keeper.rows(ran, experiment.every), lockstep=lockstep, told=_told(ran, reason))
 
     def on_end(ran: RigRun) -> None:
@@ -161,7 +166,7 @@ def _check(experiment: Experiment) -> None:
 
 def _prepare(sampled: SampledController) -> None:
     """Compile and load everything before the plant is touched."""
-    for name in ("control", "still", "transforms", *([] if sampled.has_model else ["skip"])):
+    for name in ("control", "still", "transform", "transforms", *([] if sampled.has_model else ["skip"])):
         getattr(sampled.kernels, name).prepare()
     _ = sampled.gain
 
@@ -175,6 +180,36 @@ def _told(ran: RigRun, reason: str) -> dict[str, object]:
 
 
 @dataclass
+class _Watched:
+    """What watches a run for synchronisation.
+
+    Args:
+        watch: what has been seen of it.
+        columns: where the two are among the virtual coordinates.
+        every: of how many samples one is looked at: those that are recorded, as offline.
+    """
+
+    watch: Watch
+    columns: tuple[int, int]
+    every: int
+
+    def follow(self, memory: Memory) -> None:
+        """Watch a controller that has begun."""
+        n = memory.controller.sizes.coordinates
+        self._transform, self._p = memory.controller.kernels.transform, memory.p
+        self._q, self._v = memory.estimate[:n], memory.estimate[n:]
+        self._virtual = np.empty(2 * len(memory.controller.controller.virtual.coordinates))
+
+    def step(self, index: int, t: float) -> None:
+        """Look at a sample at time t, which the controller has answered."""
+        if index < 0 or index % self.every:
+            return
+        self._transform(t, self._q, self._v, self._p, self._virtual)
+        first, second = self.columns
+        self.watch.step(float(self._virtual[first]), float(self._virtual[second]))
+
+
+@dataclass
 class _Keeper:
     """A sampled controller with a row for each of its steps.
 
@@ -182,11 +217,13 @@ class _Keeper:
         sampled: the controller.
         before: samples before the release.
         after: samples from the release on.
+        watched: what ends the run before that.
     """
 
     sampled: SampledController
     before: int
     after: int
+    watched: _Watched | None = None
     memory: Memory | None = None
     first: int = 0
     row: int = 0
@@ -214,13 +251,23 @@ class _Keeper:
 
     @property
     def is_over(self) -> bool:
-        """Tell whether the planned time has passed, which it may have with fewer rows where samples were missed."""
-        return self.last >= self.after - 1
+        """Tell whether the run has ended as planned.
+
+        The time has passed, which it may have with fewer rows where samples were missed, or what ends it was found.
+        """
+        return self.last >= self.after - 1 or self.reason == SYNCHRONISED
+
+    @property
+    def reason(self) -> str:
+        """Return why a run that has ended as planned has."""
+        return SYNCHRONISED if self.watched is not None and self.watched.watch.is_synchronised else FINISHED
 
     def step(self, tick: int, readings: Array) -> Array:
         """Return the commands (actuators,) that answer the readings (sensors,) of a tick of the plant."""
         if self.memory is None:
             self.memory, self.first = self.sampled.begin(readings), tick
+            if self.watched is not None:
+                self.watched.follow(self.memory)
         index = tick - self.first - self.before
         applied = self.memory.step(index, readings)
         row = self.row
@@ -229,6 +276,8 @@ class _Keeper:
         self.estimates[row] = self.memory.estimate
         self.demanded[row] = self.memory.demanded
         self.power[row] = self.memory.x[self.sampled.sizes.power]
+        if self.watched is not None:
+            self.watched.step(index, index / self.sampled.rate)
         return applied
 
     def rows(self, ran: RigRun, every: int) -> TwinRun:

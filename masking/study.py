@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 from masking.errors import MaskingError, RecordError
 from masking.fidelity import fidelity
 from masking.recording import Recording
-from masking.synchronisation import AntiPhase, anti_phase, mean_phase, period, phase_difference, running_peak
+from masking.synchronisation import (
+    AntiPhase,
+    Synchronisation,
+    anti_phase,
+    mean_phase,
+    period,
+    phase_difference,
+    running_peak,
+    synchronisation,
+)
 
 if TYPE_CHECKING:
     from masking.declaration import units
@@ -25,6 +34,7 @@ Series = NDArray[np.float64]
 
 SUM_WINDOW_PERIODS = 3
 _END = 0.05  # part of the record over which its last phase is stated
+_ROWS = 64  # of a period, which tell as much as thousands
 _ROUNDING = 1e-9
 _AT_REST = 1e-12  # of the largest coordinate: below this a coordinate has not moved
 
@@ -34,6 +44,7 @@ class PhasePair:
     """Phase of one oscillator minus that of another, in radians: the series, and its mean at first and at last.
 
     `start` and `end` are folded to [0, pi]; `steady_start`, `steady_end`: 1 for a constant phase, 0 for a spread one.
+    `verdict` says in which way they are synchronised at last, None where the record is too short to tell.
     """
 
     first: str
@@ -43,6 +54,7 @@ class PhasePair:
     end: float
     steady_start: float
     steady_end: float
+    verdict: Synchronisation | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,8 +302,19 @@ def _pairs(tau: Series, motions: Mapping[str, Series], mean_period: float) -> tu
     for name in rest:
         series = phase_difference(tau, motions[first], motions[name])
         (start, steady_start), (end, steady_end) = mean_phase(series[head]), mean_phase(series[tail])
-        pairs.append(PhasePair(first, name, series, start, end, steady_start, steady_end))
+        verdict = _verdict(tau, motions, (first, name), mean_period)
+        pairs.append(PhasePair(first, name, series, start, end, steady_start, steady_end, verdict))
     return tuple(pairs)
+
+
+def _verdict(
+    tau: Series, motions: Mapping[str, Series], names: tuple[str, str], mean_period: float
+) -> Synchronisation | None:
+    rows = slice(None, None, max(1, int(mean_period / _ROWS * (len(tau) - 1) / (tau[-1] - tau[0]))))
+    try:
+        return synchronisation(tau[rows], motions[names[0]][rows], motions[names[1]][rows], names=names)
+    except RecordError:
+        return None
 
 
 def _anti_phase(tau: Series, motions: Mapping[str, Series]) -> AntiPhase | None:

@@ -28,6 +28,7 @@ def phases(facts: Study) -> str:
         )
         for pair in facts.pairs
     ]
+    rows += [("at the end", str(pair.verdict)) for pair in facts.pairs if pair.verdict is not None]
     if facts.sum_peak is not None:
         start, end = facts.sum_ends
         rows.append((f"peak of {sum_name(facts)}, from start to end", f"{number(start)} to {number(end)}"))

@@ -136,12 +136,27 @@ def headline(facts: Study) -> list[str]:
     if still:
         sentences.append("Nothing moved.")
     sentences += [_phase_sentence(pair) for pair in facts.pairs[:1]]
+    if ended(manifest):
+        sentences.append(ended(manifest))
     if len(facts.oscillators) > 2 and facts.sum_peak is not None:
         start, end = facts.sum_ends
         sentences.append(f"The peak of {sum_name(facts)} went from {number(start)} to {number(end)}.")
     if facts.budget is not None:
         sentences.append(facts.budget.sentence)
     return sentences
+
+
+def ended(manifest: Mapping[str, Any]) -> str:
+    """Say what ended a run before its duration, or that what was to end it did not; nothing where nothing was to."""
+    told = manifest.get("stop") or {}
+    if not told:
+        return ""
+    what = f"{' and '.join(told['of'])} were {'in ' * (told['phase'] == 'anti')}{told['phase']}-phase"
+    eps = f"to {percent(told['eps'])} of the amplitude"
+    if told["met"]:
+        whole = number(told["duration"], 4)
+        return f"The run ended after {number(told['at'], 4)} of {whole} units of time, when {what} {eps}."
+    return f"Nothing ended the run early: {what} {eps} for {number(told['periods_needed'])} periods at no time."
 
 
 def regulation(manifest: Mapping[str, Any]) -> str:
@@ -156,6 +171,8 @@ def regulation(manifest: Mapping[str, Any]) -> str:
 def _phase_sentence(pair: PhasePair) -> str:
     who = f"{pair.first} and {pair.second}"
     start, end = _state(pair.start, pair.steady_start), _state(pair.end, pair.steady_end)
+    if pair.verdict is not None and (pair.verdict.kind in {"beating", "death"} or len(set(pair.verdict.ratio)) > 1):
+        return str(pair.verdict)
     if start == end and "pi" in end:
         return f"{who} stayed {end}."
     if start == end == _NO_PHASE:
@@ -165,6 +182,14 @@ def _phase_sentence(pair: PhasePair) -> str:
     where = {"in-phase", "anti-phase"}
     told = [s if s not in where else f"{s} ({pi(p)})" for s, p in ((start, pair.start), (end, pair.end))]
     return f"{who} went from {told[0]} to {told[1]}."
+
+
+def _since(facts: Study) -> str:
+    """Say from when on two oscillators are synchronised, by definition 8.1."""
+    found = facts.pairs[0].verdict if facts.pairs else None
+    if found is None or not math.isfinite(found.time):
+        return ""
+    return f"; within {percent(found.within)} of the amplitude from {number(found.time, 4)} on"
 
 
 def _state(phase: float, steady: float) -> str:
@@ -187,7 +212,8 @@ def summary(facts: Study) -> str:
         rows.append(("fidelity", "  ".join(f"{name} {number(chi, 2)}" for name, chi in facts.chi.items()) + against))
     if facts.anti_phase is not None and facts.anti_phase.alpha > 0:
         fit = facts.anti_phase
-        rows.append(("anti-phase", f"alpha = {fit.alpha:.4f}, eps = {number(fit.eps)} over the last fifth"))
+        words = f"alpha = {fit.alpha:.4f}, eps = {number(fit.eps)} over the last fifth{_since(facts)}"
+        rows.append(("anti-phase", words))
     if facts.sum_peak is not None:
         start, end = facts.sum_ends
         rows.append(("peak sum", f"{sum_name(facts)} from {number(start)} to {number(end)}"))

@@ -16,7 +16,7 @@ ROWS = (
     {"errors", "status"},
     {"declaration", "parquet", "hdf5", "part", "dop853", "linear"},
     {"markup"},
-    {"recording", "drawing", "scales", "fidelity", "integrate"},
+    {"recording", "drawing", "scales", "fidelity", "integrate", "synchronisation"},
     {"signals", "formats"},
     {"sampling"},
     {"compile"},
@@ -25,6 +25,7 @@ ROWS = (
     {"equations"},
     {"lowering"},
     {"model"},
+    {"stability"},
     {"blocks", "twin", "observer"},
     {"controller", "instruments", "sensitivity"},
     {"closed_loop", "sampled"},
@@ -33,12 +34,12 @@ ROWS = (
     {"discovery"},
     {"plants"},
     {"realtime"},
-    {"synchronisation"},
     {"study"},
     {"figures", "wording"},
     {"tables"},
     {"page"},
     {"reporting", "calibration"},
+    {"ending"},
     {"experiment"},
     {"budget"},
     {"rig"},
@@ -49,7 +50,8 @@ ROWS = (
     {"cli", "__init__"},
 )
 
-# A run and its study meet in the file on disk: only a refinement, the verbs and the command line know both.
+# A run and its study meet in the file on disk: only a refinement, the verbs and the command line know both. Mathematics
+# on series, such as synchronisation, which knows neither, serves both.
 ONLINE = {
     "blocks",
     "observer",
@@ -59,12 +61,12 @@ ONLINE = {
     "sampled",
     "loop",
     "budget",
+    "ending",
     "experiment",
     "feasibility",
 }
 ONLINE |= {"plants", "realtime", "rig"}
 OFFLINE = {
-    "synchronisation",
     "study",
     "drawing",
     "markup",

@@ -139,7 +139,10 @@ def test_the_summary():
     # The sum is 2 * 0.55 exp(-tau / 300); its peak over the last three periods lies up to 6 pi before the end.
     sums = re.fullmatch(r"  peak sum   \|x1 \+ x2\| from 1\.1 to (\S+)", lines.pop(4))
     assert 1.1 * np.exp(-2500 / 300) <= float(sums[1]) <= 1.1 * np.exp(-(2500 - 6.0 * np.pi) / 300) * 1.01
-    fit = re.fullmatch(r"  anti-phase alpha = (\S+), eps = (\S+) over the last fifth", lines.pop(3))
+    words = r"  anti-phase alpha = (\S+), eps = (\S+) over the last fifth; within 5 % of the amplitude from (\S+) on"
+    fit = re.fullmatch(words, lines.pop(3))
+    # The sum falls to 0.05 of the amplitude, 0.35 at last.
+    assert float(fit[3]) == pytest.approx(300 * math.log(1.1 / (0.05 * 0.35)), rel=0.02)
     assert float(fit[1]) == pytest.approx(1.0, abs=5e-3)
     # alpha takes up the part of the sum that is there all along, about half of it.
     assert 0.3 < float(fit[2]) / (1.1 * np.exp(-2000 / 300)) < 1.0
@@ -336,6 +339,40 @@ def test_power_that_holds_back_is_told_apart_and_stands_in_the_table(tmp_path):
         "the rig could not follow there."
     ]
     assert "7.9 of 8 W" in page_of(report(recording, tmp_path)).text
+
+
+STOP = {
+    "met": True,
+    "at": 211.47,
+    "of": ["x1", "x2"],
+    "phase": "anti",
+    "eps": 0.05,
+    "periods_needed": 1.5,
+    "duration": 2500.0,
+}
+
+
+def test_what_ended_a_run_is_said():
+    said = "The run ended after 211.5 of 2500 units of time, when x1 and x2 were in anti-phase to 5 % of the amplitude."
+    assert said in summary(duffing(stop=STOP)).splitlines()
+    said = "Nothing ended the run early: x1 and x2 were in-phase to 5 % of the amplitude for 1.5 periods at no time."
+    assert said in summary(duffing(stop={**STOP, "met": False, "at": None, "phase": "in"})).splitlines()
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        (lambda t: np.cos(1.05 * t), "x1 and x2 beat with a period of 125.7: they are not synchronised."),
+        (lambda t: np.cos(t) * np.exp(-t / 100), "x2 has come to rest."),
+        (lambda t: np.cos(2 * t), "x1 and x2 are locked 2:1"),
+    ],
+)
+def test_other_kinds_of_motion_are_named(other, said):
+    whole = duffing()
+    tau = whole.t * 18
+    columns = {**whole.columns, "virtual.x1": np.cos(tau), "virtual.x2": other(tau)}
+    lines = summary(Recording(columns, whole.manifest)).splitlines()
+    assert [line for line in lines if line.startswith(said)]
 
 
 BUDGET = {

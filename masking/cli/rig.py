@@ -15,13 +15,14 @@ from masking.cli.adding import add_to
 from masking.cli.progress import INTERRUPTED, Bar, raise_interrupts
 
 if TYPE_CHECKING:
-    from masking import calibration, experiment, realtime, reporting
+    from masking import calibration, ending, experiment, realtime, reporting
     from masking import rig as rigs
     from masking import twin as twins
     from masking.plants import simulated
     from masking.recording import Recording
 else:
     calibration = lazy.load("masking.calibration", suppress_warning=True)
+    ending = lazy.load("masking.ending", suppress_warning=True)
     experiment = lazy.load("masking.experiment", suppress_warning=True)
     realtime = lazy.load("masking.realtime", suppress_warning=True)
     reporting = lazy.load("masking.reporting", suppress_warning=True)
@@ -93,9 +94,10 @@ def _rig_run(chosen: argparse.Namespace) -> int:
         recording = rigs.run(made, plant, lockstep=chosen.lockstep, progress=bar, keep=keep)
     keep(recording)
     end = recording.manifest["rig"]["end"]
-    if end != realtime.FINISHED:
+    is_planned = end in {realtime.FINISHED, ending.SYNCHRONISED}
+    if not is_planned:
         print(f"masking: the run was {end}; the record ends there", file=sys.stderr)
-    return int(end != realtime.FINISHED)
+    return int(not is_planned)
 
 
 def _rig_calibrate(chosen: argparse.Namespace) -> int:

@@ -33,6 +33,7 @@ OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
             "duration",
             "time_scale",
             "record",
+            "stop",
             "tolerance",
             "seed",
         ]

@@ -77,6 +77,7 @@ def check_experiment(
     problems += _effects(experiment, plant)
     problems += _sampling(experiment)
     problems += _record(experiment)
+    problems += _stop(experiment, virtual_model)
     problems += _transform(experiment, plant_model, virtual_model)
     if not virtual_model.coordinates:
         problems.append(problem_at(experiment, "virtual", f"the model {virtual_model.name} has no coordinates"))
@@ -134,6 +135,27 @@ def _record(experiment: ExperimentDeclaration) -> Iterator[Problem]:
         message = f"{_hertz(experiment.record.rate)} does not divide the controller's rate of {_hertz(rate)}"
         allowed = ", ".join(_hertz(rate / divisor) for divisor in _PROPOSED_DIVISORS)
         yield problem_at(experiment, "record.rate", message, f"allowed: {allowed}, ...")
+
+
+def _stop(experiment: ExperimentDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
+    """Check that two coordinates of the virtual system can end a run."""
+    wanted = experiment.stop
+    if wanted is None:
+        return
+    for i, name in enumerate(wanted.of):
+        if name not in model.coordinates:
+            message = f"'{name}' is not a coordinate of {model.name}"
+            yield problem_at(experiment, f"stop.of.{i}", message, nearest(name, model.coordinates))
+    two = wanted.of or model.oscillators or tuple(model.coordinates)
+    if (wanted.of and len(wanted.of) != 2) or len(two) < 2 or two[0] == two[1]:
+        message = f"two coordinates synchronise, not {', '.join(two) or 'none'}"
+        yield problem_at(experiment, "stop", message, "name two, such as 'of: [x1, x2]'", at_key=True)
+    limits = {"eps": (wanted.eps, wanted.eps < 1.0, "less than 1: it is a part of the amplitude")}
+    limits["false_alarm"] = (wanted.false_alarm, wanted.false_alarm < 1.0, "less than 1: it is a probability")
+    limits["memory"] = (wanted.memory, wanted.memory >= 0.5, "at least 0.5 periods")
+    for name, (value, is_allowed, words) in limits.items():
+        if not is_allowed:
+            yield problem_at(experiment, f"stop.{name}", f"must be {words}, not {value:g}")
 
 
 def _hertz(rate: float) -> str:

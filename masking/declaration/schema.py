@@ -7,11 +7,9 @@ is brought to its full form on reading, so code meets only one form.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, PrivateAttr
-from pydantic_core import core_schema
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
 from masking.declaration.expression import Expression
 from masking.declaration.fields import (
@@ -27,6 +25,7 @@ from masking.declaration.fields import (
     Value,
     refuse,
 )
+from masking.declaration.shorthand import Short
 from masking.errors import Place
 
 
@@ -34,32 +33,6 @@ class Block(BaseModel):
     """A mapping with fixed keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
-
-
-_JSON_TYPES = {str: "string", bool: "boolean", int: "number", float: "number"}
-
-
-@dataclass(frozen=True)
-class Short:
-    """Lets a block be written as a bare scalar, which stands for a mapping that holds it under `key`."""
-
-    key: str
-    kinds: tuple[type, ...]
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:  # noqa: ANN401
-        """Widen the scalar before the block is read."""
-        return core_schema.no_info_before_validator_function(self.widen, handler(source))
-
-    def __get_pydantic_json_schema__(
-        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        """Tell editors both ways of writing."""
-        names = sorted({_JSON_TYPES[kind] for kind in self.kinds})
-        return {"anyOf": [{"type": names}, handler(schema)]}
-
-    def widen(self, value: object) -> object:
-        """Give the full form of a bare scalar, and anything else as it is."""
-        return {self.key: value} if isinstance(value, self.kinds) and not isinstance(value, bool) else value
 
 
 _MEANING = Short("meaning", (str,))
@@ -323,6 +296,24 @@ class RecordSettings(Block):
     rate: Rate
 
 
+class Stop(Block):
+    """What ends a run before its duration: that two virtual coordinates have synchronised.
+
+    `of` are the two, by default the first oscillators; `phase` and `eps`, a part of the amplitude, say when they count
+    as synchronised (definition 5.3). `false_alarm` is the probability that a run without synchronisation is ended;
+    `period`, in virtual time, is that of the ideal motion by default; `memory` the periods after which phases that have
+    nothing to do with each other are other ones.
+    """
+
+    when: Literal["synchronised"]
+    of: tuple[Name, ...] = ()
+    phase: Literal["in", "anti"] = "anti"
+    eps: Positive = 0.05
+    false_alarm: Positive = 1e-3
+    period: Positive | None = None
+    memory: Positive = 0.5
+
+
 class _Identity(Short):
     """Reads the word "identity" as a transform that is neither a matrix nor expressions."""
 
@@ -334,6 +325,7 @@ class _Identity(Short):
 
 
 _IDENTITY = _Identity("", (str,))
+_WHEN = Short("when", (str,))
 
 
 class Declaration(Block):
@@ -473,6 +465,7 @@ class ExperimentDeclaration(Declaration):
     duration: Positive
     time_scale: Positive | None = None
     record: RecordSettings | None = None
+    stop: Annotated[Stop, _WHEN] | None = None
     tolerance: Positive = 1e-10
     seed: Natural = Field(default=0)
 

@@ -17,6 +17,11 @@ Series = NDArray[np.float64]
 _NODES = 6  # of the interpolating polynomial: error 1e-5 of the amplitude at 20 samples a period
 _CONTINUED_PERIODS = 8
 _LEAST_PERIODS = 3
+_TREND = 3  # degree of the drift that is told from an oscillation
+_REFITS = 5
+_MANY = 20  # oscillations, of which the polynomial takes nothing
+_ROUNDING = 1e-12
+_NEWTON = 4  # steps, which square the error each
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,17 +66,18 @@ def mean_phase(phase: Series) -> tuple[float, float]:
 
 
 def period(t: Series, a: Series) -> float:
-    """Mean period of an oscillation, from the growth of its analytic signal's phase; NaN for fewer than three periods.
+    """Mean period of an oscillation; NaN for fewer than three periods.
+
+        T = 2 pi / argmax |sum_k w_k x_k exp(-i omega t_k)|,    x: a about its drift,    w: Hann window
+
+    The whole record is weighed at once, so that white noise of any sort hardly moves the maximum, and an amplitude that
+    grows or decays does not.
 
     t: time, shape (samples,), evenly spaced; a: oscillation, same shape, any unit. Returns the unit of `t`.
+    Source: Rife and Boorstyn, IEEE Trans. Information Theory 20 (1974) 591: the maximum likelihood for one line.
     """
-    try:
-        phase = np.unwrap(np.angle(analytic_signal(a)))
-    except RecordError:
-        return float("nan")
-    centred = t - np.mean(t)
-    slope = float(centred @ phase / (centred @ centred))
-    return 2 * np.pi / slope if slope > 0 else float("nan")
+    cycles = _cycles(about_drift(a))
+    return float(t[-1] - t[0]) / (len(a) - 1) * len(a) / cycles if cycles >= _LEAST_PERIODS - 0.5 else float("nan")
 
 
 def peak_sum(t: Series, a: Series, b: Series, window: float) -> Series:
@@ -103,7 +109,7 @@ def anti_phase(t: Series, a: Series, b: Series, fraction: float = 0.2) -> AntiPh
         g(t) = a(t) - alpha b(t + T/2),    alpha = argmin ||g||,    eps = max |g|
 
     t: time, shape (samples,), strictly increasing; a, b: oscillations about zero, same shape and unit. T is the mean
-    period of the larger of the two. A part with fewer than three periods is a `RecordError`.
+    period of the larger of the two; `proportion` finds alpha. A part with fewer than three periods is a `RecordError`.
     Source: (5.3).
     """
     part = t >= t[-1] - fraction * (t[-1] - t[0])
@@ -113,11 +119,49 @@ def anti_phase(t: Series, a: Series, b: Series, fraction: float = 0.2) -> AntiPh
     whole = period(grid, interpolate(t, larger, grid))
     if not np.isfinite(whole):
         raise RecordError(f"the last {fraction:.0%} of the record holds fewer than three periods of oscillation")
-    inside = t + whole / 2 <= t[-1]
-    shifted = interpolate(t, b, t[inside] + whole / 2)
-    power = float(shifted @ shifted)
-    alpha = float(a[inside] @ shifted) / power if power > 0 else float("nan")
-    return AntiPhase(alpha, float(np.max(np.abs(a[inside] - alpha * shifted))), whole)
+    alpha, residual = proportion(t, a, b, whole / 2, whole)
+    return AntiPhase(alpha, float(np.nanmax(np.abs(residual))), whole)
+
+
+def proportion(t: Series, a: Series, b: Series, shift: float, period: float) -> tuple[float, Series]:
+    """Fit one oscillation by a multiple of the other, shifted in time.
+
+        g(t) = a(t) - alpha b(t + shift),    alpha = <a z> / <b(t + shift) z>,    z = b(t + shift -+ T)
+
+    For periodic motions that is argmin ||g||. Noise in b would make that too small, by its share of the power of b;
+    z has the same motion and another noise (an instrumental variable).
+
+    t: time, shape (samples,), strictly increasing; a, b: same shape and unit; shift, period: unit of `t`. Returns
+    alpha, NaN where b is at rest, and g, shape (samples,), NaN where b(t + shift) lies outside the record.
+    Source: (5.3), where the shift is T/2; Soderstrom and Stoica, System Identification (1989), chapter 8.
+    """
+    at = t + shift
+    inside = (at <= t[-1]) & (at >= t[0])
+    shifted = interpolate(t, b, at[inside])
+    other = np.where(at[inside] - period >= t[0], at[inside] - period, at[inside] + period)
+    z = interpolate(t, b, np.clip(other, t[0], t[-1]))
+    power = float(shifted @ z)
+    alpha = float(a[inside] @ z) / power if power != 0.0 else float("nan")
+    residual = np.full(len(t), np.nan)
+    residual[inside] = a[inside] - alpha * shifted
+    return alpha, residual
+
+
+def synchronisation_time(t: Series, g: Series, eps: float) -> float:
+    """Return the first time after which |g| stays below eps; NaN where it does not.
+
+    t: time, shape (samples,), increasing; g: what vanishes in synchronisation, such as the sum of two oscillators in
+    anti-phase, same shape, NaN where it is not known; eps: unit of `g`. Source: definition 8.1, (8.12).
+    """
+    known = np.isfinite(g)
+    t, g = t[known], np.abs(g[known])
+    outside = np.flatnonzero(g >= eps)
+    if len(g) == 0 or (len(outside) and outside[-1] == len(g) - 1):
+        return float("nan")
+    if len(outside) == 0:
+        return float(t[0])
+    last = outside[-1]
+    return float(t[last] + (g[last] - eps) / (g[last] - g[last + 1]) * (t[last + 1] - t[last]))
 
 
 def interpolate(t: Series, a: Series, at: Series) -> Series:
@@ -134,18 +178,46 @@ def interpolate(t: Series, a: Series, at: Series) -> Series:
     return value
 
 
+def about_drift(a: Series) -> Series:
+    """Return an oscillation about its drift, a cubic polynomial that is fitted together with the oscillation.
+
+    a: evenly sampled, shape (samples,), any unit.
+    """
+    size, scale = len(a), float(np.abs(a).max(initial=0.0))
+    if size <= 2 * (_TREND + 3):
+        return a - np.mean(a) if size else a
+    window = np.hanning(size + 2)[1:-1]
+    basis: Series = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, size), _TREND).astype(np.float64)
+
+    def fitted(columns: Series) -> Series:
+        # Few columns, nearly orthogonal: normal equations lose nothing, and take a tenth of the time.
+        weighted = columns * window[:, None]
+        return np.asarray(np.linalg.lstsq(weighted.T @ columns, weighted.T @ a, rcond=None)[0], dtype=np.float64)
+
+    found: Series = a - basis @ fitted(basis)
+    for _ in range(_REFITS):  # by itself, the polynomial takes a part of few oscillations with it
+        cycles = _cycles(found)
+        if cycles == 0.0:
+            break
+        angle = 2 * np.pi * cycles / size * np.arange(size)
+        line = np.column_stack([basis, np.cos(angle), np.sin(angle)])
+        found = a - basis @ fitted(line)[: _TREND + 1]
+        if cycles > _MANY:
+            break
+    return found if np.sqrt(np.mean(found**2)) > _ROUNDING * scale else np.zeros(size)
+
+
 def analytic_signal(a: Series) -> NDArray[np.complex128]:
-    """Complex signal whose real part is the oscillation about its mean and whose argument is its phase.
+    """Complex signal whose real part is the oscillation about its drift and whose argument is its phase.
 
         A = a + i H[a],    H the Hilbert transform
 
     a: evenly sampled oscillation of at least three periods (else `RecordError`), shape (samples,), any unit.
     """
-    # A Hann-weighted mean is hardly touched by the incomplete period at the ends.
-    a = a - np.average(a, weights=np.hanning(len(a) + 2)[1:-1])
-    cycles = int(np.argmax(np.abs(np.fft.rfft(a))[1:])) + 1 if len(a) > 1 else 0
-    quarter = round(len(a) / (4 * max(cycles, 1)))
-    if cycles < _LEAST_PERIODS or quarter < 1 or not np.any(a):
+    a = about_drift(a)
+    cycles = _cycles(a)
+    quarter = round(len(a) / (4 * cycles)) if cycles > 0 else 0
+    if cycles < _LEAST_PERIODS - 0.5 or quarter < 1:
         raise RecordError("the record holds fewer than three periods of oscillation")
     before, after = _continuation(a[::-1], quarter)[::-1], _continuation(a, quarter)
     extended = np.concatenate([before, a, after])
@@ -157,6 +229,26 @@ def analytic_signal(a: Series) -> NDArray[np.complex128]:
     spectrum[size // 2 + 1 :] = 0.0
     signal = np.fft.ifft(spectrum)
     return signal[len(before) : len(before) + len(a)]
+
+
+def _cycles(a: Series) -> float:
+    """Return the frequency of the largest line of a series about zero, in periods per record; 0 where it is at rest."""
+    size = len(a)
+    if size < 4 or not np.any(a):
+        return 0.0
+    window = np.hanning(size + 2)[1:-1] * a
+    spectrum = np.abs(np.fft.rfft(window))
+    peak = int(np.argmax(spectrum[1:])) + 1
+    omega, k = 2 * np.pi * peak / size, np.arange(size) - (size - 1) / 2
+    for _ in range(_NEWTON):
+        turned = window * np.exp(-1j * omega * k)
+        s, s1, s2 = np.sum(turned), np.sum(k * turned), np.sum(k * k * turned)
+        slope, curvature = float(np.imag(np.conj(s) * s1)), float(abs(s1) ** 2 - np.real(np.conj(s) * s2))
+        if curvature >= 0.0:
+            break
+        omega -= float(np.clip(slope / curvature, -np.pi / size, np.pi / size))
+    moved = omega * size / (2 * np.pi)
+    return moved if abs(moved - peak) <= 1.0 else float(peak)
 
 
 def _unwrapped(a: Series, b: Series) -> Series:

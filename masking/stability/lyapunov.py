@@ -1,0 +1,152 @@
+"""The largest Lyapunov exponent of a model, by its variational equations, which are compiled with it.
+
+    y' = f(t, y),    w' = J(t, y) w,    lambda = lim log |w(t)| / t,    J = df/dy
+
+The tangent vector w is brought back to length 1 after each interval, and the logarithms of its growth are summed up.
+Source: Benettin, Galgani, Giorgilli and Strelcyn, Meccanica 15 (1980) 9; Sprott, Chaos and Time-Series Analysis
+(2003), section 5.6.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from masking.compile import store
+from masking.compile.graph import Graph
+from masking.compile.source import Module
+from masking.compile.tangent import derivatives
+from masking.equations import Equations
+from masking.errors import ModelError
+from masking.kernels import Array, Kernels
+from masking.lowering import SOLVE_RUNGE_KUTTA, LoweredEquations
+from masking.model import Model
+
+INTERVALS = 2000  # that the record is cut into where no length is given
+_BATCHES = 20  # of which the spread tells the error
+_GROWTH = 10.0  # e-folds in the second half; the tangent of a regular motion grows by 2 there, as t does
+_SURE = 3.0  # standard errors
+
+
+@dataclass(frozen=True)
+class Exponent:
+    """The largest Lyapunov exponent of one motion.
+
+    Args:
+        value: mean of log |w| per unit of time, after the transient.
+        error: standard error of the mean, from batches of the record.
+        times: end of each interval (m,), after the transient, unit of the model's time.
+        growth: log |w| gained in each interval (m,).
+    """
+
+    value: float
+    error: float
+    times: Array
+    growth: Array
+
+    @property
+    def is_chaotic(self) -> bool:
+        """Tell whether nearby motions part exponentially: further than regular ones do, and surely."""
+        late = float(np.sum(self.growth[len(self.growth) // 2 :]))
+        return late > _GROWTH and self.value > _SURE * self.error
+
+    @property
+    def running(self) -> Array:
+        """Return the estimate after each interval (m,)."""
+        lengths = np.diff(self.times, prepend=2.0 * self.times[0] - self.times[1])
+        return np.asarray(np.cumsum(self.growth) / np.cumsum(lengths))
+
+    def __str__(self) -> str:
+        kind = "chaotic" if self.is_chaotic else "not chaotic"
+        return f"{kind}: the largest Lyapunov exponent is {self.value:.4g} +- {self.error:.2g}"
+
+
+def largest_exponent(
+    model: Model,
+    duration: float,
+    initial: Mapping[str, float] | None = None,
+    *,
+    transient: float = 0.0,
+    interval: float | None = None,
+    inputs: Array | None = None,
+    tolerance: float = 1e-9,
+    progress: Callable[[float], None] | None = None,
+) -> Exponent:
+    """Return the largest Lyapunov exponent of a motion of a model, with constant inputs.
+
+    Args:
+        model: any model; driven ones may hold the time `t`.
+        duration: over which it is averaged, in s or in units of the time scale. The error falls with its root.
+        initial: as for `Model.simulate`.
+        transient: time before that, in which the motion reaches its attractor and w its direction.
+        interval: time after which w is brought back to length 1; by default a 2000th of the duration.
+        inputs: constant inputs (k,); zero where not given.
+        tolerance: local relative error of the integrator.
+        progress: called with the part done.
+
+    Raises:
+        ModelError: the model has no states, or a time is not positive.
+        IntegrationError: the motion could not be integrated.
+    """
+    step = duration / INTERVALS if interval is None else interval
+    if not (duration > 0.0 and transient >= 0.0 and 0.0 < step <= duration / _BATCHES):
+        raise ModelError(
+            f"a Lyapunov exponent over {duration:g}, after {transient:g}, in intervals of {step:g}: all must be "
+            f"positive, and the duration at least {_BATCHES} intervals"
+        )
+    kernels, y = variational(model), model.initial_state(initial or {})
+    u = np.zeros(len(model.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
+    size, p = len(y), model.values()
+    # A direction that is none of the axes: it has a part in every direction, that of fastest growth included.
+    state = np.concatenate([y, np.full(size, 1.0 / math.sqrt(size)) * (1.0 + 0.1 * np.arange(size))])
+    before, count = math.ceil(transient / step), round(duration / step)
+    growth: Array = np.empty(before + count)
+    for i in range(before + count):
+        ends = np.array([i * step, (i + 1) * step])
+        state = kernels.integrate(ends, state, u, p, tolerance=tolerance).states[-1].copy()
+        length = float(np.linalg.norm(state[size:]))
+        growth[i] = math.log(length) if length > 0.0 else -math.inf
+        state[size:] /= length or 1.0
+        if progress is not None and i % 100 == 0:
+            progress(i / (before + count))
+    kept = growth[before:]
+    rates = np.array([float(np.mean(part)) for part in np.array_split(kept, _BATCHES)]) / step
+    error = float(np.std(rates, ddof=1) / math.sqrt(_BATCHES))
+    times: Array = step * np.arange(before + 1.0, before + count + 1.0)
+    return Exponent(float(np.mean(kept)) / step, error, times, kept)
+
+
+def variational(model: Model) -> Kernels:
+    """Return a model compiled with its variational equations: `derivative` of [y, w], and its integrator.
+
+    They are in the cache on disk where they have been made before.
+
+    Raises:
+        ModelError: the model has no states.
+    """
+    if not model.coordinates and not model.states:
+        raise ModelError(f"{model.name} has neither coordinates nor internal states: it does not move")
+    return Kernels(store.load(store.key({"variational": model.structure()}), lambda: _module(model.equations)))
+
+
+def _module(equations: Equations) -> Module:
+    lowered = LoweredEquations.of(equations, Graph())
+    graph, s, n = lowered.graph, equations.symbols, len(equations.coordinates)
+    y = [lowered.symbols[symbol] for symbol in (*s.q, *s.v, *s.s)]
+    rates = [*y[n : 2 * n], *lowered.accelerations, *lowered.rates]
+    w = [graph.symbol(f"w_{i}", varying=True) for i in range(len(y))]
+    tangent = [
+        graph.total([graph.mul(by, part) for by, part in zip(row, w, strict=True)])
+        for row in derivatives(graph, rates, y)
+    ]
+    loads = {**lowered.joined(), **{f"w_{i}": f"y[{len(y) + i}]" for i in range(len(y))}}
+    names = [f"y{i}" for i in range(len(y))] + [f"w{i}" for i in range(len(y))]
+    meta = {"kind": "variational", "coordinates": [], "states": names, "method": "runge_kutta"}
+    module = Module(f"{equations.name}, with its variational equations", meta)
+    results = [(f"dy[{i}]", node) for i, node in enumerate([*rates, *tangent])]
+    module.add("derivative(t, y, u, p, dy)", graph, results, loads, returns=lowered.health)
+    module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=2 * len(y)), "idi", (24, 2 * len(y)))
+    return module
