@@ -83,6 +83,22 @@ def peak_sum(t: Series, a: Series, b: Series, window: float) -> Series:
     return running_peak(t, np.abs(a + b), window)
 
 
+def synchronisation_time(t: Series, a: Series, b: Series, eps: float = 1e-4) -> float:
+    """First time after which |a + b| stays below eps; NaN where it does not until the end of the record.
+
+    t: time, shape (samples,), strictly increasing; a, b: same shape and unit, that of eps. Between the last sample that
+    is not below and the next, the time is interpolated. Source: definition 8.1, with eps = 1e-4.
+    """
+    size = np.abs(a + b)
+    above = np.flatnonzero(size >= eps)
+    if len(above) == 0:
+        return float(t[0])
+    i = int(above[-1])
+    if i + 1 == len(t):
+        return float("nan")
+    return float(t[i] + (t[i + 1] - t[i]) * (size[i] - eps) / (size[i] - size[i + 1]))
+
+
 def running_peak(t: Series, a: Series, window: float) -> Series:
     """Largest value of `a` over the `window` of time before each sample, that sample included; shape (samples,)."""
     last = np.arange(len(t))

@@ -38,7 +38,7 @@ ROWS = (
     {"figures", "wording"},
     {"tables"},
     {"page"},
-    {"reporting", "calibration"},
+    {"reporting", "calibration", "stability"},
     {"experiment"},
     {"budget"},
     {"rig"},
@@ -75,6 +75,7 @@ OFFLINE = {
     "reporting",
     "identification",
     "discovery",
+    "stability",
 }
 
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "sympify", "parse_expr", "parse_latex", "lambdify", "__import__"}

@@ -1,0 +1,1 @@
+"""Stability of models and closed loops: equilibria, modes, periodic orbits, energy certificates, Lyapunov exponents."""
