@@ -43,7 +43,7 @@ ROWS = (
     {"budget"},
     {"rig"},
     {"feasibility"},
-    {"refinement"},
+    {"refinement", "assessment"},
     {"describe"},
     {"verbs"},
     {"cli", "__init__"},

@@ -2,7 +2,9 @@
 
 A box in which the force at rest cannot vanish is left out. Where Krawczyk's operator maps a box into its inside, there
 is exactly one equilibrium in it; other boxes are cut in two. What is too small to cut stays undecided, such as
-equilibria that are not isolated. Source: Moore, Kearfott and Cloud, Introduction to Interval Analysis (2009), section 8.2.
+equilibria that are not isolated.
+
+Source: Moore, Kearfott and Cloud, Introduction to Interval Analysis (2009), section 8.2.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ UNDECIDED = "not decided by its eigenvalues"
 SMALLEST = 1e-7  # part of a side of the box, below which a box is not cut
 MOST_BOXES = 400_000
 _FURTHER = 10.0  # times the largest declared initial value, the box where nothing else is known
+_MOST_REFINED = 200
 _MARGIN = 0.0137  # of a turn, so that an equilibrium is not on the edge of a box of angles
 
 
@@ -288,10 +291,10 @@ class _Rest:
         found: list[tuple[Array, Array]] = []
         for low, high in roots:
             box = Interval(low[None], high[None])
-            for _ in range(20):
+            for _ in range(_MOST_REFINED):
                 image, _ = self._krawczyk(box)
                 new = Interval(np.maximum(box.low, image.low), np.minimum(box.high, image.high))
-                if np.all(new.width >= 0.5 * box.width):
+                if np.all(new.width >= 0.99 * box.width):
                     break
                 box = new
             if not any(self._same(box, a, b) for a, b in found):

@@ -16,6 +16,7 @@ Complex = NDArray[np.complex128]
 
 _MOST_STEPS = 30
 _ERROR = 1e-10  # of the size of the orbit, in closing
+_STILL = 1e-6  # of the size of a state: what moves less in a period is an equilibrium
 _NEUTRAL = 1e-6  # from 1: a multiplier within this neither grows nor decays, as far as integration tells
 
 
@@ -73,11 +74,13 @@ def orbit(model: Model, state: Array, period: float, tolerance: float = 1e-12) -
         end, phi = made.flow(y, time, tolerance)
         miss = end - y
         error = float(np.max(np.abs(miss))) / size
+        model.kernels.derivative(0.0, end, np.zeros(len(model.inputs)), model.values(), rate)
+        if float(np.max(np.abs(rate))) * time < _STILL * size:
+            break
         if error <= _ERROR:
             values = np.linalg.eigvals(phi)
             order = np.argsort(-np.abs(values))
             return Orbit(y, time, np.asarray(values[order], dtype=np.complex128), error)
-        model.kernels.derivative(0.0, end, np.zeros(len(model.inputs)), model.values(), rate)
         jacobian = np.column_stack([phi - np.eye(made.size), rate])
         # Directions in which the orbit goes on to be one, such as along itself, are left as they are.
         step = np.linalg.lstsq(jacobian, -miss, rcond=1e-7)[0]
@@ -86,6 +89,6 @@ def orbit(model: Model, state: Array, period: float, tolerance: float = 1e-12) -
         if not 0.2 * period < time < 5.0 * period:
             break
     raise IntegrationError(
-        f"no periodic orbit of {model.name} is found near the period {period:g}: give a state and a period nearer to "
-        "one, such as the last state of a long simulation"
+        f"no periodic orbit of {model.name} is found near the period {period:g} (an equilibrium is none): give a "
+        "state and a period nearer to one, such as the last state of a long simulation"
     )
