@@ -86,11 +86,21 @@ class Hypotheses:
         """Return all hypotheses, for people."""
         found = []
         for group in self.groups:
+            if not self._used & {*group}:
+                continue
             value = self.values[group[0]]
             sign = "> 0" if value > 0.0 else "< 0" if value < 0.0 else "= 0"
             names = " = ".join(group)
             found.append(f"{names} = {self.symbols[group[0]]} {sign}" if len(group) > 1 else f"{names} {sign}")
         return (*found, *dict.fromkeys(self.extra))
+
+    @cached_property
+    def _used(self) -> set[str]:
+        """Return the parameters that equations without inputs, or the energy, hold."""
+        e = self.model.equations
+        still = dict.fromkeys(e.symbols.u, 0)
+        held = [x.subs(still) for x in (*e.mass, *e.force, e.energy or sp.Integer(0))]
+        return {s.name for x in held for s in x.free_symbols}
 
     def suppose(self, text: str) -> None:
         """Add a hypothesis."""

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from masking.drawing import BARE, COLOURS, INK, LEGEND, MUTED, SIZE, Plate, Series, panels, sheet, symbol
 from masking.kernels import Array
@@ -74,28 +75,25 @@ def _shapes(found: Stability) -> Plate:
     return Plate("modes", "Modes", caption, figure)
 
 
-def sweep_plate(name: str, values: Array, curves: Mapping[str, Series], words: tuple[str, str, str]) -> Plate:
-    """Draw measures over a parameter, one below the other, the least value of each marked.
+def sweep_plate(
+    name: str, values: Array, curves: Mapping[str, tuple[Series, float]], words: tuple[str, str, str]
+) -> Plate:
+    """Draw measures that are never negative over a parameter, one below the other.
 
     Args:
         name: of the parameter.
         values: of it (m,).
-        curves: label and measure (m,) of each row.
+        curves: label, and measure (m,) with the value of the parameter that is marked, of each row.
         words: name of the figure, title and caption.
     """
     figure, rows = sheet([1.9] * len(curves), top=BARE + 0.12)
-    for axes, (label, series), colour in zip(rows, curves.items(), COLOURS, strict=False):
+    for axes, (label, (series, marked)), colour in zip(rows, curves.items(), COLOURS, strict=False):
         axes.plot(values, series, color=colour, lw=1.6)
-        least = int(np.nanargmin(series))
-        axes.plot(values[least], series[least], "o", ms=6, color=INK)
-        axes.annotate(
-            f"{values[least]:.3g}",
-            (values[least], series[least]),
-            (0, 8),
-            textcoords="offset points",
-            fontsize=SIZE - 1,
-        )
-        axes.set(ylabel=label, xlim=(values[0], values[-1]))
+        at = (marked, float(np.interp(marked, values, series)))
+        axes.plot(*at, "o", ms=6, color=INK)
+        axes.annotate(f"{marked:.3g}", at, (0, 8), textcoords="offset points", fontsize=SIZE - 1)
+        axes.yaxis.set_major_locator(MaxNLocator(4))
+        axes.set(ylabel=label, xlim=(values[0], values[-1]), ylim=(0.0, 1.08 * float(np.nanmax(series))))
     rows[-1].set_xlabel(symbol(name))
     return Plate(*words, figure)
 
@@ -111,6 +109,7 @@ def basins_plate(found: Basins, words: tuple[str, str, str]) -> Plate:
     edges = [_edges(found.first), _edges(found.second)]
     axes.pcolormesh(*edges, found.ends.T, cmap=ListedColormap(list(_BASIN_COLOURS)), vmin=-0.5, vmax=len(LABELS) - 0.5)
     axes.grid(visible=False)
+    axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
     axes.set(xlabel=f"initial {symbol(found.names[0])}", ylabel=f"initial {symbol(found.names[1])}")
     shares = found.shares()
     handles = [
