@@ -117,8 +117,12 @@ def solve_constants(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol],
         pending = list(
             dict.fromkeys(x for e in pending if (x := radical(normal(e.xreplace(trigonometric)), given)) != 0)
         )
-        if any(not e.free_symbols & {*unknowns} for e in pending):
+        fixed = [e for e in pending if not e.free_symbols & {*unknowns}]
+        if any(given.is_nonzero(e) for e in fixed):
             return Solution(None)
+        for equation in fixed:  # of parameters alone, and true at their declared values
+            given.suppose(f"{equation} = 0")
+        pending = [e for e in pending if e not in fixed]
         if not pending:
             return Solution(values)
         found = next((s for e in pending if (s := _linear(e, unknowns, given)) is not None), None)

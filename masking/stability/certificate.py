@@ -28,7 +28,7 @@ else:
     sp = lazy.load("sympy")
 
 _MOST_POINTS = 64
-_CLOSE = 1e-6  # of the largest coordinate: nearer to a relation than this, an equilibrium belongs to a family
+_CLOSE = 1e-10  # of the largest coordinate: nearer to a relation than this, an equilibrium belongs to a family
 
 
 @dataclass(frozen=True)
@@ -252,8 +252,12 @@ def _branch(
 ) -> tuple[dict[sp.Symbol, sp.Expr], ...]:
     pending = [r for e in equations if (r := radical(normal(e), motion.given)) != 0]
     unknown = [q for q in motion.q if q not in values]
-    if any(not e.free_symbols & {*unknown} for e in pending):
+    fixed = [e for e in pending if not e.free_symbols & {*unknown}]
+    if any(motion.given.is_nonzero(e) for e in fixed):
         return ()
+    for equation in fixed:  # of parameters alone, and true at their declared values
+        motion.given.suppose(f"{equation} = 0")
+    pending = [e for e in pending if e not in fixed]
     if not pending:
         if unknown:
             raise ModelError("equilibria are not isolated")

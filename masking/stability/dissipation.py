@@ -17,6 +17,7 @@ import numpy as np
 from masking.compile.graph import Graph
 from masking.errors import ModelError
 from masking.kernels import Array
+from masking.model import Model
 from masking.stability.algebra import normal
 from masking.stability.boundedness import Square, squares
 from masking.stability.intervals import Interval, enclose
@@ -47,7 +48,7 @@ class Dissipation:
         method: how that was found.
         squares: of which -V' is the sum, where it is seen to be one.
         box: where it holds; None for everywhere.
-        counterexample: a state at which V' > 0, at the declared values, and `growth`, the least that V' is there.
+        counterexample: a state at which V' > 0, at the declared values, in SI units, and `growth`, the least V' there.
     """
 
     rate: sp.Expr
@@ -64,8 +65,8 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
 
     Args:
         motion: the equations; its hypotheses get those that the proof needs.
-        box: least and largest values of coordinates and velocities (`x1'`) for what is not proved everywhere; twice
-            the declared initial values, and as much per unit of time, where not given.
+        box: least and largest values of coordinates and velocities (`x1'`), in SI units, for what is not proved
+            everywhere; where not given, twice the largest declared initial value, times the largest eigenvalue.
 
     Raises:
         ModelError: the model has no energy.
@@ -129,11 +130,12 @@ def _sides(motion: Motion, box: Box) -> dict[str, tuple[float, float]]:
     for name in box:
         if name not in names:
             raise ModelError(f"the box names '{name}'; {motion.model.name} has {', '.join(names)}")
-    declared = motion.model.declaration.coordinates
-    state = motion.model.initial_state({c: 0.0 for c, d in declared.items() if d.initial is None})
+    model = Model(motion.model.declaration, motion.model.overrides)
+    declared = model.declaration.coordinates
+    state = model.initial_state({c: 0.0 for c, d in declared.items() if d.initial is None})
     n = len(motion.q)
     reach = 2.0 * float(np.max(np.abs(state[:n]), initial=0.0)) or 1.0
-    linear = state_matrix(motion.model)
+    linear = state_matrix(model)
     rates = np.abs(np.linalg.eigvals(linear)) if np.all(np.isfinite(linear)) else np.ones(1)
     fast = max(float(np.max(rates, initial=0.0)), 1e-3)
     default = dict.fromkeys(names[:n], (-reach, reach)) | dict.fromkeys(names[n:], (-reach * fast, reach * fast))

@@ -122,6 +122,18 @@ class Hypotheses:
         """Return the sign of an expression, of its factors at declared values where need be, which is then supposed."""
         return self._sign(expression, strictly, lambda factor: self._sign_at_values(factor, strictly))
 
+    def is_nonzero(self, expression: sp.Expr) -> bool:
+        """Tell whether an expression of parameters is not 0: by its sign, or at declared values, which is supposed."""
+        if self.sign(expression) in {1, -1}:
+            return True
+        value = self.at_values(expression)
+        if not value.is_number or value == 0:
+            return False
+        for factor, _ in factors(expression):
+            if self.sign(factor) is None:
+                self.suppose(f"{factor} != 0")
+        return True
+
     def _sign(self, expression: sp.Expr, strictly: bool, of_factor: Callable[[sp.Expr], int | None]) -> int | None:
         if expression.is_zero:
             return 0

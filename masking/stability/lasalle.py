@@ -200,7 +200,7 @@ class _Elimination:
         own = sp.Matrix([residual[j] for j in self.moving])
         matrix = own.jacobian(wanted)
         right = -own.subs(dict.fromkeys(wanted, 0))
-        if wanted and normal(matrix.det()) == 0:
+        if wanted and self.given.declared_sign(normal(matrix.det())) not in {1, -1}:
             raise _OpenError("the equations of what moves do not give its accelerations")
         solved = dict(zip(wanted, (normal(x) for x in matrix.LUsolve(right)), strict=True)) if wanted else {}
         left = tuple(normal(residual[i].subs(solved)) for i in self.frozen[0])
@@ -257,8 +257,10 @@ class _Elimination:
         left = [normal(x.subs(solved)) for x in left]
         relation = normal(relation.subs(solved))
         k = sp.Symbol("K", real=True)
-        for tied, extra in _linear_relations(relation, r1, r2, k, self.motion.circles):
-            self._along(tied, r1, r2, [*extra, *left], constants)
+        if _is_affine(relation, (r1, r2)) and not self.given.is_nonzero(sp.diff(relation, r2)):
+            raise _OpenError(f"{relation} = 0 does not give {r2}")
+        for tied in _linear_relations(relation, r1, r2, k, self.motion.circles):
+            self._along(tied, r1, r2, left, constants)
 
     def _single_constants(self) -> Iterator[tuple[sp.Symbol, sp.Symbol]]:
         """Return each frozen coordinate that is one constant by itself, with it."""
@@ -282,6 +284,8 @@ class _Elimination:
             return None
         solution = {w: found[0].get(w, sp.Integer(0)) for w in weights}
         solution = {w: x.subs(dict.fromkeys(weights, 0)) for w, x in solution.items()}
+        if not all(self.given.is_nonzero(sp.fraction(sp.together(x))[1]) for x in solution.values()):
+            return None
         constant = normal(constant.subs(solution))
         total = normal(sum(solution[w] * f for w, f in zip(weights, functions, strict=True)))
         if total == 0:
@@ -388,8 +392,8 @@ def _free_constant(expression: sp.Expr) -> list[sp.Symbol]:
 
 def _linear_relations(
     relation: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, k: sp.Symbol, circles: Sequence[sp.Symbol]
-) -> list[tuple[sp.Expr, list[sp.Expr]]]:
-    """Return what r2 may be as linear functions of r1, each with equations of constants that it comes from.
+) -> list[sp.Expr]:
+    """Return what r2 may be, as linear functions of r1.
 
     An affine relation gives r2 = K + sigma r1 with a new constant K; a product of sines, by the third rule, one
     relation for each factor, angles modulo one turn.
@@ -397,10 +401,10 @@ def _linear_relations(
     if _is_affine(relation, (r1, r2)):
         by = sp.diff(relation, r2)
         if relation.has(k):
-            return [(sp.expand(-relation.subs(r2, 0) / by), [])]
-        return [(k - normal(sp.diff(relation, r1) / by) * r1, [])]
+            return [sp.expand(-relation.subs(r2, 0) / by)]
+        return [k - normal(sp.diff(relation, r1) / by) * r1]
     product = fu.TR9(relation)
-    found: list[tuple[sp.Expr, list[sp.Expr]]] = []
+    found: list[sp.Expr] = []
     for factor in sp.Mul.make_args(sp.factor_terms(product)):
         if not factor.free_symbols & {r1, r2}:
             continue
@@ -415,5 +419,5 @@ def _linear_relations(
         offset = sp.Integer(0) if factor.func == sp.sin else sp.pi / 2
         for m in range(int(turns)):
             tied = sp.expand((offset - inner.subs(r2, 0)) / by) + m * step
-            found.append((tied, []))
+            found.append(tied)
     return found
