@@ -8,7 +8,7 @@ Four objects carry the package:
 * `Recording`: the series of one run and the manifest that says what they are, in one folder on disk.
 
 Each verb of the command line is a function here: `list`, `show`, `check`, `schema`, `run`, `report`,
-`identify`, `measure`, `discover`, `refine`.
+`identify`, `measure`, `discover`, `refine`; that of `stability`, which is a package here, is `masking.verbs.stability`.
 
     >>> import masking
     >>> recording = masking.run("duffing")

@@ -1,4 +1,4 @@
-"""The verbs of the command line as functions: list, show, check, schema, run, report, identify, discover, refine ..."""
+"""The verbs of the command line as functions: list, show, check, run, report, identify, discover, stability ..."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from masking.errors import (
 )
 
 if TYPE_CHECKING:
+    from masking import assessment, describe, effects, experiment, model, recording, reporting, twin
     from masking import budget as budgets
-    from masking import describe, effects, experiment, model, recording, reporting, twin
     from masking import feasibility as feasibilities
     from masking import refinement as refinements
     from masking.declaration import registry
@@ -45,7 +45,10 @@ if TYPE_CHECKING:
     )
     from masking.identification import fit as fits
     from masking.identification.data import Assumption
+    from masking.stability import pages as stability_pages
+    from masking.stability import study as stabilities
 else:  # each verb loads only what it needs
+    assessment = lazy.load("masking.assessment", suppress_warning=True)
     answers = lazy.load("masking.discovery.answered", suppress_warning=True)
     budgets = lazy.load("masking.budget", suppress_warning=True)
     data = lazy.load("masking.identification.data", suppress_warning=True)
@@ -66,10 +69,12 @@ else:  # each verb loads only what it needs
     reporting = lazy.load("masking.reporting", suppress_warning=True)
     responses = lazy.load("masking.identification.responses", suppress_warning=True)
     schemas = lazy.load("masking.declaration.schema", suppress_warning=True)
+    stability_pages = lazy.load("masking.stability.pages", suppress_warning=True)
     twin = lazy.load("masking.twin", suppress_warning=True)
     written = lazy.load("masking.identification.written", suppress_warning=True)
 
 KINDS = ("model", "plant", "experiment", "dictionary")
+STUDIED = ("model", "experiment")  # those of `assessment.KINDS`
 METHODS = ("least-squares", "kalman")
 BETWEEN = ("held", "straight", "smooth")  # those of `data.Assumption`
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none, in a discovery
@@ -370,6 +375,30 @@ def measure(
     found: measurement.Measurement[Any] = function(*sources, **settings)
     if out is not None:
         pages.save(found, out)
+    return found
+
+
+def stability(
+    name_or_path: str | Path,
+    *,
+    out: str | Path | None = None,
+    **settings: Any,  # noqa: ANN401  # those of `assessment.assess`
+) -> stabilities.Stability:
+    """Find the equilibria and modes of a system, and what its energy proves of all its motions.
+
+    Args:
+        name_or_path: a model, or an experiment, whose closed loop is looked at, too.
+        out: folder to save `stability.html`, `stability.json` and figures in; nothing is saved where none is given.
+        settings: the others of `assessment.assess`.
+
+    Raises:
+        MaskingError: a declaration, a name or a setting is wrong; says what to do about it.
+    """
+    if out is not None:
+        check_folder(out)
+    found = assessment.assess(name_or_path, **settings)
+    if out is not None:
+        stability_pages.save(found, out)
     return found
 
 

@@ -25,7 +25,6 @@ ROWS = (
     {"equations"},
     {"lowering"},
     {"model"},
-    {"stability"},
     {"blocks", "twin", "observer"},
     {"controller", "instruments", "sensitivity"},
     {"closed_loop", "sampled"},
@@ -38,13 +37,13 @@ ROWS = (
     {"figures", "wording"},
     {"tables"},
     {"page"},
-    {"reporting", "calibration"},
+    {"reporting", "calibration", "stability"},
     {"ending"},
     {"experiment"},
     {"budget"},
     {"rig"},
     {"feasibility"},
-    {"refinement"},
+    {"refinement", "assessment"},
     {"describe"},
     {"verbs"},
     {"cli", "__init__"},
@@ -77,6 +76,7 @@ OFFLINE = {
     "reporting",
     "identification",
     "discovery",
+    "stability",
 }
 
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "sympify", "parse_expr", "parse_latex", "lambdify", "__import__"}

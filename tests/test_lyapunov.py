@@ -6,7 +6,8 @@ from scipy.integrate import solve_ivp
 
 from masking.errors import ModelError
 from masking.model import load_model
-from masking.stability.lyapunov import largest_exponent, variational
+from masking.stability.lyapunov import largest_exponent
+from masking.stability.variational import Variational
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +85,7 @@ def test_the_tangent_is_scipys(name):
 
     w = np.eye(size)[0]
     expected = solve_ivp(both, (0, 30), [*y, *w], "DOP853", rtol=1e-9, atol=1e-12).y[:, -1]
-    found = variational(model).integrate(np.array([0.0, 30.0]), np.array([*y, *w]), u, p, tolerance=1e-11).states[-1]
+    found = np.concatenate(Variational(model, 1).along((0.0, 30.0), y, w[:, None], tolerance=1e-11), axis=None)
     np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
 
 
@@ -98,4 +99,4 @@ def test_what_has_no_exponent(declared, lorenz):
         largest_exponent(lorenz, 10.0, interval=1.0)
     empty = declared(inputs={"u": "force"}, outputs={"y": "2*u"})
     with pytest.raises(ModelError, match="it does not move"):
-        variational(empty)
+        largest_exponent(empty, 100.0)

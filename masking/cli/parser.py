@@ -9,7 +9,7 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from masking.cli import declarations, discovery, identification, rig, runs
+from masking.cli import declarations, discovery, identification, rig, runs, stability
 from masking.cli.adding import add_to
 from masking.cli.progress import INTERRUPTED
 from masking.errors import DeclarationError, MaskingError
@@ -54,5 +54,6 @@ def _parser() -> argparse.ArgumentParser:
     identification.add_measure(found)
     discovery.add_discover(found)
     discovery.add_refine(found)
+    stability.add_stability(found)
     rig.add_rig(found)
     return parser

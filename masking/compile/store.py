@@ -31,7 +31,7 @@ PACKAGE = Path(__file__).parent.parent
 SHAPING = (
     *("integrate.py", "sampling.py", "dop853.py", "linear.py", "equations.py", "lowering.py", "scales.py"),
     *("model.py", "effects", "twin.py", "blocks.py", "controller.py", "closed_loop.py", "sampled.py", "compile"),
-    "sensitivity.py",
+    *("sensitivity.py", "stability/variational.py"),
     *("declaration/expression.py", "declaration/operations.py", "declaration/syntax.py", "declaration/units.py"),
 )
 

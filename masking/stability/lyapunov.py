@@ -15,15 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from masking.compile import store
-from masking.compile.graph import Graph
-from masking.compile.source import Module
-from masking.compile.tangent import derivatives
-from masking.equations import Equations
 from masking.errors import ModelError
-from masking.kernels import Array, Kernels
-from masking.lowering import SOLVE_RUNGE_KUTTA, LoweredEquations
+from masking.kernels import Array
 from masking.model import Model
+from masking.stability.variational import Variational
 
 INTERVALS = 2000  # that the record is cut into where no length is given
 _BATCHES = 20  # of which the spread tells the error
@@ -97,19 +92,16 @@ def largest_exponent(
             f"a Lyapunov exponent over {duration:g}, after {transient:g}, in intervals of {step:g}: all must be "
             f"positive, and the duration at least {_BATCHES} intervals"
         )
-    kernels, y = variational(model), model.initial_state(initial or {})
-    u = np.zeros(len(model.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
-    size, p = len(y), model.values()
+    made, y = Variational(model, directions=1), model.initial_state(initial or {})
     # A direction that is none of the axes: it has a part in every direction, that of fastest growth included.
-    state = np.concatenate([y, np.full(size, 1.0 / math.sqrt(size)) * (1.0 + 0.1 * np.arange(size))])
+    w: Array = np.array([[1.0 + 0.1 * i] for i in range(made.size)]) / math.sqrt(made.size or 1)
     before, count = math.ceil(transient / step), round(duration / step)
     growth: Array = np.empty(before + count)
     for i in range(before + count):
-        ends = np.array([i * step, (i + 1) * step])
-        state = kernels.integrate(ends, state, u, p, tolerance=tolerance).states[-1].copy()
-        length = float(np.linalg.norm(state[size:]))
+        y, w = made.along((i * step, (i + 1) * step), y, w, u=inputs, tolerance=tolerance)
+        length = float(np.linalg.norm(w))
         growth[i] = math.log(length) if length > 0.0 else -math.inf
-        state[size:] /= length or 1.0
+        w /= length or 1.0
         if progress is not None and i % 100 == 0:
             progress(i / (before + count))
     kept = growth[before:]
@@ -117,36 +109,3 @@ def largest_exponent(
     error = float(np.std(rates, ddof=1) / math.sqrt(_BATCHES))
     times: Array = step * np.arange(before + 1.0, before + count + 1.0)
     return Exponent(float(np.mean(kept)) / step, error, times, kept)
-
-
-def variational(model: Model) -> Kernels:
-    """Return a model compiled with its variational equations: `derivative` of [y, w], and its integrator.
-
-    They are in the cache on disk where they have been made before.
-
-    Raises:
-        ModelError: the model has no states.
-    """
-    if not model.coordinates and not model.states:
-        raise ModelError(f"{model.name} has neither coordinates nor internal states: it does not move")
-    return Kernels(store.load(store.key({"variational": model.structure()}), lambda: _module(model.equations)))
-
-
-def _module(equations: Equations) -> Module:
-    lowered = LoweredEquations.of(equations, Graph())
-    graph, s, n = lowered.graph, equations.symbols, len(equations.coordinates)
-    y = [lowered.symbols[symbol] for symbol in (*s.q, *s.v, *s.s)]
-    rates = [*y[n : 2 * n], *lowered.accelerations, *lowered.rates]
-    w = [graph.symbol(f"w_{i}", varying=True) for i in range(len(y))]
-    tangent = [
-        graph.total([graph.mul(by, part) for by, part in zip(row, w, strict=True)])
-        for row in derivatives(graph, rates, y)
-    ]
-    loads = {**lowered.joined(), **{f"w_{i}": f"y[{len(y) + i}]" for i in range(len(y))}}
-    names = [f"y{i}" for i in range(len(y))] + [f"w{i}" for i in range(len(y))]
-    meta = {"kind": "variational", "coordinates": [], "states": names, "method": "runge_kutta"}
-    module = Module(f"{equations.name}, with its variational equations", meta)
-    results = [(f"dy[{i}]", node) for i, node in enumerate([*rates, *tangent])]
-    module.add("derivative(t, y, u, p, dy)", graph, results, loads, returns=lowered.health)
-    module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=2 * len(y)), "idi", (24, 2 * len(y)))
-    return module

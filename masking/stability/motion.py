@@ -1,0 +1,113 @@
+"""Motion: the free equations of a model in exact symbols, and derivatives along them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+
+from masking.errors import ModelError
+from masking.model import Model
+from masking.stability.algebra import is_zero, normal
+from masking.stability.hypotheses import Hypotheses
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """M(q) a = f(q, v) without inputs, and the energy V(q, v), in the symbols of hypotheses.
+
+    Args:
+        model: without internal states, its equations without time.
+        given: hypotheses on its parameters.
+    """
+
+    model: Model
+    given: Hypotheses
+
+    def __post_init__(self) -> None:
+        e = self.model.equations
+        if self.model.states:
+            raise ModelError(f"{self.model.name} has internal states, for which there is no certificate")
+        if e.symbols.t in sp.Matrix([*e.mass, *e.force]).free_symbols:
+            raise ModelError(f"the equations of {self.model.name} hold the time, for which there is no certificate")
+
+    @property
+    def q(self) -> tuple[sp.Symbol, ...]:
+        """Return the coordinates."""
+        return self.model.equations.symbols.q
+
+    @property
+    def v(self) -> tuple[sp.Symbol, ...]:
+        """Return the velocities."""
+        return self.model.equations.symbols.v
+
+    def _free(self, expression: sp.Expr) -> sp.Expr:
+        return self.given.of(expression.subs(dict.fromkeys(self.model.equations.symbols.u, 0)))
+
+    @cached_property
+    def mass(self) -> sp.Matrix:
+        """Return M (n, n)."""
+        return self.model.equations.mass.applyfunc(self._free)
+
+    @cached_property
+    def force(self) -> sp.Matrix:
+        """Return f (n, 1)."""
+        return self.model.equations.force.applyfunc(self._free)
+
+    @cached_property
+    def at_rest(self) -> tuple[sp.Expr, ...]:
+        """Return f(q, 0), which vanishes at equilibria."""
+        return tuple(normal(f.subs(dict.fromkeys(self.v, 0))) for f in self.force)
+
+    @cached_property
+    def accelerations(self) -> tuple[sp.Expr, ...]:
+        """Return the accelerations, explicitly."""
+        return tuple(self._free(a) for a in self.model.equations.accelerations)
+
+    @cached_property
+    def energy(self) -> sp.Expr | None:
+        """Return V; None where the model has none."""
+        found = self.model.equations.energy
+        return None if found is None else self._free(found)
+
+    @cached_property
+    def energy_rate(self) -> sp.Expr:
+        """Return V' = dV/dq v + dV/dv a along the motion, in normal form.
+
+        Raises:
+            ModelError: the model has no energy.
+        """
+        if self.energy is None:
+            raise ModelError(f"{self.model.name} declares no energy; declare one, such as 'energy: x1'**2/2 + ...'")
+        rate = sum(sp.diff(self.energy, q) * v for q, v in zip(self.q, self.v, strict=True))
+        rate += sum(sp.diff(self.energy, v) * a for v, a in zip(self.v, self.accelerations, strict=True))
+        return normal(rate)
+
+    @cached_property
+    def circles(self) -> tuple[sp.Symbol, ...]:
+        """Return the coordinates that are angles: V and the equations do not change over one turn of them."""
+        found = []
+        for q in self.q:
+            turned = {q: q + 2 * sp.pi}
+            if all(is_zero(e.subs(turned) - e) for e in (*self.mass, *self.force, self.energy or sp.Integer(0))):
+                found.append(q)
+        return tuple(found)
+
+    @cached_property
+    def is_linear(self) -> bool:
+        """Tell whether M is constant and f linear in q and v."""
+        state = (*self.q, *self.v)
+        if self.mass.free_symbols & {*state}:
+            return False
+        return all(
+            f.is_polynomial(*state) and all(sum(powers) == 1 for powers in sp.Poly(f, *state).monoms() if f != 0)
+            for f in (sp.expand(f) for f in self.force)
+            if f != 0
+        )
