@@ -16,7 +16,7 @@ ROWS = (
     {"errors", "status"},
     {"declaration", "parquet", "hdf5", "part", "dop853", "linear"},
     {"markup"},
-    {"recording", "drawing", "scales", "fidelity", "integrate"},
+    {"recording", "drawing", "scales", "fidelity", "integrate", "wiring"},
     {"signals", "formats"},
     {"sampling"},
     {"compile"},

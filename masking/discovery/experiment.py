@@ -94,7 +94,7 @@ def next_experiment(
 def _left(evidence: Evidence, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
     """Return what one explanation leaves of what the other would read, as -2 log likelihood."""
     record = Data("simulated", evidence.record.rate, commands, np.zeros((len(commands), len(evidence.sigma))))
-    state = evidence.rig.twin.rest(np.zeros(len(evidence.rig.coordinates)))[None]
+    state = evidence.rig.rest[None]
     free = replace(evidence, record=record, horizon=0)
     try:
         made = evidence.rig.equations(free, truth.theta, state, truth.slots, truth.added)
