@@ -94,7 +94,8 @@ class Twin:
         held = equations.mass.free_symbols | equations.force.free_symbols
         held |= {x for z in acting.free_states(d) for x in equations.symbolic(d.rates[z]).free_symbols}
         held |= {x for n in acting.driven_outputs(d) for x in equations.symbolic(d.outputs[n].expression).free_symbols}
-        return tuple(s.name for s in equations.symbols.p if s in held and s.name in self.base.parameters)
+        own = self.base.parameters.keys() & self.parameter_names.keys()  # without the switches of effects
+        return tuple(s.name for s in equations.symbols.p if s in held and s.name in own)
 
     def validate(self) -> None:
         """Refuse effects and wiring that do not fit the model.

@@ -53,6 +53,7 @@ ROUNDED = 0.3  # part of the noise's variance that rounding must make to be name
 RESTLESS = 10.0  # eigenvalue times the length of a record: what is slower does not come to rest in it
 SHARES = 20  # windows of a record of what does not come to rest
 FEWEST = 200  # samples of a window
+STIFF = 8  # steps between samples at least where forces act on states: friction stops these within a sample
 UNSEEN = 0.1  # of the noise: what integration may add
 HELD_OUT = 0.3  # of a record, where no other is given to judge by
 LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "added_mass", "actuator_gain", "constant_force")
@@ -266,13 +267,14 @@ def _horizon(evidence: Evidence, seconds: float | None) -> int:
 
 def _substeps(evidence: Evidence) -> int:
     """Return how many integration steps between samples simulate the readings within their noise."""
-    theta, most = evidence.belief.mean, evidence.substeps
+    least = STIFF if len(evidence.rig.twin.free) > 2 * len(evidence.rig.coordinates) else 1
+    theta, most = evidence.belief.mean, max(least, evidence.substeps)
     start = fitting.first_states(evidence, theta)
 
     def simulated(substeps: int) -> Array:
         return evidence.rig.equations(replace(evidence, substeps=substeps), theta, start).simulated
 
-    steps, before = 1, simulated(1)
+    steps, before = least, simulated(least)
     while steps < most:
         after = simulated(min(2 * steps, most))
         if bool((np.sqrt(((after - before) ** 2).mean(axis=0)) < UNSEEN * evidence.sigma).all()):

@@ -44,6 +44,7 @@ class Lack:
         law: what the cause at this place gives (m,); None where there is none.
         deviations: standard deviations of `before` and of `after`.
         units: of `before`, `x` and `rate`.
+        known: whether displacement and rate are known.
     """
 
     place: str
@@ -55,6 +56,13 @@ class Lack:
     law: Array | None
     deviations: tuple[float, float]
     units: tuple[str, str, str]
+    known: tuple[bool, bool] = (True, True)
+
+    @property
+    def seen(self) -> list[tuple[Array, str]]:
+        """Return displacement and rate, as far as they are known, with their units; the first where neither is."""
+        both = zip((self.x, self.rate), self.units[1:], self.known, strict=True)
+        return [(x, unit) for x, unit, is_known in both if is_known] or [(self.x, self.units[1])]
 
 
 @dataclass(frozen=True)
@@ -109,7 +117,7 @@ def energies(found: Discovery) -> dict[str, float]:
 
 
 def _force(found: Discovery, slot: Slot | None, where: str, name: str) -> Lack:
-    rig, seen = found.rig, smoothed(found)
+    rig, seen, known = found.rig, smoothed(found), (True, True)
     motion, left = seen.before, seen.after
     if where == "actuator":
         at = rig.twin.actuators.index(name)
@@ -120,6 +128,8 @@ def _force(found: Discovery, slot: Slot | None, where: str, name: str) -> Lack:
         units = (unit, unit, _per_second(unit))
     else:
         at = [place.name for place in rig.places].index(name)
+        place = rig.places[at]
+        known = place.element.displacement is not None, place.has_rate
         x, rate = motion.displacement[:, at], motion.rate[:, at]
         column = rig.columns[1][at]
         units = element_units(found, name)
@@ -131,7 +141,7 @@ def _force(found: Discovery, slot: Slot | None, where: str, name: str) -> Lack:
         moved = motion.acted_on(slot.entry, at) if where == "element" else (x, rate)
         law = along(found, slot, *moved)
         law = law - x if where == "actuator" else law
-    return Lack(name, where, x, rate, before, after, law, (deviation, afterwards), units)
+    return Lack(name, where, x, rate, before, after, law, (deviation, afterwards), units, known)
 
 
 def _sensor(found: Discovery, slot: Slot | None, name: str) -> Lack:
@@ -208,8 +218,7 @@ def directions(found: Discovery, column: int) -> Array:
     y, u = rig.rest, np.zeros(len(rig.twin.actuators))
     jy, jp, dy = np.zeros((n, n)), np.zeros((n, rig.affected)), np.zeros(n)
     rig.kernels.slopes(0.0, y, u, p, dy, jy, jp)
-    _, _, jps = rig.reading(theta, y)
-    moved = np.vstack([jp[count:], jps[:, :]]) if rig.twin.is_fed else jp[count:]
+    moved = np.vstack([jp[count:], rig.direct(theta)]) if rig.twin.is_fed else jp[count:]
     ports = moved[:, [rig.columns[1][i] for i in rig.degree_places]]
     return np.asarray(np.linalg.lstsq(ports, moved[:, column], rcond=None)[0])
 

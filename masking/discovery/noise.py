@@ -29,8 +29,7 @@ def noise_of(rig: OpenRig, record: Data) -> Array:
     twin, found = rig.twin, record.noise
     if twin.is_fed:
         at = [twin.actuators.index(name) for name in twin.measured_actuators]
-        _, _, slopes = rig.reading(rig.start, rig.rest)
-        by = slopes[:, [rig.columns[2][i] for i in at]]
+        by = rig.direct(rig.start)[:, [rig.columns[2][i] for i in at]]
         found = np.hypot(_smooth(record.readings), np.linalg.norm(by * _smooth(record.commands[:, at]), axis=1))
     size = np.sqrt((record.readings**2).mean(axis=0))
     for name, value in zip(twin.sensors, size, strict=True):

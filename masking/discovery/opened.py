@@ -205,6 +205,11 @@ class OpenRig:
         by = {place.coordinate: i for i, place in enumerate(self.places) if place.coordinate}
         return tuple(by[name] for name in self.degrees)
 
+    @property
+    def coordinate_places(self) -> tuple[int, ...]:
+        """Return for each coordinate the index of the place that it is."""
+        return self.degree_places[: len(self.coordinates)]
+
     @cached_property
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
@@ -266,17 +271,22 @@ class OpenRig:
             module.add_kernel(text.format(**many), result, work)
         return module
 
-    def reading(self, theta: Array, state: Array, commands: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return what the sensors read in a state (sensors,), and how that depends on it and on affected parameters.
+    def reading(self, theta: Array, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
+        """Return what the sensors read in a state (sensors,), and how that depends on it (sensors, states).
 
         Args:
             theta: parameters (k,).
             state: of the rig (states,).
             commands: of the actuators (actuators,); 0 where none are given.
-
-        Returns:
-            readings (sensors,), derivatives (sensors, states) and (sensors, affected).
         """
+        read, by_state, _ = self._read(theta, state, commands)
+        return read, by_state
+
+    def direct(self, theta: Array) -> Array:
+        """Return how readings depend at once on the affected entries of the parameter array, at rest (sensors, a)."""
+        return self._read(theta, self.rest, None)[2]
+
+    def _read(self, theta: Array, state: Array, commands: Array | None) -> tuple[Array, Array, Array]:
         sensors = len(self.twin.sensors)
         given = np.zeros(len(self.twin.actuators)) if commands is None else np.array(commands, dtype=float)
         p, _ = self.basis(theta)

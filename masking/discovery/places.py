@@ -20,7 +20,7 @@ from masking.declaration.expression import Expression
 from masking.declaration.schema import Element, ModelDeclaration
 from masking.declaration.units import Dimension, describe, dimension_of
 from masking.effects import Effect
-from masking.errors import DeclarationError
+from masking.errors import DeclarationError, Problem
 
 USUAL = ("1", "N", "N*m")  # units of forces
 
@@ -67,7 +67,7 @@ def places(model: ModelDeclaration) -> tuple[Place, ...]:
     """Return every place of a model: elements, degrees and pairs of coordinates, none of them twice.
 
     Raises:
-        DeclarationError: a force cannot act on a coordinate, since no equation is its own.
+        DeclarationError: a force cannot act on a coordinate, since no equation is its own, or on nothing at all.
     """
     forces = force_dimensions(model)
     lost = [name for name in model.coordinates if model.lagrangian is None and not equation_of(model, name)]
@@ -79,6 +79,11 @@ def places(model: ModelDeclaration) -> tuple[Place, ...]:
         if name not in taken:
             element = _alone(model, name, _force_unit(model, name, forces[name]))
             found.append(_place(model, name, element, name, declared=False))
+    if not found:
+        mend = "declare where one may sit, such as 'elements: {strut: {displacement: d, rate: v, acts: {F: 1}}}'"
+        raise DeclarationError(
+            Problem(model.place("outputs"), "elements", f"{model.name} has no place for a force", mend)
+        )
     between = {_text(e.displacement) for e in model.elements.values()}
     weights = _weights(model)
     for a, b in itertools.combinations(model.coordinates, 2):

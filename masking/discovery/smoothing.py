@@ -131,7 +131,7 @@ def linearised(rig: OpenRig, theta: Array) -> tuple[Array, Array, Array, Array]:
     y, u = rig.rest, np.zeros(len(rig.twin.actuators))
     jy, jp, dy = np.zeros((n, n)), np.zeros((n, rig.affected)), np.zeros(n)
     rig.kernels.slopes(0.0, y, u, p, dy, jy, jp)
-    _, js, jps = rig.reading(theta, y)
+    js, jps = rig.reading(theta, y)[1], rig.direct(theta)
     jy[:count, count : 2 * count] = np.eye(count)
     columns = [rig.columns[1][i] for i in rig.degree_places]
     if not all(np.isfinite(table).all() for table in (jy, jp[:, columns], js, jps[:, columns])):
@@ -191,7 +191,10 @@ def _gains(rig: OpenRig, theta: Array, rate: float, sigma: Array, intensity: Arr
     spread = h @ ahead @ h.T + r
     gain = np.linalg.solve(spread, h @ ahead).T
     now = ahead - gain @ h @ ahead
-    backward = np.linalg.solve(ahead, f @ now).T
+    try:
+        backward = np.linalg.solve(ahead, f @ now).T
+    except np.linalg.LinAlgError:  # a state that nothing moves at rest, such as that of a friction, is known
+        backward = (np.linalg.pinv(ahead, hermitian=True) @ f @ now).T
     steady, power = now - backward @ ahead @ backward.T, backward
     for _ in range(DOUBLINGS):  # the sum of all powers: Smith (1968), SIAM J. Appl. Math. 16(1), 198-201
         steady, power = steady + power @ steady @ power.T, power @ power

@@ -23,6 +23,7 @@ TAKEN = 0.2  # of the power that a force could take out of the motion, from whic
 SHOWN = 0.01  # probability from which an alternative is told
 SURE = 2.0  # deviations of a parameter from which it is told in a sentence
 CLOSED = 1.1  # of the noise: errors from here on are told as more than noise
+NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured input is the rate of which"
 _PREFIXES = {-9: "n", -6: "µ", -3: "m"}
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -47,7 +48,7 @@ def sentence(found: Discovery) -> str:
         first = (
             f"{capital(listed(before, '; '))} is missing, and {alternatives(names)}" if before else alternatives(names)
         )
-        coming = f". {capital(str(found.next_experiment))}" if found.next_experiment else ""
+        coming = f". {capital(str(found.next_experiment or NO_EXPERIMENT))}"
         return f"{capital(first)} is missing, and this record cannot tell which. {gap(found)}{coming}"
     known = [cause(found, one) for one in found.effects]
     near = f" The nearest of it is {listed(known)}, which does not explain the rest." if known else ""
@@ -244,7 +245,7 @@ def white(one: Whiteness) -> str:
 def power(value: float, units: Sequence[str]) -> str:
     """Write a power with its unit: that of a force times that of a rate."""
     unit = _put_together("F*V", {"F": units[0] or "1", "V": units[2] or "1"})
-    unit = {"m**2/s**3": "W/kg", "N*m/s": "W"}.get(unit, unit)
+    unit = {"m**2/s**3": "W/kg", "N*m/s": "W", "N*m*rad/s": "W"}.get(unit, unit)
     scale = math.floor(math.log10(value) / 3.0) * 3 if value > 0.0 else 0
     if unit in {"W", "W/kg"} and scale in _PREFIXES:
         return f"{number(value / 10.0**scale)} {_PREFIXES[scale]}{unit}"
