@@ -41,11 +41,11 @@ def _act(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, jd, df, d
             inner = True
     if elements or inertias:
         placed(t, y, v, p, d, jd)
-    for j in range(2 * slots.shape[0]):  # sensors last: they may read what the others do
-        i = j % slots.shape[0]
+    for turn in range(2 * slots.shape[0]):  # sensors last: they may read what the others do
+        i = turn % slots.shape[0]
         kind, where, at = int(slots[i, 0]), int(slots[i, 1]), int(slots[i, 2])
         first, z = int(slots[i, 3]), int(slots[i, 4])
-        if kind < 0 or (where == 2 and z < 0) or (where == 2) != (j >= slots.shape[0]):
+        if kind < 0 or (where == 2 and z < 0) or (where == 2) != (turn >= slots.shape[0]):
             continue
         if where == 2 and inner:
             sensed(t, y, v, p, noise, s, js, jps)

@@ -245,7 +245,7 @@ def white(one: Whiteness) -> str:
 def power(value: float, units: Sequence[str]) -> str:
     """Write a power with its unit: that of a force times that of a rate."""
     unit = _put_together("F*V", {"F": units[0] or "1", "V": units[2] or "1"})
-    unit = {"m**2/s**3": "W/kg", "N*m/s": "W", "N*m*rad/s": "W"}.get(unit, unit)
+    unit = {"m**2/s**3": "W/kg", "N*m/s": "W"}.get(unit, unit)
     scale = math.floor(math.log10(value) / 3.0) * 3 if value > 0.0 else 0
     if unit in {"W", "W/kg"} and scale in _PREFIXES:
         return f"{number(value / 10.0**scale)} {_PREFIXES[scale]}{unit}"
