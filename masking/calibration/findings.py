@@ -241,9 +241,8 @@ def _force(twin: Twin, element: str, displacements: Array) -> Array | None:
     """
     names = twin.model.coordinates
     stretched = {n: e.displacement for n, e in twin.base.elements.items() if e.displacement is not None}
-    if element not in stretched or not {*names, *twin.model.parameters}.issuperset(
-        *(d.names for d in stretched.values())
-    ):
+    known = {*names, *twin.model.parameters}
+    if element not in stretched or any(not d.names <= known for d in stretched.values()):
         return None
     elements = {name: twin.base.elements[name] for name in stretched}
     zero = twin.model.parameter_values() | {f"{c}'": 0.0 for c in names} | dict.fromkeys(names, 0.0)
