@@ -51,7 +51,8 @@ def model(subject: Model) -> Description:
     equations = dict(zip([s.name for s in e.symbols.a], e.accelerations, strict=True))
     sides = zip(e.mass * sp.Matrix(e.symbols.a), e.force, strict=True)
     rates = {f"{n}'": rate for n, rate in zip(d.states, e.rates, strict=True)}
-    lines += ["equations", *(line for left, right in (*sides, *rates.items()) for line in _equation(left, right)), ""]
+    typeset = [line for left, right in (*sides, *rates.items()) for line in _equation(left, right)]
+    lines += ["equations", *typeset, ""] if typeset else []
     if e.energy is not None:
         lines += ["energy", *_equation("E", e.energy), ""]
     values = subject.parameter_values()

@@ -96,6 +96,16 @@ class Equations:
         """Return a declared expression in symbols of the model."""
         return expression.to_sympy(self.symbols.by_name | self.definitions)
 
+    def measured(self, expression: Expression) -> sp.Expr:
+        """Return what a sensor measures in symbols of the model: outputs may stand in it by their names."""
+        named = self.symbols.by_name | self.definitions
+        outputs = {
+            name: self.symbolic(output.expression)
+            for name, output in self.declaration.outputs.items()
+            if name in expression.names and name not in named
+        }
+        return expression.to_sympy(named | outputs)
+
     @cached_property
     def _system(self) -> tuple[sp.ImmutableMatrix, sp.ImmutableMatrix]:
         if self.declaration.lagrangian is not None:

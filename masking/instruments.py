@@ -14,7 +14,7 @@ from masking.kernels import Array
 from masking.model import Model
 from masking.observer import Plan, check_rate, check_sensing
 from masking.sampling import HEATING, LARGEST, POWER, TIME
-from masking.twin import wiring
+from masking.wiring import wiring
 
 # Step of a difference quotient, relative to the size of what varies.
 _STEP = 1e-5

@@ -146,6 +146,8 @@ def steps_between(slope: Callable[[Array, Array], None], state: Array, lengths: 
         rate: samples per second.
     """
     size = len(state)
+    if not size:
+        return 1
     jacobian, ahead, behind = np.empty((size, size)), np.empty(size), np.empty(size)
     for i, step in enumerate(1e-6 * lengths):
         change = step * np.eye(size)[i]

@@ -157,7 +157,7 @@ def refine(
     parameters: Sequence[str] = (),
     tolerance: float = TOLERANCE,
     horizon: float | None = None,
-    between: Assumption = "held",
+    between: Assumption | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     effects: str | Path | None = None,

@@ -181,7 +181,7 @@ class Sensitivity:
         slopes = [*lowered.derivatives, *jacobian("jy", rates, y, at), *jacobian("jp", rates, p, columns)]
         module.add("slopes(t, y, u, p, dy, jy, jp)", graph, slopes, loads)
         sensed = [*lowered.readings, *jacobian("jy", readings, y, at), *jacobian("jp", readings, p, columns)]
-        module.add("sensed(t, y, p, noise, s, jy, jp)", graph, sensed, loads)
+        module.add("sensed(t, y, u, p, noise, s, jy, jp)", graph, sensed, loads)
         self.twin.add_to(module)
         width = max(self.states, len(readings), len(self.twin.actuators))
         module.add_kernel(SIMULATE.format(states=self.states), "", (8, width))
@@ -217,11 +217,17 @@ class Sensitivity:
             raise IntegrationError("the simulated motion is no longer finite")
         return readings
 
-    def sensed(self, state: Array) -> tuple[Array, Array]:
-        """Return what the sensors read in a state (sensors,) of the twin, and its derivatives (sensors, states)."""
+    def sensed(self, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
+        """Return what the sensors read in a state (sensors,) of the twin, and its derivatives (sensors, states).
+
+        Args:
+            state: of the twin (states,).
+            commands: of the actuators (actuators,), which sensors may read at once; 0 where none are given.
+        """
         sensors, affected = len(self.twin.sensors), len(self.affected)
+        given = np.zeros(len(self.twin.actuators)) if commands is None else np.array(commands, dtype=float)
         read, jy, jp = np.empty(sensors), np.zeros((sensors, self.states)), np.zeros((sensors, max(1, affected)))
-        self.kernels.sensed(0.0, state, self.parameters(self.start()), np.zeros(sensors), read, jy, jp)
+        self.kernels.sensed(0.0, state, given, self.parameters(self.start()), np.zeros(sensors), read, jy, jp)
         return read, jy
 
     def normal_equations(
@@ -302,7 +308,7 @@ def simulate(count, dt, substeps, straight, y, p, commands, readings, work):
     noise[:] = 0.0
     for index in range(count):
         t = index * dt
-        sense(t, y, p, noise, readings[index])
+        sense_under(t, y, commands[index], p, noise, readings[index])
         if straight == 0:
             advance(t, y, commands[index], p, dt, substeps, work)
             continue
@@ -364,7 +370,7 @@ def normal(
     work[:] = 0.0
     for index in range(count):
         t = index * dt
-        sensed(t, y, p, noise, s, jy, jp)
+        sensed(t, y, commands[index], p, noise, s, jy, jp)
         for o in range(sensors):
             residual = readings[index, o] - s[o]
             if not math.isfinite(residual):

@@ -18,13 +18,14 @@ import numpy as np
 from masking.compile import store
 from masking.compile.graph import Graph, Node
 from masking.compile.source import Module
-from masking.declaration import registry, schema, units
+from masking.declaration import acting, registry, schema, units
 from masking.declaration.expression import Expression
 from masking.effects import Attachment, Effect, attach_all, dictionary, expressions
 from masking.errors import DeclarationError, Problem, nearest
 from masking.kernels import Array, Kernels, steps_between
 from masking.lowering import LoweredEquations
 from masking.model import Model
+from masking.wiring import wiring
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -85,10 +86,16 @@ class Twin:
         return replace(self, declaration=plant, base=registry.load_model(name_or_path), changes=changes)
 
     def equation_parameters(self) -> tuple[str, ...]:
-        """Return the parameters of the model that its equations of motion hold, without those of effects."""
-        equations = self.model.equations
+        """Return the parameters of the model that its equations hold, without those of effects.
+
+        These are its equations of motion, those of internal states that may begin anywhere, and outputs with a force.
+        """
+        equations, d = self.model.equations, self.base
         held = equations.mass.free_symbols | equations.force.free_symbols
-        return tuple(s.name for s in equations.symbols.p if s in held and s.name in self.base.parameters)
+        held |= {x for z in acting.free_states(d) for x in equations.symbolic(d.rates[z]).free_symbols}
+        held |= {x for n in acting.driven_outputs(d) for x in equations.symbolic(d.outputs[n].expression).free_symbols}
+        own = self.base.parameters.keys() & self.parameter_names.keys()  # without the switches of effects
+        return tuple(s.name for s in equations.symbols.p if s in held and s.name in own)
 
     def validate(self) -> None:
         """Refuse effects and wiring that do not fit the model.
@@ -204,6 +211,18 @@ class Twin:
         return tuple(self.declaration.actuators or self.base.inputs)
 
     @property
+    def measured_actuators(self) -> tuple[str, ...]:
+        """Return the channels that no one commands: they hold a measured motion, which elements of the model follow."""
+        rows = [list(self.base.inputs).index(name) for name in acting.measured_inputs(self.base)]
+        wired = (self.wiring[rows] != 0.0).any(axis=0)
+        return tuple(name for name, is_wired in zip(self.actuators, wired, strict=True) if is_wired)
+
+    @cached_property
+    def is_fed(self) -> bool:
+        """Tell whether a sensor reads what a command or a force changes at once, as the force of a component."""
+        return any(acting.is_fed(self.base, sensor.measures) for sensor in self.declaration.sensors.values())
+
+    @property
     def sensors(self) -> tuple[str, ...]:
         """Return the names of the sensors."""
         return tuple(self.declaration.sensors)
@@ -229,6 +248,12 @@ class Twin:
         """Return the names of the coordinates, and of the internal states as `states`."""
         chain = [f"{effect.label}_{name}" for effect, name in self.chain_states]
         return {"coordinates": [*self.model.coordinates], "states": [*self.model.declaration.states, *chain]}
+
+    @cached_property
+    def free(self) -> tuple[int, ...]:
+        """Return the indices in y of what a record may begin with: coordinates, velocities, free internal states."""
+        begins = {*self.state_names[: 2 * len(self.model.coordinates)], *acting.free_states(self.base)}
+        return tuple(i for i, name in enumerate(self.state_names) if name in begins)
 
     @cached_property
     def wiring(self) -> Array:
@@ -317,7 +342,8 @@ class Twin:
         def slope(y: Array, out: Array) -> None:
             self.kernels.twin_derivative(0.0, y, u, p, out)
 
-        return max(FEWEST_STEPS, steps_between(slope, state, np.resize(lengths, len(state)), rate))
+        sizes = np.resize(lengths, len(state)) if len(lengths) else np.ones(len(state))
+        return max(FEWEST_STEPS, steps_between(slope, state, sizes, rate))
 
     def size(self, unit: str) -> float:
         """Return the size in SI units of a unit that the plant file uses."""
@@ -351,10 +377,16 @@ class Twin:
         return module
 
     def add_to(self, module: Module) -> None:
-        """Add `sense(t, y, p, noise, s)`, `twin_derivative(t, y, u, p, dy)` and `advance` to a generated module."""
+        """Add `sense(t, y, p, noise, s)`, `twin_derivative(t, y, u, p, dy)` and `advance` to a generated module.
+
+        What a command changes at once is read by `sense_under(t, y, u, p, noise, s)`, and `sense` is only there where
+        nothing is.
+        """
         module.meta["factors"] = {unit: units.factor_of(unit) for unit in _units(self.declaration, self.base)}
         lowered = LoweredTwin(self)
-        module.add("sense(t, y, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
+        module.add("sense_under(t, y, u, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
+        if not self.is_fed:
+            module.add("sense(t, y, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
         module.add("twin_derivative(t, y, u, p, dy)", lowered.graph, lowered.derivatives, lowered.loads, lowered.health)
         size = len(self.state_names)
         module.add_kernel(ADVANCE.format(size=size), "", (5, size))
@@ -407,7 +439,7 @@ class LoweredTwin:
         s = equations.symbols
         self.readings = []
         for i, (name, gain) in enumerate(zip(twin.sensors, gains, strict=True)):
-            measured = model.lower(equations.symbolic(twin.declaration.sensors[name].measures))
+            measured = model.lower(equations.measured(twin.declaration.sensors[name].measures))
             noise = self._read(f"xi_{i}", f"noise[{i}]", varying=True)
             self.readings.append((f"s[{i}]", self._through("sensor", name, graph.mul(gain, measured), noise)))
         moving = [*(model.symbols[v] for v in s.v), *model.accelerations, *model.rates, *self.rates]
@@ -435,51 +467,6 @@ class LoweredTwin:
             self.rates += [self.graph.lower(rate.to_sympy(symbols), known) for rate in rates.values()]
             x = self.graph.lower(result.to_sympy(symbols), known)
         return x
-
-
-def wiring(plant: schema.PlantDeclaration, model: schema.ModelDeclaration, parameters: Mapping[str, float]) -> Array:
-    """Return what each input of a model gets of each actuator (inputs, actuators), as a plant file declares it.
-
-    Args:
-        plant: the plant file; without `actuators`, each input is an actuator.
-        model: the model that the plant file names.
-        parameters: its parameters in SI units.
-
-    Raises:
-        DeclarationError: an input is not wired, or not linear in the actuators.
-    """
-    if not plant.actuators:
-        return np.eye(len(model.inputs))
-    problems = []
-    rows = np.zeros((len(model.inputs), len(plant.actuators)))
-    for name in plant.wiring.keys() - model.inputs.keys():
-        message, mend = f"'{name}' is no input of {model.name}", nearest(name, model.inputs)
-        problems.append(Problem(plant.key_place(f"wiring.{name}"), f"wiring.{name}", message, mend))
-    for i, name in enumerate(model.inputs):
-        path = f"wiring.{name}"
-        if name not in plant.wiring:
-            message = f"nothing is wired to the input {name}"
-            mend = f"write what it gets of the actuators, such as '{name}: {next(iter(plant.actuators))}'"
-            problems.append(Problem(plant.key_place("wiring"), path, message, mend))
-            continue
-        expression = plant.wiring[name]
-        unknown = expression.check_symbols([*plant.actuators, *parameters])
-        if unknown:
-            problems += unknown
-            continue
-
-        def at(command: Array, expression: Expression = expression) -> float:
-            return expression.evaluate({**parameters, **dict(zip(plant.actuators, command, strict=True))})
-
-        rest = at(np.zeros(len(plant.actuators)))
-        rows[i] = [at(unit) - rest for unit in np.eye(len(plant.actuators))]
-        probe = np.random.default_rng(0).uniform(0.5, 1.5, len(plant.actuators))
-        if rest != 0.0 or not np.isclose(at(probe), rows[i] @ probe, rtol=1e-9):
-            message = "the wiring must be a sum of actuators times numbers"
-            problems.append(Problem(plant.place(path), path, message, "put anything else into effects"))
-    if problems:
-        raise DeclarationError(problems)
-    return rows
 
 
 def _as_text(parameters: Mapping[str, float | Expression]) -> dict[str, float | str]:

@@ -221,7 +221,7 @@ def identify(
     method: str = "least-squares",
     square_root: bool = False,
     iterated: int = 1,
-    between: Assumption = "held",
+    between: Assumption | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     out: str | Path | None = None,

@@ -16,7 +16,7 @@ ROWS = (
     {"errors", "status"},
     {"declaration", "parquet", "hdf5", "part", "dop853", "linear"},
     {"markup"},
-    {"recording", "drawing", "scales", "fidelity", "integrate", "synchronisation"},
+    {"recording", "drawing", "scales", "fidelity", "integrate", "synchronisation", "wiring"},
     {"signals", "formats"},
     {"sampling"},
     {"compile"},

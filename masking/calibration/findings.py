@@ -203,7 +203,7 @@ class Calibration:
 def _curve(found: Calibration, element: str) -> Curve | None:
     """Return the curve of a spring of the best model; None where it is straight, or no sensor measures it."""
     fit, declared = found.best.fit, found.best.fit.twin.base.elements[element]
-    text = declared.displacement.text.replace(" ", "")
+    text = "" if declared.displacement is None else declared.displacement.text.replace(" ", "")
     sensors = found.twin.declaration.sensors.values()
     at = next((i for i, s in enumerate(sensors) if s.measures.text.replace(" ", "") == text), None)
     if at is None:
@@ -239,11 +239,14 @@ def _force(twin: Twin, element: str, displacements: Array) -> Array | None:
     With the displacements d = D q of all elements and what they do to the accelerations, A f, at rest and without
     inputs, q is found from d and then f from the accelerations.
     """
-    elements, names = twin.base.elements, twin.model.coordinates
-    if element not in elements:
+    names = twin.model.coordinates
+    stretched = {n: e.displacement for n, e in twin.base.elements.items() if e.displacement is not None}
+    known = {*names, *twin.model.parameters}
+    if element not in stretched or any(not d.names <= known for d in stretched.values()):
         return None
+    elements = {name: twin.base.elements[name] for name in stretched}
     zero = twin.model.parameter_values() | {f"{c}'": 0.0 for c in names} | dict.fromkeys(names, 0.0)
-    d_rows = np.array([[e.displacement.evaluate(zero | {c: 1.0}) for c in names] for e in elements.values()])
+    d_rows = np.array([[d.evaluate(zero | {c: 1.0}) for c in names] for d in stretched.values()])
     acts = np.array([[e.acts[c].evaluate(zero) if c in e.acts else 0.0 for e in elements.values()] for c in names])
     wanted = np.array([float(name == element) for name in elements])
     alone, told = np.linalg.pinv(d_rows) @ wanted, wanted @ np.linalg.pinv(acts)

@@ -13,6 +13,7 @@ import importlib.util
 import json
 import os
 import sys
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -27,6 +28,7 @@ from masking.compile.native import NativeFunction
 from masking.compile.source import Module
 
 PACKAGE = Path(__file__).parent.parent
+_importing = threading.Lock()
 # Sources of this package whose text shapes the generated code.
 SHAPING = (
     *("integrate.py", "sampling.py", "dop853.py", "linear.py", "equations.py", "lowering.py", "scales.py"),
@@ -60,6 +62,10 @@ class Generated:
 
     def module(self) -> ModuleType:
         """Import the module, and numba with it."""
+        with _importing:  # of another thread, half a module would be seen
+            return self._imported()
+
+    def _imported(self) -> ModuleType:
         name = self.stem.name
         if name in sys.modules:
             return sys.modules[name]

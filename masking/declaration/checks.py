@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
+from masking.declaration.acting import driven_outputs, motions
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ModelDeclaration
 from masking.errors import DeclarationError, Problem, nearest
@@ -47,8 +48,11 @@ def accelerations(names: Iterable[str]) -> list[str]:
 def equation_of(model: ModelDeclaration, coordinate: str) -> Expression | None:
     """Give the left-hand side of the equation in which a force on a coordinate acts: x'', or such as m*x''.
 
-    It holds this acceleration and no other. None where there is no such equation, as in a Lagrangian model.
+    It holds this acceleration and no other; that of an internal state is its rate. None where there is no such
+    equation, as in a Lagrangian model.
     """
+    if coordinate in model.states:
+        return next((left for left in model.equations if model.state_of(left) == coordinate), None)
     others = {f"{name}''" for name in model.coordinates if name != coordinate}
     own = [left for left in model.motion if f"{coordinate}''" in left.symbols and not left.symbols & others]
     return own[0] if own else None
@@ -75,8 +79,14 @@ def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
     for name, scale in model.scales.items():
         if isinstance(scale.value, Expression):
             yield f"scales.{name}.value", scale.value
+    yield from _formulas_of_elements(model)
+
+
+def _formulas_of_elements(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
     for name, element in model.elements.items():
-        yield f"elements.{name}.displacement", element.displacement
+        for part in ("displacement", "rate"):
+            if getattr(element, part) is not None:
+                yield f"elements.{name}.{part}", getattr(element, part)
         for coordinate, factor in element.acts.items():
             yield f"elements.{name}.acts.{coordinate}", factor
 
@@ -121,10 +131,16 @@ def _names(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
         if name not in model.coordinates and name not in lost:
             message = f"'{name}' is not a coordinate"
             yield problem_at(model, f"forces.{name}", message, nearest(name, model.coordinates), at_key=True)
+    taken = {*model.coordinates, *model.states, *model.outputs}
     for element, name in ((e, name) for e, entry in model.elements.items() for name in entry.acts):
-        if name not in model.coordinates and name not in lost:
-            path, message = f"elements.{element}.acts.{name}", f"'{name}' is not a coordinate"
-            yield problem_at(model, path, message, nearest(name, model.coordinates), at_key=True)
+        if name not in taken and name not in lost:
+            others = [*(["a state"] if model.states else []), *(["an output"] if model.outputs else [])]
+            path, message = f"elements.{element}.acts.{name}", f"'{name}' is not {_any_of(['a coordinate', *others])}"
+            yield problem_at(model, path, message, nearest(name, taken), at_key=True)
+    for name in driven_outputs(model):
+        if name in owner:
+            message = f"elements act on the output '{name}', a name that is already used in {owner[name]}"
+            yield problem_at(model, f"outputs.{name}", message, "rename one of them", at_key=True)
 
 
 def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
@@ -145,7 +161,10 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
             name = symbol.rstrip("'")
             message = f"'{symbol}' is a rate of the internal state '{name}', which stands only in its own equation"
             yield expression.problem(expression.first(symbol), message, f"write {name}': ... under equations, alone")
-        allowed = {"parameters": static, "scales": static, "elements": [*static, *coordinates]}.get(section, moving)
+        stretched = [*static, *coordinates, *model.states, *model.inputs]
+        if path.endswith(".rate") and section == "elements":
+            stretched += velocities(coordinates)
+        allowed = {"parameters": static, "scales": static, "elements": stretched}.get(section, moving)
         yield from check_symbols(expression, [*allowed, *rates], coordinates, known=moving)
         where = section if section in {"lagrangian", "dissipation", "energy"} else ""
         if path in of_states:
@@ -208,7 +227,7 @@ def _structure(model: ModelDeclaration) -> Iterator[Problem]:
     if not wanted:
         if count:
             yield problem_at(model, "equations", "equations need coordinates", at_key=True)
-        if not model.outputs:
+        if not model.outputs and not model.states:
             yield problem_at(model, "", "a model without coordinates needs outputs")
         return
     if not count:
@@ -233,11 +252,19 @@ def _counted_states(model: ModelDeclaration) -> Iterator[Problem]:
 
 
 def _elements(model: ModelDeclaration) -> Iterator[Problem]:
-    """Check that every element can be stretched, and that its force has equations to act in."""
+    """Check that every element moves, and that its force has something to act on."""
     for name, element in model.elements.items():
-        if not element.displacement.names & model.coordinates.keys():
-            path, message = f"elements.{name}.displacement", "a displacement must contain a coordinate"
-            yield problem_at(model, path, message, "write the difference of two, such as x1 - x3")
+        moving = {*model.coordinates, *model.states, *model.inputs}
+        if not motions(element):
+            path, message = f"elements.{name}", "an element needs a displacement, or a rate"
+            yield problem_at(model, path, message, "write how far it is stretched, such as x1 - x3", at_key=True)
+        for part in ("displacement", "rate"):
+            moved = getattr(element, part)
+            if moved is not None and not moved.names & moving:
+                kinds = [k for k, n in (("a state", model.states), ("an input", model.inputs)) if n]
+                kinds = ["a coordinate", *(kinds if not model.coordinates else ())]
+                path, message = f"elements.{name}.{part}", f"a {part} must contain {_any_of(kinds)}"
+                yield problem_at(model, path, message, "write the difference of two, such as x1 - x3")
         if not element.acts:
             path, message = f"elements.{name}.acts", "an element acts on at least one coordinate"
             yield problem_at(model, path, message, "write {x1: -1, x3: 1}")
@@ -322,6 +349,10 @@ def _matched(equation: int, present: Sequence[Collection[str]], owner: dict[str,
                 owner[free], free = taker, before
             return []
     return crowd
+
+
+def _any_of(words: Sequence[str]) -> str:
+    return " or ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def _listed(words: Sequence[str]) -> str:

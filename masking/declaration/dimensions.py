@@ -12,10 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 
+from masking.declaration.acting import driven_outputs
 from masking.declaration.checks import equation_of, formulas
 from masking.declaration.expression import Expression
 from masking.declaration.operations import COMPARISONS, Step
-from masking.declaration.schema import Declaration, ModelDeclaration
+from masking.declaration.schema import Declaration, Element, ModelDeclaration
 from masking.declaration.units import NONE, TIME, Conversion, Dimension, conversion, describe, dimension_of
 from masking.errors import DeclarationError, Problem
 
@@ -28,6 +29,7 @@ __all__ = [
     "describe",
     "dimension_in",
     "dimension_of",
+    "displacement_dimension",
     "force_dimensions",
     "symbol_dimensions",
 ]
@@ -95,6 +97,8 @@ def symbol_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None] | 
 def force_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None]:
     """Give the dimension of a force on each coordinate: that of its equation, or energy per coordinate of a Lagrangian.
 
+    That on an internal state is of its rate, and that on an output that elements act on of the output itself.
+
     Raises:
         DeclarationError: a unit or an expression of the model has no dimension.
     """
@@ -103,7 +107,7 @@ def force_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None]:
     if not problems:
         checker.start()
         action = None if model.lagrangian is None else checker.of(model.lagrangian)
-        found = {name: checker.on(name, action) for name in model.coordinates}
+        found = {name: checker.on(name, action) for name in (*model.coordinates, *model.states, *driven_outputs(model))}
     if problems:
         raise DeclarationError(problems)
     return found
@@ -112,6 +116,14 @@ def force_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None]:
 def dimension_in(expression: Expression, symbols: Mapping[str, Dimension | None]) -> Dimension | None:
     """Give the dimension of an expression, None when it fits any; raises `DeclarationError` where it has none."""
     return expression.walk(_Dimensions(expression, symbols))[0]
+
+
+def displacement_dimension(element: Element, symbols: Mapping[str, Dimension | None]) -> Dimension | None:
+    """Give the dimension of how far an element is stretched: as declared, or that of its rate times time."""
+    if element.displacement is not None:
+        return dimension_in(element.displacement, symbols)
+    rate, time = None if element.rate is None else dimension_in(element.rate, symbols), symbols["t"]
+    return None if rate is None or time is None else _times(rate, time, 1)
 
 
 def unit_problem(declaration: Declaration, path: str, error: DeclarationError) -> Problem:
@@ -192,7 +204,7 @@ class _Checker:
         if model.lagrangian is not None:
             self.lagrangian(action, time)
         for name in model.elements:
-            self.element(name, action)
+            self.element(name, action, time)
         return self.problems
 
     def has_time(self) -> bool:
@@ -210,17 +222,29 @@ class _Checker:
                 self.on(name, action), force, "a force on this coordinate must be {} as the lagrangian says, not {}"
             )
 
-    def element(self, name: str, action: Dimension | None) -> None:
+    def element(self, name: str, action: Dimension | None, time: Dimension) -> None:
         """Check that the force of an element, times what it acts with, goes with the equations of motion."""
         element, force = self.model.elements[name], self.units[f"elements.{name}.unit"]
-        self.of(element.displacement)
+        moved = None if element.displacement is None else self.of(element.displacement)
+        if element.rate is not None:
+            wanted = None if moved is None else _times(moved, time, -1)
+            self.same(wanted, element.rate, "the rate of this displacement is in {}, not in {}")
         message = f"the force in {element.unit} must be multiplied by {{}} to act here, not by {{}}"
         for coordinate, factor in element.acts.items():
             wanted = self.on(coordinate, action)
             self.same(None if wanted is None else _times(wanted, force, -1), factor, message)
 
     def on(self, coordinate: str, action: Dimension | None) -> Dimension | None:
-        """Give the dimension of a force on a coordinate: of its equation, or L/q where L, the `action`, has it."""
+        """Give the dimension of a force on a coordinate: of its equation, or L/q where L, the `action`, has it.
+
+        That on an internal state is of its rate, and that on an output of the output itself.
+        """
+        if coordinate in self.model.states:
+            return self.symbols[f"{coordinate}'"]
+        if coordinate in self.model.outputs and coordinate not in self.model.coordinates:
+            output = self.model.outputs[coordinate]
+            is_declared = "unit" in output.model_fields_set
+            return self.units[f"outputs.{coordinate}.unit"] if is_declared else self.of(output.expression)
         if self.model.lagrangian is None:
             left = equation_of(self.model, coordinate)
             return None if left is None else self.of(left)

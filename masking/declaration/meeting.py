@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from masking.declaration.acting import is_fed
 from masking.declaration.checks import check_symbols, parameter_values, problem_at, velocities
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration, Transform
@@ -17,10 +18,11 @@ def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Proble
     """List what in a plant does not fit its model."""
     problems = list(_overrides(plant, "parameters", plant.parameters, model))
     measurable = [*model.coordinates, *velocities(model.coordinates), *model.parameters]
+    seen = [*measurable, *(name for name in (*model.states, *model.outputs) if name not in measurable)]
     for name, sensor in plant.sensors.items():
         if sensor.gain.value == 0.0:
             problems.append(problem_at(plant, f"sensors.{name}.gain", "the gain is 0"))
-        problems += check_symbols(sensor.measures, measurable, model.coordinates)
+        problems += check_symbols(sensor.measures, seen, model.coordinates)
     channels = plant.actuators or model.inputs
     owner = "an actuator of this plant" if plant.actuators else f"an input of {model.name}"
     for name in plant.limits.inputs:
@@ -78,7 +80,8 @@ def check_experiment(
     problems += _sampling(experiment)
     problems += _record(experiment)
     problems += _stop(experiment, virtual_model)
-    problems += _transform(experiment, plant_model, virtual_model)
+    problems += _transform(experiment, plant_model, virtual_model) if plant_model.coordinates else ()
+    problems += _loop(experiment, plant, plant_model)
     if not virtual_model.coordinates:
         problems.append(problem_at(experiment, "virtual", f"the model {virtual_model.name} has no coordinates"))
     if virtual_model.states:
@@ -123,6 +126,19 @@ def _short(number: float) -> str:
         return f"{number:.3g}"
     digits, _, exponent = f"{number:.1e}".partition("e")
     return f"{digits.removesuffix('.0')}e{int(exponent)}"
+
+
+def _loop(experiment: ExperimentDeclaration, plant: PlantDeclaration, rig: ModelDeclaration) -> Iterator[Problem]:
+    """Check that a control loop can be closed around a rig: it moves, and is seen before it is commanded."""
+    if not rig.coordinates:
+        message = f"the model {rig.name} of the plant has no coordinates: there is no motion to close a loop around"
+        mend = "choose a rig; what such a model is missing is found by 'masking discover', from a record"
+        yield problem_at(experiment, "plant", message, mend)
+    for name, sensor in plant.sensors.items():
+        if rig.coordinates and is_fed(rig, sensor.measures):
+            message = f"the sensor {name} reads {sensor.measures}, which a command changes at once"
+            mend = "a controller reads before it commands; leave this sensor out of the plant"
+            yield problem_at(plant, f"sensors.{name}", message, mend)
 
 
 def _record(experiment: ExperimentDeclaration) -> Iterator[Problem]:

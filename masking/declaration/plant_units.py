@@ -44,6 +44,8 @@ def check_plant_units(plant: PlantDeclaration, model: ModelDeclaration) -> list[
     problems += _heating(plant, model)
     symbols = symbol_dimensions(model)
     if symbols is not None and not is_plain(model):
+        # Sensors measure outputs, too.
+        symbols = {name: dimension_in(o.expression, symbols) for name, o in model.outputs.items()} | symbols
         problems += _limits(plant, model, symbols)
         for name, sensor in plant.sensors.items():
             problems += _sensor(plant, model, symbols, name, sensor)
@@ -116,7 +118,7 @@ def _unit_of(expression: Expression, dimension: Dimension, model: ModelDeclarati
     """Give the unit in which an expression is written: a declared one where it fits, else SI base units."""
     declared: list[str] = []
     for name in expression.names:
-        for section in (model.coordinates, model.inputs, model.parameters):
+        for section in (model.coordinates, model.states, model.inputs, model.parameters, model.outputs):
             if name in section:
                 declared.append(section[name].unit)
     for unit in sorted(declared):

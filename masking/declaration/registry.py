@@ -255,11 +255,18 @@ def _full(section: str, entry: Any) -> dict[str, Any]:  # noqa: ANN401  (plain d
 
 
 def _add_terms(result: dict[str, Any], terms: dict[Text, Text | Real]) -> None:
+    """Add terms to right-hand sides of equations, to forces of a Lagrangian model, or to outputs."""
     is_lagrangian = "lagrangian" in result
     equations = dict(result.get("equations", {}))  # of a Lagrangian model, those of its internal states
     forces = dict(result.get("forces", {}))
+    outputs = dict(result.get("outputs", {}))
     allowed = [*(result.get("coordinates", {}) if is_lagrangian else ()), *equations]
     for name, term in terms.items():
+        if name in outputs and name not in allowed:
+            entry = _full("outputs", outputs[name])
+            outputs[name] = entry | {"expression": _sum(entry["expression"], term, f"outputs.{name}.expression")}
+            result["outputs"] = outputs
+            continue
         if name not in allowed:
             what = f"'{name}' is not a coordinate" if is_lagrangian else f"no equation has the left-hand side {name}"
             raise DeclarationError(Problem(name.node.place, name.node.path, what, nearest(name, allowed)))

@@ -85,11 +85,13 @@ class State(Block):
 class Element(Block):
     """A place where a force may sit, such as a spring.
 
-    `displacement` is how far it is stretched; a force f in it, in `unit`, adds acts[c] * f to the right-hand side of
-    the equation of motion of each coordinate c. A positive force resists a positive displacement where `acts` says so.
+    `displacement` is how far it is stretched and `rate` how fast, by default the time derivative of a displacement of
+    coordinates. A force f in it, in `unit`, adds acts[c] * f to the right-hand side of the equation of each coordinate
+    or internal state c, and to each output c. A positive force resists a positive displacement where `acts` says so.
     """
 
-    displacement: Formula
+    displacement: Formula | None = None
+    rate: Formula | None = None
     unit: TextField = "1"
     acts: dict[Name, Formula]
     meaning: TextField = ""

@@ -20,7 +20,7 @@ def answered(
     parameters: Sequence[str] = (),
     tolerance: float = TOLERANCE,
     horizon: float | None = None,
-    between: Assumption = "held",
+    between: Assumption | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     effects: str | Path | None = None,

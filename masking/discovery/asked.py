@@ -8,6 +8,7 @@ from pathlib import Path
 
 from masking import formats
 from masking.declaration import registry
+from masking.declaration.acting import driven_outputs
 from masking.declaration.expression import Expression
 from masking.declaration.schema import ModelDeclaration, PlantDeclaration, Sensor
 from masking.discovery.written import Origin
@@ -36,7 +37,7 @@ def asked(
     plant: str | Path | None,
     validation: str | Path | None = None,
     *,
-    between: Assumption = "held",
+    between: Assumption | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     effects: str | Path | None = None,
@@ -66,7 +67,7 @@ def read(
     record: str | Path,
     validation: str | Path | None = None,
     *,
-    between: Assumption = "held",
+    between: Assumption | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
 ) -> Asked:
@@ -159,10 +160,13 @@ def parameters(twin: Twin, names: Sequence[str]) -> tuple[str, ...]:
 
 def _sensors(base: ModelDeclaration) -> dict[str, Sensor]:
     if base.outputs:
-        return {name: Sensor(measures=o.expression, unit=o.unit, meaning=o.meaning) for name, o in base.outputs.items()}
-    return {
-        name: Sensor(measures=Expression(name), unit=c.unit, meaning=c.meaning) for name, c in base.coordinates.items()
-    }
+        by_name = driven_outputs(base)  # with the forces of effects in them
+        return {
+            name: Sensor(measures=Expression(name) if name in by_name else o.expression, unit=o.unit, meaning=o.meaning)
+            for name, o in base.outputs.items()
+        }
+    moving = base.coordinates or base.states
+    return {name: Sensor(measures=Expression(name), unit=c.unit, meaning=c.meaning) for name, c in moving.items()}
 
 
 __all__ = ["Asked", "asked", "check_tolerance", "parameters", "read", "rig", "with_effects"]

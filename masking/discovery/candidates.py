@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from masking.discovery import laws
 from masking.discovery.opened import OpenRig, Slot
@@ -18,6 +19,7 @@ from masking.effects import EFFECTS, Effect, EffectParameter
 
 BRISTLES = 3e-3  # s: damping of bristles for their stiffness, to begin with
 TURNS = (1e-3, 1e-4, 1e-5)  # m/s, or another unit of rate, over which friction turns round
+PARTS = (1e-2, 2e-3, 4e-4)  # of the rms rate, where that is not of coordinates
 EDGES = (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)  # parts of the travel at which a contact is tried
 MOST_LEVELS = 10.0  # steps of a converter from the middle to the end of its range that are tried
 
@@ -31,6 +33,7 @@ class Span:
         size: largest magnitude.
         rate: root mean square of its rate.
         tones: frequencies in Hz of what is left, the strongest first.
+        turns: rates over which friction is tried to turn round.
     """
 
     low: float
@@ -38,6 +41,7 @@ class Span:
     size: float
     rate: float
     tones: tuple[float, ...] = ()
+    turns: tuple[float, ...] = TURNS
 
 
 @dataclass(frozen=True)
@@ -104,8 +108,8 @@ def _bristles(more: float) -> Shapes:
     return shapes
 
 
-def _turning(vs: float) -> Shapes:
-    return lambda span: [{"vs": vs}]
+def _turning(number: int) -> Shapes:
+    return lambda span: [{"vs": span.turns[number]}]
 
 
 def _bends(span: Span) -> list[Mapping[str, float]]:
@@ -135,7 +139,7 @@ RECIPES: dict[str, tuple[_Recipe, ...]] = {
     "viscous_damping": (_Recipe(("c",)),),
     "quadratic_damping": (_Recipe(("c",)),),
     "added_mass": (_Recipe(("m",)),),
-    "dry_friction": tuple(_Recipe(("fc",), (), _turning(vs)) for vs in TURNS),
+    "dry_friction": tuple(_Recipe(("fc",), (), _turning(number)) for number in range(len(TURNS))),
     "asymmetric_friction": (_Recipe(("fp", "fm")),),
     "stribeck_friction": (_Recipe(("fc", "fs"), ("vst",), _rates("vst", 0.05, 0.15, 0.4, 0.8)),),
     "lugre_friction": tuple(_Recipe(("s0",), ("fc", "fs", "vst", "s1"), _bristles(more)) for more in (1.2, 2.0)),
@@ -162,6 +166,12 @@ RECIPES: dict[str, tuple[_Recipe, ...]] = {
     "dac_quantisation": (_Recipe((), ("step",), _steps),),
     "actuator_lag": (_Recipe((), ("tau",), lambda span: [{"tau": 1e-3}, {"tau": 5e-3}, {"tau": 2e-2}]),),
 }
+# Where the rate is measured, or that of a state, its turn is seen well enough to be estimated.
+RECIPES_OF_RATES: dict[str, tuple[_Recipe, ...]] = {
+    "dry_friction": (_Recipe(("fc",), ("vs",), lambda span: [{"vs": turn} for turn in span.turns]),),
+    "asymmetric_friction": (_Recipe(("fp", "fm"), ("vs",), lambda span: [{"vs": turn} for turn in span.turns]),),
+    "stribeck_friction": (_Recipe(("fc", "fs"), ("vst", "vs"), _rates("vst", 0.05, 0.15, 0.4, 0.8)),),
+}
 FACTORS = {effect: recipes[-1].factors for effect, recipes in RECIPES.items()}
 PAIRS = ("linear_spring", "viscous_damping", "hardening_spring", "dry_friction")  # between coordinates not joined
 
@@ -176,15 +186,19 @@ def candidates(rig: OpenRig, spans: Mapping[str, Span], period: float) -> Iterat
     """
     every = [EFFECTS[name] for name in RECIPES] + [e for n, e in rig.twin.dictionary.items() if n not in EFFECTS]
     for place in rig.places:
-        straight = is_of_one(place.element.displacement, rig.coordinates)  # inertias take the displacement as linear
+        # Inertias take the displacement as linear, and change no reading at once.
+        straight = is_of_one(place.element.displacement, rig.coordinates) and not rig.twin.is_fed
         kinds = [e for e in every if e.where == "element" and (straight or not e.is_inertia)]
         for effect in kinds if place.declared or place.coordinate else [EFFECTS[name] for name in PAIRS]:
-            yield from _of(effect, place.name, spans[place.name])
-    for where, names in (("sensor", rig.twin.sensors), ("actuator", rig.twin.actuators)):
+            if place.is_open and place.takes(effect):
+                recipes = {} if place.is_of_coordinates else RECIPES_OF_RATES
+                yield from _of(effect, place.name, spans[place.name], recipes)
+    commanded = tuple(name for name in rig.twin.actuators if name not in rig.twin.measured_actuators)
+    for where, names in (("sensor", rig.twin.sensors), ("actuator", commanded)):
         for effect in [e for e in every if e.where == where]:
             for name in names:
                 yield from _of(effect, name, spans[name])
-    for at in ("", *rig.twin.actuators):
+    for at in ("", *commanded) if commanded == rig.twin.actuators else commanded:
         slots = tuple(Slot(laws.DELAY, at, (samples * period,), (0,)) for samples in (1.0, 5.0))
         yield Candidate(laws.DELAY, at, (), (0,), slots)
 
@@ -208,14 +222,18 @@ def _starts(parameter: EffectParameter, span: Span) -> list[float]:
     return [min(max(part * size, least), most) for part in parameter.tried]
 
 
-def _of(effect: Effect, at: str, span: Span) -> Iterator[Candidate]:
+def _of(
+    effect: Effect, at: str, span: Span, recipes: Mapping[str, tuple[_Recipe, ...]] = MappingProxyType({})
+) -> Iterator[Candidate]:
+    """Give an effect at a place in each way that it is tried: as other recipes say that know it, or as usual."""
     names, own = list(effect.parameters), None if effect.name in EFFECTS else effect
-    for recipe in RECIPES[effect.name] if own is None else (_own(own),):
+    for recipe in recipes.get(effect.name, RECIPES.get(effect.name, ())) if own is None else (_own(own),):
         factors = tuple(names.index(name) for name in recipe.factors)
         free = tuple(sorted((*factors, *(names.index(name) for name in recipe.shape))))
         slots = []
         for shape in recipe.shapes(span):
             values = {n: (0.0 if p.value is None else p.value) for n, p in effect.parameters.items()}
+            values |= {"vs": span.turns[0]} if own is None and "vs" in values else {}
             values |= dict.fromkeys(recipe.factors, 0.0) | dict(shape)
             slots.append(Slot(effect.name, at, tuple(values.values()), free, own))
         if slots:

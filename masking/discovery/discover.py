@@ -20,6 +20,7 @@ from masking.discovery import fitting
 from masking.discovery.evidence import Belief, Evidence
 from masking.discovery.experiment import NextExperiment, next_experiment
 from masking.discovery.fitting import Hypothesis
+from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.opened import OpenRig
 from masking.discovery.screening import thinning
 from masking.discovery.search import (
@@ -49,11 +50,11 @@ Tell = Callable[[str, float], None]
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
 SURE = 0.9  # probability from which a name is given
 NEAR = 60.0  # of the score: rivals that the record that judges may decide between
-LATTICE = 0.1  # different values per reading below which readings may be rounded
 ROUNDED = 0.3  # part of the noise's variance, or of what is left, that rounding must make to be named
 RESTLESS = 10.0  # eigenvalue times the length of a record: what is slower does not come to rest in it
 SHARES = 20  # windows of a record of what does not come to rest
 FEWEST = 200  # samples of a window
+STIFF = 8  # steps between samples at least where forces act on states: friction stops these within a sample
 UNSEEN = 0.1  # of the noise: what integration may add
 HELD_OUT = 0.3  # of a record, where no other is given to judge by
 CLOSED = 1.1  # of the noise: a gap from here on is more than noise
@@ -220,10 +221,10 @@ def discover(
     say("preparing the rig; the first time, it is compiled", 0.0)
     train, judge = _split(record) if validation is None else (record, validation)
     belief, most = believed(twin, rig, tolerance), max(1, twin.substeps(train.rate) // 2)
-    whole = Evidence(rig, train, belief, noise_of(twin, train), most)
+    whole = Evidence(rig, train, belief, noise_of(rig, train), most)
     evidence = replace(whole, horizon=_horizon(whole, horizon))
     evidence = replace(evidence, substeps=_substeps(evidence))
-    judged = replace(evidence, record=judge, sigma=noise_of(twin, judge))
+    judged = replace(evidence, record=judge, sigma=noise_of(rig, judge))
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
         found = Search(evidence, say).run()
         found = replace(found, steps=tuple(_reordered(step, evidence, judged) for step in found.steps))
@@ -261,7 +262,7 @@ def _horizon(evidence: Evidence, seconds: float | None) -> int:
     """
     rate, count = evidence.record.rate, len(evidence.record)
     if seconds is None:
-        speeds = np.linalg.eigvals(linearised(evidence.rig, evidence.belief.mean)[0]) * count / rate
+        speeds = np.asarray(np.linalg.eigvals(linearised(evidence.rig, evidence.belief.mean)[0])) * count / rate
         if not ((np.abs(speeds) < RESTLESS) | (speeds.real > 1.0)).any():
             return 0
         seconds = count / rate / SHARES
@@ -277,13 +278,14 @@ def _horizon(evidence: Evidence, seconds: float | None) -> int:
 
 def _substeps(evidence: Evidence) -> int:
     """Return how many integration steps between samples simulate the readings within their noise."""
-    theta, most = evidence.belief.mean, evidence.substeps
+    least = STIFF if len(evidence.rig.twin.free) > 2 * len(evidence.rig.coordinates) else 1
+    theta, most = evidence.belief.mean, max(least, evidence.substeps)
     start = fitting.first_states(evidence, theta)
 
     def simulated(substeps: int) -> Array:
         return evidence.rig.equations(replace(evidence, substeps=substeps), theta, start).simulated
 
-    steps, before = 1, simulated(1)
+    steps, before = least, simulated(least)
     while steps < most:
         after = simulated(min(2 * steps, most))
         if bool((np.sqrt(((after - before) ** 2).mean(axis=0)) < UNSEEN * evidence.sigma).all()):
@@ -314,36 +316,6 @@ def believed(twin: Twin, rig: OpenRig, tolerance: float) -> Belief:
         std = declared[name].std if name in declared else None
         deviations.append(std or tolerance * (abs(float(value)) or 1.0))
     return Belief(rig.start.copy(), np.array(deviations))
-
-
-def noise_of(twin: Twin, record: Data) -> Array:
-    """Return the standard deviation of the noise of each reading (sensors,), from the record.
-
-    Raises:
-        RecordError: readings carry no noise, so that nothing can be said to be beyond it.
-    """
-    found = record.noise
-    size = np.sqrt((record.readings**2).mean(axis=0))
-    for name, value in zip(twin.sensors, size, strict=True):
-        if value == 0.0:
-            raise RecordError(
-                f"{record.name}: {name} reads 0 throughout; look at its wiring, or leave it out of the plant"
-            )
-    rounding = np.array([step / np.sqrt(12.0) for step in steps_of(record)])
-    floor: Array = np.maximum.reduce([found, 1e-6 * size, rounding])
-    return floor
-
-
-def steps_of(record: Data) -> Array:
-    """Return the step of which all readings of a sensor are multiples (sensors,); 0 where they are not rounded."""
-    steps = []
-    for column in record.readings.T:
-        values = np.unique(column)
-        apart = np.diff(values)
-        step = float(np.median(apart[apart <= 1.5 * apart.min()])) if len(apart) else 0.0
-        rounded = len(values) < LATTICE * len(column) and np.allclose(values / step, np.round(values / step), atol=1e-3)
-        steps.append(step if rounded else 0.0)
-    return np.array(steps)
 
 
 def _judged(evidence: Evidence, hypothesis: Hypothesis) -> Hypothesis:

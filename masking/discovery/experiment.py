@@ -7,7 +7,7 @@ Source: Hunter and Reiner (1965), Technometrics 7(3), 307-323: designs for discr
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,15 +17,18 @@ from masking import signals
 from masking.discovery import fitting
 from masking.discovery.evidence import Evidence
 from masking.discovery.fitting import Hypothesis
+from masking.discovery.opened import OpenRig
 from masking.errors import IntegrationError
 from masking.identification.data import Data
 from masking.kernels import Array
+from masking.sensitivity import Between
 
 SECONDS = 30.0
 TELLING = 40.0  # of the cost: from here on two explanations are told apart
 FACTORS = (1.0, 3.0)  # of the record's own size, as far as limits allow
 BANDS = ((0.05, 0.5), (0.5, 3.0), (3.0, 12.0))  # Hz
 PERIOD = 10.0  # s
+STEPS = "row of growing steps"
 
 
 @dataclass(frozen=True)
@@ -67,8 +70,11 @@ class NextExperiment:
 
 def next_experiment(
     evidence: Evidence, first: Hypothesis, second: Hypothesis, names: tuple[str, str], limits: Array | None = None
-) -> NextExperiment:
+) -> NextExperiment | None:
     """Return the excitation, of those that are tried, that tells two explanations apart best.
+
+    A component is moved as far, and its rate is that of this displacement; None where it is not known which measured
+    input is the rate of which.
 
     Args:
         evidence: the record that leaves them open.
@@ -78,9 +84,12 @@ def next_experiment(
         limits: largest command of each actuator (actuators,); three times the record's where none are given.
     """
     best: NextExperiment | None = None
+    rates = _rates(evidence.rig)
+    if rates is None:
+        return None
     size = np.abs(evidence.record.commands).max(axis=0)
     most = np.maximum(FACTORS[-1] * size, 1e-12) if limits is None else limits
-    for name, settings, commands in _excitations(evidence, size, most):
+    for name, settings, commands in _possible(evidence, size, most, rates):
         separation = min(
             _left(evidence, commands, first, second), _left(evidence, commands, second, first)
         )  # fmt: skip
@@ -93,8 +102,10 @@ def next_experiment(
 
 def _left(evidence: Evidence, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
     """Return what one explanation leaves of what the other would read, as -2 log likelihood."""
-    record = Data("simulated", evidence.record.rate, commands, np.zeros((len(commands), len(evidence.sigma))))
-    state = evidence.rig.twin.rest(np.zeros(len(evidence.rig.coordinates)))[None]
+    between: Between = "straight" if evidence.rig.twin.measured_actuators else "held"
+    nothing = np.zeros((len(commands), len(evidence.sigma)))
+    record = Data("simulated", evidence.record.rate, commands, nothing, between=between)
+    state = evidence.rig.rest[None]
     free = replace(evidence, record=record, horizon=0)
     try:
         made = evidence.rig.equations(free, truth.theta, state, truth.slots, truth.added)
@@ -102,6 +113,34 @@ def _left(evidence: Evidence, commands: Array, truth: Hypothesis, other: Hypothe
         return fitting.fit(told, other.slots, theta=other.theta, start=state, rounds=12).cost
     except IntegrationError:
         return 0.0
+
+
+def _rates(rig: OpenRig) -> dict[int, int] | None:
+    """Return which measured input is the rate of which other, by their numbers; None where that is not known of all."""
+    twin, found = rig.twin, dict[int, int]()
+    names = {name: i for i, name in enumerate(twin.actuators)}
+    for element in twin.base.elements.values():
+        x, rate = (None if one is None else one.text.strip() for one in (element.displacement, element.rate))
+        if x in names and rate in names:
+            found[names[rate]] = names[x]
+    told = {*found, *found.values()}
+    return found if all(names[name] in told for name in twin.measured_actuators) else None
+
+
+def _possible(
+    evidence: Evidence, size: Array, most: Array, rates: Mapping[int, int]
+) -> Iterator[tuple[str, dict[str, Any], Array]]:
+    """Give the excitations in which each rate is that of its displacement; a step would have none."""
+    for name, settings, commands in _excitations(evidence, size, most):
+        if rates and name == STEPS:
+            continue
+        made, told = commands.copy(), dict(settings)
+        for rate, x in rates.items():
+            made[:, rate] = np.gradient(commands[:, x]) * evidence.record.rate
+        if rates:
+            peaks = zip(evidence.rig.twin.actuators, np.abs(made).max(axis=0), strict=True)
+            told["peak"] = {actuator: float(f"{peak:.3g}") for actuator, peak in peaks}
+        yield name, told, made
 
 
 def _excitations(evidence: Evidence, size: Array, most: Array) -> Iterator[tuple[str, dict[str, Any], Array]]:
@@ -125,4 +164,4 @@ def _excitations(evidence: Evidence, size: Array, most: Array) -> Iterator[tuple
         yield "ramp", {"peak": told, "seconds": SECONDS}, np.array(shifted).T * peaks
         turns = np.outer(t / SECONDS, 6.0 + 2.0 * np.arange(len(actuators)))
         steps = np.sign(np.sin(2.0 * np.pi * turns)) * (t / SECONDS)[:, None]
-        yield "row of growing steps", {"peak": told, "seconds": SECONDS}, steps * peaks
+        yield STEPS, {"peak": told, "seconds": SECONDS}, steps * peaks

@@ -131,19 +131,19 @@ def cost(evidence: Evidence, slots: Sequence[Slot], theta: Array, start: Array) 
 def first_states(evidence: Evidence, theta: Array, samples: int = 20) -> Array:
     """Return a first guess of initial states (windows, states), from straight lines through the first readings."""
     rig, record = evidence.rig, evidence.record
-    from_rest = rig.twin.rest(np.zeros(len(rig.coordinates)))
-    n = len(rig.coordinates)
-    told, sensing = rig.reading(theta, from_rest)
-    back = np.linalg.pinv(sensing[:, :n])
-    found = np.tile(from_rest, (evidence.windows, 1))
+    n, acting = len(rig.coordinates), record.acting
+    seen = [i for i in rig.twin.free if not n <= i < 2 * n]
+    found = np.tile(rig.rest, (evidence.windows, 1))
     for i, state in enumerate(found):
         begin = i * evidence.begin
         early = min(begin, max(len(record) - samples, 0))  # the line of a short last window begins before it
         read = record.readings[early:][:samples]
         times = (np.arange(len(read)) + early - begin) / record.rate
         slope, first = np.polynomial.polynomial.polyfit(times, read, 1)[::-1]
-        state[:n] = back @ (first - told)
-        state[n : 2 * n] = back @ slope
+        told, sensing = rig.reading(theta, rig.rest, acting[begin])
+        back = np.linalg.pinv(sensing[:, seen])
+        state[seen] += back @ (first - told)
+        state[n : 2 * n] = back[:n] @ slope
     return found
 
 
@@ -156,11 +156,11 @@ class _Point:
     inner: Array
     start: Array
 
-    def moved(self, step: Array, low: Array, high: Array, moving: int) -> _Point:
+    def moved(self, step: Array, low: Array, high: Array, free: Sequence[int]) -> _Point:
         """Return the point after a step, with parameters of effects within their bounds."""
         k, f, s = len(self.theta), len(self.added), len(self.inner)
         start = self.start.copy()
-        start[:, :moving] += step[k + f + s :].reshape(-1, moving)
+        start[:, free] += step[k + f + s :].reshape(len(start), len(free))
         added = within(self.added, step[k : k + f], low, high)
         return _Point(self.theta + step[:k], added, self.inner + step[k + f : k + f + s], start)
 
@@ -182,8 +182,8 @@ class _Problem:
         return np.tile([size for slot in self.slots for size in slot.begins], len(self.records))
 
     def solve(self, at: _Point, rounds: int, *, frozen: bool, rival: float) -> Hypothesis:
-        k, f, s, moving = len(at.theta), len(at.added), len(at.inner), 2 * len(self.evidence.rig.coordinates)
-        held = np.zeros(k + f + s + len(at.start) * moving, dtype=bool)
+        k, f, s, free = len(at.theta), len(at.added), len(at.inner), [*self.evidence.rig.twin.free]
+        held = np.zeros(k + f + s + len(at.start) * len(free), dtype=bool)
         held[: k + f], held[k + f : k + f + s] = frozen, self.begins == 0.0
         slow, damping, size = 0, 1e-6, self.evidence.record.readings.size
         found = self.equations(at)
@@ -195,7 +195,7 @@ class _Problem:
             enough = CONVERGED * max(1.0, cost / size)
             if gain < enough:
                 break
-            then = at.moved(step, low, high, moving)
+            then = at.moved(step, low, high, free)
             try:
                 tried = self.equations(then)
                 new = self.cost(tried, then)

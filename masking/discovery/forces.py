@@ -9,12 +9,14 @@ Source: Larsen and McCleary (1972), Technometrics 14(3), 781-790, for partial re
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from masking.declaration.dimensions import dimension_in, is_plain, symbol_dimensions
-from masking.declaration.units import describe
+from masking.declaration.dimensions import dimension_in, displacement_dimension, is_plain, symbol_dimensions
+from masking.declaration.expression import Expression
+from masking.declaration.units import Dimension, describe
 from masking.discovery import laws
 from masking.discovery.discover import Discovery
 from masking.discovery.memory import once
@@ -42,6 +44,7 @@ class Lack:
         law: what the cause at this place gives (m,); None where there is none.
         deviations: standard deviations of `before` and of `after`.
         units: of `before`, `x` and `rate`.
+        known: whether displacement and rate are known.
     """
 
     place: str
@@ -53,6 +56,13 @@ class Lack:
     law: Array | None
     deviations: tuple[float, float]
     units: tuple[str, str, str]
+    known: tuple[bool, bool] = (True, True)
+
+    @property
+    def seen(self) -> list[tuple[Array, str]]:
+        """Return displacement and rate, as far as they are known, with their units; the first where neither is."""
+        both = zip((self.x, self.rate), self.units[1:], self.known, strict=True)
+        return [(x, unit) for x, unit, is_known in both if is_known] or [(self.x, self.units[1])]
 
 
 @dataclass(frozen=True)
@@ -107,7 +117,7 @@ def energies(found: Discovery) -> dict[str, float]:
 
 
 def _force(found: Discovery, slot: Slot | None, where: str, name: str) -> Lack:
-    rig, seen = found.rig, smoothed(found)
+    rig, seen, known = found.rig, smoothed(found), (True, True)
     motion, left = seen.before, seen.after
     if where == "actuator":
         at = rig.twin.actuators.index(name)
@@ -118,6 +128,8 @@ def _force(found: Discovery, slot: Slot | None, where: str, name: str) -> Lack:
         units = (unit, unit, _per_second(unit))
     else:
         at = [place.name for place in rig.places].index(name)
+        place = rig.places[at]
+        known = place.element.displacement is not None, place.has_rate
         x, rate = motion.displacement[:, at], motion.rate[:, at]
         column = rig.columns[1][at]
         units = element_units(found, name)
@@ -129,7 +141,7 @@ def _force(found: Discovery, slot: Slot | None, where: str, name: str) -> Lack:
         moved = motion.acted_on(slot.entry, at) if where == "element" else (x, rate)
         law = along(found, slot, *moved)
         law = law - x if where == "actuator" else law
-    return Lack(name, where, x, rate, before, after, law, (deviation, afterwards), units)
+    return Lack(name, where, x, rate, before, after, law, (deviation, afterwards), units, known)
 
 
 def _sensor(found: Discovery, slot: Slot | None, name: str) -> Lack:
@@ -191,7 +203,7 @@ def projected(motion: Motion, by: Array) -> tuple[Array, float]:
 
     Args:
         motion: with the forces on coordinates.
-        by: what a unit at the place is on each coordinate (coordinates,); see `directions`.
+        by: what a unit at the place is on each degree (degrees,); see `directions`.
     """
     weight = by / np.maximum(motion.deviation, 1e-300) ** 2
     norm = max(float(by @ weight), 1e-300)
@@ -199,15 +211,16 @@ def projected(motion: Motion, by: Array) -> tuple[Array, float]:
 
 
 def directions(found: Discovery, column: int) -> Array:
-    """Return what a unit in a column of the equations is as forces on each coordinate (coordinates,)."""
+    """Return what a unit in a column of the equations is as forces on each degree (degrees,)."""
     rig, theta = found.rig, found.explanation.hypothesis.theta
     n, count = len(rig.twin.state_names), len(rig.coordinates)
     p, _ = rig.basis(theta)
-    y, u = rig.twin.rest(np.zeros(count)), np.zeros(len(rig.twin.actuators))
+    y, u = rig.rest, np.zeros(len(rig.twin.actuators))
     jy, jp, dy = np.zeros((n, n)), np.zeros((n, rig.affected)), np.zeros(n)
     rig.kernels.slopes(0.0, y, u, p, dy, jy, jp)
-    ports = jp[count : 2 * count, [rig.columns[1][i] for i in rig.coordinate_places]]
-    return np.asarray(np.linalg.lstsq(ports, jp[count : 2 * count, column], rcond=None)[0])
+    moved = np.vstack([jp[count:], rig.direct(theta)]) if rig.twin.is_fed else jp[count:]
+    ports = moved[:, [rig.columns[1][i] for i in rig.degree_places]]
+    return np.asarray(np.linalg.lstsq(ports, moved[:, column], rcond=None)[0])
 
 
 def _busiest(found: Discovery) -> str:
@@ -228,13 +241,25 @@ def element_units(found: Discovery, name: str) -> tuple[str, str, str]:
     symbols = symbol_dimensions(base)
     if is_plain(base) or symbols is None:
         return "", "", ""
-    known = {base.coordinates[n].unit for n in element.displacement.names & base.coordinates.keys()}
-    if len(known) == 1 and is_of_one(element.displacement, base.coordinates):
-        (unit,) = known
-        return element.unit, unit, _per_second(unit)
-    dimension = dimension_in(element.displacement, symbols)
-    unit = "" if dimension is None else describe(dimension)
-    return element.unit, unit, _per_second(unit)
+    declared = {n: x.unit for section in (base.coordinates, base.states, base.inputs) for n, x in section.items()}
+    moved, rate = (_written(of, declared, symbols) for of in (element.displacement, element.rate))
+    if not moved and rate:
+        dimension = displacement_dimension(element, symbols)
+        moved = rate.removesuffix("/s") if rate.endswith("/s") else describe(dimension) if dimension else ""
+    return element.unit, moved, rate or _per_second(moved)
+
+
+def _written(
+    expression: Expression | None, declared: Mapping[str, str], symbols: Mapping[str, Dimension | None]
+) -> str:
+    """Return the unit of what an element follows, as it is declared where that is of one unit; '' of nothing."""
+    if expression is None:
+        return ""
+    known = {declared[name] for name in expression.names & declared.keys()}
+    if len(known) == 1 and is_of_one(expression, declared):
+        return known.pop()
+    dimension = dimension_in(expression, symbols)
+    return "" if dimension is None else describe(dimension)
 
 
 def _per_second(unit: str) -> str:

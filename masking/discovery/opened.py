@@ -7,7 +7,7 @@ Source: as `masking.sensitivity`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from masking.compile import store
+from masking.compile.graph import Node
 from masking.compile.source import Module
 from masking.compile.tangent import derivatives
 from masking.declaration.dictionary import MOST_PARAMETERS
 from masking.declaration.expression import Expression
 from masking.declaration.schema import EffectUse
 from masking.discovery import laws, steps
-from masking.discovery.places import Place, identifier, opened
+from masking.discovery.places import Place, degrees, identifier, opened
 from masking.effects import EFFECTS, Effect
 from masking.errors import IntegrationError
 from masking.kernels import Array, Kernels
@@ -96,8 +97,8 @@ class Slot:
 class Equations:
     """What a record tells: J^T W J (w, w), J^T W r (w,), squared residuals (sensors,), and what is simulated.
 
-    Columns: parameters of the rig, free parameters of the slots, where their states begin, then the initial positions
-    and velocities of each window.
+    Columns: parameters of the rig, free parameters of the slots, where their states begin, then what each window may
+    begin with, as `Twin.free` has it.
     """
 
     matrix: Array
@@ -151,6 +152,21 @@ class OpenRig:
         return tuple(self.twin.model.coordinates)
 
     @cached_property
+    def degrees(self) -> tuple[str, ...]:
+        """Return what forces move: coordinates, internal states, or outputs of a component."""
+        return degrees(self.twin.base)
+
+    @property
+    def begins(self) -> int:
+        """Return the number of states that a window of a record may begin with at any value."""
+        return len(self.twin.free)
+
+    @property
+    def rest(self) -> Array:
+        """Return the state (states,) at rest."""
+        return self.twin.rest(np.zeros(len(self.coordinates)))
+
+    @cached_property
     def _sensitivity(self) -> Sensitivity:
         twin, found = self._opened
         forces = [f"port_{identifier(p.name)}_f0" for p in found]
@@ -184,10 +200,15 @@ class OpenRig:
         return tuple(sensitivity.affected[i] for i in at[:many]), tuple(at[:many]), tuple(at[many:])
 
     @cached_property
+    def degree_places(self) -> tuple[int, ...]:
+        """Return for each degree the index of the place that it is."""
+        by = {place.coordinate: i for i, place in enumerate(self.places) if place.coordinate}
+        return tuple(by[name] for name in self.degrees)
+
+    @property
     def coordinate_places(self) -> tuple[int, ...]:
         """Return for each coordinate the index of the place that it is."""
-        by = {place.coordinate: i for i, place in enumerate(self.places) if place.coordinate}
-        return tuple(by[name] for name in self.coordinates)
+        return self.degree_places[: len(self.coordinates)]
 
     @cached_property
     def kernels(self) -> Kernels:
@@ -197,7 +218,7 @@ class OpenRig:
         made_from = {
             "discovery": twin.structure(), "affected": list(self._sensitivity.affected), "laws": texts,
             "steps": [steps.FLOW, steps.RUN, *steps.OTHERS],
-            "columns": self.columns, "forces": self.coordinate_places,
+            "columns": self.columns, "forces": self.degree_places, "free": self.twin.free,
         }  # fmt: skip
         return Kernels(store.load(store.key(made_from), self._build))
 
@@ -224,42 +245,54 @@ class OpenRig:
         results = [*lowered.derivatives, *jacobian("jy", rates, y, at), *jacobian("jp", rates, p, every)]
         module.add("slopes(t, y, u, p, dy, jy, jp)", graph, results, loads)
         results = [*lowered.readings, *jacobian("jy", readings, y, at), *jacobian("jp", readings, p, every)]
-        module.add("sensed(t, y, p, noise, s, jy, jp)", graph, results, loads)
-        equations = twin.model.equations
-        texts = [lowered.equations.lower(equations.symbolic(place.element.displacement)) for place in found]
-        velocities = [graph.symbol(by_text[f"y[{moving + i}]"], varying=True) for i in range(moving)]
-        positions = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in range(moving)]
-        rate = [
-            graph.total([graph.mul(by, v) for by, v in zip(row, velocities, strict=True)])
-            for row in derivatives(graph, texts, positions)
-        ]
-        nodes = [*texts, *rate]
+        module.add("sensed(t, y, u, p, noise, s, jy, jp)", graph, results, loads)
+        direct = [node for row in derivatives(graph, readings, p) for node in row if not graph.is_number(node, 0.0)]
+        nodes = [*_followed(lowered, found), *_rates(lowered, found, by_text)]
         results = [(f"d[{i}]", node) for i, node in enumerate(nodes)]
-        module.add("placed(t, y, p, d, jy)", graph, [*results, *jacobian("jy", nodes, y, at)], loads)
+        module.add("placed(t, y, u, p, d, jy)", graph, [*results, *jacobian("jy", nodes, y, at)], loads)
         module.functions.append(laws.text(self.laws))
         force_p, force_column, command_column = self.columns
+        none = (0,)  # of none, nothing is read
         many = {
-            "n": n, "moving": moving, "forces": moving, "places": len(found), "channels": len(twin.actuators),
-            "sensors": len(twin.sensors), "affected": len(affected), "force_p": force_p, "force_column": force_column,
-            "command_column": command_column or (0,),  # of none, nothing is read
-            "coordinate_ports": tuple(force_p[i] for i in self.coordinate_places),
+            "n": n, "moving": moving, "forces": len(self.degrees), "places": len(found),
+            "channels": len(twin.actuators), "sensors": len(twin.sensors), "affected": len(affected),
+            "force_p": force_p or none, "force_column": force_column or none, "command_column": command_column or none,
+            "degree_ports": tuple(force_p[i] for i in self.degree_places) or none,
+            "begins": self.begins, "free": twin.free or none,
+            "is_free": tuple(int(i in twin.free) for i in range(n)) or none,
+            "fed": int(twin.is_fed), "direct": int(bool(direct)),
         }  # fmt: skip
         size = n + MOST_STATES
         width = max(len(self.names) + 4 * MOST_PARAMETERS + size, len(affected), MOST_COLUMNS)
-        rows = 10 * size + 8 * len(found) + 16 * len(readings) + 4 * len(twin.actuators) + 42
+        rows = 12 * size + 12 * len(found) + 16 * len(readings) + 6 * len(twin.actuators) + 60
         module.add_kernel(steps.FLOW.format(**many) + steps.RUN.format(**many), "i", (rows, width))
         for text in steps.OTHERS:
             result, work = ("i" if text is steps.FOLLOW else ""), (None if text is steps.BACK else (rows, width))
             module.add_kernel(text.format(**many), result, work)
         return module
 
-    def reading(self, theta: Array, state: Array) -> tuple[Array, Array]:
-        """Return what the sensors read in a state (sensors,), and how that depends on it (sensors, states)."""
+    def reading(self, theta: Array, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
+        """Return what the sensors read in a state (sensors,), and how that depends on it (sensors, states).
+
+        Args:
+            theta: parameters (k,).
+            state: of the rig (states,).
+            commands: of the actuators (actuators,); 0 where none are given.
+        """
+        read, by_state, _ = self._read(theta, state, commands)
+        return read, by_state
+
+    def direct(self, theta: Array) -> Array:
+        """Return how readings depend at once on the affected entries of the parameter array, at rest (sensors, a)."""
+        return self._read(theta, self.rest, None)[2]
+
+    def _read(self, theta: Array, state: Array, commands: Array | None) -> tuple[Array, Array, Array]:
         sensors = len(self.twin.sensors)
+        given = np.zeros(len(self.twin.actuators)) if commands is None else np.array(commands, dtype=float)
         p, _ = self.basis(theta)
         s, js, jps = np.zeros(sensors), np.zeros((sensors, len(state))), np.zeros((sensors, self.affected))
-        self.kernels.sensed(0.0, state, p, np.zeros(sensors), s, js, jps)
-        return s, js
+        self.kernels.sensed(0.0, state, given, p, np.zeros(sensors), s, js, jps)
+        return s, js, jps
 
     def slots(self, slots: Sequence[Slot], theta: Array) -> tuple[Array, Array, Array, int]:
         """Return the tables of slots and columns, their parameters, and how many states they have.
@@ -345,7 +378,7 @@ class OpenRig:
         added = np.empty(0) if added is None else added
         table, columns, values, states = self.slots(slots, added)
         p, basis = self.basis(theta, len(added) + states)
-        k, moving, windows = basis.shape[1], 2 * len(self.coordinates), evidence.windows
+        k, moving, windows = basis.shape[1], self.begins, evidence.windows
         n, width = len(self.twin.state_names), k + moving
         y, sens = np.full(n + states, NEARLY_ZERO), np.zeros((n + states, width))
         y[n:] += 0.0 if inner is None else inner
@@ -367,6 +400,30 @@ class OpenRig:
             gradient[own] += gradients[i * width : (i + 1) * width]
         matrix += np.tril(matrix, -1).T
         return Equations(matrix, gradient, squares, simulated)
+
+
+def _followed(lowered: LoweredTwin, places: Sequence[Place]) -> list[Node]:
+    """Return the displacement of each place as a node; 0 where it has none."""
+    equations, zero = lowered.equations.equations, lowered.graph.number(0.0)
+    every = [place.element.displacement for place in places]
+    return [zero if one is None else lowered.equations.lower(equations.symbolic(one)) for one in every]
+
+
+def _rates(lowered: LoweredTwin, places: Sequence[Place], loads: Mapping[str, str]) -> list[Node]:
+    """Return the rate of each place as a node: as declared, or by the chain rule from coordinates; 0 where unknown."""
+    graph, equations = lowered.graph, lowered.equations.equations
+    moving = len(equations.coordinates)
+    velocities = [graph.symbol(loads[f"y[{moving + i}]"], varying=True) for i in range(moving)]
+    positions = [graph.symbol(loads[f"y[{i}]"], varying=True) for i in range(moving)]
+    found = []
+    for place, row in zip(places, derivatives(graph, _followed(lowered, places), positions), strict=True):
+        if place.element.rate is not None:
+            found.append(lowered.equations.lower(equations.symbolic(place.element.rate)))
+        elif place.has_rate:
+            found.append(graph.total([graph.mul(by, v) for by, v in zip(row, velocities, strict=True)]))
+        else:
+            found.append(graph.number(0.0))
+    return found
 
 
 def _use(effect: str, at: str, parameter: str) -> EffectUse:

@@ -1,5 +1,8 @@
 """Places: where an effect may sit in a model: its elements, each coordinate, and between each two coordinates.
 
+What a force moves by itself is a degree: a coordinate, and without one an internal state or an output that elements act
+on. Each has a place, by whose force what the model lacks there is told, even where no law can sit in it.
+
 A force between two coordinates acts on both; how strongly, their masses tell. Where these are not known from the model
 itself, as in equations that are divided by a mass, they follow from its elements, which pass a force on.
 """
@@ -10,44 +13,78 @@ import itertools
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
+from masking.declaration.acting import driven_outputs, driven_states, has_rate, motions
 from masking.declaration.checks import equation_of, no_equation
 from masking.declaration.dimensions import force_dimensions, is_plain
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Element, ModelDeclaration
 from masking.declaration.units import Dimension, describe, dimension_of
-from masking.errors import DeclarationError
+from masking.effects import Effect
+from masking.errors import DeclarationError, Problem
 
 USUAL = ("1", "N", "N*m")  # units of forces
 
 
 @dataclass(frozen=True)
 class Place:
-    """One place: the name of its element, whether the model declares it, and the coordinate that it is, if one."""
+    """One place.
+
+    Args:
+        name: of its element.
+        element: what it follows and acts on.
+        declared: whether the model declares it.
+        coordinate: the degree that it is a place of, if one.
+        has_rate: whether it is known how fast it is stretched.
+        is_of_coordinates: whether coordinates alone stretch it.
+    """
 
     name: str
     element: Element
     declared: bool
     coordinate: str | None = None
+    has_rate: bool = True
+    is_of_coordinates: bool = True
+
+    @property
+    def is_open(self) -> bool:
+        """Return whether any effect may sit here: an output by itself moves in no way that is known."""
+        return self.declared or self.element.displacement is not None
+
+    def takes(self, effect: Effect) -> bool:
+        """Return whether an effect finds here what it follows: a displacement, a rate, or neither."""
+        used = effect.follows
+        return ("d" not in used or self.element.displacement is not None) and (
+            self.has_rate or not used & {"d_rate", "d_acc"}
+        )
+
+
+def degrees(model: ModelDeclaration) -> tuple[str, ...]:
+    """Return what forces move: coordinates, internal states and outputs that elements act on."""
+    return (*model.coordinates, *driven_states(model), *driven_outputs(model))
 
 
 def places(model: ModelDeclaration) -> tuple[Place, ...]:
-    """Return every place of a model: elements, coordinates and pairs of coordinates, none of them twice.
+    """Return every place of a model: elements, degrees and pairs of coordinates, none of them twice.
 
     Raises:
-        DeclarationError: a force cannot act on a coordinate, since no equation is its own.
+        DeclarationError: a force cannot act on a coordinate, since no equation is its own, or on nothing at all.
     """
     forces = force_dimensions(model)
     lost = [name for name in model.coordinates if model.lagrangian is None and not equation_of(model, name)]
     if lost:
         raise DeclarationError([no_equation(model, name, f"coordinates.{name}") for name in lost])
-    found = [Place(name, e, declared=True, coordinate=_coordinate(model, e)) for name, e in model.elements.items()]
+    found = [_place(model, name, e, _degree(model, e), declared=True) for name, e in model.elements.items()]
     taken = {place.coordinate for place in found}
-    for name in model.coordinates:
+    for name in degrees(model):
         if name not in taken:
-            unit = _force_unit(model, name, forces[name])
-            element = Element(displacement=Expression(name), unit=unit, acts={name: _one("-1")})
-            found.append(Place(name, element, declared=False, coordinate=name))
-    between = {_text(e.displacement.text) for e in model.elements.values()}
+            element = _alone(model, name, _force_unit(model, name, forces[name]))
+            found.append(_place(model, name, element, name, declared=False))
+    if not found:
+        mend = "declare where one may sit, such as 'elements: {strut: {displacement: d, rate: v, acts: {F: 1}}}'"
+        raise DeclarationError(
+            Problem(model.place("outputs"), "elements", f"{model.name} has no place for a force", mend)
+        )
+    between = {_text(e.displacement) for e in model.elements.values()}
     weights = _weights(model)
     for a, b in itertools.combinations(model.coordinates, 2):
         if f"{a}-{b}" in between or f"{b}-{a}" in between or a not in weights or b not in weights:
@@ -73,16 +110,36 @@ def identifier(name: str) -> str:
     return name.replace("-", "_") if "-" in name else f"{name}_place" if name.isidentifier() else name
 
 
-def is_of_one(displacement: Expression, coordinates: Collection[str]) -> bool:
+def is_of_one(displacement: Expression | None, coordinates: Collection[str]) -> bool:
     """Return whether a displacement is a coordinate, or a sum or difference of coordinates."""
+    if displacement is None:
+        return False
     alone = all(step.operation in {"symbol", "+", "-", "negative"} for step in displacement.steps)
     return alone and displacement.symbols <= set(coordinates)
 
 
-def _coordinate(model: ModelDeclaration, element: Element) -> str | None:
-    """Return the coordinate that an element is a place of: its displacement alone, and it acts on that alone."""
-    text = _text(element.displacement.text)
-    return text if text in model.coordinates and set(element.acts) == {text} else None
+def _place(model: ModelDeclaration, name: str, element: Element, degree: str | None, *, declared: bool) -> Place:
+    moved = {name for x in motions(element) for name in x.names}
+    return Place(name, element, declared, degree, has_rate(model, element), not moved & {*model.states, *model.inputs})
+
+
+def _degree(model: ModelDeclaration, element: Element) -> str | None:
+    """Return the degree that an element is a place of: what it follows alone, or an output, and it acts on that alone.
+
+    A state may be the rate of its element, as the speed of a motor is.
+    """
+    name, *others = element.acts
+    if others or name in driven_outputs(model):
+        return None if others else name
+    texts = {_text(element.displacement)} | ({_text(element.rate)} if name in model.states else set())
+    return name if name in texts else None
+
+
+def _alone(model: ModelDeclaration, name: str, unit: str) -> Element:
+    """Return the element of a degree by itself; a force on an output follows nothing that is known."""
+    if name in driven_outputs(model):
+        return Element(unit=unit, acts={name: _one("1")})
+    return Element(displacement=Expression(name), unit=unit, acts={name: _one("-1")})
 
 
 def _weights(model: ModelDeclaration) -> Mapping[str, str]:
@@ -106,7 +163,12 @@ def _force_unit(model: ModelDeclaration, name: str, dimension: Dimension | None)
     """Return the unit of a force on a coordinate, as it is usually written."""
     if is_plain(model) or dimension is None:
         return "1"
-    usual = (*(e.unit for e in model.elements.values()), f"{model.coordinates[name].unit}/s**2", *USUAL)
+    own = {
+        **{n: f"{c.unit}/s**2" for n, c in model.coordinates.items()},
+        **{n: o.unit for n, o in model.outputs.items()},
+    }
+    own |= {n: f"{z.unit}/s" for n, z in model.states.items()}
+    usual = (*(e.unit for e in model.elements.values()), own[name], *USUAL)
     return next((unit for unit in usual if dimension_of(unit) == dimension), describe(dimension))
 
 
@@ -114,5 +176,5 @@ def _one(text: str) -> Expression:
     return Expression(text)
 
 
-def _text(text: str) -> str:
-    return text.replace(" ", "")
+def _text(expression: Expression | None) -> str:
+    return "" if expression is None else expression.text.replace(" ", "")

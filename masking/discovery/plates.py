@@ -102,12 +102,13 @@ def _map(found: Discovery, lacking: forces.Lack) -> Plate:
     by, unit = _scale(lacking.units[0], values)
     reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
     rows_of = [(lacking.before, BEFORE, "lacking"), *([(lacking.after, AFTER, "left")] if has_after else [])]
-    figure, rows = panels(len(rows_of), 2.05, (3.62, 3.62), top(said))
-    low = np.array([np.quantile(x, [0.0005, 0.9995]) for x in (lacking.x, lacking.rate)])
+    seen = lacking.seen
+    figure, rows = panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), top(said))
+    low = np.array([np.quantile(x, [0.0005, 0.9995]) for x, _ in seen])
     step = max(1, len(lacking.x) // POINTS)
     for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
         assert values_of is not None  # noqa: S101  # those that are None have no row
-        for axes, x, x_unit, (left, right) in zip(row, (lacking.x, lacking.rate), lacking.units[1:], low, strict=True):
+        for axes, (x, x_unit), (left, right) in zip(row, seen, low, strict=True):
             times, name = _scale(x_unit, [x])
             axes.plot(times * x[::step], by * values_of[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
             centres, means, _ = forces.binned(x, values_of)
@@ -124,8 +125,9 @@ def _map(found: Discovery, lacking: forces.Lack) -> Plate:
                 axes.set_xlabel(with_unit(label if x is lacking.x else f"rate of {label}", words.pretty(name)))
         label = f"lacking {what}" if kind == "lacking" else f"{what} that is left"
         row[0].set_ylabel(with_unit(label, words.pretty(unit)))
-        row[1].tick_params(labelleft=False)
-        row[1].yaxis.get_offset_text().set_visible(False)
+        for axes in row[1:]:
+            axes.tick_params(labelleft=False)
+            axes.yaxis.get_offset_text().set_visible(False)
     heading(figure, said)
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=BEFORE, lw=2, label=f"{what} that the model lacks, its mean and ± 2 deviations")

@@ -143,6 +143,9 @@ def _parts(x: Array, rate: Array, force: Array, energy: float, stretches: Indice
     (of_x, bend_x), (of_rate, bend_rate) = _curve(x, _knots(x)), _curve(rate, _knots_of_rate(rate))
     split = of_x.shape[1]
     alone = _held_out(np.hstack([of_x, of_rate]), linalg.block_diag(bend_x, bend_rate), force, stretches, split)
+    if np.ptp(x) == 0.0:  # of a displacement that is not known, the force follows none but a constant
+        told = alone.sum(axis=1)
+        alone = np.column_stack([np.full(len(x), told.mean()), told - told.mean()])
     mean = float(alone[:, 1].mean())  # a constant gives back what it takes
     each = np.array([(force * (alone[:, 0] + mean)).mean(), (force * (alone[:, 1] - mean)).mean()]).clip(0.0)
     explained = _explained(force, alone.sum(axis=1))

@@ -50,7 +50,7 @@ class Promise:
 
 def thinning(rig: OpenRig, rate: float) -> tuple[int, int]:
     """Return the samples over which motions, and over which readings are averaged, at a rate in Hz."""
-    own = np.abs(np.linalg.eigvals(linearised(rig, rig.start)[0]).imag).max() / (2.0 * np.pi)
+    own = np.abs(np.linalg.eigvals(linearised(rig, rig.start)[0]).imag).max(initial=0.0) / (2.0 * np.pi)
     highest = max(HIGHEST, 2.0 * float(own))
     thin = max(1, int(rate / (6.0 * highest)))
     return thin, thin * max(1, int(rate / (2.0 * highest) / thin))
@@ -78,13 +78,14 @@ class Screen:
         self._states = _thinned(motion.states, self.thin)
         self._commands = _thinned(record.acting, self.thin)
         self.scale = np.sqrt(self.every) / sigma
-        k, moving = len(base.theta), 2 * len(rig.coordinates)
+        k = len(base.theta)
         basis = rig.basis(base.theta)[1]
         wanted = np.flatnonzero(basis.any(axis=1))
         coarse = len(self._states)
         columns = self._spread(np.ones((coarse, len(wanted))), wanted.astype(np.float64))
         of_parameters = np.einsum("bsm,mk->bsk", columns, basis[wanted])
-        start = self._of_windows(self._spread(np.zeros((coarse, moving)), np.array([-1.0 - i for i in range(moving)])))
+        first = np.array([-1.0 - i for i in rig.twin.free])
+        start = self._of_windows(self._spread(np.zeros((coarse, len(first))), first))
         values, slopes = self._found(found)
         own = self._rows(np.concatenate([of_parameters, start, slopes], axis=2))
         prior = np.zeros((k, own.shape[1]))
@@ -164,8 +165,8 @@ class Screen:
         left[: len(rows)] -= rows
         step = self._back @ (self.taken.T @ left)
         theta, start = self.base.theta, self.base.start.copy()
-        moving = 2 * len(self.rig.coordinates)
-        start[:, :moving] += step[len(theta) : len(theta) + len(start) * moving].reshape(-1, moving)
+        free = [*self.rig.twin.free]
+        start[:, free] += step[len(theta) : len(theta) + len(start) * len(free)].reshape(len(start), len(free))
         return theta + step[: len(theta)], start
 
     def _with_slopes(self, slot: Slot) -> tuple[Array, Array]:
@@ -408,7 +409,7 @@ class Screen:
 def _apart(columns: Array, others: Array) -> tuple[Array, Array]:
     """Return a basis of other columns (r, o), and each of the columns (r, k) without these, of length 1."""
     u, s, _ = np.linalg.svd(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300), full_matrices=False)
-    basis = u[:, s > 1e-7 * s[0]]
+    basis = u[:, s > 1e-7 * s.max(initial=0.0)]
     left = columns - basis @ (basis.T @ columns)
     size = np.linalg.norm(left, axis=0)
     told = size > 1e-9 * np.linalg.norm(columns, axis=0)

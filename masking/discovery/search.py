@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy import signal
 
 from masking.discovery import fitting, laws
-from masking.discovery.candidates import FACTORS, Candidate, Span, candidates
+from masking.discovery.candidates import FACTORS, PARTS, Candidate, Span, candidates
 from masking.discovery.evidence import Evidence
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.opened import Slot
@@ -328,13 +329,23 @@ class Search:
     def _spans(self, motion: Motion) -> dict[str, Span]:
         found, tones = {}, self._tones(motion.forces)
         for place, x, rate in zip(self.evidence.rig.places, motion.displacement.T, motion.rate.T, strict=True):
-            found[place.name] = _span(x, float(rate.std()), tones)
+            moved = x if place.element.displacement is not None else self._moved(rate)
+            found[place.name] = _span(moved, float(rate.std()), tones)
+            if not place.is_of_coordinates:
+                turns = tuple(part * float(np.sqrt((rate**2).mean())) or 1.0 for part in PARTS)
+                found[place.name] = replace(found[place.name], turns=turns)
         for names, table in (
             (self.evidence.rig.twin.sensors, self.evidence.record.readings),
             (self.evidence.rig.twin.actuators, self.evidence.record.commands),
         ):
             for name, x in zip(names, table.T, strict=True):
                 found[name] = _span(x)
+        return found
+
+    def _moved(self, rate: Array) -> Array:
+        """Return how far a place goes to and fro whose rate alone is known (m,): without what goes on and on."""
+        x = np.cumsum(rate) * self.evidence.dt
+        found: Array = signal.detrend(x)
         return found
 
     def _tones(self, forces: Array) -> tuple[float, ...]:

@@ -1,8 +1,9 @@
 """Smoothing: the motion of a rig and the force that its model lacks, from a record of positions.
 
-A force on each coordinate is added to the model as a random walk; a Kalman filter and a backward pass with the constant
-gains of the rig at rest give the motion, its velocities and these forces, with their covariance. No differences are
-taken. How strongly the forces may walk is found from the likelihood of the record.
+A force on each coordinate is added to the model as a random walk, and without coordinates on the rate of each state and
+on each output that forces act on; a Kalman filter and a backward pass with the constant gains of the rig at rest give
+the motion, its velocities and these forces, with their covariance. No differences are taken. How strongly the forces
+may walk is found from the likelihood of the record.
 Source: Rauch, Tung and Striebel (1965), AIAA Journal 3(8), 1445-1450; Alvarez, Luengo and Lawrence (2009), Latent Force
 Models, AISTATS.
 """
@@ -23,6 +24,8 @@ from masking.sensitivity import is_straight
 
 WALKS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # intensities that are tried, of that which moves the sensors as their noise does
 DOUBLINGS = 24  # of the samples over which smoothing settles
+QUICK = 0.3  # rad, times the rate of a record: how fast forces on states and outputs are followed, to begin with
+FURTHER = (1e-6, 1e-4)  # intensities that are tried before the others where nothing but these is lacking
 SHORT = 8.0  # s of the record by which the intensity is chosen
 
 
@@ -32,8 +35,9 @@ class Motion:
 
     Args:
         states: of the rig (m, n).
-        forces: that the model lacks, on each coordinate (m, coordinates), in its unit of acceleration.
-        deviation: standard deviation of these forces (coordinates,).
+        forces: that the model lacks, on each degree (m, degrees): coordinates, in their unit of acceleration, states
+            and outputs.
+        deviation: standard deviation of these forces (degrees,).
         innovations: what each reading adds to the past, in standard deviations (m, sensors).
         displacement: of each place (m, places).
         rate: of each place (m, places).
@@ -76,14 +80,14 @@ def smooth(evidence: Evidence, theta: Array, start: Array) -> Motion:
     """
     rig, record, sigma = evidence.rig, evidence.record, evidence.sigma
     part = replace(evidence, record=record.first(SHORT)) if len(record) > SHORT * record.rate else evidence
-    unit = _unit(rig, theta, sigma)
+    unit, walks = _unit(rig, theta, sigma, record.rate), WALKS if rig.coordinates else (*FURTHER, *WALKS)
     costs = []
-    for walk in WALKS:
+    for walk in walks:
         gains = _gains(rig, theta, record.rate, sigma, walk * unit)
         innovations, _, _ = _filter(part, theta, start, gains)
         whitened = linalg.solve_triangular(linalg.cholesky(gains.spread, lower=True), innovations.T, lower=True)
         costs.append((whitened**2).mean() + 2.0 * np.log(np.diag(linalg.cholesky(gains.spread))).mean())
-    gains = _gains(rig, theta, record.rate, sigma, WALKS[int(np.argmin(costs))] * unit)
+    gains = _gains(rig, theta, record.rate, sigma, walks[int(np.argmin(costs))] * unit)
     innovations, states, predicted = _filter(evidence, theta, start, gains)
     rig.kernels.back(len(record), gains.backward, states, predicted)
     n = len(rig.twin.state_names)
@@ -98,51 +102,74 @@ def smooth(evidence: Evidence, theta: Array, start: Array) -> Motion:
 
 
 def _filter(evidence: Evidence, theta: Array, start: Array, gains: _Gains) -> tuple[Array, Array, Array]:
-    """Return innovations (m, sensors), filtered and predicted states with forces (m, n + coordinates)."""
+    """Return innovations (m, sensors), filtered and predicted states with forces (m, n + degrees)."""
     rig, record = evidence.rig, evidence.record
-    size = start.shape[1] + len(rig.coordinates)
+    size = start.shape[1] + len(rig.degrees)
     states, predicted = np.empty((len(record), size)), np.empty((len(record), size))
-    x = np.concatenate([start[0], np.zeros(len(rig.coordinates))])
+    x = np.concatenate([start[0], np.zeros(len(rig.degrees))])
     p, _ = rig.basis(theta)
+    acting = np.ascontiguousarray(record.acting)
     status = rig.kernels.follow(
         len(record), evidence.dt, evidence.substeps, is_straight(record.between), x, p.copy(), gains.forward,
-        np.ascontiguousarray(record.acting), record.readings, states, predicted,
+        acting, record.readings, states, predicted,
     )  # fmt: skip
     if status or not np.isfinite(states).all():
         raise IntegrationError("the record cannot be followed: the motion is no longer finite")
     sensed = np.empty_like(record.readings)
-    rig.kernels.read(len(record), 1.0 / record.rate, p, predicted, sensed)
+    rig.kernels.read(len(record), 1.0 / record.rate, p.copy(), predicted, acting, sensed)
     return record.readings - sensed, states, predicted
 
 
-def linearised(rig: OpenRig, theta: Array) -> tuple[Array, Array, Array]:
-    """Return A (n, n), B of forces on the coordinates (n, coordinates) and C (sensors, n) of the rig at rest."""
+def linearised(rig: OpenRig, theta: Array) -> tuple[Array, Array, Array, Array]:
+    """Return A (n, n), B of forces on the degrees (n, degrees), C (sensors, n) and D (sensors, degrees) at rest.
+
+    Raises:
+        IntegrationError: the equations have no slopes at rest.
+    """
     n, count = len(rig.twin.state_names), len(rig.coordinates)
     p, _ = rig.basis(theta)
-    y, u = rig.twin.rest(np.zeros(count)), np.zeros(len(rig.twin.actuators))
+    y, u = rig.rest, np.zeros(len(rig.twin.actuators))
     jy, jp, dy = np.zeros((n, n)), np.zeros((n, rig.affected)), np.zeros(n)
     rig.kernels.slopes(0.0, y, u, p, dy, jy, jp)
-    _, js = rig.reading(theta, y)
+    js, jps = rig.reading(theta, y)[1], rig.direct(theta)
     jy[:count, count : 2 * count] = np.eye(count)
-    columns = [rig.columns[1][i] for i in rig.coordinate_places]
-    return jy, jp[:, columns], js
+    columns = [rig.columns[1][i] for i in rig.degree_places]
+    if not all(np.isfinite(table).all() for table in (jy, jp[:, columns], js, jps[:, columns])):
+        told = ", ".join(f"{name} = {value:g}" for name, value in zip(rig.twin.state_names, y, strict=True))
+        raise IntegrationError(f"the equations have no slopes at rest ({told}); give states an initial value in use")
+    return jy, jp[:, columns], js, jps[:, columns]
 
 
-def _unit(rig: OpenRig, theta: Array, sigma: Array) -> Array:
-    """Return the intensity (coordinates,) whose walk over the time of a motion moves sensors by their noise."""
-    a, _, c = linearised(rig, theta)
-    speed = np.abs(linalg.eigvals(a)).max() or 1.0
-    reached = np.abs(np.linalg.pinv(c[:, : len(rig.coordinates)])) @ sigma * speed**2
-    return np.asarray(np.maximum(reached, 1e-300) ** 2 * speed)
+def fastest(rig: OpenRig, theta: Array) -> complex:
+    """Return the eigenvalue of largest magnitude of the rig at rest, rad/s; 0 of a rig that has no states."""
+    found = linalg.eigvals(linearised(rig, theta)[0]) if rig.twin.state_names else np.zeros(1)
+    return complex(found[int(np.argmax(np.abs(found)))])
+
+
+def _unit(rig: OpenRig, theta: Array, sigma: Array, rate: float) -> Array:
+    """Return the intensity (degrees,) whose walk over the time of a motion moves sensors by their noise.
+
+    A force on a state or an output is followed with the speed w where its intensity is s^2 w^4 / rate or
+    s^2 w^2 / rate, for a state or output that is told with a deviation of s in each sample.
+    """
+    _, _, c, d = linearised(rig, theta)
+    count = len(rig.coordinates)
+    speed, quick = abs(fastest(rig, theta)) or 1.0, QUICK * rate
+    reached = np.abs(np.linalg.pinv(c[:, :count])) @ sigma * speed**2
+    states = [rig.twin.state_names.index(name) for name in rig.degrees[count:] if name in rig.twin.state_names]
+    of_states = np.abs(np.linalg.pinv(c[:, states])) @ sigma * quick**2
+    of_outputs = np.abs(np.linalg.pinv(d[:, count + len(states) :])) @ sigma * quick
+    walked = np.concatenate([of_states, of_outputs]) ** 2 / rate
+    return np.concatenate([np.maximum(reached, 1e-300) ** 2 * speed, np.maximum(walked, 1e-300)])
 
 
 def _gains(rig: OpenRig, theta: Array, rate: float, sigma: Array, intensity: Array) -> _Gains:
-    a, b, c = linearised(rig, theta)
+    a, b, c, d = linearised(rig, theta)
     n, m = len(a), b.shape[1]
     whole = np.zeros((n + m, n + m))
     whole[:n, :n], whole[:n, n:] = a, b
     moved = linalg.expm(whole / rate)
-    sensing = np.hstack([c, np.zeros((len(c), m))])
+    sensing = np.hstack([c, d])
     # Van Loan: the noise of a random walk over a sample, seen by every state.
     q = np.zeros_like(whole)
     q[n:, n:] = np.diag(intensity)
@@ -159,11 +186,15 @@ def _gains(rig: OpenRig, theta: Array, rate: float, sigma: Array, intensity: Arr
     try:
         ahead = linalg.solve_discrete_are(f.T, h.T, qs, r)
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise IntegrationError(f"the sensors do not tell the motion of all coordinates ({error})") from None
+        what = "coordinates" if rig.coordinates else ", ".join(rig.degrees)
+        raise IntegrationError(f"the sensors do not tell the motion of all {what} ({error})") from None
     spread = h @ ahead @ h.T + r
     gain = np.linalg.solve(spread, h @ ahead).T
     now = ahead - gain @ h @ ahead
-    backward = np.linalg.solve(ahead, f @ now).T
+    try:
+        backward = np.linalg.solve(ahead, f @ now).T
+    except np.linalg.LinAlgError:  # a state that nothing moves at rest, such as that of a friction, is known
+        backward = (np.linalg.pinv(ahead, hermitian=True) @ f @ now).T
     steady, power = now - backward @ ahead @ backward.T, backward
     for _ in range(DOUBLINGS):  # the sum of all powers: Smith (1968), SIAM J. Appl. Math. 16(1), 198-201
         steady, power = steady + power @ steady @ power.T, power @ power

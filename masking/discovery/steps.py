@@ -6,174 +6,9 @@ A slot is an effect at a place: a row of `slots` (number of the effect, kind of 
 
 from __future__ import annotations
 
-from masking.discovery.inertia import INERTIAS
+from masking.discovery.flow import FLOW
 
 ELEMENT, ACTUATOR, SENSOR, INERTIA = range(4)
-
-FLOW = (
-    INERTIAS
-    + """
-@compiled
-def _flow(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, w):
-    n, moving, places, channels, sensors, affected = {n}, {moving}, {places}, {channels}, {sensors}, {affected}
-    size, width, k = y.shape[0], sens.shape[1], basis.shape[1]
-    jy, jp, top = w[0:n], w[n : 2 * n], 2 * n
-    js, jps, top = w[top : top + sensors], w[top + sensors : top + 2 * sensors], top + 2 * sensors
-    jd, top = w[top : top + 2 * places], top + 2 * places
-    df, dv, top = w[top : top + places], w[top + places : top + places + channels], top + places + channels
-    rows, d, v, s, noise = w[top : top + 2], w[top + 2], w[top + 3], w[top + 4], w[top + 5]
-    share, acc, top = w[top + 6], w[top + 7], top + 8
-    pushed, heavier = w[top : top + places], w[top + places : top + 2 * places]
-    for e in range(places):
-        p[{force_p}[e]] = 0.0
-        acc[e] = 0.0
-        for j in range(width):
-            df[e, j] = 0.0
-            heavier[e, j] = 0.0
-    for a in range(channels):
-        v[a] = u[a]
-        for j in range(width):
-            dv[a, j] = 0.0
-        if lead[1, a] >= 0.0:
-            dv[a, int(lead[1, a])] = lead[0, a]
-    elements, inner, inertias = False, False, False
-    for i in range(slots.shape[0]):
-        if slots[i, 1] == 0.0:
-            elements = True
-        if slots[i, 1] == 3.0:
-            inertias = True
-        if slots[i, 1] == 2.0 and slots[i, 4] >= 0.0:
-            inner = True
-    if elements or inertias:
-        placed(t, y, p, d, jd)
-    if inner:
-        sensed(t, y, p, noise, s, js, jps)
-    for i in range(slots.shape[0]):
-        kind, where, at = int(slots[i, 0]), int(slots[i, 1]), int(slots[i, 2])
-        first, z = int(slots[i, 3]), int(slots[i, 4])
-        if kind < 0 or (where == 2 and z < 0):
-            continue
-        x, moved = 1.0, 0.0  # a unit of acceleration
-        if where == 0:
-            x, moved = d[at], d[places + at]
-        elif where == 1:
-            x = v[at]
-        elif where == 2:
-            x = s[at]
-        _law(kind, t, x, moved, y[z] if z >= 0 else 0.0, theta[first:], rows)
-        if where == 0:
-            p[{force_p}[at]] += rows[0, 0]
-        elif where == 1:
-            v[at] = rows[0, 0]
-        elif where == 3:
-            acc[at] += rows[0, 0]
-        if z >= 0:
-            dy[z] = rows[1, 0]
-        for j in range(width if where < 3 else 0):
-            by = 0.0
-            rate = 0.0
-            if where == 0:
-                for l in range(n):
-                    by += jd[at, l] * sens[l, j]
-                    rate += jd[places + at, l] * sens[l, j]
-            elif where == 1:
-                by = dv[at, j]
-            else:
-                for l in range(n):
-                    by += js[at, l] * sens[l, j]
-                if j < k:
-                    for l in range(affected):
-                        by += jps[at, l] * basis[l, j]
-            inside = sens[z, j] if z >= 0 else 0.0
-            total = rows[0, 1] * by + rows[0, 2] * rate + rows[0, 3] * inside
-            if where == 0:
-                df[at, j] += total
-            elif where == 1:
-                dv[at, j] = total
-            if z >= 0:
-                ds[z, j] = rows[1, 1] * by + rows[1, 2] * rate + rows[1, 3] * inside
-        for l in range(columns.shape[1]):
-            j = int(columns[i, l])
-            if j >= 0:
-                if where == 0:
-                    df[at, j] += rows[0, 4 + l]
-                elif where == 1:
-                    dv[at, j] += rows[0, 4 + l]
-                elif where == 3:
-                    heavier[at, j] += rows[0, 4 + l]
-                if z >= 0:
-                    ds[z, j] += rows[1, 4 + l]
-    for again in range(2 if inertias else 1):
-        if again:
-            _inertias(width, jp, jd, share, pushed, acc, heavier, p, dy, df)
-        slopes(t, y, v, p, dy, jy, jp)
-    for i in range(moving):
-        for j in range(width):
-            ds[i, j] = sens[moving + i, j]
-    for i in range(moving, n):
-        for j in range(width):
-            ds[i, j] = 0.0
-        for l in range(n):
-            by = jy[i, l]
-            if by != 0.0:
-                for j in range(width):
-                    ds[i, j] += by * sens[l, j]
-        for l in range(affected):
-            by = jp[i, l]
-            if by != 0.0:
-                for j in range(k):
-                    ds[i, j] += by * basis[l, j]
-        for e in range(places):
-            by = jp[i, {force_column}[e]]
-            if by != 0.0:
-                for j in range(width):
-                    ds[i, j] += by * df[e, j]
-        for a in range(channels):
-            by = jp[i, {command_column}[a]]
-            if by != 0.0:
-                for j in range(width):
-                    ds[i, j] += by * dv[a, j]
-    if inertias:
-        for e in range(places):
-            for j in range(width):
-                _drawn(share[e], jd[e], pushed[e], ds[:, j])
-
-
-@compiled
-def _go(t, y, sens, u, end, lead, p, basis, slots, columns, theta, h, work):
-    # One step of Runge and Kutta, with commands that go straight from u to end.
-    size, width = y.shape[0], sens.shape[1]
-    ks, ss, top = work[: 4 * size], work[4 * size : 5 * size], 5 * size
-    ky, state, now, w = work[top : top + 4], work[top + 4], work[top + 5], work[top + 6 :]
-    for stage in range(4):
-        c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-        for a in range({channels}):
-            now[a] = u[a] + c * (end[a] - u[a])
-        for i in range(size):
-            state[i] = y[i] + (c * h * ky[stage - 1, i] if stage > 0 else 0.0)
-            for j in range(width):
-                ss[i, j] = sens[i, j] + (c * h * ks[(stage - 1) * size + i, j] if stage > 0 else 0.0)
-        _flow(
-            t + c * h, state[:size], ss[:size, :width], now, lead, p, basis, slots, columns, theta, ky[stage],
-            ks[stage * size : (stage + 1) * size], w,
-        )
-    for i in range(size):
-        y[i] += h / 6.0 * (ky[0, i] + 2.0 * (ky[1, i] + ky[2, i]) + ky[3, i])
-        for j in range(width):
-            sens[i, j] += h / 6.0 * (ks[i, j] + 2.0 * (ks[size + i, j] + ks[2 * size + i, j]) + ks[3 * size + i, j])
-
-
-@compiled
-def _command(commands, index, a, samples, part, straight):
-    # The command of a sample, `samples` late; part: of the sample that has gone by.
-    last = commands.shape[0] - 1
-    at = index + (part if straight else 0.0) - samples
-    # Held, it is the mean over the sample.
-    low = int(math.floor(at))
-    share = at - low
-    return (1.0 - share) * commands[min(max(low, 0), last), a] + share * commands[min(max(low + 1, 0), last), a]
-"""
-)
 
 RUN = """
 @compiled
@@ -182,14 +17,17 @@ def run(
     matrix, gradient, squares, estimates, work
 ):
     # Every `begin` samples the motion begins anew, at a row of states; each such window has width rows of the matrix.
-    n, moving, channels, sensors, affected = {n}, {moving}, {channels}, {sensors}, {affected}
+    n, places, channels, sensors, affected = {n}, {places}, {channels}, {sensors}, {affected}
     size, width, k = y.shape[0], sens.shape[1], basis.shape[1]
     work[:] = 0.0
     u, s, row = work[0], work[1], work[2 : 2 + sensors]
     js, jps = work[2 + sensors : 2 + 2 * sensors], work[2 + 2 * sensors : 2 + 3 * sensors]
     top = 2 + 3 * sensors
     rows, late, noise = work[top : top + 2], work[top + 2], work[top + 3]
-    lead, end, rest = work[top + 4 : top + 6], work[top + 6], work[top + 7 :]
+    lead, end, v, acc, top = work[top + 4 : top + 6], work[top + 6], work[top + 7], work[top + 8], top + 9
+    df, dv, top = work[top : top + places], work[top + places : top + places + channels], top + places + channels
+    jd, heavier, top = work[top : top + 2 * places], work[top + 2 * places : top + 3 * places], top + 3 * places
+    dy, ds, rest = work[top], work[top + 1 : top + 1 + size], work[top + 1 + size :]
     h = dt / substeps
     for a in range(channels):
         late[a] = 0.0
@@ -207,13 +45,26 @@ def run(
             for i in range(size):
                 for j in range(k, width):
                     sens[i, j] = 0.0
-            for i in range(n if window == 0 else 2 * moving):  # states inside of effects go on
-                y[i] = states[window, i]
-                for j in range(k):
-                    sens[i, j] = 0.0
-            for i in range(2 * moving):
-                sens[i, k + i] = 1.0
-        sensed(t, y, p, noise, s, js, jps)
+            for i in range(n):
+                if window == 0 or {is_free}[i]:  # states inside of effects go on
+                    y[i] = states[window, i]
+                    for j in range(k):
+                        sens[i, j] = 0.0
+            for i in range({begins}):
+                sens[{free}[i], k + i] = 1.0
+        for a in range(channels):
+            u[a] = _command(commands, index, a, late[a], 0.0, straight)
+            v[a] = u[a]
+        if {fed}:
+            for a in range(channels):
+                before = _command(commands, index, a, late[a] + 0.5, 0.0, straight)
+                after = _command(commands, index, a, late[a] - 0.5, 0.0, straight)
+                lead[0, a] = (before - after) / dt
+            _act(
+                t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds[:, :width], jd, df, dv, heavier, v, acc,
+                rest,
+            )
+        sensed(t, y, v, p, noise, s, js, jps)
         for o in range(sensors):
             for j in range(width):
                 total = 0.0
@@ -222,7 +73,7 @@ def run(
                 if j < k:
                     for l in range(affected):
                         total += jps[o, l] * basis[l, j]
-                row[o, j] = total
+                row[o, j] = total + _fed(jps[o], df, dv, j)
         for i in range(slots.shape[0]):
             if slots[i, 1] == 2.0:
                 at, z, first = int(slots[i, 2]), int(slots[i, 4]), int(slots[i, 3])
@@ -277,7 +128,11 @@ def follow(count, dt, substeps, straight, x, p, gain, commands, readings, states
         t = index * dt
         for i in range(n + forces):
             estimates[index, i] = x[i]
-        sensed(t, x, p, noise, s, js, jps)
+        for i in range(forces):
+            p[{degree_ports}[i]] = x[n + i]
+        for a in range(channels):
+            u[a] = _command(commands, index, a, 0.0, 0.0, straight)
+        sensed(t, x, u, p, noise, s, js, jps)
         for o in range(sensors):
             residual = readings[index, o] - s[o]
             if not math.isfinite(residual):
@@ -287,7 +142,7 @@ def follow(count, dt, substeps, straight, x, p, gain, commands, readings, states
         for i in range(n + forces):
             states[index, i] = x[i]
         for i in range(forces):
-            p[{coordinate_ports}[i]] = x[n + i]
+            p[{degree_ports}[i]] = x[n + i]
         for step in range(substeps):
             for a in range(channels):
                 u[a] = _command(commands, index, a, 0.0, (step + 0.5) / substeps, straight)
@@ -317,7 +172,7 @@ def back(count, gain, states, estimates):
 PLACES = """
 @compiled
 def motions(count, dt, p, states, commands, estimates, work):
-    # Displacement, rate and acceleration of each place along states with forces on the coordinates
+    # Displacement, rate and acceleration of each place along states with forces on the degrees
     # (count, n + forces): estimates (count, 3 places).
     n, forces, moving, places = {n}, {forces}, {moving}, {places}
     work[:] = 0.0
@@ -325,8 +180,8 @@ def motions(count, dt, p, states, commands, estimates, work):
     jy, jp = work[2 + 2 * places : 2 + 2 * places + n], work[2 + 2 * places + n : 2 + 2 * places + 2 * n]
     for index in range(count):
         for i in range(forces):
-            p[{coordinate_ports}[i]] = states[index, n + i]
-        placed(index * dt, states[index], p, d, jd)
+            p[{degree_ports}[i]] = states[index, n + i]
+        placed(index * dt, states[index], commands[index], p, d, jd)
         slopes(index * dt, states[index], commands[index], p, dy, jy, jp)
         for e in range(places):
             estimates[index, e] = d[e]
@@ -395,7 +250,7 @@ def spread(count, dt, every, begin, x, states, commands, p, features, estimates,
                 if x[m] < 0.0:  # the initial state, instead of a force
                     e[int(-x[m]) - 1, m] = 1.0
         slopes(t, states[index], commands[index], p, dy, jy, jp)
-        sensed(t, states[index], p, noise, s, js, jps)
+        sensed(t, states[index], commands[index], p, noise, s, js, jps)
         # The half of the force that comes with this sample.
         if not first:
             for i in range(n):
@@ -409,6 +264,10 @@ def spread(count, dt, every, begin, x, states, commands, p, features, estimates,
                     if by != 0.0:
                         for m in range(many):
                             estimates[block, o * many + m] += by * e[l, m]
+                if {direct}:
+                    for m in range(many):
+                        if x[m] >= 0.0:
+                            estimates[block, o * many + m] += jps[o, int(x[m])] * features[index, m] / every
         for i in range(n):
             for m in range(many):
                 e[i, m] += 0.5 * dt * jp[i, max(int(x[m]), 0)] * features[index, m]
@@ -451,13 +310,16 @@ def spread(count, dt, every, begin, x, states, commands, p, features, estimates,
 
 READ = """
 @compiled
-def read(count, dt, p, states, readings, work):
-    # What the sensors read along states (count, n or more).
+def read(count, dt, p, states, commands, readings, work):
+    # What the sensors read along states with forces on the degrees (count, n + forces).
     noise, s, js, jps = work[0], work[1], work[2 : 2 + {sensors}], work[2 + {sensors} : 2 + 2 * {sensors}]
     work[:] = 0.0
     for index in range(count):
-        sensed(index * dt, states[index], p, noise, s, js, jps)
+        for i in range({forces}):
+            p[{degree_ports}[i]] = states[index, {n} + i]
+        sensed(index * dt, states[index], commands[index], p, noise, s, js, jps)
         for o in range({sensors}):
             readings[index, o] = s[o]
 """
+__all__ = ["ACTUATOR", "ELEMENT", "FLOW", "INERTIA", "OTHERS", "RUN", "SENSOR"]
 OTHERS = (FOLLOW, BACK, PLACES, ALONG, SPREAD, READ)

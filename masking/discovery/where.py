@@ -71,8 +71,8 @@ class Lacking:
     """What is lacking along the record, and where.
 
     Args:
-        coordinates: share of each coordinate in the energy of the lacking forces beyond their deviations; sum 1, or
-            all 0 where nothing is lacking.
+        coordinates: share of each coordinate, or state or output that forces act on, in the energy of the lacking
+            forces beyond their deviations; sum 1, or all 0 where nothing is lacking.
         places: each place; a force between two coordinates is nearly one on either of them, so that shares overlap.
         actuators: share of all that is lacking that a function of the command of each would make.
         sensors: part of the residual of each sensor beyond noise that is a function of what it should read.
@@ -174,4 +174,4 @@ def _lacking(found: Discovery, motion: Motion, gap: Array, periods: Periods | No
         is_seen = square > BEYOND * sigma**2
         sensors[name] = min(followed(reading, rest, cycle) / (square - float(sigma) ** 2), 1.0) if is_seen else 0.0
     shares = (float(energy / whole) if whole else 0.0 for energy in energies)
-    return Lacking(dict(zip(rig.coordinates, shares, strict=True)), tuple(places), actuators, sensors)
+    return Lacking(dict(zip(rig.degrees, shares, strict=True)), tuple(places), actuators, sensors)

@@ -22,6 +22,7 @@ MUCH = 1.5  # times the part of the time: a part of the energy from which a regi
 TAKEN = 0.2  # of the power that a force could take out of the motion, from which that is told
 SHOWN = 0.01  # probability from which an alternative is told
 SURE = 2.0  # deviations of a parameter from which it is told in a sentence
+NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured input is the rate of which"
 _PREFIXES = {-9: "n", -6: "µ", -3: "m"}
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -46,7 +47,7 @@ def sentence(found: Discovery) -> str:
         first = (
             f"{capital(listed(before, '; '))} is missing, and {alternatives(names)}" if before else alternatives(names)
         )
-        coming = f". {capital(str(found.next_experiment))}" if found.next_experiment else ""
+        coming = f". {capital(str(found.next_experiment or NO_EXPERIMENT))}"
         return f"{capital(first)} is missing, and this record cannot tell which. {gap(found)}{coming}"
     known = [cause(found, one) for one in found.effects]
     near = f" The nearest of it is {listed(known)}, which does not explain the rest." if known else ""

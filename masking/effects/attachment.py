@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 import numbers
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass, replace
 from typing import Any
 
+from masking.declaration.acting import driven_outputs, has_rate
 from masking.declaration.checks import check_model, equation_of, no_equation, velocities
-from masking.declaration.dimensions import check_dimensions, dimension_in, is_plain, symbol_dimensions
+from masking.declaration.dimensions import check_dimensions, displacement_dimension, is_plain, symbol_dimensions
 from masking.declaration.expression import Expression
 from masking.declaration.fields import NAME_PATTERN
 from masking.declaration.rates import rate_of
@@ -174,12 +175,7 @@ def _with_effect(
     force = Expression(entry.expression, path=label)
     rates = {state: Expression(e.rate, path=label) for state, e in entry.states.items()}
     used = force.names.union(*(rate.names for rate in rates.values()))
-    definitions = {f"{label}_d": Expression(element.displacement.text, path=f"{label}.displacement")}
-    definitions |= {f"{label}_v": Expression(rate_of(element.displacement, declaration.coordinates), path=label)}
-    if entry.is_inertia:
-        moving = [*declaration.coordinates, *velocities(declaration.coordinates)]
-        definitions |= {f"{label}_acc": Expression(rate_of(definitions[f"{label}_v"], moving), path=label)}
-    definitions = {n: e for n, e in definitions.items() if n in {names[key] for key in used & {"d", "d_rate", "d_acc"}}}
+    definitions = {names[key]: e for key, e in _motion(declaration, entry, at, label, used).items() if key in used}
     definitions[f"{label}_f"] = Expression(f"{label}_on*({force.renamed(names)})", path=label)
     changed = _with_force(declaration, element, f"{label}_f")
     new_states = {
@@ -200,6 +196,36 @@ def _with_effect(
             "equations": {**changed.equations, **new_equations},
         }
     )
+
+
+def _motion(
+    declaration: ModelDeclaration, effect: Effect, at: str, label: str, used: Set[str]
+) -> dict[str, Expression]:
+    """Return what an effect follows in an element: its displacement, its rate and its acceleration, as far as used.
+
+    Raises:
+        DeclarationError: the element does not have one of them; says how to give it.
+    """
+    element, found = declaration.elements[at], dict[str, Expression]()
+    what = f"the effect '{effect.name}' follows"
+    if element.displacement is not None:
+        found["d"] = Expression(element.displacement.text, path=f"{label}.displacement")
+    elif "d" in used:
+        raise _refusal(at, f"{what} a displacement, and '{at}' has none", f"give elements.{at}.displacement")
+    if element.rate is not None:
+        found["d_rate"] = Expression(element.rate.text, path=f"{label}.rate")
+    elif element.displacement is not None and has_rate(declaration, element):
+        found["d_rate"] = Expression(rate_of(element.displacement, declaration.coordinates), path=label)
+    elif used & {"d_rate", "d_acc"}:
+        mend = f"give elements.{at}.rate, how fast it is stretched"
+        raise _refusal(at, f"{what} a rate, and that of '{at}' is not known from coordinates", mend)
+    if effect.is_inertia:
+        if found["d_rate"].names & {*declaration.states, *declaration.inputs}:
+            mend = "an inertia needs an element whose displacement is made of coordinates"
+            raise _refusal(at, f"{what} an acceleration, and that of '{at}' is not known", mend)
+        moving = [*declaration.coordinates, *velocities(declaration.coordinates)]
+        found["d_acc"] = Expression(rate_of(found["d_rate"], moving), path=label)
+    return found
 
 
 def _element(declaration: ModelDeclaration, effect: Effect, at: str) -> Element:
@@ -235,10 +261,10 @@ def _units(
     """Return the units that stand for F, D and s in an element."""
     if is_plain(declaration):
         return {"F": "1", "D": "1", "s": "1"}
-    displacement = dimension_in(element.displacement, symbols)
-    if displacement is None or symbols["t"] is None:
+    moved = displacement_dimension(element, symbols)
+    if moved is None or symbols["t"] is None:
         raise _refusal(f"elements.{at}.displacement", "the displacement has no unit")
-    return {"F": element.unit, "D": _written(displacement), "s": _written(symbols["t"])}
+    return {"F": element.unit, "D": _written(moved), "s": _written(symbols["t"])}
 
 
 def _written(dimension: Dimension | None) -> str:
@@ -268,19 +294,20 @@ def _parameter(path: str, entry: EffectParameter, unit: str, setting: Setting) -
 
 def _with_force(declaration: ModelDeclaration, element: Element, force: str) -> ModelDeclaration:
     """Return a model in which a force acts as its element says."""
-    if declaration.lagrangian is not None:
-        forces = dict(declaration.forces)
-        for coordinate, factor in element.acts.items():
-            before = forces.get(coordinate)
-            forces[coordinate] = _sum(before, factor, force)
-        return declaration.model_copy(update={"forces": forces})
-    equations = dict(declaration.equations)
-    for coordinate, factor in element.acts.items():
-        left = equation_of(declaration, coordinate)
-        if left is None:
-            raise DeclarationError(no_equation(declaration, coordinate, f"coordinates.{coordinate}"))
-        equations[left] = _sum(equations[left], factor, force)
-    return declaration.model_copy(update={"equations": equations})
+    forces, equations, outputs = dict(declaration.forces), dict(declaration.equations), dict(declaration.outputs)
+    driven = driven_outputs(declaration)
+    for name, factor in element.acts.items():
+        left = equation_of(declaration, name)
+        if name in driven:
+            expression = _sum(outputs[name].expression, factor, force)
+            outputs[name] = outputs[name].model_copy(update={"expression": expression})
+        elif left is not None:
+            equations[left] = _sum(equations[left], factor, force)
+        elif declaration.lagrangian is not None:
+            forces[name] = _sum(forces.get(name), factor, force)
+        else:
+            raise DeclarationError(no_equation(declaration, name, f"coordinates.{name}"))
+    return declaration.model_copy(update={"forces": forces, "equations": equations, "outputs": outputs})
 
 
 def _sum(before: Expression | None, factor: Expression, force: str) -> Expression:

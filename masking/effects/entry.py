@@ -17,6 +17,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from masking.declaration.expression import Expression
+
 Where = Literal["element", "sensor", "actuator", "loop"]
 Bounds = tuple[float | None, float | None]
 
@@ -75,6 +77,13 @@ class Effect:
     def is_inertia(self) -> bool:
         """Tell whether its force follows the acceleration of its displacement."""
         return "d_acc" in self.expression
+
+    @property
+    def follows(self) -> frozenset[str]:
+        """Return what it follows of an element: some of displacement `d`, rate `d_rate` and acceleration `d_acc`."""
+        texts = filter(None, [self.expression, *(state.rate for state in self.states.values())])
+        used = {name for text in texts for name in Expression(text).names}
+        return frozenset(used & {"d", "d_rate", "d_acc"})
 
     def structure(self) -> list[object]:
         """Return all that compiled functions of it depend on."""

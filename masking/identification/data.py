@@ -58,18 +58,21 @@ class Data:
         is_straight(self.between)
 
     @classmethod
-    def of(cls, recording: Recording, twin: Twin, name: str = "the record", between: Assumption = "held") -> Data:
+    def of(cls, recording: Recording, twin: Twin, name: str = "the record", between: Assumption | None = None) -> Data:
         """Return what a recording holds of a plant's actuators and sensors.
 
         An actuator V1 is read from the column `input.V1`, or else `V1`; a sensor s1 from `sensor.s1`, or else `s1`.
         Commands that are held act after the delay of the plant. Inputs that were measured act when they are measured:
-        in straight lines, or smoothly where they were measured behind an anti-alias filter, see `band_limited`.
+        in straight lines, or smoothly where they were measured behind an anti-alias filter, see `band_limited`. Where
+        nothing is said, commands are held, and inputs that elements of the model follow go in straight lines.
 
         Raises:
             ModelError: `between` is not known.
             RecordError: a column is missing or not finite, time is not steady, nothing moves, or the record is too
                 short.
         """
+        if between is None:
+            between = "straight" if twin.measured_actuators else "held"
         if between not in get_args(Assumption):
             raise ModelError(
                 f"between is '{between}': give 'held' for commands that act until the next sample, 'straight' for "
@@ -91,7 +94,7 @@ class Data:
         cls,
         path: str | Path,
         twin: Twin,
-        between: Assumption = "held",
+        between: Assumption | None = None,
         columns: Mapping[str, str] | None = None,
         dt: float | None = None,
     ) -> Data:

@@ -184,7 +184,8 @@ class _Problem:
     def __init__(self, sensitivity: Sensitivity, pieces: list[Data]) -> None:
         self.sensitivity, self.pieces = sensitivity, pieces
         self.k = len(sensitivity.names)
-        self.moving = 2 * len(sensitivity.twin.model.coordinates)  # states that are estimated: the others begin at rest
+        self.free = np.array(sensitivity.twin.free, dtype=int)  # states that are estimated: the others begin at rest
+        self.moving = len(self.free)
         sensors, samples = len(sensitivity.twin.sensors), sum(map(len, pieces))
         unknown = self.k + self.moving * len(pieces)
         if samples * sensors < FEWEST * unknown:
@@ -212,7 +213,7 @@ class _Problem:
         self, theta: Array, starts: list[Array]
     ) -> tuple[Array, Array, list[tuple[Array, Array, Array]], Array]:
         """Return matrix (k, k) and gradient (k,) of the parameters, what each piece adds, and the sums of squares."""
-        k, m = self.k, self.moving
+        k, at = self.k, self.k + self.free
         matrix, gradient = np.zeros((k, k)), np.zeros(k)
         own, squares, weights = [], np.zeros(len(self.sigma)), self.sigma**-2
         basis = self.sensitivity.basis(theta)
@@ -229,7 +230,7 @@ class _Problem:
             )
             matrix += found.matrix[:k, :k]
             gradient += found.gradient[:k]
-            own.append((found.matrix[k : k + m, k : k + m], found.matrix[k : k + m, :k], found.gradient[k : k + m]))
+            own.append((found.matrix[np.ix_(at, at)], found.matrix[at, :k], found.gradient[at]))
             squares += found.squares
         return matrix, gradient, own, squares
 
@@ -251,10 +252,7 @@ class _Problem:
             self.rounds += 1
             tell(number / MOST_ROUNDS)
             step, steps, gain = self._step(matrix, gradient, own, damping)
-            moved = [
-                start + np.concatenate([s, np.zeros(len(start) - self.moving)])
-                for start, s in zip(starts, steps, strict=True)
-            ]
+            moved = [self._moved(start, s) for start, s in zip(starts, steps, strict=True)]
             try:
                 farther = self._within(theta, step)
                 tried = self.equations(farther, moved)
@@ -273,6 +271,12 @@ class _Problem:
                 break
         self.starts, self.squares = starts, squares
         return theta, number < MOST_ROUNDS - 1
+
+    def _moved(self, start: Array, step: Array) -> Array:
+        """Return an initial state (states,) after a step of what is estimated of it."""
+        found = start.copy()
+        found[self.free] += step
+        return found
 
     def _within(self, theta: Array, step: Array) -> Array:
         """Return the parameters after a step that goes no more than half-way to a bound."""

@@ -111,6 +111,10 @@ def extended_kalman(
     if iterated < 1:
         raise ModelError(f"iterated is {iterated}: give the times that readings are made linear, 1 or more")
     _check(twin, record)
+    if not twin.model.coordinates:
+        raise ModelError(
+            f"{twin.base.name} has no coordinates, whose motion the filter follows; take the method least-squares"
+        )
     sensing = _Filter(twin, tuple(names), iterated=iterated)
     scales, moving = _Scales.of(sensing), 2 * len(twin.model.coordinates)
     none = np.zeros(sensing.states - moving)

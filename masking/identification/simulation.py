@@ -88,7 +88,7 @@ def judged(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weights: 
 
 
 def simulate(twin: Twin, record: Data, shared: Sequence[str] = ()) -> Simulated:
-    """Simulate a record from the initial coordinates and velocities that reproduce it best; internal states at rest.
+    """Simulate a record from the initial state that reproduces it best; internal states of effects are at rest.
 
     Args:
         twin: the plant, with the values to simulate with.
@@ -112,7 +112,7 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = ()) -> Simulated:
 def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) -> tuple[Array, NormalEquations] | None:
     """Return the initial state (states,) from which a record is reproduced best, and what is simulated from there.
 
-    Internal states begin at rest. None where the motion is not finite.
+    Internal states of effects begin at rest. None where the motion is not finite.
 
     Args:
         sensing: the twin.
@@ -120,8 +120,8 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
         record: commands and readings.
         weights: of squared residuals of each sensor (sensors,).
     """
-    k, moving = len(theta), 2 * len(sensing.twin.model.coordinates)
-    substeps, basis, own = sensing.twin.substeps(record.rate), sensing.basis(theta), slice(k, k + moving)
+    k, free = len(theta), np.array(sensing.twin.free, dtype=int)
+    substeps, basis, own = sensing.twin.substeps(record.rate), sensing.basis(theta), np.ix_(k + free, k + free)
     y, best, least = first_start(sensing, record), None, np.inf
     for _ in range(ROUNDS):
         try:
@@ -135,22 +135,23 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
         if not cost < least * (1.0 - SETTLED):
             break
         best, least, y = (y, told), cost, y.copy()
-        y[:moving] += np.linalg.lstsq(told.matrix[own, own], told.gradient[own], rcond=1e-12)[0]
+        y[free] += np.linalg.lstsq(told.matrix[own], told.gradient[k + free], rcond=1e-12)[0]
     return best
 
 
 def first_start(sensing: Sensitivity, record: Data) -> Array:
     """Return a guess of the initial state (states,): coordinates and velocities by a parabola through first readings.
 
-    Internal states are at rest.
+    Internal states that may begin anywhere are found beside the coordinates; the others are at rest.
     """
     n, count = len(sensing.twin.model.coordinates), min(FIRST_READINGS, len(record))
     y = sensing.twin.rest(np.zeros(n))
-    read, jacobian = sensing.sensed(y)
+    read, jacobian = sensing.sensed(y, record.acting[0])
     t = np.arange(count) / record.rate
     found = np.polyfit(t, record.readings[:count] - read, min(2, count - 1))
-    inverse = np.linalg.pinv(jacobian[:, :n])
-    y[:n] = inverse @ found[-1]
+    seen = [i for i in sensing.twin.free if not n <= i < 2 * n]
+    inverse = np.linalg.pinv(jacobian[:, seen])
+    y[seen] += inverse @ found[-1]
     if count > 1:
-        y[n : 2 * n] = inverse @ found[-2]
+        y[n : 2 * n] = inverse[:n] @ found[-2]
     return y

@@ -197,7 +197,7 @@ def filter_{form}(
                             prior[i, j] = matrix[i, j]
                         else:
                             matrix[i, j] = prior[i, j]
-            sensed(t, y, p, noise, s, jy, jp)
+            sensed(t, y, commands[index], p, noise, s, jy, jp)
             for o in range(sensors):
                 residual[o] = readings[index, o] - s[o]
                 for i in range(n):

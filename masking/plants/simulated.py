@@ -6,7 +6,7 @@ from typing import final
 
 import numpy as np
 
-from masking.errors import CommandError
+from masking.errors import CommandError, ModelError
 from masking.plants.interface import APPLIED, Array, LifeCycle, Sample, Settings, check_command
 from masking.twin import Twin
 
@@ -20,11 +20,19 @@ class SimulatedPlant:
     Args:
         twin: the rig.
         seed: of the sensors' noise.
+
+    Raises:
+        ModelError: a sensor reads at once what is commanded, as the force of a component: nothing can answer it.
     """
 
     owns_clock = False
 
     def __init__(self, twin: Twin, seed: int = 0) -> None:
+        if twin.is_fed:
+            raise ModelError(
+                f"{twin.declaration.name}: its sensors read at once what is commanded, which no controller can answer; "
+                "what its model is missing is found by 'masking discover', from a record"
+            )
         self.twin, self.seed = twin, seed
         self.sensors, self.actuators = twin.sensors, twin.actuators
         self._life = LifeCycle()

@@ -1,0 +1,61 @@
+"""Noise: how much of it there is in each reading of a record, and whether readings are rounded.
+
+Source: Rousseeuw and Croux (1993), J. Am. Stat. Assoc. 88(424), 1273-1283, for the median of magnitudes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from masking.discovery.opened import OpenRig
+from masking.errors import RecordError
+from masking.identification.data import Data
+from masking.identification.noise import white_noise
+from masking.kernels import Array
+
+LATTICE = 0.1  # different values per reading below which readings may be rounded
+MEDIAN = 0.6745  # magnitude that half of all samples of a standard normal distribution stay below
+
+
+def noise_of(rig: OpenRig, record: Data) -> Array:
+    """Return the standard deviation of the noise of each reading (sensors,), from the record.
+
+    What a force changes at once may jump, as that of a friction does: there the noise is that of most readings, and
+    that of measured inputs counts with what it makes of the readings.
+
+    Raises:
+        RecordError: readings carry no noise, so that nothing can be said to be beyond it.
+    """
+    twin, found = rig.twin, record.noise
+    if twin.is_fed:
+        at = [twin.actuators.index(name) for name in twin.measured_actuators]
+        by = rig.direct(rig.start)[:, [rig.columns[2][i] for i in at]]
+        found = np.hypot(_smooth(record.readings), np.linalg.norm(by * _smooth(record.commands[:, at]), axis=1))
+    size = np.sqrt((record.readings**2).mean(axis=0))
+    for name, value in zip(twin.sensors, size, strict=True):
+        if value == 0.0:
+            raise RecordError(
+                f"{record.name}: {name} reads 0 throughout; look at its wiring, or leave it out of the plant"
+            )
+    rounding = np.array([step / np.sqrt(12.0) for step in steps_of(record)])
+    floor: Array = np.maximum.reduce([found, 1e-6 * size, rounding])
+    return floor
+
+
+def _smooth(table: Array) -> Array:
+    """Return the noise of columns (m, c) that are smooth but for jumps: what is usual of it, if less than its mean."""
+    thirds = np.diff(table, n=3, axis=0)
+    usual = np.median(np.abs(thirds), axis=0) / (MEDIAN * np.sqrt(20.0))
+    return np.asarray(np.minimum(usual, white_noise(table)))
+
+
+def steps_of(record: Data) -> Array:
+    """Return the step of which all readings of a sensor are multiples (sensors,); 0 where they are not rounded."""
+    steps = []
+    for column in record.readings.T:
+        values = np.unique(column)
+        apart = np.diff(values)
+        step = float(np.median(apart[apart <= 1.5 * apart.min()])) if len(apart) else 0.0
+        rounded = len(values) < LATTICE * len(column) and np.allclose(values / step, np.round(values / step), atol=1e-3)
+        steps.append(step if rounded else 0.0)
+    return np.array(steps)
