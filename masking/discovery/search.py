@@ -180,7 +180,7 @@ class Search:
             if screen.total - promise.gain < most or len(chosen) < FEWEST:
                 chosen.append(promise)
         excess = now.hypothesis.cost - self.evidence.record.readings.size
-        if self._closes(now) and self._is_excess(excess):
+        if now.names and self._closes(now) and self._is_excess(excess):
             chosen = [promise for promise in chosen if promise.gain > LITTLE * excess]
         keys = {promise.candidate.key for promise in chosen}
         simpler = {(e, at) for effect, at in keys for e in SIMPLER.get(effect, ())} - keys - {*now.names}
@@ -253,7 +253,7 @@ class Search:
         if then.kind == "parameter":
             return False
         if self._closes(then):
-            return after > (1.0 - LITTLE) * before and self._is_excess(before)
+            return now is not base and after > (1.0 - LITTLE) * before and self._is_excess(before)
         little = max((SMALL - 1.0) * size, TRACE * start if after > FAR * size else 0.0)
         explained = now is not base and before <= min(REST * start, little)
         return after > (1.0 - (SHARE if explained else LITTLE)) * before
