@@ -54,6 +54,7 @@ SIMPLER = {  # of what each is nearly the same where its further parameters do l
     "lugre_friction": ("dry_friction", "stribeck_friction"),
 }
 IDLE = 2.0  # of the cost: further parameters that take no more do nothing
+FINE = 1e-7  # of what a law takes off the cost: so little may be of how it is integrated
 SIMPLE = {effect for kin in SIMPLER.values() for effect in kin}
 SMALL = 4.0  # cost per reading below which what is left of a fit is small enough to be looked at by itself
 
@@ -202,7 +203,7 @@ class Search:
         merged: dict[tuple[tuple[str, str], ...], Explanation] = {}
         for explanation in sorted(found, key=lambda e: e.score(heat)):
             merged.setdefault(tuple(sorted(explanation.names)), explanation)
-        telling = [e for e in merged.values() if not _is_idle(e, merged.values(), heat)]
+        telling = [e for e in merged.values() if not _is_idle(e, merged.values(), now, heat)]
         # Of what is the same, a parameter of the rig comes first.
         ranked = sorted(telling, key=lambda e: e.score(heat) - 0.5 * self.price * (e.kind == "parameter"))
         if now.score(heat) - ranked[0].score(heat) < (WRONG if ranked[0].kind == "parameter" else SIGN):
@@ -373,11 +374,12 @@ def _without(explanation: Explanation, i: int) -> tuple[tuple[tuple[str, str], .
     return (*names[:i], *names[i + 1 :]), (*slots[:i], *slots[i + 1 :])
 
 
-def _is_idle(richer: Explanation, others: Iterable[Explanation], heat: float) -> bool:
+def _is_idle(richer: Explanation, others: Iterable[Explanation], now: Explanation, heat: float) -> bool:
     """Return whether a simpler law at the same place does all that a richer one does, which is then that law itself."""
     effect, at = richer.names[-1]
     simple = {(name, at) for name in SIMPLER.get(effect, ())}
-    most = richer.hypothesis.cost + IDLE * heat
+    taken = now.hypothesis.cost - richer.hypothesis.cost
+    most = richer.hypothesis.cost + max(IDLE * heat, FINE * taken)
     return any(other.names[-1] in simple and other.hypothesis.cost < most for other in others)
 
 
