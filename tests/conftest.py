@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import tempfile
 
 import hypothesis
@@ -17,7 +18,13 @@ hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "gate"))
 
 
 def pytest_configure(config):
-    """Give the whole session, xdist workers included, one empty cache of generated modules."""
+    """Give the whole session, xdist workers included, one empty cache of generated modules, and signals that work.
+
+    What starts the tests may ignore some, as `nohup` does; processes that tests start would then never be told to stop.
+    """
+    for number, usual in ((signal.SIGHUP, signal.SIG_DFL), (signal.SIGINT, signal.default_int_handler)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, usual)
     if "MASKING_CACHE" not in os.environ:  # workers inherit the folder from the process that starts them
         os.environ["MASKING_CACHE"] = tempfile.mkdtemp(prefix="masking-tests-")
         config.add_cleanup(lambda: shutil.rmtree(os.environ.pop("MASKING_CACHE"), ignore_errors=True))
