@@ -34,7 +34,6 @@ from masking.discovery.search import (
     Found,
     Search,
     probabilities,
-    temperature,
 )
 from masking.discovery.smoothing import linearised
 from masking.effects import Effect
@@ -116,7 +115,7 @@ class Discovery:
         twin: the rig as it was believed to be.
         explanation: the one that was chosen.
         rivals: the explanations that it was chosen from, itself first.
-        temperature: by which costs of these were divided, see `search.temperature`.
+        temperature: by which costs of these were divided, see `Evidence.temperature`.
         found: the whole search.
         evidence: the record that was explained.
         judged: the record that it was judged by.
@@ -232,7 +231,7 @@ def discover(
         chosen = rivals[0]
         declared = fitting.fit(evidence, theta=evidence.belief.mean, frozen=True)
         before, after = _judged(judged, declared), _judged(judged, chosen.hypothesis)
-    size, heat = train.readings.size, temperature(evidence, chosen.hypothesis)
+    size, heat = train.readings.size, evidence.temperature(chosen.hypothesis.residuals)
     excess, left = (max(e.hypothesis.cost - size, 0.0) for e in (found.base, chosen))
     rest = left / excess if excess > 0.0 else 0.0
     gap = Gap(
@@ -338,7 +337,7 @@ def _split(record: Data) -> tuple[Data, Data]:
 
 def _reordered(rivals: tuple[Explanation, ...], evidence: Evidence, judged: Evidence) -> tuple[Explanation, ...]:
     """Return explanations that are nearly as good as the best, ordered by how well they explain another record, too."""
-    heat = temperature(evidence, rivals[0].hypothesis)
+    heat = evidence.temperature(rivals[0].hypothesis.residuals)
     near = [rival for rival in rivals if rival.score(heat) <= rivals[0].score(heat) + NEAR]
     if len(near) < 2 or any(rival.score(heat) < rivals[0].score(heat) for rival in near):
         return rivals

@@ -10,6 +10,8 @@ from masking.discovery.opened import OpenRig
 from masking.identification.data import Data
 from masking.kernels import Array
 
+BLOCK = 32  # samples: what is left is averaged over these to see whether it changes slowly
+
 
 @dataclass(frozen=True)
 class Belief:
@@ -64,3 +66,20 @@ class Evidence:
     def dt(self) -> float:
         """Return the time between samples in s."""
         return 1.0 / self.record.rate
+
+    def temperature(self, residuals: Array) -> float:
+        """Return by how much more is left than white noise, and how much more slowly it changes; at least 1.
+
+        Costs are divided by it: what is left is so many times the noise, or so many readings tell the same.
+
+        Args:
+            residuals: of the readings (m, sensors).
+        """
+        found = 1.0
+        for column, sigma in zip(residuals.T, self.sigma, strict=True):
+            found = max(found, float((column**2).mean() / sigma**2))
+            for length in {BLOCK, self.horizon or BLOCK}:
+                blocks = column[: len(column) // length * length].reshape(-1, length).mean(axis=1)
+                slow = float((blocks**2).mean() * length / sigma**2)
+                found = max(found, slow if slow > 1.3 else 1.0)
+        return found

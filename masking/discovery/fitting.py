@@ -23,7 +23,7 @@ from masking.kernels import Array
 MOST_ROUNDS = 40
 GROWTH = 2.0  # times what is positive may become in a round
 HOPE, SLOW = 0.03, 6  # a fit ends that comes nearer to a better one by no more than this part so many times
-CONVERGED = 0.02  # of the cost, in units of -2 log likelihood, for each reading's, that a step may still take off
+CONVERGED = 0.02  # of the cost, divided by the temperature, that a step may still take off
 
 
 @dataclass(frozen=True)
@@ -185,14 +185,14 @@ class _Problem:
         k, f, s, free = len(at.theta), len(at.added), len(at.inner), [*self.evidence.rig.twin.free]
         held = np.zeros(k + f + s + len(at.start) * len(free), dtype=bool)
         held[: k + f], held[k + f : k + f + s] = frozen, self.begins == 0.0
-        slow, damping, size = 0, 1e-6, self.evidence.record.readings.size
+        slow, damping = 0, 1e-6
         found = self.equations(at)
         cost = self.cost(found, at)
         low, high = self._bounds()
         for _ in range(rounds):
             matrix, gradient = self._with_belief(found, at)
             step, gain = _step(matrix, gradient, damping, held)
-            enough = CONVERGED * max(1.0, cost / size)
+            enough = CONVERGED * self.evidence.temperature(self.evidence.record.readings - found.simulated)
             if gain < enough:
                 break
             then = at.moved(step, low, high, free)

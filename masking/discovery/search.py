@@ -40,12 +40,13 @@ CLEAN = 1.05  # of the noise: a gap that is closed
 SHARE = 0.7  # part of what is left that each further cause must take
 LITTLE = 0.2  # the same while most of the gap is not explained
 SWAPS = 3
+LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
 TRACE = 0.05  # of the gap: so little of what is never closed may be of anything
 FAR = 100.0  # cost per reading above which one more cause does not bring a gap near to its end
-BLOCK = 32  # samples: what is left is averaged over these to see whether it changes slowly
 KIN = 0.8  # of what an effect takes: a simpler one that takes as much comes first while more is left
 SIMPLER = {  # of what each is nearly the same where its further parameters do little
     "polynomial_spring": ("hardening_spring",),
+    "stop": ("constant_force",),
     "gravity_force": ("hardening_spring",),
     "asymmetric_friction": ("dry_friction", "constant_force"),
     "stribeck_friction": ("dry_friction",),
@@ -195,11 +196,11 @@ class Search:
         found: list[Explanation] = []
         with ThreadPoolExecutor(2) as pool:
             for some in (jobs[:2], jobs[2:]):  # the most promising set the mark for the others
-                rival = min((e.hypothesis.cost for e in found), default=np.inf)
+                rival = min(e.hypothesis.cost for e in (now, *found))
                 found += [e for e in pool.map(partial(self._tried, rival=rival), some) if e is not None]
         if not found:
             return []
-        heat = temperature(self.evidence, min(found, key=lambda e: e.hypothesis.cost).hypothesis)
+        heat = self.evidence.temperature(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
         merged: dict[tuple[tuple[str, str], ...], Explanation] = {}
         for explanation in sorted(found, key=lambda e: e.score(heat)):
             merged.setdefault(tuple(sorted(explanation.names)), explanation)
@@ -277,7 +278,7 @@ class Search:
                     found = self._fit((promise.slot, *others), best.hypothesis, best.hypothesis.cost)
                 except IntegrationError:
                     continue
-                heat, whole = temperature(self.evidence, found), (promise.candidate.key, *names)
+                heat, whole = self.evidence.temperature(found.residuals), (promise.candidate.key, *names)
                 other = Explanation("effects", whole, found, min(best.own, promise.own))
                 richer = best.names[i][0] in SIMPLER.get(promise.candidate.effect, ())
                 if richer and self._is_little(base, best, other):
@@ -297,7 +298,8 @@ class Search:
                 less = self._fit(slots, best.hypothesis, best.hypothesis.cost)
             except IntegrationError:
                 continue
-            heat, fewer = temperature(self.evidence, best.hypothesis), Explanation("effects", names, less, best.own)
+            heat = self.evidence.temperature(best.hypothesis.residuals)
+            fewer = Explanation("effects", names, less, best.own)
             if fewer.score(heat) < best.score(heat) + SIGN:
                 return self._reduced(fewer)
         return best
@@ -306,10 +308,23 @@ class Search:
         return fitting.fit(self.evidence, slots, theta=like.theta, start=like.start, rival=rival)
 
     def _added(self, now: Explanation, promise: Promise, screen: Screen, rival: float) -> Explanation:
-        """Return a fit with one more effect, from parameters as they are or as screening has them."""
-        slots, here = (*now.hypothesis.slots, promise.slot), (now.hypothesis.theta, now.hypothesis.start)
-        theta, start = min((here, screen.around(promise.slot)), key=lambda at: fitting.cost(self.evidence, slots, *at))
-        found = fitting.fit(self.evidence, slots, theta=theta, start=start, rival=rival)
+        """Return a fit with one more effect, from parameters as they are or as screening has them.
+
+        Where neither is better than without the effect, as where a resonance is sharp, it begins with less of it.
+        """
+        here = (now.hypothesis.theta, now.hypothesis.start)
+
+        def cost(of: tuple[Slot, tuple[Array, Array]]) -> float:
+            return fitting.cost(self.evidence, (*now.hypothesis.slots, of[0]), *of[1])
+
+        begins = [(promise.slot, here), (promise.slot, screen.around(promise.slot))]
+        costs = [cost(begin) for begin in begins]
+        for part in LESS:
+            if min(costs) > now.hypothesis.cost:
+                begins.append((_scaled(promise.slot, part), here))
+                costs.append(cost(begins[-1]))
+        slot, (theta, start) = begins[int(np.argmin(costs))]
+        found = fitting.fit(self.evidence, (*now.hypothesis.slots, slot), theta=theta, start=start, rival=rival)
         return Explanation("effects", (*now.names, promise.candidate.key), found, promise.own)
 
     def _released(self, now: Explanation, index: int, rival: float) -> Explanation:
@@ -383,23 +398,15 @@ def _is_idle(richer: Explanation, others: Iterable[Explanation], now: Explanatio
     return any(other.names[-1] in simple and other.hypothesis.cost < most for other in others)
 
 
+def _scaled(slot: Slot, part: float) -> Slot:
+    """Return a slot with a part of the effect."""
+    factors = FACTORS.get(slot.effect, slot.entry.factors)
+    at = [i for i, name in zip(slot.free, slot.names, strict=True) if name in factors]
+    return slot.with_values(at, (part * slot.values[i] for i in at))
+
+
 def _span(x: Array, rate: float = 0.0, tones: tuple[float, ...] = ()) -> Span:
     return Span(float(x.min()), float(x.max()), float(np.abs(x).max()), rate, tones)
-
-
-def temperature(evidence: Evidence, hypothesis: Hypothesis) -> float:
-    """Return by how much more is left than white noise, and how much more slowly it changes; at least 1.
-
-    Costs are divided by it: what is left is so many times the noise, or so many readings tell the same.
-    """
-    found = 1.0
-    for column, sigma in zip(hypothesis.residuals.T, evidence.sigma, strict=True):
-        found = max(found, float((column**2).mean() / sigma**2))
-        for length in {BLOCK, evidence.horizon or BLOCK}:
-            blocks = column[: len(column) // length * length].reshape(-1, length).mean(axis=1)
-            slow = float((blocks**2).mean() * length / sigma**2)
-            found = max(found, slow if slow > 1.3 else 1.0)
-    return found
 
 
 def occam(hypothesis: Hypothesis, temperature: float = 1.0) -> float:
