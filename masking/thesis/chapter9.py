@@ -47,7 +47,7 @@ def section_9_2() -> Entry:
     good = masked(ours)
     bad = masked(ours.changed(controller={**THESIS, "approach": 3}))
     last = [float(np.abs(m.a + m.b)[m.t > m.t[-1] - 10.0].max()) for m in (good, bad)]
-    use = {name: _volts(name) for name in ("pendula", "pendula_fast", "pendula_wide")}
+    use = {name: demand(Experiment.load(name)) for name in ("pendula", "pendula_fast", "pendula_wide")}
     values = (
         Value("sum / amplitude at last on the twin, our observer", last[0] / good.amplitude(0.02)),
         Value("sum / amplitude at last on the twin, the document's way", last[1] / bad.amplitude(0.02)),
@@ -60,15 +60,15 @@ def section_9_2() -> Entry:
         "power. On the twin its way leaves the pendula stuck where friction holds them; an observer that estimates "
         "disturbances, with the measured springs, lets them synchronise.",
         "The document does not say what it counts as power, nor how its beam moves; ours is the largest demand of any "
-        "actuator over its limit of 0.42 V, of the linear rig from rest at full stroke. Three times, not ten, as many "
-        "volts as the actuators have is needed by neither of its two ways here.",
+        "actuator over its limit of 0.42 V, of the linear rig from rest at full stroke. By this count its two ways of "
+        "strengthening the coupling ask for less than half of what it prints.",
     )
     title = "Clocks on the twin: our observer and the document's way"
     picture = sums({"disturbance observer": good, "document's way": bad}, title)
     return Entry("Section 9.2", title, "figure", values, words, picture)
 
 
-def _volts(name: str) -> float:
-    """Return the largest demand of any actuator over its limit."""
-    uses, _, _ = Demanded(Experiment.load(name)).resolve()
+def demand(experiment: Experiment) -> float:
+    """Return the largest demand of any actuator of a rig over its limit."""
+    uses, _, _ = Demanded(experiment).resolve()
     return max(use.part for use in uses if use.kind != "power" and use.name.startswith("V"))

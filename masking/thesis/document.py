@@ -19,7 +19,7 @@ from masking.thesis.kept import is_kept, kept
 PICTURES = Path("pictures") / "thesis"
 WORKERS = 2
 _VERDICTS: Final[tuple[Verdict, ...]] = ("agrees", "explained", "unexplained", "ours only")
-_MARKS = {"agrees": "agrees", "explained": "explained", "unexplained": "**unexplained**", "ours only": ""}
+_MARKS: Final = {"agrees": "agrees", "explained": "explained", "unexplained": "**unexplained**", "ours only": ""}
 _INTRODUCTION = """# The source document, computed again
 
 Every figure and table of chapters 4, 5, 7, 8 and 9 of D.J. Rijlaarsdam, *Huygens Synchronization in Various Dynamical
@@ -187,9 +187,9 @@ def section(entry: Entry, *, pictured: bool = True) -> str:
                 v.what,
                 _number(v.document) + (f" ({v.where})" if v.where and v.document != "" else ""),
                 _number(v.independent),
-                _number(v.ours),
+                _number(v.ours) or "not reached",
                 _ratio(v),
-                _MARKS[v.verdict],
+                _mark(v),
             )
             for v in entry.values
         ]
@@ -238,6 +238,12 @@ def _number(value: float | str) -> str:
     if isinstance(value, str):
         return value
     return "" if math.isnan(value) else f"{value:.4g}"
+
+
+def _mark(value: Value) -> str:
+    """Return whether a number agrees, and to what, where that is declared."""
+    told = f" to {100.0 * value.within:g} %" if value.within and value.verdict == "agrees" else ""
+    return _MARKS[value.verdict] + told
 
 
 def _ratio(value: Value) -> str:

@@ -14,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from masking.drawing import COLOURS, INK, LEGEND, SIZE, Series, sheet, symbol, thin
 from masking.thesis.motion import Motion
 
+FLOOR = 1e-5  # of a logarithmic axis
 PIXELS = 85  # per inch: the page stays small
 BLUE, RED = COLOURS[0], COLOURS[1]  # the colours of the rig's oscillators
 
@@ -54,9 +55,10 @@ def sums(motions: Mapping[str, Motion], title: str, *, time: str = r"$\tau$") ->
     handles = []
     for (label, motion), colour in zip(motions.items(), COLOURS, strict=False):
         total = np.abs(motion.a + motion.b)
-        axes.semilogy(*thin(motion.t, np.maximum(total, 1e-7)), color=colour, lw=0.6)
+        axes.semilogy(*thin(motion.t, np.maximum(total, FLOOR)), color=colour, lw=0.6)
         handles.append(Line2D([], [], color=colour, label=label))
-    axes.set(ylabel=r"$|a + b|$", xlabel=time)
+    one, other, _ = (name.strip("$") for name in _symbols(motion))
+    axes.set(ylabel=f"$|{one} + {other}|$", xlabel=time, xlim=(motion.t[0], motion.t[-1]))
     return _png(figure, handles, title)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import sympy as sp
 from scipy.optimize import minimize_scalar
 
 from masking.model import load_model
@@ -127,10 +128,9 @@ def oscillator() -> Entry:
 
 def beam_sum() -> Entry:
     """Equations (7.4) and (7.7)."""
-    model = load_model("duffing").dimensionless()
-    p = model.parameter_values()
-    # A third term of the sum would be that of x3 - x3, which is zero.
-    third = p["mu1"] * (p["w1"] ** 2 * 0.0 + p["th1"] * 0.0**3)
+    x3, mu, w, th = sp.symbols("x3 mu w th")
+    x = x3  # of the third oscillator, which is the beam
+    third = float(mu * (w**2 * (x - x3) + th * (x - x3) ** 3))
     rows = (Value("a third term of the sum, with x3 - x3 = 0", third, independent=0.0, within=0.0),)
     words = (
         "(7.4) and (7.7) sum over three oscillators; there are two, and Table 7.2 has no mu3, w_3 of an oscillator or "
