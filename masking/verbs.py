@@ -47,10 +47,12 @@ if TYPE_CHECKING:
     from masking.identification.data import Assumption
     from masking.stability import pages as stability_pages
     from masking.stability import study as stabilities
+    from masking.thesis import document as comparisons
 else:  # each verb loads only what it needs
     assessment = lazy.load("masking.assessment", suppress_warning=True)
     answers = lazy.load("masking.discovery.answered", suppress_warning=True)
     budgets = lazy.load("masking.budget", suppress_warning=True)
+    comparisons = lazy.load("masking.thesis.document", suppress_warning=True)
     data = lazy.load("masking.identification.data", suppress_warning=True)
     channels = lazy.load("masking.identification.channels", suppress_warning=True)
     describe = lazy.load("masking.describe", suppress_warning=True)
@@ -400,6 +402,13 @@ def stability(
     if out is not None:
         stability_pages.save(found, out)
     return found
+
+
+def thesis(**settings: Any) -> comparisons.Comparison:  # noqa: ANN401  # those of `document.compare`
+    """Compute the figures and tables of the source document again, beside its numbers; see `document.compare`."""
+    if settings.get("out") is not None:
+        check_folder(settings["out"])
+    return comparisons.compare(**settings)
 
 
 def report(record: str | Path, out: str | Path | None = None) -> reporting.Report:

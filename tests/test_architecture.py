@@ -44,7 +44,7 @@ ROWS = (
     {"rig"},
     {"feasibility"},
     {"refinement", "assessment"},
-    {"describe"},
+    {"describe", "thesis"},
     {"verbs"},
     {"cli", "__init__"},
 )

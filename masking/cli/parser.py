@@ -9,7 +9,7 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from masking.cli import declarations, discovery, identification, rig, runs, stability
+from masking.cli import declarations, discovery, identification, rig, runs, stability, thesis
 from masking.cli.adding import add_to
 from masking.cli.progress import INTERRUPTED
 from masking.errors import DeclarationError, MaskingError
@@ -56,4 +56,5 @@ def _parser() -> argparse.ArgumentParser:
     discovery.add_refine(found)
     stability.add_stability(found)
     rig.add_rig(found)
+    thesis.add(verb)
     return parser
