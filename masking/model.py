@@ -291,8 +291,16 @@ class Model:
             at: values of coordinates, velocities and internal states, in SI units or in the declared scales; 0
                 where not given.
             inputs: values of inputs; 0 where not given.
+
+        Raises:
+            ModelError: the model has one output and no inputs, which python-control cannot hold.
         """
         e, s = self.equations, self.equations.symbols
+        if not s.u and len(self.outputs or self.coordinates) == 1:
+            raise ModelError(
+                f"{self.name} has no inputs and one output, which python-control cannot hold; declare 'inputs:', or "
+                "take masking.stability.modes.state_matrix"
+            )
         states = (*s.q, *s.v, *s.s)
         point = {symbol: (at or {}).get(symbol.name, 0.0) for symbol in states}
         point |= {symbol: (inputs or {}).get(symbol.name, 0.0) for symbol in s.u}

@@ -2,9 +2,11 @@
 
 import control
 import numpy as np
+import pytest
 import scipy.linalg
 
 import masking
+from masking.errors import ModelError
 
 TIGHT = {"rtol": 1e-10, "atol": 1e-13}
 
@@ -48,6 +50,12 @@ def test_the_linearised_set_up_is_the_matrix_of_4_4_to_4_6():
     np.testing.assert_allclose(system.A[3:], -np.hstack([stiffness, damping]), atol=2e-6)
     np.testing.assert_allclose(np.diag(system.B[3:]), [9.945, 11.05, 0.5984], rtol=1e-3)  # Table 4.1, corrected
     np.testing.assert_array_equal(system.C, np.eye(3, 6))
+
+
+def test_what_python_control_cannot_hold_is_refused(declared):
+    alone = declared(coordinates={"x": {}}, equations={"x''": "-x - 0.1*x'"})
+    with pytest.raises(ModelError, match="test has no inputs and one output, which python-control cannot hold"):
+        alone.linearise()
 
 
 def test_a_linear_model_follows_its_matrix_exponential():

@@ -11,8 +11,8 @@ from masking.thesis.entry import Entry, Value
 from masking.thesis.experiments import Printed, experiment
 from masking.thesis.motion import Motion, simulated
 from masking.thesis.plots import transient
+from masking.thesis.slips import PRINTED_TH
 
-PRINTED_TH = 7.4524e-7
 SEEN = 0.05  # of the amplitude: less is not seen in a picture
 SLIP = "printed is ten times (l/wbar)^2, without beta; see the slip of Table 7.2"
 
