@@ -52,8 +52,8 @@ def fig_4_2() -> Entry:
     sampled = float(np.abs(samples).max() / np.sqrt(np.mean(samples**2)))
     ours = minimise_crest(Multisine.harmonic(np.arange(1, 26), beat), starts=12)
     turned = (
-        "over 200 s the phases of lines that are no harmonics turn; see the slip of 4.2.1. Harmonics of "
-        f"{beat:.4f} s keep theirs"
+        f"over 200 s the phases of lines that are no harmonics turn; see the slip of 4.2.1. Harmonics of {beat:.4f} s "
+        "keep theirs"
     )
     values = (
         Value("crest factor of Table B.2 over a beat of 0.96 s", sampled, document=1.4838, where="p. 24"),
@@ -110,28 +110,19 @@ def fig_4_3() -> Entry:
         rows.append(
             Value(f"chi, multisine, {NAMES[number - 1]}", found["s"], document=printed, where="Table 4.3", within=0.1)
         )
-        rows += [
-            Value(
-                f"{name}{number}, least squares",
-                made[name],
-                document=truths[f"{name}{number}"],
-                where="Table B.1",
-                within=0.1,
-                why="the twin has other springs, damping and gains than the linear model it is fitted by",
-            )
-            for name in FREE
-        ]
-        rows += [
-            Value(
-                f"{name}{number}, extended Kalman filter",
-                filtered[name],
-                document=truths[f"{name}{number}"],
-                where="Table B.1",
-                within=0.1,
-                why="as above; the document tuned by hand what its filter gave",
-            )
-            for name in FREE
-        ]
+        ways = (
+            (
+                "least squares",
+                made,
+                "the twin has other springs, damping and gains than the linear model it is fitted by",
+            ),
+            ("extended Kalman filter", filtered, "as above; the document tuned by hand what its filter gave"),
+        )
+        for way, ours, why in ways:
+            rows += [
+                Value(f"{n}{number}, {way}", ours[n], truths[f"{n}{number}"], "Table B.1", within=0.1, why=why)
+                for n in FREE
+            ]
         response = _response(number, _wave(number))
         shown.append((response, number))
     title = "Response to the multisine, measured on the twin and simulated"
@@ -291,11 +282,10 @@ def _response(number: int, record: Data) -> Simulated:
 
 def _why_twin() -> str:
     return (
-        "Each oscillator of the twin is recorded alone, the others held, with friction, hysteresis, its "
-        "measured spring, "
-        "noise and steps of the sensor; the linear model (4.13) is fitted to the record of 200 s. The filter has the "
-        "covariances of section 4.2.2 and begins 10 % off. The document fixed the others and found, as here, the beam "
-        "least linear."
+        "Each oscillator of the twin is recorded alone, the others held, with friction, hysteresis, its measured "
+        "spring, noise and steps of the sensor; the linear model (4.13) is fitted to the record of 200 s. The filter "
+        "has the covariances of section 4.2.2 and begins 10 % off. The document fixed the others and found, as here, "
+        "the beam least linear."
     )
 
 

@@ -52,9 +52,8 @@ def fig_5_1() -> Entry:
         *on_rigs("setup_identical"),
     )
     words = (
-        "The document's alpha and eps belong to tau = 600: over the last tenth, fifth and half of that "
-        "record they are "
-        f"{early.alpha:.4f} and {early.eps:.4f}, {_until(motion, 600.0, 0.2).alpha:.4f} and "
+        "The document's alpha and eps belong to tau = 600: over the last tenth, fifth and half of that record they "
+        f"are {early.alpha:.4f} and {early.eps:.4f}, {_until(motion, 600.0, 0.2).alpha:.4f} and "
         f"{_until(motion, 600.0, 0.2).eps:.4f}, {_until(motion, 600.0, 0.5).alpha:.4f} and "
         f"{_until(motion, 600.0, 0.5).eps:.4f}. It does not say which part it fitted.",
     )
@@ -106,9 +105,9 @@ def fig_5_3() -> Entry:
         Value("slowest mode, phase / pi", abs(float(np.angle(ratio))) / np.pi, independent=0.973),
     )
     words = (
-        f"The document does not print how much energy it supplies. Here the damping of both oscillators is "
+        "The document does not print how much energy it supplies. Here the damping of both oscillators is "
         f"over-compensated by the ratio e = {e:.5f} at which the slowest mode neither grows nor decays.",
-        f"Its limiting phase difference of 0.91 pi is a moment of the beat, which in the last fifth of tau = 1000 goes "
+        "Its limiting phase difference of 0.91 pi is a moment of the beat, which in the last fifth of tau = 1000 goes "
         f"from {phase.min():.3f} pi to {phase.max():.3f} pi; the limit is that of the mode, "
         f"{abs(float(np.angle(ratio))) / np.pi:.3f} pi.",
     )
@@ -129,17 +128,16 @@ def fig_5_4() -> Entry:
         Value("document's way: leaves the stroke with z1, z2 cancelled by", high),
     )
     words = (
-        f"In the document's way, a velocity that is differenced from positions and fed forward, dry friction leaves no "
+        "In the document's way, a velocity that is differenced from positions and fed forward, dry friction leaves no "
         f"balance on the twin: cancelling {low:.3f} times the identified damping the motion comes to rest, with "
-        f"{high:.3f} times it grows past the stroke, until the inputs saturate. Friction takes a power that grows with "
-        "the amplitude, the compensation one that grows with its square.",
+        f"{high:.3f} times it grows past the stroke, until the inputs saturate. Friction takes a power that grows "
+        "with the amplitude, the compensation one that grows with its square.",
     )
     springs = (
-        "In this experiment the rig keeps its own springs. Those of Table B.4 give frequencies of "
-        f"{stiff['w1']:.4f} and {stiff['w2']:.4f} at small displacements, 1 % apart, where those of Table "
-        "4.2, which Fig. 5.3 "
-        "has, are 11 % apart. That is why the amplitudes differ 2.3 times less than in Fig. 5.3, which the document "
-        "leaves open."
+        f"In this experiment the rig keeps its own springs. Those of Table B.4 give frequencies of {stiff['w1']:.4f} "
+        f"and {stiff['w2']:.4f} at small displacements, 1 % apart, where those of Table 4.2, which Fig. 5.3 has, are "
+        "11 % apart. That is why the amplitudes differ 2.3 times less than in Fig. 5.3, which the document leaves "
+        "open."
     )
     printed = Printed("Fig. 5.4", "p. 35", alpha=1.2927, eps=0.1241, phase=1.065, time=None, duration=450.0)
     title = "Experiment with over-compensated damping, on the twin"

@@ -61,11 +61,9 @@ def fig_7_2() -> Entry:
         *on_rigs("duffing", ideal=600.0),
     )
     words = (
-        "The document's initial state is (-0.6, -0.5, 0). Ours is within 1 % of the amplitude of anti-phase "
-        "from tau = "
-        f"{settled:.0f} on. With the printed th = {PRINTED_TH} the oscillators would be linear; the decay of "
-        "the sum is "
-        "that of th = 1/3.",
+        "The document's initial state is (-0.6, -0.5, 0). Ours is within 1 % of the amplitude of anti-phase from tau "
+        f"= {settled:.0f} on. With the printed th = {PRINTED_TH} the oscillators would be linear; the decay of the "
+        "sum is that of th = 1/3.",
     )
     title = "Duffing oscillators, simulated"
     return Entry("Fig. 7.2", title, "figure", values, words, transient(motion, title))
@@ -76,10 +74,9 @@ def fig_7_3() -> Entry:
     linear = load_model("setup").parameter_values()
     words = (
         "The beam of these oscillators can stand still although their mass ratios differ: with equal frequencies that "
-        f"asks for mu1 x1 + mu2 x2 = 0, amplitudes in the ratio mu2/mu1 = {linear['mu2'] / linear['mu1']:.3f} "
-        "for small "
-        "motions. The document's explanation, that non-identical oscillators leave only the origin, holds for unequal "
-        "frequencies (Fig. 5.2); in Duffing oscillators unequal amplitudes make the frequencies differ.",
+        f"asks for mu1 x1 + mu2 x2 = 0, amplitudes in the ratio mu2/mu1 = {linear['mu2'] / linear['mu1']:.3f} for "
+        "small motions. The document's explanation, that non-identical oscillators leave only the origin, holds for "
+        "unequal frequencies (Fig. 5.2); in Duffing oscillators unequal amplitudes make the frequencies differ.",
         "The printed eps of 5e-4 is a thousandth of the amplitude. The document does not say over which part of the "
         "record it was found; no motion here, with or without imperfections, is that near to (5.3).",
     )

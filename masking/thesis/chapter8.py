@@ -63,8 +63,8 @@ def fig_8_2() -> Entry:
     title = "Discs without eccentric masses, simulated"
     words = (
         "The document's figure ends at tau = 450, where it says that the discs move in anti-phase, locked and with "
-        f"equal amplitudes. Locked they are by their phase; the amplitudes are {first:.4f} and {second:.4f} there, and "
-        "become equal later: ours goes on to 900.",
+        f"equal amplitudes. Locked they are by their phase; the amplitudes are {first:.4f} and {second:.4f} there, "
+        "and become equal later: ours goes on to 900.",
     )
     return Entry("Fig. 8.2", title, "figure", values, words, transient(motion, title))
 
@@ -92,10 +92,9 @@ def fig_8_4() -> Entry:
     least = float(fine[np.argmin(times)])
     at_best = settling_time(discs.with_parameters(z3=float(best.x)))
     flat = (
-        "tau_s counts when the last oscillation passes 1e-4 and not how fast the slowest eigenvalue decays: "
-        "it moves in "
-        f"steps of half a period, and at z3 = {best.x:.3f} it is {at_best / times.min() - 1.0:.1%} longer "
-        "than at its least"
+        "tau_s counts when the last oscillation passes 1e-4 and not how fast the slowest eigenvalue decays: it moves "
+        f"in steps of half a period, and at z3 = {best.x:.3f} it is {at_best / times.min() - 1.0:.1%} longer than at "
+        "its least"
     )
     values = (
         Value("fastest z3, by eigenvalues", float(best.x), document=0.39, where="p. 49", independent=0.394),

@@ -50,10 +50,9 @@ class Comparison:
             return "\n".join(section(entry, pictured=False) for entry in self.entries.values()).rstrip()
         told = counts(self.entries.values())
         return (
-            f"{len(self.entries)} figures, tables and slips: {told['agrees']} numbers agree, "
-            f"{told['explained']} differ and "
-            f"are explained, {told['unexplained']} differ unexplained, {told['ours only']} have nothing beside them\n"
-            f"page: {self.page}"
+            f"{len(self.entries)} figures, tables and slips: {told['agrees']} numbers agree, {told['explained']} "
+            f"differ and are explained, {told['unexplained']} differ unexplained, {told['ours only']} have nothing "
+            f"beside them\npage: {self.page}"
         )
 
     def as_dict(self) -> dict[str, Any]:

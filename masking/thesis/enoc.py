@@ -16,8 +16,8 @@ from masking.thesis.plots import steady, transient
 def table_1() -> Entry:
     """Parameters of the set-up: symbols only."""
     words = (
-        "The table names masses, stiffness and damping of oscillators and frame by their symbols; it prints no number. "
-        "The numbers are those of Tables 4.2, 4.4 and B.4.",
+        "The table names masses, stiffness and damping of oscillators and frame by their symbols; it prints no "
+        "number. The numbers are those of Tables 4.2, 4.4 and B.4.",
     )
     return Entry("ENOC Table 1", "Parameters in the experimental set-up", "table", (), words)
 
@@ -74,8 +74,7 @@ def fig_4_5() -> Entry:
         "The oscillators have w0 and th of the paper's Table 2 and move the rig's own beam, as in the paper's "
         "experiment; its simulation has another beam. The paper does not say by how much the damping was "
         "over-compensated; here it is by as much as makes the motion neither die nor grow. The picture is in units of "
-        "the stroke and of dimensionless time, of which the 40 s of the paper are "
-        f"{40.0 * wbar:.0f}.",
+        f"the stroke and of dimensionless time, of which the 40 s of the paper are {40.0 * wbar:.0f}.",
     )
     title = "Experiment with Duffing oscillators on the beam as it is, on the twin"
     return Entry("ENOC Fig. 4 and 5", title, "figure", rows, words, transient(motion, title))

@@ -143,16 +143,14 @@ def experiment(
         *extra,
     )
     told = (
-        f"The document explains unequal amplitudes by oscillators that are not identical. In the linearised system its "
-        f"alpha and phase, a ratio of amplitudes of {printed.ratio:.3f}, are those of the anti-phase mode "
-        f"with {found}. "
-        f"Such differences also make the in-phase mode decay at {found.decay:.4f} instead "
-        f"of {found.before:.4f}: {found.decay / found.before:.1f} times as fast as without them, where the document "
+        "The document explains unequal amplitudes by oscillators that are not identical. In the linearised system its "
+        f"alpha and phase, a ratio of amplitudes of {printed.ratio:.3f}, are those of the anti-phase mode with "
+        f"{found}. Such differences also make the in-phase mode decay at {found.decay:.4f} instead of "
+        f"{found.before:.4f}: {found.decay / found.before:.1f} times as fast as without them, where the document "
         "suspects disturbances.",
-        "alpha and phase were used to find the differences, which no number of the document confirms; eps and the time "
-        "were not. The picture is of the twin with these differences and so much over-compensation, the same "
-        "for both, that the "
-        "motion neither dies nor grows.",
+        "alpha and phase were used to find the differences, which no number of the document confirms; eps and the "
+        "time were not. The picture is of the twin with these differences and so much over-compensation, the same for "
+        "both, that the motion neither dies nor grows.",
         *words,
     )
     return Entry(printed.number, title, "figure", values, told, transient(unlike, title))
@@ -164,9 +162,8 @@ def _compared(printed: Printed, ended: Ended, which: str) -> list[Value]:
     small = ""
     if least > 0.5 * printed.eps:
         small = (
-            "with the printed phase, (5.3) with a shift of half a period cannot be below "
-            f"{printed.least_eps:.3f} of the "
-            f"amplitude, {least:.2g} here; the printed eps would belong to an amplitude of "
+            f"with the printed phase, (5.3) with a shift of half a period cannot be below {printed.least_eps:.3f} of "
+            f"the amplitude, {least:.2g} here; the printed eps would belong to an amplitude of "
             f"{printed.eps / printed.least_eps:.2g}"
         )
     rows = [

@@ -56,12 +56,10 @@ def gains() -> Entry:
         for i, rho in zip((1, 2, 3), RHO, strict=True)
     ]
     words = (
-        f"x = l xi and tau = wbar t make the input gain nu c/(l wbar^2). Printed over ours is "
-        f"{GAINS[0] / ours['c1']:.0f} = wbar^4 = {wbar**4:.0f}. Only ours agrees with the measured springs: a "
-        "static input "
-        f"v holds xi = lam v/w^2, so that w1^2/lam1 = {ours['w1'] ** 2 / ours['c1']:.4f} is to be rho_11 = "
-        f"{RHO[0]:.4f}; "
-        f"the printed gain would make it {ours['w1'] ** 2 / GAINS[0]:.2g}.",
+        "x = l xi and tau = wbar t make the input gain nu c/(l wbar^2). Printed over ours is "
+        f"{GAINS[0] / ours['c1']:.0f} = wbar^4 = {wbar**4:.0f}. Only ours agrees with the measured springs: a static "
+        f"input v holds xi = lam v/w^2, so that w1^2/lam1 = {ours['w1'] ** 2 / ours['c1']:.4f} is to be rho_11 = "
+        f"{RHO[0]:.4f}; the printed gain would make it {ours['w1'] ** 2 / GAINS[0]:.2g}.",
     )
     return Entry("Slip: Table 4.1", "Input gains lam in the dimensionless equations", "slip", tuple(rows), words)
 
@@ -120,8 +118,8 @@ def oscillator() -> Entry:
         ),
     )
     words = (
-        "(4.13) prints xi'' = -th1 xi + 2 th2 th1 xi' + th3 v. With the values of Table 4.2 it would grow; the sign of "
-        "the damping and the power of the frequency are those of (4.4).",
+        "(4.13) prints xi'' = -th1 xi + 2 th2 th1 xi' + th3 v. With the values of Table 4.2 it would grow; the sign "
+        "of the damping and the power of the frequency are those of (4.4).",
     )
     return Entry("Slip: (4.13)", "Sign of the damping and power of the frequency", "slip", rows, words)
 
@@ -160,9 +158,8 @@ def damping_entry() -> Entry:
             )
         )
     words = (
-        "The last entry of (8.11) is -2 z3 w3 with the letter of the frequency in rad/s; only the "
-        "dimensionless one has "
-        "the optimum that the document prints.",
+        "The last entry of (8.11) is -2 z3 w3 with the letter of the frequency in rad/s; only the dimensionless one "
+        "has the optimum that the document prints.",
     )
     return Entry("Slip: (8.11)", "Last entry of the sum system's matrix", "slip", tuple(rows), words)
 
@@ -180,8 +177,8 @@ def reaction() -> Entry:
         )
     )
     words = (
-        "One of (A.4) and (A.10) has +u2 on the beam, the other -u2. The actuators of the oscillators push against the "
-        "beam: without springs to the ground the centre of mass stays, and the nett input is u3 - u1 - u2 (4.3).",
+        "One of (A.4) and (A.10) has +u2 on the beam, the other -u2. The actuators of the oscillators push against "
+        "the beam: without springs to the ground the centre of mass stays, and the nett input is u3 - u1 - u2 (4.3).",
     )
     return Entry("Slip: (A.4)", "Reaction of the actuators on the beam", "slip", rows, words)
 
