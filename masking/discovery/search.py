@@ -310,22 +310,24 @@ class Search:
     def _added(self, now: Explanation, promise: Promise, screen: Screen, rival: float) -> Explanation:
         """Return a fit with one more effect, from parameters as they are or as screening has them.
 
-        Where neither is better than without the effect, as where a resonance is sharp, it begins with less of it.
+        Where that ends worse than without the effect, as where a resonance is sharp, it begins again with less of it.
         """
         here = (now.hypothesis.theta, now.hypothesis.start)
 
-        def cost(of: tuple[Slot, tuple[Array, Array]]) -> float:
-            return fitting.cost(self.evidence, (*now.hypothesis.slots, of[0]), *of[1])
+        def cost(slot: Slot, at: tuple[Array, Array]) -> float:
+            return fitting.cost(self.evidence, (*now.hypothesis.slots, slot), *at)
 
-        begins = [(promise.slot, here), (promise.slot, screen.around(promise.slot))]
-        costs = [cost(begin) for begin in begins]
-        for part in LESS:
-            if min(costs) > now.hypothesis.cost:
-                begins.append((_scaled(promise.slot, part), here))
-                costs.append(cost(begins[-1]))
-        slot, (theta, start) = begins[int(np.argmin(costs))]
-        found = fitting.fit(self.evidence, (*now.hypothesis.slots, slot), theta=theta, start=start, rival=rival)
-        return Explanation("effects", (*now.names, promise.candidate.key), found, promise.own)
+        def fitted(slot: Slot, at: tuple[Array, Array]) -> Explanation:
+            slots = (*now.hypothesis.slots, slot)
+            found = fitting.fit(self.evidence, slots, theta=at[0], start=at[1], rival=rival)
+            return Explanation("effects", (*now.names, promise.candidate.key), found, promise.own)
+
+        found = fitted(promise.slot, min((here, screen.around(promise.slot)), key=partial(cost, promise.slot)))
+        if found.hypothesis.cost <= now.hypothesis.cost:
+            return found
+        less = (_scaled(promise.slot, part) for part in LESS)
+        better = (fitted(slot, here) for slot in less if cost(slot, here) < now.hypothesis.cost)
+        return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
 
     def _released(self, now: Explanation, index: int, rival: float) -> Explanation:
         names = ((self.evidence.rig.names[index], ""),)
