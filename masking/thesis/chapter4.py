@@ -284,8 +284,8 @@ def _why_twin() -> str:
     return (
         "Each oscillator of the twin is recorded alone, the others held, with friction, hysteresis, its measured "
         "spring, noise and steps of the sensor; the linear model (4.13) is fitted to the record of 200 s. The filter "
-        "has the covariances of section 4.2.2 and begins 10 % off. The document fixed the others and found, as here, "
-        "the beam least linear."
+        "has the covariances of section 4.2.2 and begins 10 % off. In the document the beam is fitted worst, on the "
+        "twin the red oscillator, whose spring of Table B.4 bends most."
     )
 
 

@@ -33,8 +33,8 @@ def fig_9_2() -> Entry:
     truths = {100: 0.107, 200: 0.0067, 300: 4.1e-4, 350: 1.1e-4, 400: 3e-5}
     values = (
         *sum_peaks(motion, 10.0, truths),
-        time_value(motion, 350.0, "p. 57"),
-        Value("phase / pi at the end", float(mean_phase(motion.phase[-400:])[0] / np.pi), document=1.0, where="p. 57"),
+        time_value(motion, 350.0, "p. 54"),
+        Value("phase / pi at the end", float(mean_phase(motion.phase[-400:])[0] / np.pi), document=1.0, where="p. 54"),
         *on_rigs("huygens", ideal=400.0),
     )
     title = "Huygens' clocks, simulated"
@@ -52,8 +52,8 @@ def section_9_2() -> Entry:
         Value("sum / amplitude at last on the twin, our observer", last[0] / good.amplitude(0.02)),
         Value("sum / amplitude at last on the twin, the document's way", last[1] / bad.amplitude(0.02)),
         Value("demand over limit, 1 Hz and 1 degree", use["pendula"]),
-        Value("demand over limit, 5 Hz", use["pendula_fast"], document=2.75, where="p. 59"),
-        Value("demand over limit, 45 degrees", use["pendula_wide"], document=2.50, where="p. 59"),
+        Value("demand over limit, 5 Hz", use["pendula_fast"], document=2.75, where="p. 56"),
+        Value("demand over limit, 45 degrees", use["pendula_wide"], document=2.50, where="p. 56"),
     )
     words = (
         "The document saw no synchronisation of the clocks on the rig and suspects cancellation errors and actuator "

@@ -18,8 +18,14 @@ from masking.thesis.kept import is_kept, kept
 
 PICTURES = Path("pictures") / "thesis"
 WORKERS = 2
-_VERDICTS: Final[tuple[Verdict, ...]] = ("agrees", "explained", "unexplained", "ours only")
-_MARKS: Final = {"agrees": "agrees", "explained": "explained", "unexplained": "**unexplained**", "ours only": ""}
+_VERDICTS: Final[tuple[Verdict, ...]] = ("agrees", "explained", "unexplained", "given", "ours only")
+_MARKS: Final = {
+    "agrees": "agrees",
+    "explained": "explained",
+    "unexplained": "**unexplained**",
+    "given": "given",
+    "ours only": "",
+}
 _INTRODUCTION = """# The source document, computed again
 
 Every figure and table of chapters 4, 5, 7, 8 and 9 of D.J. Rijlaarsdam, *Huygens Synchronization in Various Dynamical
@@ -33,7 +39,8 @@ document's experiments were done on a rig whose friction, hysteresis and noise i
 assumptions: experiments are to be compared in kind. *Independent* numbers were computed outside this project, with
 scipy's DOP853 at a relative tolerance of 1e-9. A number *agrees* within 2 %, or within 20 % where it is below 1e-3 and
 printed to one digit, unless its line says otherwise; where it does not, the difference is explained below its table,
-or marked **unexplained**. Ratios are ours over the document's, or over the independent number where the document has
+or marked **unexplained**. *Given* is what was made from the document's number, by a fit or as it is, so that it shows
+nothing by agreeing. Ratios are ours over the document's, or over the independent number where the document has
 none.
 """
 
@@ -215,7 +222,7 @@ def _summary(entries: Mapping[str, Entry]) -> str:
         rows.append((entry.number, entry.title, *(str(told[v] or "") for v in _VERDICTS)))
     whole = counts(entries.values())
     rows.append(("**all**", "", *(f"**{whole[v]}**" for v in _VERDICTS)))
-    return _table(("", "", "agree", "explained", "unexplained", "ours only"), rows)
+    return _table(("", "", "agree", "explained", "unexplained", "given", "ours only"), rows)
 
 
 def _reasons(values: Sequence[Value]) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 Kind = Literal["figure", "table", "slip"]
-Verdict = Literal["agrees", "explained", "unexplained", "ours only"]
+Verdict = Literal["agrees", "explained", "unexplained", "given", "ours only"]
 
 ILLEGIBLE: Final = "not legible in the text"
 CLOSE: Final = 0.02  # relative
@@ -26,6 +26,7 @@ class Value:
         independent: the same, computed outside this project; NaN where it was not.
         within: relative difference up to which it agrees; None for `CLOSE`, or `COARSE` for small numbers.
         why: they differ; "" where they agree, or where it is not known.
+        given: whether ours was made from the document's number, by a fit or as it is, so that it tells nothing.
     """
 
     what: str
@@ -35,6 +36,7 @@ class Value:
     independent: float = math.nan
     within: float | None = None
     why: str = ""
+    given: bool = False
 
     @property
     def ratio(self) -> float:
@@ -48,6 +50,8 @@ class Value:
         references = [x for x in (self.document, self.independent) if isinstance(x, float | int) and x == x]  # noqa: PLR0124  # NaN
         if not references:
             return "ours only"
+        if self.given:
+            return "given"
         if all(self._is_near(float(x)) for x in references):
             return "agrees"
         return "explained" if self.why else "unexplained"

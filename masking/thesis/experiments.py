@@ -124,6 +124,7 @@ def experiment(
             printed.alpha,
             printed.page,
             within=0.1,
+            given=True,
         ),
         Value("amplitude of the first at last, differing, on the twin", rough.amplitude),
         Value(
@@ -132,6 +133,7 @@ def experiment(
             printed.folded,
             printed.page,
             within=0.05,
+            given=True,
         ),
         Value("difference in frequency, % to either side", 100.0 * found.frequency),
         Value("over-compensation e1", found.e1),
@@ -142,7 +144,9 @@ def experiment(
         Value("decay of the in-phase mode, differing", found.decay),
         *extra,
     )
+    in_phase = "Oscillators that are alike are still in phase at the end, so that alpha is negative. "
     told = (
+        *((in_phase,) if plain.fit.alpha < 0.0 else ()),
         "The document explains unequal amplitudes by oscillators that are not identical. In the linearised system its "
         f"alpha and phase, a ratio of amplitudes of {printed.ratio:.3f}, are those of the anti-phase mode with "
         f"{found}. Such differences also make the in-phase mode decay at {found.decay:.4f} instead of "
@@ -158,7 +162,7 @@ def experiment(
 
 def _compared(printed: Printed, ended: Ended, which: str) -> list[Value]:
     where = printed.page
-    least = printed.least_eps * ended.amplitude
+    least, is_given = printed.least_eps * ended.amplitude, which.endswith(FITTED)
     small = ""
     if least > 0.5 * printed.eps:
         small = (
@@ -167,17 +171,18 @@ def _compared(printed: Printed, ended: Ended, which: str) -> list[Value]:
             f"{printed.eps / printed.least_eps:.2g}"
         )
     rows = [
-        Value(f"alpha, {which}, on the twin", ended.fit.alpha, printed.alpha, where, within=0.1),
+        Value(f"alpha, {which}, on the twin", ended.fit.alpha, printed.alpha, where, within=0.1, given=is_given),
         Value(
             f"eps, {which.removesuffix(FITTED)}, on the twin", ended.fit.eps, printed.eps, where, within=0.5, why=small
         ),
-        Value(f"phase / pi, {which}, on the twin", ended.phase, printed.folded, where, within=0.05),
+        Value(f"phase / pi, {which}, on the twin", ended.phase, printed.folded, where, within=0.05, given=is_given),
     ]
-    read = "the document reads its time off the picture, without a tolerance"
+    reached = math.isfinite(ended.time)
+    read = "the document reads its time off the picture, without a tolerance" if reached else ""
     if printed.time is not None:
         rows.append(
             Value(
-                f"tau from which the phase stays within 0.1 pi, {which.removesuffix(FITTED)}, on the twin",
+                f"tau from which the phase stays within 0.1 pi of its last, {which.removesuffix(FITTED)}, on the twin",
                 ended.time,
                 printed.time,
                 where,

@@ -129,7 +129,7 @@ def beam_sum() -> Entry:
     x3, mu, w, th = sp.symbols("x3 mu w th")
     x = x3  # of the third oscillator, which is the beam
     third = float(mu * (w**2 * (x - x3) + th * (x - x3) ** 3))
-    rows = (Value("a third term of the sum, with x3 - x3 = 0", third, independent=0.0, within=0.0),)
+    rows = (Value("a third term of the sum, with x3 - x3 = 0", third),)
     words = (
         "(7.4) and (7.7) sum over three oscillators; there are two, and Table 7.2 has no mu3, w_3 of an oscillator or "
         "th_3. Read literally, with the displacement x3 - x3, the third term vanishes; ours sums to two.",
@@ -153,7 +153,7 @@ def damping_entry() -> Entry:
                 f"fastest z3 with {what}",
                 float(best.x),
                 document=0.39,
-                where="p. 49",
+                where="p. 48",
                 why=f"w3 in rad/s makes the damping {si / w3:.4f} times as large, and the optimum so much smaller",
             )
         )
@@ -171,7 +171,14 @@ def reaction() -> Entry:
     forces = {"u3 - u1 - u2": -1.0, "u3 - u1 + u2": 1.0}
     total = {name: (1.0 + sign) / (m1 + m2 + m3) for name, sign in forces.items()}
     rows = tuple(
-        Value(f"centre of mass under an internal u2 = 1, with {name}", value, independent=0.0, within=0.0, why=why)
+        Value(
+            f"centre of mass under an internal u2 = 1, with {name}",
+            value,
+            independent=0.0,
+            within=0.0,
+            why=why,
+            given=not why,
+        )
         for (name, value), why in zip(
             total.items(), ("", "an actuator between oscillator and beam cannot move their centre of mass"), strict=True
         )
