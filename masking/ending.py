@@ -91,6 +91,8 @@ class Ending:
             "false_alarm": detector.false_alarm,
             "period": detector.period,
             "periods_needed": detector.needed / 2.0,
+            "memory": detector.memory,
+            "resolution": detector.resolution,
             "duration": detector.duration,
         }
 

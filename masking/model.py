@@ -98,6 +98,12 @@ class Model:
         """Return the coordinates whose oscillations are compared with each other."""
         return tuple(self.declaration.oscillators or self.declaration.coordinates)
 
+    @property
+    def is_autonomous(self) -> bool:
+        """Return whether its equations are without the time."""
+        e = self.equations
+        return not any(e.symbols.t in x.free_symbols for x in (*e.mass, *e.force, *e.rates))
+
     def with_parameters(self, **values: float) -> Model:
         """Return the model with other parameter values, in the declared units; nothing is recompiled."""
         changed = replace(self, overrides={**self.overrides, **values})

@@ -100,3 +100,11 @@ def test_what_has_no_exponent(declared, lorenz):
     empty = declared(inputs={"u": "force"}, outputs={"y": "2*u"})
     with pytest.raises(ModelError, match="it does not move"):
         largest_exponent(empty, 100.0)
+
+
+def test_a_motion_that_goes_off_is_not_chaotic(declared):
+    grows = declared(coordinates={"x": {"initial": 1.0}}, equations={"x''": "-x + 0.1*x'"})
+    found = largest_exponent(grows, 400.0)
+    assert found.value == pytest.approx(0.05, rel=1e-2)
+    assert (found.is_bounded, found.is_chaotic) == (False, False)
+    assert str(found).startswith("unbounded: the largest Lyapunov exponent is 0.05")

@@ -312,6 +312,30 @@ def test_the_transverse_exponent_is_that_of_floquet_on_an_orbit():
     assert np.sum(found.exponents) == pytest.approx(np.sum(across), rel=1e-3)
 
 
+MATHIEU = {
+    "coordinates": {"a": {"initial": 0.1}, "b": {"initial": 0.1}},
+    "equations": {f"{x}''": f"-(1 + 0.6*cos(2*t + 2))*{x} - 0.05*{x}'" for x in "ab"},
+}
+
+
+def test_the_transverse_exponent_of_a_driven_system_is_that_of_its_monodromy(declared):
+    def rates(t, y):
+        return [y[1], -(1 + 0.6 * np.cos(2 * t + 2)) * y[0] - 0.05 * y[1]]
+
+    columns = [solve_ivp(rates, (0, np.pi), v, rtol=1e-11, atol=1e-12).y[:, -1] for v in ([1, 0], [0, 1])]
+    truth = np.log(np.abs(np.linalg.eigvals(np.column_stack(columns))).max()) / np.pi
+    model = declared(**MATHIEU)
+    assert transverse(model, in_phase(model), duration=300.0, pieces=70).exponents[0] == pytest.approx(truth, abs=2e-3)
+
+
+def test_what_a_driven_system_has_not_is_refused(declared):
+    model = declared(**MATHIEU)
+    with pytest.raises(ModelError, match="the equations of test hold the time: they have no constant matrix"):
+        upsilon(model)
+    with pytest.raises(ModelError, match="the equations of test hold the time: orbits are looked for in autonomous"):
+        orbit(model, np.ones(4), np.pi)
+
+
 def test_the_anti_phase_manifold_of_systems_of_the_thesis_attracts():
     for name in ("discs_eccentric", "huygens"):
         model = load(name)

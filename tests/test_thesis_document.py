@@ -149,7 +149,7 @@ def test_differences_are_told_below_their_table():
     assert "*a|b*: it doubles." in text
     assert "![a title](pictures/thesis/fig_0.png)" in text
     assert "![" not in document.section(entry, pictured=False)
-    assert document.counts([entry]) == {"agrees": 0, "explained": 1, "unexplained": 1, "ours only": 0}
+    assert document.counts([entry]) == {"agrees": 0, "explained": 1, "unexplained": 1, "given": 0, "ours only": 0}
 
 
 def test_an_entry_is_kept_and_found_again(tmp_path, monkeypatch):
@@ -184,10 +184,11 @@ def test_verb_prints_an_entry(capsys):
     told = json.loads(capsys.readouterr().out)["entries"]["Table 8.4"]["values"]
     assert {v["verdict"] for v in told} == {"agrees"}
     assert cli.main(["thesis", "--only", "17.3"]) == 2
+    assert cli.main(["thesis", "--only", ""]) == 2
 
 
 def test_verb_says_how_much_agrees(tmp_path):
     made = verbs.thesis(only="Slip: (A.4)", out=tmp_path)
     assert str(made).startswith(
-        "1 figures, tables and slips: 1 numbers agree, 1 differ and are explained, 0 differ unexp"
+        "1 figures, tables and slips: 0 numbers agree, 1 differ and are explained, 0 differ unexp"
     )

@@ -161,6 +161,30 @@ def test_death_of_one_oscillator():
     assert synchronisation(T, *[np.cos(T) * np.exp(-T / 30)] * 2).dead == "each of them"
 
 
+def test_a_small_one_that_has_always_been_small_is_not_dead():
+    found = synchronisation(T, np.sin(T), -0.02 * np.sin(T))
+    assert (found.kind, found.alpha) == ("anti-phase", pytest.approx(50.0, rel=1e-3))
+    silent = synchronisation(T, np.sin(T), 1e-3 * np.random.default_rng(0).standard_normal(len(T)))
+    assert silent.dead == "b"
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_frequencies_that_differ_a_little_are_no_lock_in_noise(noise):
+    # 0.2 to 3 rad of turn over 500 units of time.
+    rng = np.random.default_rng(11)
+    for apart in np.linspace(0.2, 3.0, 25) / 500.0:
+        t = np.linspace(0.0, 500.0, 8000)
+        a, b = np.sin(t), np.sin((1.0 + apart) * t + rng.uniform(0.0, 6.0))
+        found = synchronisation(t, *(x + noise * rng.standard_normal(len(t)) for x in (a, b)))
+        assert not found.is_synchronised
+
+
+@pytest.mark.parametrize("wrong", [{"eps": -1.0}, {"fraction": 0.0}, {"fraction": 2.0}])
+def test_settings_out_of_range(wrong):
+    with pytest.raises(RecordError, match="eps is positive, fraction above 0 and at most 1"):
+        synchronisation(T, np.sin(T), np.sin(T), **wrong)
+
+
 def test_the_time_of_definition_8_1():
     # |g| = |a + b| = 2 exp(-t/50) |cos t|, whose envelope falls to 0.05 of the amplitude of a at 50 ln(2/0.05).
     s = np.exp(-T / 50)

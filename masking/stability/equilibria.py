@@ -125,7 +125,7 @@ class _Rest:
         e = model.equations
         if model.states:
             raise ModelError(f"{model.name} has internal states, for which equilibria are not looked for")
-        if e.symbols.t in sp.Matrix([*e.mass, *e.force]).free_symbols:
+        if not model.is_autonomous:
             raise ModelError(f"the equations of {model.name} hold the time: it has no equilibria")
         self.model, self.q = model, e.symbols.q
         still = dict.fromkeys((*e.symbols.v, *e.symbols.u), 0)

@@ -24,6 +24,7 @@ INTERVALS = 2000  # that the record is cut into where no length is given
 _BATCHES = 20  # of which the spread tells the error
 _GROWTH = 10.0  # e-folds in the second half; the tangent of a regular motion grows by 2 there, as t does
 _SURE = 3.0  # standard errors
+_OFF = 0.3  # of the e-folds by which neighbours part, those by which an unbounded motion grows
 
 
 @dataclass(frozen=True)
@@ -35,18 +36,28 @@ class Exponent:
         error: standard error of the mean, from batches of the record.
         times: end of each interval (m,), after the transient, unit of the model's time.
         growth: log |w| gained in each interval (m,).
+        spread: log |y| gained in the second half of the record, by the motion itself.
     """
 
     value: float
     error: float
     times: Array
     growth: Array
+    spread: float
+
+    @property
+    def _late(self) -> float:
+        return float(np.sum(self.growth[len(self.growth) // 2 :]))
+
+    @property
+    def is_bounded(self) -> bool:
+        """Tell whether the motion does not go off as its neighbours do."""
+        return self.spread < max(1.0, _OFF * self._late)
 
     @property
     def is_chaotic(self) -> bool:
-        """Tell whether nearby motions part exponentially: further than regular ones do, and surely."""
-        late = float(np.sum(self.growth[len(self.growth) // 2 :]))
-        return late > _GROWTH and self.value > _SURE * self.error
+        """Tell whether nearby motions part exponentially: further than regular ones do, and surely, yet go nowhere."""
+        return self._late > _GROWTH and self.value > _SURE * self.error and self.is_bounded
 
     @property
     def running(self) -> Array:
@@ -55,7 +66,7 @@ class Exponent:
         return np.asarray(np.cumsum(self.growth) / np.cumsum(lengths))
 
     def __str__(self) -> str:
-        kind = "chaotic" if self.is_chaotic else "not chaotic"
+        kind = "chaotic" if self.is_chaotic else "not chaotic" if self.is_bounded else "unbounded"
         return f"{kind}: the largest Lyapunov exponent is {self.value:.4g} +- {self.error:.2g}"
 
 
@@ -97,10 +108,12 @@ def largest_exponent(
     w: Array = np.array([[1.0 + 0.1 * i] for i in range(made.size)]) / math.sqrt(made.size or 1)
     before, count = math.ceil(transient / step), round(duration / step)
     growth: Array = np.empty(before + count)
+    sizes = np.empty(before + count)
     for i in range(before + count):
         y, w = made.along((i * step, (i + 1) * step), y, w, u=inputs, tolerance=tolerance)
         length = float(np.linalg.norm(w))
         growth[i] = math.log(length) if length > 0.0 else -math.inf
+        sizes[i] = np.linalg.norm(y)
         w /= length or 1.0
         if progress is not None and i % 100 == 0:
             progress(i / (before + count))
@@ -108,4 +121,6 @@ def largest_exponent(
     rates = np.array([float(np.mean(part)) for part in np.array_split(kept, _BATCHES)]) / step
     error = float(np.std(rates, ddof=1) / math.sqrt(_BATCHES))
     times: Array = step * np.arange(before + 1.0, before + count + 1.0)
-    return Exponent(float(np.mean(kept)) / step, error, times, kept)
+    quarter = np.array_split(np.maximum(sizes[before:], 1e-300), 4)
+    spread = math.log(float(np.max(quarter[3])) / float(np.max(quarter[1])))
+    return Exponent(float(np.mean(kept)) / step, error, times, kept, spread)

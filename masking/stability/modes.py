@@ -92,8 +92,13 @@ def state_matrix(model: Model, at: Mapping[str, float] | None = None) -> Array:
         at: values of coordinates, velocities (`x1'`) and internal states, in the same; 0 where not given.
 
     Raises:
-        ModelError: there is no such state.
+        ModelError: there is no such state, or the equations hold the time.
     """
+    if not model.is_autonomous:
+        raise ModelError(
+            f"the equations of {model.name} hold the time: they have no constant matrix; for its motions there are "
+            "masking.stability.transverse and masking.stability.lyapunov"
+        )
     lowered = LoweredEquations.of(model.equations, Graph())
     graph, s = lowered.graph, model.equations.symbols
     states = (*s.q, *s.v, *s.s)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.errors import IntegrationError
+from masking.errors import IntegrationError, ModelError
 from masking.kernels import Array
 from masking.model import Model
 from masking.stability.variational import Variational
@@ -64,8 +64,14 @@ def orbit(model: Model, state: Array, period: float, tolerance: float = 1e-12) -
         tolerance: local relative error of integration.
 
     Raises:
+        ModelError: the equations hold the time, whose period cannot be changed.
         IntegrationError: no orbit is found near the guess.
     """
+    if not model.is_autonomous:
+        raise ModelError(
+            f"the equations of {model.name} hold the time: orbits are looked for in autonomous models; make the drive "
+            "two states of the model"
+        )
     made = Variational(model)
     y, time = np.array(state, dtype=float), float(period)
     rate = np.empty(made.size)

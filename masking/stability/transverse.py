@@ -80,7 +80,7 @@ def transverse(
     if model.states:
         raise ModelError(f"{model.name} has internal states; transverse exponents are for models without")
     n, rows = len(model.coordinates), np.atleast_2d(np.asarray(forms, dtype=float))
-    if rows.shape[1] != n:
+    if rows.ndim != 2 or rows.shape[1] != n:
         raise ModelError(f"forms of {n} coordinates have {n} columns; got shape {rows.shape}")
     across, _ = np.linalg.qr(np.kron(np.eye(2), rows).T)
     along = np.eye(2 * n) - across @ across.T
@@ -90,7 +90,7 @@ def transverse(
     frame = np.eye(across.shape[1])
     logs = np.zeros((pieces, across.shape[1]))
     for piece in range(pieces):
-        y, phi = made.flow(y, step, tolerance)
+        y, phi = made.flow(y, step, tolerance, begin=piece * step)
         y = along @ y
         frame, upper = np.linalg.qr(across.T @ phi @ across @ frame)
         with np.errstate(divide="ignore"):

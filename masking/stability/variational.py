@@ -107,13 +107,16 @@ class Variational:
         last = run.states[-1]
         return last[: self.size].copy(), last[self.size :].reshape(self.size, self.columns).copy()
 
-    def flow(self, state: Array, duration: float, tolerance: float = 1e-12) -> tuple[Array, Array]:
+    def flow(
+        self, state: Array, duration: float, tolerance: float = 1e-12, *, begin: float = 0.0
+    ) -> tuple[Array, Array]:
         """Return the state after a time, and its derivatives with respect to the first one.
 
         Args:
             state: y (size,), in SI units or in the model's scales.
             duration: in the same.
             tolerance: local relative error of a step.
+            begin: the first time.
 
         Returns:
             y (size,) and Phi (size, size).
@@ -121,4 +124,4 @@ class Variational:
         Raises:
             IntegrationError: the integrator could not go on.
         """
-        return self.along((0.0, duration), state, np.eye(self.size), tolerance=tolerance)
+        return self.along((begin, begin + duration), state, np.eye(self.size), tolerance=tolerance)

@@ -28,10 +28,13 @@ _LEAST_PERIODS: Final = 5  # of the slower oscillator in the end that is looked 
 _LARGEST: Final = 5  # n and m of a lock
 _ASIDE: Final = 0.02  # relative, how far n times one frequency may be from m times the other to be tried
 _NEAR: Final = 0.1 * math.pi  # how near to 0 or pi counts as in-phase or anti-phase
-_AT_REST: Final = 0.03  # of the other's size: below this an oscillator has died
+_AT_REST: Final = 0.03  # of the other's size: below this an oscillator has died, if it was larger before
+_FADED: Final = 5.0  # times its rms at the end, what it has been at most; sqrt(2) is that of a steady one
 _STEADY: Final = 0.9  # length of the mean unit vector of a phase that is locked
 _TURN: Final = 0.1  # rad, by which a locked phase may drift over the end of the record
+_PARTS: Final = 10  # of a record, in each of which a phase is averaged against noise
 _STRAIGHT: Final = 0.1  # of its whole drift, what a phase that drifts all along may stray from a line
+_SURE: Final = 3.0  # times what it strays, that a drift must be to be no chance
 _REGULAR: Final = 0.5  # rad, by which the phase of a regular oscillation strays from a line
 _SLOW: Final = 0.3  # of the mean frequency: a difference of two that is still heard as a beat
 _DEPTH: Final = 0.3  # rms of the exchange of power, relative, in a beat
@@ -111,7 +114,8 @@ def synchronisation(
     """Say in which way two oscillators are synchronised at the end of a record.
 
     They are locked n:m where n arg A - m arg B neither spreads nor drifts (Pikovsky, Rosenblum and Kurths,
-    Synchronization (2001), section 3.2.4); a phase that drifts evenly over the whole record is no lock, however slowly.
+    Synchronization (2001), section 3.2.4). A phase that drifts evenly over the whole record, by more than 0.1 rad and
+    more than its noise makes, is no lock, however slowly.
 
     Args:
         t: time (samples,), strictly increasing, any unit.
@@ -122,8 +126,11 @@ def synchronisation(
         names: of the two, for the sentence.
 
     Raises:
-        RecordError: the series do not fit each other, are not finite or shorter than 16 samples.
+        RecordError: the series do not fit each other, are not finite or shorter than 16 samples; `eps` is not positive
+            or `fraction` no part.
     """
+    if not (eps > 0.0 and 0.0 < fraction <= 1.0):
+        raise RecordError(f"eps is {eps:g} and fraction {fraction:g}; eps is positive, fraction above 0 and at most 1")
     t, a, b = _checked(t, a, b)
     tail = t >= t[-1] - fraction * (t[-1] - t[0])
     longest = max((p for p in (period(t, a), period(t, b)) if math.isfinite(p)), default=0.0)
@@ -136,19 +143,23 @@ def synchronisation(
     nothing = Synchronisation("not synchronised", names, periods, start=start)
     if longest == 0.0:  # neither has three periods
         return nothing
-    if min(sizes) <= _AT_REST * max(sizes) or max(sizes) <= _AT_REST**2 * largest:
-        both = max(sizes) <= _AT_REST**2 * largest
-        dead = "each of them" if both else names[int(sizes[1] < sizes[0])]
-        return replace(nothing, kind="death", dead=dead)
+    both, least = max(sizes) <= _AT_REST**2 * largest, int(sizes[1] < sizes[0])
+    death = replace(nothing, kind="death", dead="each of them" if both else names[least])
+    is_quiet = min(sizes) <= _AT_REST * max(sizes)
+    # What has always been as small beside the other may be driven by it, or be in another unit.
+    if both or (is_quiet and float(np.abs(about_drift((a, b)[least])).max()) > _FADED * min(sizes)):
+        return death
     try:
         signals = (analytic_signal(a), analytic_signal(b))
     except RecordError:  # fewer than three periods
-        return nothing
+        return death if is_quiet else nothing
     phases = tuple(_phase(t, x, whole) for x, whole in zip(signals, periods, strict=True))
     for ratio in _ratios(t, phases, tail):
         found = _lock(t, phases, tail, ratio)
         if found is not None:
             return _told(t[tail], ends, found, nothing, _Record(t, signals, tail, eps))
+    if is_quiet:
+        return death
     beat = _beat(t, signals)
     steady = mean_phase((phases[0] - phases[1])[tail])[1]
     kind: Kind = "beating" if math.isfinite(beat) else "not synchronised"
@@ -200,16 +211,35 @@ def _lock(t: Series, phases: tuple[Series, ...], tail: Series, ratio: tuple[int,
     """Return the lock n:m, None where the phases are not locked so."""
     n, m = ratio
     difference = n * phases[0] - m * phases[1]
-    end, last = difference[tail], t[tail]
-    slope, _ = _line(last, end)
-    _, steady = mean_phase(end)
-    allowed = _TURN * max(n, m)
-    if steady < _STEADY or abs(slope) * (last[-1] - last[0]) > allowed:
-        return None
-    whole, stray = _line(t, difference)
-    turn = abs(whole) * (t[-1] - t[0])
-    is_even = abs(slope - whole) <= 0.5 * abs(whole) and stray <= _STRAIGHT * turn
-    return None if turn > allowed and is_even else _Lock(ratio, difference, steady)
+    _, steady = mean_phase(difference[tail])
+    late, whole = _Turn.of(t[tail], difference[tail]), _Turn.of(t, difference)
+    turns = late.is_sure and late.size > _TURN * max(n, m)
+    # A phase that goes on evenly over the whole record is that of two frequencies.
+    is_even = whole.is_sure and whole.size > _TURN and whole.stray <= _STRAIGHT * whole.size + whole.noise
+    return None if steady < _STEADY or turns or is_even else _Lock(ratio, difference, steady)
+
+
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """By how much a phase turns along a line, what its means over parts stray from that, and its noise there, rad."""
+
+    size: float
+    stray: float
+    noise: float
+
+    @classmethod
+    def of(cls, t: Series, phase: Series) -> _Turn:
+        """Look at a phase in parts, in each of which it is averaged."""
+        parts = np.array_split(np.arange(len(t)), _PARTS)
+        times, means = (np.array([np.mean(x[part]) for part in parts]) for x in (t, phase))
+        slope, stray = _line(times, means)
+        noise = float(np.median([np.std(phase[part] - slope * (t[part] - np.mean(t[part]))) for part in parts]))
+        return cls(abs(slope) * float(t[-1] - t[0]), stray, noise)
+
+    @property
+    def is_sure(self) -> bool:
+        """Tell whether it turns by more than chance."""
+        return self.size > _SURE * self.stray
 
 
 def _line(t: Series, phase: Series) -> tuple[float, float]:

@@ -79,6 +79,8 @@ def chosen(only: str | None) -> tuple[str, ...]:
     """
     if only is None:
         return tuple(ENTRIES)
+    if not only.strip():
+        raise DeclarationError(Problem(None, "--only", "it is empty", "name a figure or table, such as 7.2"))
     exact = tuple(n for n in ENTRIES if only.lower() in {n.lower(), n.lower().split(" ", 1)[1]})
     found = exact or tuple(n for n in ENTRIES if only.lower() in n.lower())
     if not found:
