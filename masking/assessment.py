@@ -12,7 +12,8 @@ from masking.declaration import catalogue
 from masking.errors import DeclarationError, Problem
 from masking.experiment import Experiment
 from masking.loop import rig_state
-from masking.model import load_model
+from masking.model import Model, load_model
+from masking.stability.lyapunov import largest_exponent
 from masking.stability.study import LoopModes, Stability, loop_modes, study
 
 KINDS = ("model", "experiment")
@@ -24,6 +25,7 @@ def assess(
     kind: str | None = None,
     changes: Mapping[str, float] | None = None,
     box: Mapping[str, tuple[float, float]] | None = None,
+    exponent: float | None = None,
     tell: Callable[[str, float], None] | None = None,
 ) -> Stability:
     """Find the equilibria and modes of a system, and what its energy proves of all its motions.
@@ -34,6 +36,8 @@ def assess(
         kind: 'model' or 'experiment', where a name stands for both; by default the model.
         changes: parameters that replace the declared ones, in the declared units.
         box: where equilibria are looked for, by coordinate, in the scales of the system, or in SI units.
+        exponent: time over which the largest Lyapunov exponent of the motion from the initial state is found, in the
+            scales of the system, or in s; it is not where none is given.
         tell: called with what is done, and the part done.
 
     Raises:
@@ -46,14 +50,25 @@ def assess(
         raise DeclarationError(Problem(None, "", message, "name a model or an experiment"))
     if kind == "model":
         model = load_model(name_or_path).with_parameters(**(changes or {}))
-        return study(model.dimensionless() if model.declaration.scales else model, box)
+        model = model.dimensionless() if model.declaration.scales else model
+        return _with_exponent(study(model, box), model, exponent, tell)
     experiment = Experiment.load(name_or_path, changes=changes)
-    found = study(experiment.virtual, box)
+    found = _with_exponent(study(experiment.virtual, box), experiment.virtual, exponent, tell)
     if found.rest is None or not found.rest.points:
         return found
     if tell is not None:
         tell("compiling the closed loop", 0.5)
     return replace(found, loop=_loop(experiment, found))
+
+
+def _with_exponent(
+    found: Stability, model: Model, duration: float | None, tell: Callable[[str, float], None] | None
+) -> Stability:
+    """Return what was found with the largest Lyapunov exponent, where a time is given."""
+    if duration is None:
+        return found
+    progress = None if tell is None else lambda part: tell("following the motion", part)
+    return replace(found, exponent=largest_exponent(model, duration, progress=progress))
 
 
 def _loop(experiment: Experiment, found: Stability) -> LoopModes:

@@ -400,6 +400,17 @@ def test_the_closed_loop_has_the_eigenvalues_of_the_virtual_system(capsys, tmp_p
         assert np.min(np.abs(truth - complex(real, imaginary))) < 1e-9
 
 
+def test_the_verb_tells_whether_a_motion_is_chaotic(capsys, tmp_path):
+    # Of Ueda's oscillator, 0.102 per unit of time: Sprott, Chaos and Time-Series Analysis (2003), table A.3.
+    ueda = tmp_path / "ueda.yaml"
+    ueda.write_text("name: Ueda\ncoordinates: {x: {initial: 2.5}}\nequations: {x'': -0.05*x' - x**3 + 7.5*sin(t)}\n")
+    arguments = ["stability", str(ueda), "--exponent", "2000", "--out", str(tmp_path / "out")]
+    assert cli.main([*arguments, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["exponent"]
+    assert (told["chaotic"], told["bounded"]) == (True, True)
+    assert told["value"] == pytest.approx(0.102, abs=3.0 * told["error"])
+
+
 def test_parameters_and_boxes_of_the_verb(capsys, tmp_path):
     numbers = tmp_path / "numbers.json"
     arguments = ("stability", "duffing", "--json", numbers, "--set", "z3=0.1", "--box", "x1=-2:2", "--out", tmp_path)

@@ -22,6 +22,8 @@ def add_stability(found: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     text = "look for equilibria with this coordinate between LOW and HIGH"
     sub.add_argument("--box", metavar="NAME=LOW:HIGH", action="append", default=[], help=text)
+    text = "find the largest Lyapunov exponent of the motion from the initial state over this time: is it chaotic?"
+    sub.add_argument("--exponent", metavar="TIME", type=float, help=text)
     sub.add_argument("--out", metavar="DIR", help="where to save (default: results/NAME_stability)")
     text = "print JSON, or write it to a file; give it after MODEL_OR_EXPERIMENT"
     sub.add_argument("--json", metavar="FILE", nargs="?", const=True, default=False, help=text)
@@ -37,7 +39,8 @@ def _stability(chosen: argparse.Namespace) -> int:
     box = {name: (numbers[0], numbers[1]) for name, numbers in (_numbers("--box", text, 2) for text in chosen.box)}
     raise_interrupts()
     with Bar("deriving") as bar:
-        found = verbs.stability(chosen.name, kind=chosen.kind, changes=changes, box=box, out=out, tell=bar.tell)
+        settings = {"kind": chosen.kind, "changes": changes, "box": box, "exponent": chosen.exponent}
+        found = verbs.stability(chosen.name, **settings, out=out, tell=bar.tell)
     told = json.dumps(found.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
     if chosen.json is True:
         print(told)

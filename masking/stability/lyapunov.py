@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -64,6 +65,10 @@ class Exponent:
         """Return the estimate after each interval (m,)."""
         lengths = np.diff(self.times, prepend=2.0 * self.times[0] - self.times[1])
         return np.asarray(np.cumsum(self.growth) / np.cumsum(lengths))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the exponent as JSON can hold it."""
+        return {"value": self.value, "error": self.error, "chaotic": self.is_chaotic, "bounded": self.is_bounded}
 
     def __str__(self) -> str:
         kind = "chaotic" if self.is_chaotic else "not chaotic" if self.is_bounded else "unbounded"

@@ -81,6 +81,8 @@ def _page(found: Stability, drawn: Sequence[drawing.Plate], images: dict[str, by
         tiles.append(
             markup.tile("equilibria", str(len(found.rest.points)), "" if found.rest.is_complete else "or more")
         )
+    if found.exponent is not None:
+        tiles.append(markup.tile("largest Lyapunov exponent", f"{found.exponent.value:.4g}"))
     if found.upsilon is not None and np.isfinite(found.upsilon):
         tiles.append(markup.tile("upsilon (8.13)", f"{found.upsilon:.4g}"))
     if found.loop is not None:

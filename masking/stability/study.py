@@ -13,6 +13,7 @@ from masking.kernels import Array
 from masking.model import Model
 from masking.stability.certificate import Certificate, certificate
 from masking.stability.equilibria import Box, Equilibria, Equilibrium, equilibria
+from masking.stability.lyapunov import Exponent
 from masking.stability.modes import Complex, Driven, Mode, Modes, loop_matrix, modes, state_matrix, upsilon
 
 
@@ -43,6 +44,7 @@ class Stability:
         certificate: what the energy proves.
         loop: eigenvalues of the closed loop of an experiment; None for a model.
         untold: why there is less than that.
+        exponent: the largest Lyapunov exponent of the motion from the declared initial state; None where not asked for.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Stability:
     certificate: Certificate
     loop: LoopModes | None = None
     untold: str = ""
+    exponent: Exponent | None = None
 
     @property
     def points(self) -> tuple[tuple[Equilibrium, Modes], ...]:
@@ -67,6 +70,8 @@ class Stability:
             lines += [f"    {mode_words(mode)}" for mode in found.modes]
         if self.upsilon is not None:
             lines.append(f"upsilon = {self.upsilon:.4g}, 1/|Re| of the slowest eigenvalue of the sum (8.13)")
+        if self.exponent is not None:
+            lines.append(f"motion from the initial state: {self.exponent}")
         if self.loop is not None:
             lines.append(f"closed loop: its eigenvalues are the virtual system's within {self.loop.distance:.1e}")
         return "\n".join([*lines, "", "energy certificate", str(self.certificate)])
@@ -86,6 +91,7 @@ class Stability:
             },
             "untold": self.untold,
             "upsilon": self.upsilon if self.upsilon is None or math.isfinite(self.upsilon) else None,
+            "exponent": self.exponent and self.exponent.as_dict(),
             "certificate": self.certificate.as_dict(),
             "loop": None
             if self.loop is None
