@@ -287,3 +287,20 @@ def test_negative_damping_of_an_oscillator_is_refuted():
     found = certificate(changed)
     assert found.status == "refuted"
     assert found.dissipation.growth > 0.0
+
+
+@pytest.mark.parametrize(("damping", "drift"), [(0.0, 1.0), (0.1, 3.0)])
+def test_an_energy_that_holds_the_time_is_refused(declared, damping, drift):
+    """V = (x'^2 + x^2)/2 + drift t grows at rest, where x = x' = 0 and V' = drift > 0."""
+    found = certificate(
+        declared(
+            coordinates={"x": {"initial": 0.5}},
+            equations={"x''": f"-x - {damping}*x'"},
+            energy=f"(x'**2 + x**2)/2 + {drift}*t",
+        )
+    )
+    assert found.status == "open"
+    assert found.invariant is None
+    assert "the energy of test, " in found.conclusion
+    assert "holds the time t" in found.conclusion
+    assert "declare 'energy:' as a function of coordinates and velocities alone" in found.conclusion
