@@ -304,3 +304,39 @@ def test_an_energy_that_holds_the_time_is_refused(declared, damping, drift):
     assert "the energy of test, " in found.conclusion
     assert "holds the time t" in found.conclusion
     assert "declare 'energy:' as a function of coordinates and velocities alone" in found.conclusion
+
+
+def test_a_factor_of_parameters_that_is_zero_leaves_no_equilibrium_out(declared):
+    """x'' = -(ka - kb) sin x - d x': where ka = kb nothing pulls, and every x is an equilibrium."""
+    parts = {
+        "coordinates": {"x": {"initial": 0.5}},
+        "equations": {"x''": "-(ka - kb)*sin(x) - d*x'"},
+        "energy": "x'**2/2 + (ka - kb)*(1 - cos(x))",
+    }
+    values = {"ka": {"value": 1}, "kb": {"value": 1}, "d": {"value": 0.1}}
+    free = certificate(declared(parameters=values, **parts))
+    assert free.others is None
+    assert free.conclusion == "every motion converges to the set of equilibria"
+    assert "The equilibria are not isolated: every x is one." in free.reasons
+    assert "ka - kb = 0" in free.hypotheses
+    pulled = certificate(declared(parameters=values | {"ka": {"value": 2}}, **parts))
+    assert {p.position["x"] for p in pulled.others} == {"0", "pi"}
+    assert "ka - kb != 0" in pulled.hypotheses
+
+
+def test_pendula_that_swing_beside_a_body_at_rest_are_not_tied(declared):
+    """Where z = 0 stays, x'' = -sin x and y'' = -sin y go on for ever, each alone: nothing ties x to y."""
+    model = declared(
+        coordinates={"x": {"initial": 0.5}, "y": {"initial": 0.2}, "z": {"initial": 0}},
+        parameters={"d": {"value": 0.1}},
+        equations={
+            "x''": "-sin(x) - z**2*cos(x)/2",
+            "y''": "-sin(y) - z**2*cos(y)/2",
+            "z''": "-z*(sin(x) + sin(y)) - d*z'",
+        },
+        energy="(x'**2 + y'**2 + z'**2)/2 - cos(x) - cos(y) + z**2*(sin(x) + sin(y))/2",
+    )
+    found = certificate(model)
+    assert found.dissipation.status == "proved"
+    assert not found.invariant.is_found
+    assert found.conclusion.endswith("converges to the largest invariant set on which V' = 0")

@@ -31,6 +31,10 @@ _MOST_POINTS = 64
 _CLOSE = 1e-10  # of the largest coordinate: nearer to a relation than this, an equilibrium belongs to a family
 
 
+class NotIsolatedError(ModelError):
+    """Equilibria are whole curves or surfaces, so that no list holds them."""
+
+
 @dataclass(frozen=True)
 class RestPoint:
     """An equilibrium outside of the families: its coordinates as texts, and what is known of its stability."""
@@ -192,8 +196,8 @@ def _conclusion(
     if not found.equilibria or others == ():
         return f"{who} converges to {sets}", ()
     if others is None:
-        rest = f"{sets} or to an equilibrium" if sets else "an equilibrium"
-        return f"{who} converges to {rest}", ("Which equilibria there are is open.",)
+        rest = f"the equilibria and {sets}, taken together" if sets else "the set of equilibria"
+        return f"{who} converges to {rest}", ("There is no complete list of the equilibria.",)
     if not sets:
         return f"{who} converges to one of {len(others)} equilibria" if len(others) > 1 else (
             f"{who} converges to the equilibrium {others[0]}"
@@ -211,7 +215,10 @@ def _others(motion: Motion, found: InvariantSet) -> tuple[tuple[RestPoint, ...] 
     """Return the equilibria outside of the families, and how they were found; None where that is open."""
     if not found.is_found or not found.equilibria:
         return (None if not found.is_found else ()), ()
-    exact = rest_points(motion, found.known)
+    try:
+        exact = rest_points(motion, found.known)
+    except NotIsolatedError as error:
+        return None, (f"{error}.",)
     if exact is not None:
         outside = [p for p in exact if not any(_is_in(family, p, motion) for family in found.families)]
         return tuple(_exact_point(motion, p) for p in outside), ()
@@ -240,9 +247,14 @@ def rest_points(motion: Motion, known: dict[sp.Symbol, sp.Expr]) -> tuple[dict[s
     Args:
         motion: the equations.
         known: values of coordinates that hold at all of them.
+
+    Raises:
+        NotIsolatedError: at the declared values, equilibria are whole curves.
     """
     try:
         return _branch([e.subs(known) for e in motion.at_rest], dict(known), motion)
+    except NotIsolatedError:
+        raise
     except ModelError:
         return None
 
@@ -257,16 +269,22 @@ def _branch(
         return ()
     for equation in fixed:  # of parameters alone, and true at their declared values
         motion.given.suppose(f"{equation} = 0")
-    pending = [e for e in pending if e not in fixed]
+    pending = [e for e in pending if e not in fixed and not _is_void(e, unknown, motion)]
     if not pending:
         if unknown:
-            raise ModelError("equilibria are not isolated")
+            some = ", ".join(f"{q} = {x}" for q, x in values.items())
+            every = ", ".join(map(str, unknown))
+            where = f" with {some}" if some else ""
+            raise NotIsolatedError(f"The equilibria are not isolated: every {every}{where} is one")
         return (values,)
     pending.sort(key=sp.count_ops)
     for equation in pending:
-        parts = [f for f in sp.Mul.make_args(sp.factor(equation)) if f.free_symbols & {*unknown}]
+        factors = sp.Mul.make_args(sp.factor(equation))
+        parts = [f for f in factors if f.free_symbols & {*unknown}]
         options = [_solved(f, unknown, motion) for f in parts]
         if all(option is not None for option in options):
+            if not all(motion.given.is_nonzero(f) for f in factors if f not in parts):
+                raise ModelError(f"{equation} = 0 may hold whatever the coordinates are")
             found: dict[tuple[tuple[str, str], ...], dict[sp.Symbol, sp.Expr]] = {}
             for option in options:
                 for q, value in option or ():
@@ -274,6 +292,15 @@ def _branch(
                         found[tuple(sorted((str(a), str(b)) for a, b in point.items()))] = point
             return tuple(found.values())
     raise ModelError("no factor can be solved")
+
+
+def _is_void(equation: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> bool:
+    """Tell whether a factor of parameters is 0 at declared values, so that the equation says nothing."""
+    for factor in sp.Mul.make_args(sp.factor(equation)):
+        if not factor.free_symbols & {*unknown} and motion.given.at_values(factor) == 0:
+            motion.given.suppose(f"{factor} = 0")
+            return True
+    return False
 
 
 def _solved(factor: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> list[tuple[sp.Symbol, sp.Expr]] | None:

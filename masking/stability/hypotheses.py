@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 else:
     sp = lazy.load("sympy")
 
+_DISTINCT = 1e-20  # a number that is no fraction is told from 0 by 30 digits
+
 
 @dataclass
 class Hypotheses:
@@ -127,7 +129,7 @@ class Hypotheses:
         if self.sign(expression) in {1, -1}:
             return True
         value = self.at_values(expression)
-        if not value.is_number or value == 0:
+        if not value.is_number or not (value if value.is_Rational else abs(sp.N(value, 30)) > _DISTINCT):
             return False
         for factor, _ in factors(expression):
             if self.sign(factor) is None:

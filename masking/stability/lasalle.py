@@ -259,7 +259,7 @@ class _Elimination:
         k = sp.Symbol("K", real=True)
         if _is_affine(relation, (r1, r2)) and not self.given.is_nonzero(sp.diff(relation, r2)):
             raise _OpenError(f"{relation} = 0 does not give {r2}")
-        for tied in _linear_relations(relation, r1, r2, k, self.motion.circles):
+        for tied in _linear_relations(relation, r1, r2, k, self.motion):
             self._along(tied, r1, r2, left, constants)
 
     def _single_constants(self) -> Iterator[tuple[sp.Symbol, sp.Symbol]]:
@@ -291,6 +291,8 @@ class _Elimination:
         if total == 0:
             return None
         factor, total = total.as_independent(*pair, as_Add=False)
+        if not self.given.is_nonzero(factor):
+            raise _OpenError(f"{relation} = 0 may hold because {factor} = 0")
         constant = normal(constant / factor)
         told = solve_constants([constant], constants, self.given)
         if told.values is None:
@@ -390,9 +392,7 @@ def _free_constant(expression: sp.Expr) -> list[sp.Symbol]:
     return [s for s in expression.free_symbols if s.name == "K"]
 
 
-def _linear_relations(
-    relation: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, k: sp.Symbol, circles: Sequence[sp.Symbol]
-) -> list[sp.Expr]:
+def _linear_relations(relation: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, k: sp.Symbol, motion: Motion) -> list[sp.Expr]:
     """Return what r2 may be, as linear functions of r1.
 
     An affine relation gives r2 = K + sigma r1 with a new constant K; a product of sines, by the third rule, one
@@ -407,9 +407,11 @@ def _linear_relations(
     found: list[sp.Expr] = []
     for factor in sp.Mul.make_args(sp.factor_terms(product)):
         if not factor.free_symbols & {r1, r2}:
+            if not motion.given.is_nonzero(factor):
+                raise _OpenError(f"{relation} = 0 may hold because {factor} = 0")
             continue
         inner = factor.args[0] if factor.func in {sp.sin, sp.cos} else None
-        if inner is None or not _is_affine(inner, (r1, r2)) or {r1, r2} - {*circles}:
+        if inner is None or not _is_affine(inner, (r1, r2)) or {r1, r2} - {*motion.circles}:
             raise _OpenError(f"{relation} = 0 gives no linear relation of {r1} and {r2}")
         by = sp.diff(inner, r2)
         step = sp.Abs(sp.pi / by)
