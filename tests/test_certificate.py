@@ -208,10 +208,10 @@ def test_interval_arithmetic_proves_a_box_and_says_no_more(declared):
         equations={"x''": "-x - b*(1 - x**2)*x'"},
         energy="(x'**2 + x**2)/2",
     )
-    found = certificate(model, {"x": (-0.9, 0.9), "x'": (-2.0, 2.0)})
+    found = certificate(model, {"x": (-0.9, 0.9), "x'": (-1.0, 2.0)})
     assert found.dissipation.status == "proved"
     assert found.dissipation.method == "interval arithmetic on a box"
-    assert found.conclusion == "the energy does not grow while the motion stays in the box"
+    assert found.conclusion == "the energy does not grow while the motion stays in the box |x| <= 0.9, -1 <= x' <= 2"
     assert certificate(model, {"x": (-1.1, 1.1), "x'": (-2.0, 2.0)}).status == "refuted"
 
 
@@ -340,3 +340,22 @@ def test_pendula_that_swing_beside_a_body_at_rest_are_not_tied(declared):
     assert found.dissipation.status == "proved"
     assert not found.invariant.is_found
     assert found.conclusion.endswith("converges to the largest invariant set on which V' = 0")
+
+
+def test_growth_further_out_than_the_initial_state_is_found(declared):
+    """V' = x'^2 (-d + e x^2) > 0 where |x| > sqrt(d/e) = 2.24, more than four times the initial 0.5."""
+    model = declared(
+        coordinates={"x": {"initial": 0.5}},
+        parameters={"d": {"value": 0.1}, "e": {"value": 0.02}},
+        equations={"x''": "-x - d*x' + e*x**2*x'"},
+        energy="(x'**2 + x**2)/2",
+    )
+    found = certificate(model)
+    assert found.status == "refuted"
+    state = found.dissipation.counterexample
+    assert abs(state["x"]) > np.sqrt(5.0)
+    assert 0.0 < found.dissipation.growth <= state["x'"] ** 2 * (-0.1 + 0.02 * state["x"] ** 2)
+    # Whoever declares a box is told of that box alone, by its name.
+    inside = certificate(model, {"x": (-2.0, 2.0), "x'": (-3.0, 3.0)})
+    assert inside.status == "proved"
+    assert inside.conclusion.endswith("while the motion stays in the box |x| <= 2, |x'| <= 3")

@@ -163,9 +163,13 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
 
 
 def _words(lost: Dissipation) -> str:
-    where = "" if lost.box is None else " on " + ", ".join(f"|{n}| <= {b:.4g}" for n, (_, b) in lost.box.items())
+    where = "" if lost.box is None else f" on {_box(lost.box)}"
     sign = "" if lost.status != "proved" or lost.rate == 0 else "V' <= 0, "
     return f"{sign}{lost.method}{where} ({lost.status})"
+
+
+def _box(box: dict[str, tuple[float, float]]) -> str:
+    return ", ".join(f"|{n}| <= {b:.4g}" if a == -b else f"{a:.4g} <= {n} <= {b:.4g}" for n, (a, b) in box.items())
 
 
 def _values(given: Hypotheses) -> tuple[str, ...]:
@@ -175,7 +179,7 @@ def _values(given: Hypotheses) -> tuple[str, ...]:
 def _without_set(lost: Dissipation, bounded: Boundedness) -> tuple[str, tuple[str, ...]]:
     """Conclude where V' is no sum of squares of velocities, so that there is no elimination."""
     if lost.box is not None:
-        return "the energy does not grow while the motion stays in the box", (
+        return f"the energy does not grow while the motion stays in the box {_box(lost.box)}", (
             "That motion stays there is not shown, so that nothing follows for its end.",
         )
     stays = "every motion is bounded" if bounded.is_shown else "whether motion is bounded is not shown"

@@ -35,6 +35,7 @@ Box = Mapping[str, tuple[float, float]]
 _SAMPLES = 20_000
 _MOST_BOXES = 50_000
 _ROUNDS = 40
+_FURTHER = (1.0, 10.0, 100.0)  # times a side that is not given: how far a state at which V' > 0 is looked for
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,8 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
     Args:
         motion: the equations; its hypotheses get those that the proof needs.
         box: least and largest values of coordinates and velocities (`x1'`), in SI units, for what is not proved
-            everywhere; where not given, twice the largest declared initial value, times the largest eigenvalue.
+            everywhere; where not given, twice the largest declared initial value, times the largest eigenvalue, and
+            states at which V' > 0 are looked for up to a hundred times as far, too.
 
     Raises:
         ModelError: the model has no energy.
@@ -82,9 +84,13 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
     sides = _sides(motion, box or {})
     try:
         field = _Field(motion, rate, sides)
-        state, growth = field.largest()
-        if growth > 0.0:
-            return Dissipation(rate, "refuted", "a state at which V' > 0", counterexample=state, growth=growth)
+        for further in _FURTHER if not sides.keys() <= (box or {}).keys() else (1.0,):
+            reach = {
+                n: side if n in (box or {}) else (further * side[0], further * side[1]) for n, side in sides.items()
+            }
+            state, growth = field.largest(reach)
+            if growth > 0.0:
+                return Dissipation(rate, "refuted", "a state at which V' > 0", counterexample=state, growth=growth)
         if field.is_negative():
             return Dissipation(rate, "proved", "interval arithmetic on a box", box=sides)
     except ModelError as error:
@@ -168,15 +174,16 @@ class _Field:
         given = self.values | {n: Interval.of(low[:, i], high[:, i]) for i, n in enumerate(self.at)}
         return enclose(self.graph, nodes, given)
 
-    def largest(self) -> tuple[dict[str, float], float]:
-        """Return the state of the largest V' among samples, its numbers short, and the least that V' is there."""
+    def largest(self, sides: dict[str, tuple[float, float]]) -> tuple[dict[str, float], float]:
+        """Return the state of the largest V' among samples of a box, its numbers short, and the least V' there."""
         rng = np.random.default_rng(0)
-        points = rng.uniform(self.low, self.high, (_SAMPLES, len(self.state)))
+        lowest, highest = (np.array([sides[x.name][k] for x in self.state]) for k in (0, 1))
+        points = rng.uniform(lowest, highest, (_SAMPLES, len(self.state)))
         # Also samples at few places at a time: growth may need a coordinate to be 0.
         points[::3] *= rng.integers(0, 2, (len(points[::3]), len(self.state)))
-        span = float(np.max(np.abs([self.low, self.high])))
+        span = float(np.max(np.abs([lowest, highest])))
         digits = 2 - int(np.floor(np.log10(span)))
-        points = np.clip(np.round(points, digits), self.low, self.high)
+        points = np.clip(np.round(points, digits), lowest, highest)
         (found,) = self.enclose([self.node], points, points)
         best = int(np.argmax(found.low))
         state = {x.name: 0.0 for x in (*self.motion.q, *self.motion.v)}
