@@ -359,3 +359,50 @@ def test_growth_further_out_than_the_initial_state_is_found(declared):
     inside = certificate(model, {"x": (-2.0, 2.0), "x'": (-3.0, 3.0)})
     assert inside.status == "proved"
     assert inside.conclusion.endswith("while the motion stays in the box |x| <= 2, |x'| <= 3")
+
+
+@pytest.mark.parametrize(
+    ("force", "potential", "rate"),
+    [
+        ("-x + 0.1*sign(x')", "x**2/2", lambda x, v: 0.1 * abs(v)),  # Coulomb friction with the wrong sign
+        ("-x - 0.05*sign(x') + 0.1*x'", "x**2/2", lambda x, v: 0.1 * v**2 - 0.05 * abs(v)),
+        ("-max(x - 1, 0) + 0.1*x'", "max(x - 1, 0)**2/2", lambda x, v: 0.1 * v**2),  # a spring behind a gap
+        ("-x + 0.1*heaviside(x)*x'", "x**2/2", lambda x, v: 0.1 * v**2 * (x > 0)),
+        ("-x - where(x > 0.3, 0.1, -0.2)*x'", "x**2/2", lambda x, v: (-0.1 if x > 0.3 else 0.2) * v**2),
+    ],
+)
+def test_growth_by_forces_that_are_not_smooth_is_refuted_with_a_state(declared, force, potential, rate):
+    found = certificate(
+        declared(coordinates={"x": {"initial": 0.5}}, equations={"x''": force}, energy=f"x'**2/2 + {potential}")
+    )
+    assert found.status == "refuted"
+    state, growth = found.dissipation.counterexample, found.dissipation.growth
+    assert growth > 0.0
+    assert growth == pytest.approx(rate(state["x"], state["x'"]), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("force", "potential"),
+    [
+        ("-max(x - 1, 0) - 0.1*x'", "max(x - 1, 0)**2/2"),
+        ("-x - 0.1*heaviside(x)*x'", "x**2/2"),
+    ],
+)
+def test_losses_by_forces_that_are_not_smooth_are_not_refuted(declared, force, potential):
+    found = certificate(
+        declared(coordinates={"x": {"initial": 0.5}}, equations={"x''": force}, energy=f"x'**2/2 + {potential}")
+    )
+    assert found.status == "supported numerically"
+    assert "enclosure" not in str(found)
+
+
+def test_an_energy_that_jumps_has_no_rate(declared):
+    found = certificate(
+        declared(
+            coordinates={"x": {"initial": 0.5}},
+            equations={"x''": "-x - 0.1*x'"},
+            energy="x'**2/2 + x**2/2 + heaviside(x)",
+        )
+    )
+    assert found.status == "open"
+    assert "the energy jumps at x = 0; declare one that is continuous" in str(found)
