@@ -406,3 +406,21 @@ def test_an_energy_that_jumps_has_no_rate(declared):
     )
     assert found.status == "open"
     assert "the energy jumps at x = 0; declare one that is continuous" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("force", "potential"),
+    [("1", "-x"), ("2 - sin(x)", "-2*x - cos(x)")],  # x' tends to 1/d; a pendulum that a torque keeps turning
+)
+def test_where_nothing_is_at_rest_no_motion_is_bounded(declared, force, potential):
+    found = certificate(
+        declared(
+            coordinates={"x": {"initial": 0.5}},
+            parameters={"d": {"value": 0.1}},
+            equations={"x''": f"{force} - d*x'"},
+            energy=f"x'**2/2 + {potential}",
+        )
+    )
+    assert found.status == "proved"
+    assert found.others == ()
+    assert found.conclusion == "no motion is bounded: there is no equilibrium to converge to"

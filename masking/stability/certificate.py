@@ -186,7 +186,7 @@ def _without_set(lost: Dissipation, bounded: Boundedness) -> tuple[str, tuple[st
     return f"the energy never grows; {stays}", ()
 
 
-def _conclusion(
+def _conclusion(  # noqa: PLR0911  # one way each
     bounded: Boundedness, found: InvariantSet, others: tuple[RestPoint, ...] | None
 ) -> tuple[str, tuple[str, ...]]:
     """Return what every motion does, and what is left to say."""
@@ -197,6 +197,10 @@ def _conclusion(
             ("What that set is, is open: it could not be eliminated.",),
         )
     sets = " or to ".join(f"the set {family}" for family in found.families)
+    if not sets and others == ():
+        return "no motion is bounded: there is no equilibrium to converge to", (
+            "A motion that is bounded would converge to the largest invariant set on which V' = 0, which is empty.",
+        )
     if not found.equilibria or others == ():
         return f"{who} converges to {sets}", ()
     if others is None:
