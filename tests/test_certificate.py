@@ -424,3 +424,45 @@ def test_where_nothing_is_at_rest_no_motion_is_bounded(declared, force, potentia
     assert found.status == "proved"
     assert found.others == ()
     assert found.conclusion == "no motion is bounded: there is no equilibrium to converge to"
+
+
+def hung(declared, names, stiffness):
+    """Two Duffing oscillators on a damped beam, with names for the three coordinates and the two stiffnesses."""
+    x, y, z = names
+    a, b = stiffness
+    f, g = f"({a}*({x} - {z}) + ({x} - {z})**3)", f"({b}*({y} - {z}) + ({y} - {z})**3)"
+    lost = f"{a}*({x} - {z})**2/2 + ({x} - {z})**4/4 + {b}*({y} - {z})**2/2 + ({y} - {z})**4/4"
+    return declared(
+        coordinates={name: {"initial": 0.1} for name in names},
+        parameters={name: {"value": 1.0 + 0.3 * i} for i, name in enumerate(dict.fromkeys(stiffness))},
+        equations={f"{x}''": f"-{f}", f"{y}''": f"-{g}", f"{z}''": f"0.1*({f} + {g}) - {z} - {z}'"},
+        energy=f"0.1*({x}'**2/2 + {y}'**2/2 + {lost}) + ({z}'**2 + {z}**2)/2",
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "stiffness"),
+    [
+        (("x", "y", "z"), "K"),
+        (("x", "y", "z"), "c"),
+        (("K", "y", "c"), "k"),
+        (("c", "K", "z"), "k"),
+        (("a0", "a1", "a2"), "k"),
+    ],
+)
+def test_constants_of_the_argument_have_names_of_their_own(declared, names, stiffness):
+    """Theorem 7.1 in other letters: the two end in anti-phase, whatever they are called."""
+    x, y, z = names
+    found = certificate(hung(declared, names, (stiffness, stiffness)))
+    (family,) = relations(found)
+    assert family in ({f"{x} + {y}", f"{x}' + {y}'", z, f"{z}'"}, {f"{y} + {x}", f"{y}' + {x}'", z, f"{z}'"})
+    assert found.others == ()
+
+
+def test_a_parameter_k_is_not_the_constant_of_the_argument(declared):
+    found = certificate(hung(declared, ("x", "y", "z"), ("K", "k")))
+    steps = " ".join(found.invariant.steps)
+    assert "x + y is bounded, so that it is a constant, K_." in steps
+    assert "Where y = K_ - x" in steps
+    assert "this holds for every x: K = 0" not in steps
+    assert found.conclusion.startswith("every motion converges to the equilibrium (x = 0, y = 0, z = 0)")
