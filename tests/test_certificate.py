@@ -466,3 +466,17 @@ def test_a_parameter_k_is_not_the_constant_of_the_argument(declared):
     assert "Where y = K_ - x" in steps
     assert "this holds for every x: K = 0" not in steps
     assert found.conclusion.startswith("every motion converges to the equilibrium (x = 0, y = 0, z = 0)")
+
+
+def test_inputs_that_are_taken_to_be_zero_are_told(declared):
+    parts = {
+        "coordinates": {"x": {"initial": 0.5}},
+        "inputs": {"u": {}, "w": {}},
+        "energy": "(x'**2 + x**2)/2",
+    }
+    for equation in ("-x + u + w - 0.1*x'", "-x + u + w + 0.1*x'"):  # proved, refuted
+        found = certificate(declared(equations={"x''": equation}, **parts))
+        assert found.hypotheses[0] == "the inputs u = w = 0"
+        assert "for the inputs u = w = 0" in str(found)
+    del parts["inputs"]
+    assert not certificate(declared(equations={"x''": "-x - 0.1*x'"}, **parts)).hypotheses

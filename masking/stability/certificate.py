@@ -54,7 +54,8 @@ class Certificate:
     Args:
         name: of the model.
         energy: V, in symbols of the hypotheses; None where none is declared.
-        hypotheses: on the parameters, which hold for the declared values; the proof holds wherever they do.
+        hypotheses: that inputs are 0, and what is assumed of the parameters, which holds for the declared values; the
+            proof holds wherever they do.
         dissipation: what is known of V'; None where no energy is declared, or the equations are of another kind.
         boundedness: whether every set {V <= c} is compact.
         invariant: the largest invariant set in V' = 0; None where it was not looked for.
@@ -173,7 +174,7 @@ def _box(box: dict[str, tuple[float, float]]) -> str:
 
 
 def _values(given: Hypotheses) -> tuple[str, ...]:
-    return tuple(f"{name} = {value:g}" for name, value in given.values.items())
+    return (*given.inputs, *(f"{name} = {value:g}" for name, value in given.values.items()))
 
 
 def _without_set(lost: Dissipation, bounded: Boundedness) -> tuple[str, tuple[str, ...]]:

@@ -94,7 +94,15 @@ class Hypotheses:
             sign = "> 0" if value > 0.0 else "< 0" if value < 0.0 else "= 0"
             names = " = ".join(group)
             found.append(f"{names} = {self.symbols[group[0]]} {sign}" if len(group) > 1 else f"{names} {sign}")
-        return (*found, *dict.fromkeys(self.extra))
+        return (*self.inputs, *found, *dict.fromkeys(self.extra))
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Return that the inputs are 0, for people; nothing where the model has none."""
+        names = [str(u) for u in self.model.equations.symbols.u]
+        if not names:
+            return ()
+        return (f"the input{'s' if len(names) > 1 else ''} {' = '.join(names)} = 0",)
 
     @cached_property
     def _used(self) -> set[str]:
