@@ -1,5 +1,7 @@
 """Energy certificates: the theorems of the thesis, and what must not be certified."""
 
+import time
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -480,3 +482,26 @@ def test_inputs_that_are_taken_to_be_zero_are_told(declared):
         assert "for the inputs u = w = 0" in str(found)
     del parts["inputs"]
     assert not certificate(declared(equations={"x''": "-x - 0.1*x'"}, **parts)).hypotheses
+
+
+@pytest.mark.parametrize(
+    ("damping", "status"),
+    [
+        ("1 - 3*exp(-((x - 0.5)/0.0001)**2)", "refuted"),  # V' = 0.2 x'^2 at x = 0.5
+        ("1 - exp(-(x/0.0001)**2)/2", "proved"),
+        ("1 - tanh(100000*x)**2/2", "proved"),
+        ("1 - sin(100000*x)**2/2", "proved"),
+        ("1 + exp(12345.678*x)", "proved"),
+        ("1 + exp(sin(100000*x) + sin(exp(1000*x)))", "proved"),
+    ],
+)
+def test_steep_functions_are_looked_at_in_a_moment(declared, damping, status):
+    model = declared(
+        coordinates={"x": {"initial": 0.5}},
+        parameters={"m": {"value": 0.1}},
+        equations={"x''": f"-x - m*x'*({damping})"},
+        energy="(x'**2 + x**2)/2",
+    )
+    start = time.perf_counter()
+    assert certificate(model).status == status
+    assert time.perf_counter() - start < 20.0  # for ever, where sympy takes exp(10**8 x) to a power of exp(x)

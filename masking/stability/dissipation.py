@@ -103,7 +103,7 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
 def _sum_of_squares(rate: sp.Expr, motion: Motion) -> tuple[Square, ...] | None:
     """Return the squares of which -V' is the sum: of a quadratic form, or of monomials with even powers."""
     v = motion.v
-    expanded = sp.expand(-rate)
+    expanded = sp.expand(-rate, power_exp=False)  # exp(a + b) is not split: its parts may underflow
     if not expanded.is_polynomial(*v):
         return None
     polynomial = sp.Poly(expanded, *v)
@@ -125,7 +125,7 @@ def _is_sum_of_resistances(rate: sp.Expr, motion: Motion) -> bool:
     A term has the sign that it has with x for odd increasing functions of x, and x^2 for |x|.
     """
     odd = {sp.tanh, sp.atan, sp.sinh, sp.asinh, sp.sign}
-    for term in sp.Add.make_args(sp.expand(-rate)):
+    for term in sp.Add.make_args(sp.expand(-rate, power_exp=False)):
         plain = term.replace(lambda x: x.func in odd, lambda x: x.args[0]).replace(sp.Abs, lambda x: x**2)
         if motion.given.declared_sign(plain, strictly=False) not in {0, 1}:
             return False

@@ -233,9 +233,22 @@ def _is_even_cosine(expression: sp.Expr) -> bool:
 
 def factors(expression: sp.Expr) -> Iterable[tuple[sp.Expr, int]]:
     """Return factors with their integer powers; their product is the expression."""
-    numerator, denominator = sp.fraction(sp.together(expression))
+    plain, back = without_exponentials(expression)
+    numerator, denominator = sp.fraction(sp.together(plain))
     for part, sign in ((numerator, 1), (denominator, -1)):
         constant, factors = sp.factor_list(part)
         yield constant, sign
         for factor, power in factors:
-            yield factor, sign * int(power)
+            yield factor.xreplace(back), sign * int(power)
+
+
+def without_exponentials(expression: sp.Expr) -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr]]:
+    """Return an expression with a symbol for each exponential and power that is no fixed one, and what they stand for.
+
+    Else exp(10**8 x) is a power of exp(x) to sympy, and a polynomial with as many coefficients.
+    """
+    there = {}
+    for power in sorted(expression.atoms(sp.Pow, sp.exp), key=sp.default_sort_key):
+        if power.func == sp.exp or power.exp.free_symbols:
+            there[power] = sp.Dummy("e", positive=power.is_positive, real=True)
+    return expression.xreplace(there), {symbol: power for power, symbol in there.items()}
