@@ -22,6 +22,7 @@ else:
     sp = lazy.load("sympy")
 
 _MOST_ROUNDS = 40
+_MOST_ANGLES = 24  # sin(n x) is a polynomial in sin x and cos x up to this n
 
 
 def normal(expression: sp.Expr) -> sp.Expr:
@@ -66,8 +67,14 @@ def coefficients(expression: sp.Expr, variables: Sequence[sp.Symbol]) -> dict[sp
 
 
 def _algebraic(expression: sp.Expr) -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr]]:
-    """Return an expression with symbols for sines and cosines, and what they stand for."""
-    expanded = sp.expand_trig(expression).rewrite(sp.tan, sp.sin).subs(sp.tan, sp.sin)
+    """Return an expression with symbols for sines, cosines and steep exponentials, and what they stand for."""
+    steep = {f: sp.Dummy("e", real=True) for f in _sorted(expression, sp.exp, sp.Pow) if _is_steep(f)}
+    expression = expression.xreplace(steep)
+    whole = {
+        f: sp.Dummy("f", real=True) for f in _sorted(expression, *_hyperbolic(), sp.sin, sp.cos, sp.tan) if _is_whole(f)
+    }
+    expanded = sp.expand_trig(expression.xreplace(whole)).xreplace({symbol: f for f, symbol in whole.items()})
+    expanded = expanded.rewrite(sp.tan, sp.sin).subs(sp.tan, sp.sin)
     for tangent in expanded.atoms(sp.tan):
         expanded = expanded.xreplace({tangent: sp.sin(tangent.args[0]) / sp.cos(tangent.args[0])})
     back: dict[sp.Symbol, sp.Expr] = {}
@@ -76,7 +83,37 @@ def _algebraic(expression: sp.Expr) -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr]]:
         for function in (sp.sin, sp.cos):
             symbol = sp.Dummy(f"{function.__name__}({angle})", real=True)
             there[function(angle)], back[symbol] = symbol, function(angle)
-    return expanded.xreplace(there), back
+    kept = {symbol: f for f, symbol in steep.items()}
+    return expanded.xreplace(there), {s: f.xreplace(kept) for s, f in back.items()} | kept
+
+
+def _sorted(expression: sp.Expr, *kinds: type) -> list[sp.Expr]:
+    return sorted(expression.atoms(*kinds), key=sp.default_sort_key)
+
+
+def _is_steep(power: sp.Expr) -> bool:
+    """Tell whether an exponential is one of sines, or to sympy a high power: exp(10**8 x) is one of exp(x)."""
+    if power.func == sp.Pow and not power.exp.free_symbols:
+        return False
+    numbers = [c for c, _ in _terms(power.exp) if c.is_Rational]
+    most = max((max(abs(int(c.p)), int(c.q)) for c in numbers), default=0)
+    return bool(power.exp.atoms(sp.sin, sp.cos, sp.tan)) or most > _MOST_ANGLES
+
+
+def _hyperbolic() -> tuple[type, ...]:
+    return sp.sinh, sp.cosh, sp.tanh
+
+
+def _is_whole(function: sp.Expr) -> bool:
+    """Tell whether a function is left as it is, not written in functions of parts of its argument."""
+    if function.func in _hyperbolic():
+        return True
+    return any(c.is_Integer and abs(c) > _MOST_ANGLES for c, rest in _terms(function.args[0]) if rest != 1)
+
+
+def _terms(total: sp.Expr) -> list[tuple[sp.Expr, sp.Expr]]:
+    """Return the terms of a sum, each as a number and what it multiplies."""
+    return [term.as_coeff_Mul() for term in sp.Add.make_args(sp.expand(total))]
 
 
 def _reduced(polynomial: sp.Expr, back: dict[sp.Symbol, sp.Expr]) -> sp.Expr:

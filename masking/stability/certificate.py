@@ -31,6 +31,10 @@ _MOST_POINTS = 64
 _CLOSE = 1e-10  # of the largest coordinate: nearer to a relation than this, an equilibrium belongs to a family
 
 
+class NotIsolatedError(ModelError):
+    """Equilibria are whole curves or surfaces, so that no list holds them."""
+
+
 @dataclass(frozen=True)
 class RestPoint:
     """An equilibrium outside of the families: its coordinates as texts, and what is known of its stability."""
@@ -50,7 +54,8 @@ class Certificate:
     Args:
         name: of the model.
         energy: V, in symbols of the hypotheses; None where none is declared.
-        hypotheses: on the parameters, which hold for the declared values; the proof holds wherever they do.
+        hypotheses: that inputs are 0, and what is assumed of the parameters, which holds for the declared values; the
+            proof holds wherever they do.
         dissipation: what is known of V'; None where no energy is declared, or the equations are of another kind.
         boundedness: whether every set {V <= c} is compact.
         invariant: the largest invariant set in V' = 0; None where it was not looked for.
@@ -159,26 +164,30 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
 
 
 def _words(lost: Dissipation) -> str:
-    where = "" if lost.box is None else " on " + ", ".join(f"|{n}| <= {b:.4g}" for n, (_, b) in lost.box.items())
+    where = "" if lost.box is None else f" on {_box(lost.box)}"
     sign = "" if lost.status != "proved" or lost.rate == 0 else "V' <= 0, "
     return f"{sign}{lost.method}{where} ({lost.status})"
 
 
+def _box(box: dict[str, tuple[float, float]]) -> str:
+    return ", ".join(f"|{n}| <= {b:.4g}" if a == -b else f"{a:.4g} <= {n} <= {b:.4g}" for n, (a, b) in box.items())
+
+
 def _values(given: Hypotheses) -> tuple[str, ...]:
-    return tuple(f"{name} = {value:g}" for name, value in given.values.items())
+    return (*given.inputs, *(f"{name} = {value:g}" for name, value in given.values.items()))
 
 
 def _without_set(lost: Dissipation, bounded: Boundedness) -> tuple[str, tuple[str, ...]]:
     """Conclude where V' is no sum of squares of velocities, so that there is no elimination."""
     if lost.box is not None:
-        return "the energy does not grow while the motion stays in the box", (
+        return f"the energy does not grow while the motion stays in the box {_box(lost.box)}", (
             "That motion stays there is not shown, so that nothing follows for its end.",
         )
     stays = "every motion is bounded" if bounded.is_shown else "whether motion is bounded is not shown"
     return f"the energy never grows; {stays}", ()
 
 
-def _conclusion(
+def _conclusion(  # noqa: PLR0911  # one way each
     bounded: Boundedness, found: InvariantSet, others: tuple[RestPoint, ...] | None
 ) -> tuple[str, tuple[str, ...]]:
     """Return what every motion does, and what is left to say."""
@@ -189,11 +198,15 @@ def _conclusion(
             ("What that set is, is open: it could not be eliminated.",),
         )
     sets = " or to ".join(f"the set {family}" for family in found.families)
+    if not sets and others == ():
+        return "no motion is bounded: there is no equilibrium to converge to", (
+            "A motion that is bounded would converge to the largest invariant set on which V' = 0, which is empty.",
+        )
     if not found.equilibria or others == ():
         return f"{who} converges to {sets}", ()
     if others is None:
-        rest = f"{sets} or to an equilibrium" if sets else "an equilibrium"
-        return f"{who} converges to {rest}", ("Which equilibria there are is open.",)
+        rest = f"the equilibria and {sets}, taken together" if sets else "the set of equilibria"
+        return f"{who} converges to {rest}", ("There is no complete list of the equilibria.",)
     if not sets:
         return f"{who} converges to one of {len(others)} equilibria" if len(others) > 1 else (
             f"{who} converges to the equilibrium {others[0]}"
@@ -211,7 +224,10 @@ def _others(motion: Motion, found: InvariantSet) -> tuple[tuple[RestPoint, ...] 
     """Return the equilibria outside of the families, and how they were found; None where that is open."""
     if not found.is_found or not found.equilibria:
         return (None if not found.is_found else ()), ()
-    exact = rest_points(motion, found.known)
+    try:
+        exact = rest_points(motion, found.known)
+    except NotIsolatedError as error:
+        return None, (f"{error}.",)
     if exact is not None:
         outside = [p for p in exact if not any(_is_in(family, p, motion) for family in found.families)]
         return tuple(_exact_point(motion, p) for p in outside), ()
@@ -240,9 +256,14 @@ def rest_points(motion: Motion, known: dict[sp.Symbol, sp.Expr]) -> tuple[dict[s
     Args:
         motion: the equations.
         known: values of coordinates that hold at all of them.
+
+    Raises:
+        NotIsolatedError: at the declared values, equilibria are whole curves.
     """
     try:
         return _branch([e.subs(known) for e in motion.at_rest], dict(known), motion)
+    except NotIsolatedError:
+        raise
     except ModelError:
         return None
 
@@ -257,16 +278,22 @@ def _branch(
         return ()
     for equation in fixed:  # of parameters alone, and true at their declared values
         motion.given.suppose(f"{equation} = 0")
-    pending = [e for e in pending if e not in fixed]
+    pending = [e for e in pending if e not in fixed and not _is_void(e, unknown, motion)]
     if not pending:
         if unknown:
-            raise ModelError("equilibria are not isolated")
+            some = ", ".join(f"{q} = {x}" for q, x in values.items())
+            every = ", ".join(map(str, unknown))
+            where = f" with {some}" if some else ""
+            raise NotIsolatedError(f"The equilibria are not isolated: every {every}{where} is one")
         return (values,)
     pending.sort(key=sp.count_ops)
     for equation in pending:
-        parts = [f for f in sp.Mul.make_args(sp.factor(equation)) if f.free_symbols & {*unknown}]
+        factors = sp.Mul.make_args(sp.factor(equation))
+        parts = [f for f in factors if f.free_symbols & {*unknown}]
         options = [_solved(f, unknown, motion) for f in parts]
         if all(option is not None for option in options):
+            if not all(motion.given.is_nonzero(f) for f in factors if f not in parts):
+                raise ModelError(f"{equation} = 0 may hold whatever the coordinates are")
             found: dict[tuple[tuple[str, str], ...], dict[sp.Symbol, sp.Expr]] = {}
             for option in options:
                 for q, value in option or ():
@@ -274,6 +301,15 @@ def _branch(
                         found[tuple(sorted((str(a), str(b)) for a, b in point.items()))] = point
             return tuple(found.values())
     raise ModelError("no factor can be solved")
+
+
+def _is_void(equation: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> bool:
+    """Tell whether a factor of parameters is 0 at declared values, so that the equation says nothing."""
+    for factor in sp.Mul.make_args(sp.factor(equation)):
+        if not factor.free_symbols & {*unknown} and motion.given.at_values(factor) == 0:
+            motion.given.suppose(f"{factor} = 0")
+            return True
+    return False
 
 
 def _solved(factor: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> list[tuple[sp.Symbol, sp.Expr]] | None:

@@ -1,7 +1,7 @@
 """Dissipation: whether the rate V' of a declared energy is nowhere positive.
 
 Tried in this order: V' as minus a sum of squares of velocities, by completing squares; a state at which V' > 0, which
-intervals confirm; V' <= 0 on a box, by intervals, where V' and its slope vanish at rest and its Hessian in the
+is confirmed; V' <= 0 on a box, by intervals, where V' and its slope vanish at rest and its Hessian in the
 velocities is negative semidefinite all over the box.
 """
 
@@ -20,6 +20,7 @@ from masking.kernels import Array
 from masking.model import Model
 from masking.stability.algebra import normal
 from masking.stability.boundedness import Square, squares
+from masking.stability.growth import SAMPLES, Growth
 from masking.stability.intervals import Interval, enclose
 from masking.stability.modes import state_matrix
 from masking.stability.motion import Motion
@@ -32,9 +33,9 @@ else:
 Status = Literal["proved", "refuted", "supported numerically", "open"]
 Box = Mapping[str, tuple[float, float]]
 
-_SAMPLES = 20_000
 _MOST_BOXES = 50_000
 _ROUNDS = 40
+_FURTHER = (1.0, 10.0, 100.0)  # times a side that is not given: how far a state at which V' > 0 is looked for
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Dissipation:
     Args:
         rate: V', in normal form.
         status: 'proved': V' <= 0, everywhere or on `box`; 'refuted': V' > 0 at `counterexample`; 'supported
-            numerically': V' <= 0 at all sampled states; 'open' where it could not be looked at.
+            numerically': V' <= 0 at all sampled states; 'open' where it could not be looked at, or the energy jumps.
         method: how that was found.
         squares: of which -V' is the sum, where it is seen to be one.
         box: where it holds; None for everywhere.
@@ -66,7 +67,8 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
     Args:
         motion: the equations; its hypotheses get those that the proof needs.
         box: least and largest values of coordinates and velocities (`x1'`), in SI units, for what is not proved
-            everywhere; where not given, twice the largest declared initial value, times the largest eigenvalue.
+            everywhere; where not given, twice the largest declared initial value, times the largest eigenvalue, and
+            states at which V' > 0 are looked for up to a hundred times as far, too.
 
     Raises:
         ModelError: the model has no energy.
@@ -74,28 +76,34 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
     rate = motion.energy_rate
     if rate == 0:
         return Dissipation(rate, "proved", "V' vanishes identically: the energy is constant")
-    found = _sum_of_squares(rate, motion)
-    if found is not None:
-        return Dissipation(rate, "proved", "a sum of squares of velocities", found)
+    terms = _sum_of_squares(rate, motion)
+    if terms is not None:
+        return Dissipation(rate, "proved", "a sum of squares of velocities", terms)
     if _is_sum_of_resistances(rate, motion):
         return Dissipation(rate, "proved", "a sum of velocities times forces against them")
     sides = _sides(motion, box or {})
     try:
-        field = _Field(motion, rate, sides)
-        state, growth = field.largest()
-        if growth > 0.0:
-            return Dissipation(rate, "refuted", "a state at which V' > 0", counterexample=state, growth=growth)
-        if field.is_negative():
-            return Dissipation(rate, "proved", "interval arithmetic on a box", box=sides)
+        growth = Growth(motion, rate)
     except ModelError as error:
-        return Dissipation(rate, "open", f"not looked at by intervals: {error}")
-    return Dissipation(rate, "supported numerically", f"V' <= 0 at {_SAMPLES} sampled states", box=sides)
+        return Dissipation(rate, "open", f"not looked at: {error}")
+    for further in _FURTHER if not sides.keys() <= (box or {}).keys() else (1.0,):
+        reach = {n: side if n in (box or {}) else (further * side[0], further * side[1]) for n, side in sides.items()}
+        found = growth.search(reach)
+        if found is not None:
+            state, least = found
+            return Dissipation(rate, "refuted", "a state at which V' > 0", counterexample=state, growth=least)
+    if rate.has(sp.DiracDelta):
+        at = ", ".join(sorted({f"{f.args[0]} = 0" for f in rate.atoms(sp.DiracDelta)}))
+        return Dissipation(rate, "open", f"the energy jumps at {at}; declare one that is continuous")
+    if _is_negative(motion, rate, sides):
+        return Dissipation(rate, "proved", "interval arithmetic on a box", box=sides)
+    return Dissipation(rate, "supported numerically", f"V' <= 0 at {SAMPLES} sampled states", box=sides)
 
 
 def _sum_of_squares(rate: sp.Expr, motion: Motion) -> tuple[Square, ...] | None:
     """Return the squares of which -V' is the sum: of a quadratic form, or of monomials with even powers."""
     v = motion.v
-    expanded = sp.expand(-rate)
+    expanded = sp.expand(-rate, power_exp=False)  # exp(a + b) is not split: its parts may underflow
     if not expanded.is_polynomial(*v):
         return None
     polynomial = sp.Poly(expanded, *v)
@@ -117,7 +125,7 @@ def _is_sum_of_resistances(rate: sp.Expr, motion: Motion) -> bool:
     A term has the sign that it has with x for odd increasing functions of x, and x^2 for |x|.
     """
     odd = {sp.tanh, sp.atan, sp.sinh, sp.asinh, sp.sign}
-    for term in sp.Add.make_args(sp.expand(-rate)):
+    for term in sp.Add.make_args(sp.expand(-rate, power_exp=False)):
         plain = term.replace(lambda x: x.func in odd, lambda x: x.args[0]).replace(sp.Abs, lambda x: x**2)
         if motion.given.declared_sign(plain, strictly=False) not in {0, 1}:
             return False
@@ -135,81 +143,76 @@ def _sides(motion: Motion, box: Box) -> dict[str, tuple[float, float]]:
     state = model.initial_state({c: 0.0 for c, d in declared.items() if d.initial is None})
     n = len(motion.q)
     reach = 2.0 * float(np.max(np.abs(state[:n]), initial=0.0)) or 1.0
-    linear = state_matrix(model)
+    try:
+        linear = state_matrix(model)
+    except ModelError:  # at a kink, or where an operation has no slope: nothing is known of how fast the motion is
+        linear = np.full((1, 1), np.nan)
     rates = np.abs(np.linalg.eigvals(linear)) if np.all(np.isfinite(linear)) else np.ones(1)
     fast = max(float(np.max(rates, initial=0.0)), 1e-3)
     default = dict.fromkeys(names[:n], (-reach, reach)) | dict.fromkeys(names[n:], (-reach * fast, reach * fast))
     return {name: box.get(name, default[name]) for name in names}
 
 
-class _Field:
-    """V' and its Hessian in the velocities, on a graph, at the declared values."""
+def _is_negative(motion: Motion, rate: sp.Expr, sides: dict[str, tuple[float, float]]) -> bool:
+    """Tell whether V' <= 0 on a box: V' and its slope in the velocities vanish at rest, and it is concave in them.
 
-    def __init__(self, motion: Motion, rate: sp.Expr, sides: dict[str, tuple[float, float]]) -> None:
-        self.motion, self.rate = motion, rate
-        state = (*motion.q, *motion.v)
-        self.state = [x for x in state if x in rate.free_symbols]
-        self.used = [v for v in motion.v if v in rate.free_symbols]
-        self.low = np.array([sides[x.name][0] for x in self.state])
-        self.high = np.array([sides[x.name][1] for x in self.state])
-        self.graph = Graph()
-        symbols = {x: self.graph.symbol(f"x_{x.name}", varying=True) for x in self.state}
+    False, too, where V' has kinks or jumps in the velocities, and where its Hessian has no enclosure by intervals.
+    """
+    state = [x for x in (*motion.q, *motion.v) if x in rate.free_symbols]
+    used = [v for v in motion.v if v in state]
+    kinks = (sp.sign, sp.Heaviside, sp.Abs, sp.Min, sp.Max, sp.Piecewise, sp.floor, sp.ceiling)
+    if any(f.free_symbols & {*used} for f in rate.atoms(*kinks)):
+        return False
+    still = dict.fromkeys(used, 0)
+    if not used or any(normal(x.subs(still)) != 0 for x in (rate, *(sp.diff(rate, v) for v in used))):
+        return False
+    low, high = (np.array([sides[x.name][k] for x in state]) for k in (0, 1))
+    inside = [(b >= -1e-300) and (a <= 1e-300) for a, b in zip(low, high, strict=True)]
+    if not all(ok for ok, x in zip(inside, state, strict=True) if x in used):
+        return False
+    try:
+        return _Hessian(motion, rate, state, used).is_negative(low, high)
+    except ModelError:
+        return False
+
+
+class _Hessian:
+    """The Hessian of V' in the velocities, on a graph, at the declared values."""
+
+    def __init__(self, motion: Motion, rate: sp.Expr, state: list[sp.Symbol], used: list[sp.Symbol]) -> None:
+        self.graph, self.n = Graph(), len(used)
+        symbols = {x: self.graph.symbol(f"x_{x.name}", varying=True) for x in state}
         self.at = list(symbols.values())
         self.values = {}
-        own = {str(s): (s, motion.given.values[n]) for n, s in motion.given.symbols.items() if not s.is_number}
-        for name, (symbol, value) in own.items():
-            symbols[symbol] = self.graph.symbol(f"p_{name}", varying=False)
-            self.values[symbols[symbol]] = Interval.of(value)
-        self.node = self.graph.lower(rate, symbols)
-        self.hessian = [self.graph.lower(x, symbols) for x in sp.hessian(rate, self.used)] if self.used else []
+        for name, symbol in motion.given.symbols.items():
+            if not symbol.is_number:
+                symbols[symbol] = self.graph.symbol(f"p_{symbol}", varying=False)
+                self.values[symbols[symbol]] = Interval.of(motion.given.values[name])
+        self.entries = [self.graph.lower(x, symbols) for x in sp.hessian(rate, used)]
 
-    def enclose(self, nodes: list[int], low: Array, high: Array) -> list[Interval]:
-        """Return enclosures over boxes (m, states used)."""
-        given = self.values | {n: Interval.of(low[:, i], high[:, i]) for i, n in enumerate(self.at)}
-        return enclose(self.graph, nodes, given)
+    def edge(self, low: Array, high: Array) -> Array:
+        """Return what no eigenvalue is above, for each box (m, states) and row (m, n)."""
+        given = self.values | {node: Interval.of(low[:, i], high[:, i]) for i, node in enumerate(self.at)}
+        entries, m, n = enclose(self.graph, self.entries, given), len(low), self.n
+        a = np.stack([np.broadcast_to(x.low, m) for x in entries], 1).reshape(m, n, n)
+        b = np.stack([np.broadcast_to(x.high, m) for x in entries], 1).reshape(m, n, n)
+        # Gershgorin: every eigenvalue is at most the diagonal plus what stands beside it.
+        beside = np.maximum(np.abs(a), np.abs(b))
+        beside[:, range(n), range(n)] = 0.0
+        found: Array = b[:, range(n), range(n)] + beside.sum(axis=2) * (1.0 + 1e-12)
+        return found
 
-    def largest(self) -> tuple[dict[str, float], float]:
-        """Return the state of the largest V' among samples, its numbers short, and the least that V' is there."""
-        rng = np.random.default_rng(0)
-        points = rng.uniform(self.low, self.high, (_SAMPLES, len(self.state)))
-        # Also samples at few places at a time: growth may need a coordinate to be 0.
-        points[::3] *= rng.integers(0, 2, (len(points[::3]), len(self.state)))
-        span = float(np.max(np.abs([self.low, self.high])))
-        digits = 2 - int(np.floor(np.log10(span)))
-        points = np.clip(np.round(points, digits), self.low, self.high)
-        (found,) = self.enclose([self.node], points, points)
-        best = int(np.argmax(found.low))
-        state = {x.name: 0.0 for x in (*self.motion.q, *self.motion.v)}
-        state |= {x.name: float(value) for x, value in zip(self.state, points[best], strict=True)}
-        return state, float(found.low[best])
-
-    def is_negative(self) -> bool:
-        """Tell whether V' <= 0 on the box: V' and its slope in the velocities vanish at rest, and it is concave."""
-        still = dict.fromkeys(self.used, 0)
-        slopes = [self.rate, *(sp.diff(self.rate, v) for v in self.used)]
-        if not self.used or any(normal(x.subs(still)) != 0 for x in slopes):
-            return False
-        inside = [(h >= -1e-300) and (low <= 1e-300) for low, h in zip(self.low, self.high, strict=True)]
-        if not all(ok for ok, x in zip(inside, self.state, strict=True) if x in self.used):
-            return False
-        low, high = self.low[None], self.high[None]
-        n = len(self.used)
+    def is_negative(self, lowest: Array, highest: Array) -> bool:
+        """Tell whether it is negative semidefinite all over a box."""
+        low, high = lowest[None], highest[None]
         for _ in range(_ROUNDS):
-            entries = self.enclose(self.hessian, low, high)
-            m = len(low)
-            a = np.stack([np.broadcast_to(x.low, m) for x in entries], 1).reshape(m, n, n)
-            b = np.stack([np.broadcast_to(x.high, m) for x in entries], 1).reshape(m, n, n)
-            # Gershgorin: every eigenvalue is at most the diagonal plus what stands beside it.
-            beside = np.maximum(np.abs(a), np.abs(b))
-            beside[:, range(n), range(n)] = 0.0
-            edge = b[:, range(n), range(n)] + beside.sum(axis=2) * (1.0 + 1e-12)
-            bad = np.any(edge > 1e-300, axis=1)
+            bad = ~np.all(self.edge(low, high) <= 1e-300, axis=1)
             low, high = low[bad], high[bad]
             if not len(low):
                 return True
             if 2 * len(low) > _MOST_BOXES:
                 return False
-            axis = np.argmax((high - low) / (self.high - self.low), axis=1)
+            axis = np.argmax((high - low) / (highest - lowest), axis=1)
             rows = np.arange(len(low))
             middle = 0.5 * (low[rows, axis] + high[rows, axis])
             first, second = high.copy(), low.copy()

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 else:
     sp = lazy.load("sympy")
 
+_DISTINCT = 1e-20  # a number that is no fraction is told from 0 by 30 digits
+
 
 @dataclass
 class Hypotheses:
@@ -92,7 +94,15 @@ class Hypotheses:
             sign = "> 0" if value > 0.0 else "< 0" if value < 0.0 else "= 0"
             names = " = ".join(group)
             found.append(f"{names} = {self.symbols[group[0]]} {sign}" if len(group) > 1 else f"{names} {sign}")
-        return (*found, *dict.fromkeys(self.extra))
+        return (*self.inputs, *found, *dict.fromkeys(self.extra))
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Return that the inputs are 0, for people; nothing where the model has none."""
+        names = [str(u) for u in self.model.equations.symbols.u]
+        if not names:
+            return ()
+        return (f"the input{'s' if len(names) > 1 else ''} {' = '.join(names)} = 0",)
 
     @cached_property
     def _used(self) -> set[str]:
@@ -127,7 +137,7 @@ class Hypotheses:
         if self.sign(expression) in {1, -1}:
             return True
         value = self.at_values(expression)
-        if not value.is_number or value == 0:
+        if not value.is_number or not (value if value.is_Rational else abs(sp.N(value, 30)) > _DISTINCT):
             return False
         for factor, _ in factors(expression):
             if self.sign(factor) is None:
@@ -223,9 +233,22 @@ def _is_even_cosine(expression: sp.Expr) -> bool:
 
 def factors(expression: sp.Expr) -> Iterable[tuple[sp.Expr, int]]:
     """Return factors with their integer powers; their product is the expression."""
-    numerator, denominator = sp.fraction(sp.together(expression))
+    plain, back = without_exponentials(expression)
+    numerator, denominator = sp.fraction(sp.together(plain))
     for part, sign in ((numerator, 1), (denominator, -1)):
         constant, factors = sp.factor_list(part)
         yield constant, sign
         for factor, power in factors:
-            yield factor, sign * int(power)
+            yield factor.xreplace(back), sign * int(power)
+
+
+def without_exponentials(expression: sp.Expr) -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr]]:
+    """Return an expression with a symbol for each exponential and power that is no fixed one, and what they stand for.
+
+    Else exp(10**8 x) is a power of exp(x) to sympy, and a polynomial with as many coefficients.
+    """
+    there = {}
+    for power in sorted(expression.atoms(sp.Pow, sp.exp), key=sp.default_sort_key):
+        if power.func == sp.exp or power.exp.free_symbols:
+            there[power] = sp.Dummy("e", positive=power.is_positive, real=True)
+    return expression.xreplace(there), {symbol: power for power, symbol in there.items()}

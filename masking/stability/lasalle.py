@@ -172,8 +172,21 @@ class _Elimination:
     @cached_property
     def constants(self) -> tuple[sp.Symbol, ...]:
         """Return the constant values of the forms of the coordinates."""
-        names = ["c"] if len(self.frozen[0]) == 1 else [f"c{i + 1}" for i in range(len(self.frozen[0]))]
-        return tuple(sp.Symbol(name, real=True) for name in names)
+        count = len(self.frozen[0])
+        return tuple(self._new("c" if count == 1 else f"c{i + 1}") for i in range(count))
+
+    @cached_property
+    def bound(self) -> sp.Symbol:
+        """Return the constant that a bounded function is."""
+        return self._new("K")
+
+    def _new(self, name: str) -> sp.Symbol:
+        """Return a real constant with a name that nothing in the model has."""
+        symbols = self.motion.model.equations.symbols
+        taken = {str(s) for s in (*symbols.q, *symbols.v, *symbols.u, *symbols.p, *self.given.symbols.values())}
+        while name in taken:
+            name += "_"
+        return sp.Symbol(name, real=True)
 
     @cached_property
     def moving(self) -> tuple[int, ...]:
@@ -256,10 +269,9 @@ class _Elimination:
         solved = {c: self.known[q] for q, c in self._single_constants() if q in self.known}
         left = [normal(x.subs(solved)) for x in left]
         relation = normal(relation.subs(solved))
-        k = sp.Symbol("K", real=True)
         if _is_affine(relation, (r1, r2)) and not self.given.is_nonzero(sp.diff(relation, r2)):
             raise _OpenError(f"{relation} = 0 does not give {r2}")
-        for tied in _linear_relations(relation, r1, r2, k, self.motion.circles):
+        for tied in _linear_relations(relation, r1, r2, self.bound, self.motion):
             self._along(tied, r1, r2, left, constants)
 
     def _single_constants(self) -> Iterator[tuple[sp.Symbol, sp.Symbol]]:
@@ -273,7 +285,7 @@ class _Elimination:
     ) -> tuple[sp.Expr, list[sp.Symbol]] | None:
         """Apply the first rule: relation = D^2(sum a_j phi_j) + b with constant b; None where it is no such sum."""
         functions = [*pair, *(sp.sin(r) for r in pair), *(sp.cos(r) for r in pair)]
-        weights = sp.symbols(f"a0:{len(functions)}", real=True)
+        weights = [sp.Dummy(f"a{i}", real=True) for i in range(len(functions))]
         rates = [self.rate(self.rate(f)) for f in functions]
         ansatz = relation - sum(w * rate for w, rate in zip(weights, rates, strict=True))
         variables = (*pair, *(self.motion.v[j] for j in self.moving))
@@ -291,6 +303,8 @@ class _Elimination:
         if total == 0:
             return None
         factor, total = total.as_independent(*pair, as_Add=False)
+        if not self.given.is_nonzero(factor):
+            raise _OpenError(f"{relation} = 0 may hold because {factor} = 0")
         constant = normal(constant / factor)
         told = solve_constants([constant], constants, self.given)
         if told.values is None:
@@ -309,9 +323,8 @@ class _Elimination:
         rest = [c for c in constants if c not in told.values]
         if unbounded:
             return (normal(relation.subs(told.values)), rest) if told.values else None
-        k = sp.Symbol("K", real=True)
-        self.steps.append(f"{total} is bounded, so that it is a constant, K.")
-        return total - k, [*rest, k]
+        self.steps.append(f"{total} is bounded, so that it is a constant, {self.bound}.")
+        return total - self.bound, [*rest, self.bound]
 
     def _along(
         self, tied: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, left: Sequence[sp.Expr], constants: list[sp.Symbol]
@@ -324,7 +337,9 @@ class _Elimination:
         second = accelerations[velocity[r2]] - slope * accelerations[velocity[r1]]
         known = {c: self.known[q] for q, c in self._single_constants() if q in self.known}
         equations = [normal(x.subs(on_it).subs(known)) for x in (second, *left)]
-        unknown = [c for c in dict.fromkeys([*_free_constant(tied), *constants, *self.constants]) if c not in known]
+        unknown = [
+            c for c in dict.fromkeys([*tied.free_symbols & {self.bound}, *constants, *self.constants]) if c not in known
+        ]
         self.steps.append(f"Where {r2} = {tied}, its second derivative gives 0 = {equations[0]}.")
         self._vanishing(equations, r1, unknown, {r2: tied})
 
@@ -386,13 +401,7 @@ def _only_in_waves(expression: sp.Expr, r: sp.Symbol) -> bool:
     return r not in expression.replace(lambda x: x.func in {sp.sin, sp.cos}, lambda x: sp.Integer(1)).free_symbols
 
 
-def _free_constant(expression: sp.Expr) -> list[sp.Symbol]:
-    return [s for s in expression.free_symbols if s.name == "K"]
-
-
-def _linear_relations(
-    relation: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, k: sp.Symbol, circles: Sequence[sp.Symbol]
-) -> list[sp.Expr]:
+def _linear_relations(relation: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, k: sp.Symbol, motion: Motion) -> list[sp.Expr]:
     """Return what r2 may be, as linear functions of r1.
 
     An affine relation gives r2 = K + sigma r1 with a new constant K; a product of sines, by the third rule, one
@@ -407,9 +416,11 @@ def _linear_relations(
     found: list[sp.Expr] = []
     for factor in sp.Mul.make_args(sp.factor_terms(product)):
         if not factor.free_symbols & {r1, r2}:
+            if not motion.given.is_nonzero(factor):
+                raise _OpenError(f"{relation} = 0 may hold because {factor} = 0")
             continue
         inner = factor.args[0] if factor.func in {sp.sin, sp.cos} else None
-        if inner is None or not _is_affine(inner, (r1, r2)) or {r1, r2} - {*circles}:
+        if inner is None or not _is_affine(inner, (r1, r2)) or {r1, r2} - {*motion.circles}:
             raise _OpenError(f"{relation} = 0 gives no linear relation of {r1} and {r2}")
         by = sp.diff(inner, r2)
         step = sp.Abs(sp.pi / by)

@@ -24,8 +24,11 @@ class Motion:
     """M(q) a = f(q, v) without inputs, and the energy V(q, v), in the symbols of hypotheses.
 
     Args:
-        model: without internal states, its equations without time.
+        model: without internal states, its equations and energy without time.
         given: hypotheses on its parameters.
+
+    Raises:
+        ModelError: the model has internal states, or its equations or energy hold the time.
     """
 
     model: Model
@@ -36,7 +39,15 @@ class Motion:
         if self.model.states:
             raise ModelError(f"{self.model.name} has internal states, for which there is no certificate")
         if e.symbols.t in sp.Matrix([*e.mass, *e.force]).free_symbols:
-            raise ModelError(f"the equations of {self.model.name} hold the time, for which there is no certificate")
+            raise ModelError(
+                f"the equations of {self.model.name} hold the time, for which there is no certificate; declare what "
+                "acts from outside, such as a drive, under 'inputs:'"
+            )
+        if e.energy is not None and e.symbols.t in e.energy.free_symbols:
+            raise ModelError(
+                f"the energy of {self.model.name}, {e.energy}, holds the time t, for which there is no certificate; "
+                "declare 'energy:' as a function of coordinates and velocities alone"
+            )
 
     @property
     def q(self) -> tuple[sp.Symbol, ...]:
