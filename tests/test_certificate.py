@@ -505,3 +505,22 @@ def test_steep_functions_are_looked_at_in_a_moment(declared, damping, status):
     start = time.perf_counter()
     assert certificate(model).status == status
     assert time.perf_counter() - start < 20.0  # for ever, where sympy takes exp(10**8 x) to a power of exp(x)
+
+
+@pytest.mark.parametrize(
+    ("spring", "energy", "status"),
+    [
+        # A spring beyond a gap: its energy is continuous, (x - 0.1)^2/2 from x = 0.1 on.
+        ("where(x > 0.1, x - 0.1, 0)", "where(x > 0.1, (x - 0.1)**2/2, 0)", "proved"),
+        ("where(x > 0.1, x - 0.1, 0)", "where(x > 0.1, 1 + (x - 0.1)**2/2, 0)", "open"),
+    ],
+)
+def test_an_energy_in_pieces_is_to_be_continuous(declared, spring, energy, status):
+    model = declared(
+        coordinates={"x": {"initial": 0.5}},
+        equations={"x''": f"-x - {spring} - 0.1*x'"},
+        energy=f"x'**2/2 + x**2/2 + {energy}",
+    )
+    found = certificate(model)
+    assert found.status == status
+    assert ("the energy may jump at the edge of x > " in str(found)) is (status == "open")

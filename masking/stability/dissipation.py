@@ -7,6 +7,7 @@ velocities is negative semidefinite all over the box.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -18,7 +19,7 @@ from masking.compile.graph import Graph
 from masking.errors import ModelError
 from masking.kernels import Array
 from masking.model import Model
-from masking.stability.algebra import normal
+from masking.stability.algebra import is_zero, normal
 from masking.stability.boundedness import Square, squares
 from masking.stability.growth import SAMPLES, Growth
 from masking.stability.intervals import Interval, enclose
@@ -74,6 +75,11 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
         ModelError: the model has no energy.
     """
     rate = motion.energy_rate
+    pieces = motion.energy.atoms(sp.Piecewise) if motion.energy is not None else ()
+    unsure = {str(condition) for piece in pieces for condition in _edges_of_jumps(piece)}
+    if unsure:
+        at = ", ".join(sorted(unsure))
+        return Dissipation(rate, "open", f"the energy may jump at the edge of {at}; declare one that is continuous")
     if rate == 0:
         return Dissipation(rate, "proved", "V' vanishes identically: the energy is constant")
     terms = _sum_of_squares(rate, motion)
@@ -151,6 +157,28 @@ def _sides(motion: Motion, box: Box) -> dict[str, tuple[float, float]]:
     fast = max(float(np.max(rates, initial=0.0)), 1e-3)
     default = dict.fromkeys(names[:n], (-reach, reach)) | dict.fromkeys(names[n:], (-reach * fast, reach * fast))
     return {name: box.get(name, default[name]) for name in names}
+
+
+def _edges_of_jumps(piece: sp.Piecewise) -> list[sp.Expr]:
+    """Return the conditions of a function in pieces at whose edge two of them are not shown to agree."""
+    found = []
+    for (value, condition), (other, _) in itertools.pairwise(piece.args):
+        edges = _edges(condition)
+        if not edges or any(not is_zero((value - other).subs(edge)) for edge in edges):
+            found.append(condition)
+    return found
+
+
+def _edges(condition: sp.Expr) -> list[dict[sp.Expr, sp.Expr]]:
+    """Return where an inequality turns, solved for a symbol in which it is linear; none where that is not seen."""
+    if not isinstance(condition, sp.core.relational.Relational):
+        return []
+    edge = sp.expand(condition.lhs - condition.rhs)
+    for symbol in sorted(edge.free_symbols, key=str):
+        slope = edge.diff(symbol)
+        if slope.is_number and slope != 0:
+            return [{symbol: symbol - edge / slope}]
+    return []
 
 
 def _is_negative(motion: Motion, rate: sp.Expr, sides: dict[str, tuple[float, float]]) -> bool:
