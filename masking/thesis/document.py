@@ -58,8 +58,8 @@ class Comparison:
         told = counts(self.entries.values())
         return (
             f"{len(self.entries)} figures, tables and slips: {told['agrees']} numbers agree, {told['explained']} "
-            f"differ and are explained, {told['unexplained']} differ unexplained, {told['ours only']} have nothing "
-            f"beside them\npage: {self.page}"
+            f"differ and are explained, {told['unexplained']} differ unexplained, {told['given']} were made from the "
+            f"document's, {told['ours only']} have nothing beside them\npage: {self.page}"
         )
 
     def as_dict(self) -> dict[str, Any]:
