@@ -76,12 +76,20 @@ def setup_damping(s):
     return oscillators_damping(s, {1: "mu1", 2: "mu2"}) + 2 * s["z3"] * s["w3"] * s["x3'"] ** 2
 
 
+def supply(s, x):
+    return sum(2 * s[f"mu{i}"] * s[f"e{i}"] * s[f"w{i}"] * (s[f"{x}{i}'"] - s[f"{x}3'"]) ** 2 for i in (1, 2))
+
+
 # What each model of the registry loses per time: (A.2), (A.3) of Rijlaarsdam (2008) for Duffing and the discs, and
 # the forces on dampers times their speeds for the others.
 LOSSES = {
     "duffing": lambda s: 2 * s["z3"] * s["w3"] * s["x3'"] ** 2,
     "duffing_si": lambda s: 2 * s["z3"] * s["w3"] * s["x3'"] ** 2,
     "duffing_enoc": lambda s: s["b"] * s["x3'"] ** 2,
+    "duffing_driven": lambda s: 2 * s["z3"] * s["w3"] * s["x3'"] ** 2 - supply(s, "x"),
+    "discs_driven": lambda s: 2 * s["z3"] * s["w3"] * s["th3'"] ** 2 - supply(s, "th"),
+    "setup_driven": lambda s: setup_damping(s) - supply(s, "x"),
+    "setup_oscillator": lambda s: 2 * s["z"] * s["w"] * s["x'"] ** 2,
     "discs": lambda s: 2 * s["z3"] * s["w3"] * s["th3'"] ** 2,
     "discs_eccentric": lambda s: 2 * s["z3"] * s["w3"] * s["th3'"] ** 2,
     "discs_enoc": lambda s: 2 * s["z3"] * s["w3"] * s["th3'"] ** 2,
