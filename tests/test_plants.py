@@ -363,7 +363,7 @@ RUN = {"rate": 1000.0, "samples": 300, "limits": np.array([0.2, 0.4]), "lockstep
 def test_lockstep_over_the_wire_is_the_run_in_this_process_bit_for_bit(tmp_path):
     here = run_rig(damped, MassSpring(), **RUN)
     with served(MassSpring(), clock="lockstep", record=tmp_path) as (address, folders):
-        there = run_rig(damped, UdpPlant(address), **RUN)
+        there = run_rig(damped, UdpPlant(address, patience=20.0), **RUN)
     assert here.reason == there.reason == "finished"
     for name in ("times", "index", "sensors", "demanded", "applied"):
         assert getattr(here, name).tobytes() == getattr(there, name).tobytes(), name
@@ -501,7 +501,7 @@ def test_without_a_plant_it_is_said_how_to_start_one():
 
 def test_a_second_controller_is_refused_and_the_first_goes_on():
     with served(MassSpring(), clock="lockstep") as (address, _):
-        first, second = UdpPlant(address), UdpPlant(address)
+        first, second = UdpPlant(address, patience=20.0), UdpPlant(address, patience=20.0)
         refused = pytest.raises(PlantRefusedError, match=r"a controller at 127\.0\.0\.1:\d+ has this plant; stop that")
         first.configure(LOCKSTEP)
         with refused:
@@ -525,7 +525,14 @@ class Stalling(MassSpring):
 
 def test_a_server_that_was_held_up_counts_and_does_not_catch_up(tmp_path):
     with served(Stalling(), record=tmp_path) as (address, folders):
-        run = run_rig(damped, UdpPlant(address, timeout=5.0), rate=1000.0, samples=40, limits=np.ones(2), watchdog=5.0)
+        run = run_rig(
+            damped,
+            UdpPlant(address, timeout=5.0, patience=20.0),
+            rate=1000.0,
+            samples=40,
+            limits=np.ones(2),
+            watchdog=5.0,
+        )
     assert run.reason == "finished"
     recording = Recording.load(folders[0])
     wall, tick = recording["wall"], recording["tick"]
@@ -576,7 +583,7 @@ def test_a_plant_that_fails_ends_the_session_and_keeps_the_record(tmp_path):
 
 def test_a_broken_sensor_does_not_cost_the_record(tmp_path):
     with served(Blind(), clock="lockstep", record=tmp_path) as (address, folders):
-        run_rig(lambda *_: np.zeros(2), UdpPlant(address), **{**RUN, "samples": 5})
+        run_rig(lambda *_: np.zeros(2), UdpPlant(address, patience=20.0), **{**RUN, "samples": 5})
     recording = Recording.load(folders[0])
     assert recording["nonfinite.sensor.x1"].tolist() == [0.0, 0.0, 1.0, 0.0, 0.0, 0.0][: len(recording)]
     assert recording["sensor.x1"][2] == 0.0
@@ -584,7 +591,7 @@ def test_a_broken_sensor_does_not_cost_the_record(tmp_path):
 
 def test_in_lockstep_a_silent_controller_is_given_up(tmp_path):
     with served(MassSpring(), clock="lockstep", record=tmp_path, patience=0.1) as (address, folders):
-        plant = UdpPlant(address)
+        plant = UdpPlant(address, patience=20.0)
         plant.configure(LOCKSTEP)
         plant.activate()
         plant.write(plant.read().index, np.ones(2))
@@ -601,7 +608,7 @@ def test_in_lockstep_a_silent_controller_is_given_up(tmp_path):
 def test_a_controller_that_never_commands_is_given_up(tmp_path, monkeypatch):
     monkeypatch.setattr(serving, "SILENT_START", 0.02)
     with served(MassSpring(), record=tmp_path, after_latch=0.0) as (address, folders):
-        plant = UdpPlant(address, timeout=5.0)
+        plant = UdpPlant(address, timeout=5.0, patience=20.0)
         plant.configure(Settings(rate=1000.0))
         plant.activate()
         with pytest.raises(PlantLostError, match=r"ended the session: no command for 0\.02 s after the start"):
@@ -629,7 +636,7 @@ def test_a_controller_that_never_starts_is_given_up(monkeypatch):
 
 def test_sessions_follow_each_other_from_the_same_start(tmp_path):
     with served(MassSpring(), sessions=2, clock="lockstep", record=tmp_path) as (address, folders):
-        runs = [run_rig(damped, UdpPlant(address), **RUN) for _ in range(2)]
+        runs = [run_rig(damped, UdpPlant(address, patience=20.0), **RUN) for _ in range(2)]
     assert runs[0].sensors.tobytes() == runs[1].sensors.tobytes()
     assert [folder.name for folder in folders] == ["session-1", "session-2"]
 
