@@ -738,6 +738,40 @@ def test_both_sides_know_that_a_controller_was_frozen(tmp_path):
     assert not recording.array("input")[last + 20 :].any()
 
 
+@pytest.mark.parametrize("commands", [0, 1, 2, 3])
+def test_what_a_plant_said_last_is_read_also_when_it_is_gone(commands):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bare:
+        bare.bind(("127.0.0.1", 0))
+        bare.settimeout(20.0)
+
+        def play():
+            answers = {Kind.HELLO: (Kind.ACCEPT, wire.channels_text(("s",), ("u",))), Kind.START: (Kind.SENSORS, "")}
+            for _ in answers:
+                datagram, peer = bare.recvfrom(65535)
+                asked = wire.decode(datagram)
+                kind, text = answers[asked.kind]
+                values = np.zeros(1 if kind is Kind.SENSORS else 0)
+                bare.sendto(wire.encode(kind, asked.session, 0, values=values, text=text), peer)
+            bare.sendto(wire.encode(Kind.STOP, asked.session, text="the bell rang"), peer)
+            bare.close()
+
+        plant = UdpPlant(f"udp://127.0.0.1:{bare.getsockname()[1]}", patience=20.0)
+        player = threading.Thread(target=play)
+        player.start()
+        plant.configure(Settings(rate=1000.0, watchdog=5.0, lockstep=True))
+        plant.activate()
+        assert plant.read().index == 0
+        player.join()
+        for _ in range(commands):
+            plant.write(0, np.zeros(1))
+        with pytest.raises(PlantLostError, match="ended the session: the bell rang"):
+            plant.read()
+        with pytest.raises(PlantLostError, match="is gone"):
+            for _ in range(3):
+                plant.write(0, np.zeros(1))
+        plant.deactivate()
+
+
 def test_a_latched_plant_takes_the_next_controller(tmp_path):
     with process(SERVER.replace("after_latch=0.1", "after_latch=1e3"), tmp_path, 2) as (server, address):
         with process(CONTROLLER, address, 0.02) as (controller, said):

@@ -173,7 +173,8 @@ class UdpPlant:
     def _receive(self, wait: float) -> Frame | None:
         """Return the next sound frame of this session, waiting for it so many seconds; None where none comes."""
         until = time.monotonic() + wait
-        while self._waits(until - time.monotonic()):
+        gone: ConnectionError | None = None  # the socket tells it before what the plant said last
+        while self._waits(0.0 if gone else until - time.monotonic()):
             try:
                 frame = wire.decode(self._open.recv(_LARGEST_DATAGRAM))
             except WireError as error:
@@ -181,11 +182,13 @@ class UdpPlant:
             except BlockingIOError:  # a datagram whose own check sum was wrong
                 continue
             except ConnectionError as error:
-                self._lost("is gone", error)
+                gone = error
             else:
                 if frame.session == self._session:
                     return frame
                 self.counters["other session"] += 1
+        if gone is not None:
+            self._lost("is gone", gone)
         return None
 
     def _waits(self, wait: float) -> bool:
@@ -197,7 +200,9 @@ class UdpPlant:
         try:
             self._open.send(datagram)
         except ConnectionError as error:
-            self._lost("is gone", error)
+            if not self._waits(0.0):  # else what the plant said last is still to be read
+                self._lost("is gone", error)
+            self.counters["unsent"] += 1
         except BlockingIOError:  # the line is full; the next command is fresher
             self.counters["unsent"] += 1
 
