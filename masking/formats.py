@@ -83,6 +83,8 @@ def read(
             "between samples, such as --dt 0.001"
         )
     chosen = part.samples(columns[CLOCK])
+    if file.suffix.lower() in _TEXT:
+        _check_cells(part, {names.get(n, n): c for n, c in columns.items() if n in wanted}, chosen, columns[CLOCK])
     columns = columns if chosen.all() else {n: c[chosen] for n, c in columns.items()}
     columns = {n: c for n, c in columns.items() if n in wanted or np.isfinite(c).all()}
     try:
@@ -136,19 +138,8 @@ def _own(file: Path, columns: dict[str, Column]) -> Recording:
 
 def _text(file: Path) -> dict[str, Column]:
     """Read a table whose first line names its columns, between commas, semicolons, tabs or blanks."""
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordError(f"{file}: the table cannot be read ({error})") from error
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("%", "//"))]
-    if not lines:
-        raise RecordError(f"{file}: the table is empty")
-    head = lines[0].lstrip("# ")
-    separator = next((s for s in ("\t", ";", ",") if s in head), None)
-    names = [n.strip() for n in (next(csv.reader([head], delimiter=separator)) if separator else head.split())]
-    if all(_is_number(name) for name in names if name):
-        raise RecordError(f"{file}: the first line holds numbers; let it name the columns, such as t,u1,y1")
-    body = "\n".join(lines[1:])
+    names, separator, lines = _lines(file)
+    body = "\n".join(line for _, line in lines)
     if separator == ";" and "," in body:  # decimal commas
         body = body.replace(",", ".")
     used = [i for i, name in enumerate(names) if name]
@@ -163,6 +154,61 @@ def _text(file: Path) -> dict[str, Column]:
     if repeated:
         raise RecordError(f"{file}: column '{repeated[0]}' appears more than once")
     return {names[i]: np.ascontiguousarray(table[:, j]) for j, i in enumerate(used)}
+
+
+def _lines(file: Path) -> tuple[list[str], str | None, list[tuple[int, str]]]:
+    """Return the names of columns, what is between them, None for blanks, and the lines below with their numbers."""
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordError(f"{file}: the table cannot be read ({error})") from error
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.lstrip().startswith(("%", "//"))
+    ]
+    if not lines:
+        raise RecordError(f"{file}: the table is empty")
+    head = lines[0][1].lstrip("# ")
+    separator = next((s for s in ("\t", ";", ",") if s in head), None)
+    names = [n.strip() for n in (next(csv.reader([head], delimiter=separator)) if separator else head.split())]
+    if all(_is_number(name) for name in names if name):
+        raise RecordError(f"{file}: the first line holds numbers; let it name the columns, such as t,u1,y1")
+    return names, separator, [(n, line) for n, line in lines[1:] if line.partition("#")[0].strip()]
+
+
+def _check_cells(part: Part, columns: Mapping[str, Column], chosen: NDArray[np.bool_], clock: Column) -> None:
+    """Refuse a text where a number must be, with its line in the file.
+
+    Args:
+        part: the record.
+        columns: that must be finite, by their names in the file.
+        chosen: whether a sample is in the part (samples,).
+        clock: in s (samples,).
+
+    Raises:
+        RecordError: a sample of the part is not finite.
+    """
+    wrong = {name: np.flatnonzero(chosen & ~np.isfinite(values)) for name, values in columns.items()}
+    first = min(((int(rows[0]), name) for name, rows in wrong.items() if len(rows)), default=None)
+    if first is None:
+        return
+    row, name = first[0], next(n for n, rows in wrong.items() if len(rows) and rows[0] == first[0])
+    names, separator, lines = _lines(part.file)
+    number, line = lines[row]
+    cell = line.partition("#")[0].split(separator)[names.index(name)].strip()
+    count = len(np.unique(np.concatenate([*wrong.values()])))
+    at = f" (t = {clock[row]:.9g} s)" if np.isfinite(clock[row]) else ""
+    rest = f", and {count - 1} more line{'s' * (count > 2)} so" if count > 1 else ""
+    mend = (
+        "take the line out, such as one of units, or put numbers there"
+        if row == 0
+        else f"put numbers there, or use a part without, such as {part.file}@:{clock[row]:.9g}"
+        if at
+        else "take the line out, or put numbers there"
+    )
+    what = f"'{cell}'" if cell else "nothing"
+    raise RecordError(f"{part.name}: line {number} holds {what} in column '{name}'{at}, not a number{rest}; {mend}")
 
 
 def _is_number(text: str) -> bool:

@@ -56,6 +56,11 @@ class Part:
             raise RecordError(f"{text}: the part ends at {end:.9g} s, but starts at {start:.9g} s; let it end later")
         return cls(text, Path(file), start, end)
 
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Return the times in s that the part goes from and until; infinite where none is given."""
+        return -math.inf if self.start is None else self.start, math.inf if self.end is None else self.end
+
     def samples(self, t: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell of each sample of a clock (samples,) in s whether it is in the part.
 

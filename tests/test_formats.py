@@ -267,8 +267,36 @@ def test_a_part_of_a_recording(tmp_path):
 def test_what_is_wrong_outside_of_a_part_does_not_matter(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("t,x\n" + "\n".join(f"{t},{'nan' if t < 3.0 else t}" for t in T))
-    assert "column 'x' is nan in row 0" in refusal(path, needed=("x",))
+    assert "line 2 holds 'nan' in column 'x' (t = 0 s), not a number, and 299 more lines so" in refusal(
+        path, needed=("x",)
+    )
     np.testing.assert_array_equal(formats.read(f"{path}@3:", needed=("x",))["x"], T[300:])
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("t,f,x\ns,N,m\n0,1,2\n1,2,3\n", "line 2 holds 's' in column 't', not a number; take the line out"),
+        ("% of today\nt,f,x\n\n0,1,2\n1,2,OVL\n2,3,4\n",
+         "line 5 holds 'OVL' in column 'x' (t = 1 s), not a number; put numbers there, or use a part without"),
+        ("t;f;x\n0,0;1,5;2,5\n0,5;1,5;1,2 V\n", "line 3 holds '1,2 V' in column 'x' (t = 0.5 s), not a number"),
+        ("t f x\n0 1 2\n# a remark\n1 n/a 3\n2 3 n/a\n",
+         "line 4 holds 'n/a' in column 'f' (t = 1 s), not a number, and 1 more line so;"),
+        ("t,f,x\n0,1,2\n1,,3\n", "line 3 holds nothing in column 'f' (t = 1 s), not a number"),
+        ("t,f,x\n0,1,2\nend,2,3\n", "line 3 holds 'end' in column 't', not a number; take the line out"),
+    ],
+    ids=["units", "overflow", "decimal commas", "blanks", "empty", "end"],
+)  # fmt: skip
+def test_a_text_among_numbers_is_told_with_its_line(tmp_path, lines, words):
+    path = tmp_path / "a.csv"
+    path.write_text(lines)
+    assert f"{path}: {words}" in refusal(path, needed=("f", "x"))
+
+
+def test_a_text_is_told_with_the_column_of_the_file(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time,disp,note\n0,1,ok\n1,high,ok\n")
+    assert "line 3 holds 'high' in column 'disp' (t = 1 s)" in refusal(path, names={"t": "time", "x": "disp"})
 
 
 def test_a_clock_is_made_before_a_part_is_taken(runs):

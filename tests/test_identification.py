@@ -251,7 +251,7 @@ def test_columns_are_found_by_their_names(linear):
 
 
 GAP = np.concatenate([T[:400], T[417:]])
-CLOCKS = np.concatenate([T[:500], T[499] + np.arange(1, 501) / 400.0])
+RATES = np.concatenate([T[:500], T[499] + np.arange(1, 501) / 400.0])
 
 
 @pytest.mark.parametrize(
@@ -259,8 +259,8 @@ CLOCKS = np.concatenate([T[:500], T[499] + np.arange(1, 501) / 400.0])
     [
         (T, {"sensor_s2": None}, r"there is no column sensor\.s2 or s2; allowed: t, input"),
         (T, {"sensor_s2": np.where(T == 1.0, np.nan, 0.1)}, r"sensor\.s2' is nan in row 500"),
-        (GAP, {}, r"17 samples are missing after t = 0\.798 s, and there are 1 such gaps; cut the record there"),
-        (CLOCKS, {}, r"samples are 0\.00[0-9]* s apart, but 0\.00[0-9]* s after t = .*: two clocks"),
+        (GAP, {}, r"17 samples are missing after t = 0\.798 s; cut the record there, and use one part$"),
+        (RATES, {}, r"the rate changes from 500 to 400 Hz at t = 0\.998 s; use one part$"),
         (np.concatenate([T, T]), {}, r"must increase strictly: row 1000 is 0 after 1\.998"),
         (T[:3], {}, r"it has 3 samples; give a longer record"),
         (T, {f"{kind}_{name}": np.full(len(T), 0.2) for kind, names in (("input", ("V1", "V2", "V3")),

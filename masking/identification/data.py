@@ -12,6 +12,7 @@ import numpy as np
 
 from masking import formats
 from masking.errors import ModelError, RecordError, nearest
+from masking.identification import clock
 from masking.identification.noise import white_noise
 from masking.kernels import Array
 from masking.recording import Recording
@@ -22,7 +23,6 @@ from masking.twin import Twin
 # all that simulates knows two ways.
 Assumption = Literal[Between, "smooth"]
 
-_STEADY = 1e-3  # of a period: how far an instant may be from a steady clock
 _STILL = 4.0  # deviations of the noise: readings that vary by less do not move
 _LINES = (1.0 / 12.0, 1.0 / 90.0, 1.0 / 560.0)  # (asin(x/2)/(x/2))**2 = 1 + x**2/12 + x**4/90 + x**6/560 + ...
 
@@ -81,7 +81,7 @@ class Data:
             )
         commands = _columns(recording, "input", twin.actuators, name)
         readings = _columns(recording, "sensor", twin.sensors, name)
-        rate = _rate(np.asarray(recording.t, dtype=float), name)
+        rate = clock.rate(np.asarray(recording.t, dtype=float), name)
         if between == "held":
             found = cls(name, rate, commands, readings, twin.delay)
         else:
@@ -195,28 +195,3 @@ def _columns(recording: Recording, prefix: str, names: Sequence[str], where: str
             )
         found.append(np.asarray(recording[column], dtype=float))
     return np.ascontiguousarray(np.array(found).T)
-
-
-def _rate(t: Array, name: str) -> float:
-    """Return the samples per second of a steady clock."""
-    if len(t) < 4:
-        raise RecordError(f"{name}: it has {len(t)} samples; give a longer record")
-    steps = np.diff(t)
-    period = float(np.median(steps))
-    back = np.flatnonzero(steps <= 0.0)
-    if len(back):
-        raise RecordError(f"{name}: time goes back after t = {t[back[0]]:g} s; give records of different clocks apart")
-    gaps = np.flatnonzero(steps > 1.5 * period)
-    if len(gaps):
-        at, lacking = gaps[0], round(float(steps[gaps[0]]) / period) - 1
-        raise RecordError(
-            f"{name}: {lacking} samples are missing after t = {t[at]:g} s, and there are {len(gaps)} such gaps; cut "
-            "the record there, and give the parts as records of their own"
-        )
-    off = np.flatnonzero(np.abs(steps - period) > max(_STEADY * period, 4e-16 * float(np.abs(t).max())))
-    if len(off):
-        raise RecordError(
-            f"{name}: samples are {period:g} s apart, but {steps[off[0]]:g} s after t = {t[off[0]]:g} s: two clocks; "
-            "resample it to one, or give the parts as records of their own"
-        )
-    return (len(t) - 1) / float(t[-1] - t[0])
