@@ -51,6 +51,33 @@ def test_list_loads_no_heavy_package():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
 
 
+def test_an_interrupt_while_packages_load_is_told_in_one_line(tmp_path):
+    code = (
+        "import signal, sys; from masking.cli import main\n"
+        "class Pressed:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'masking.cli.rig': signal.raise_signal(signal.SIGINT)\n"
+        f"sys.meta_path.insert(0, Pressed()); sys.argv = {['masking', 'discover', 'r.csv', '--model', 'setup']!r}\n"
+        "sys.exit(main())"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "masking: interrupted; nothing was saved\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupt_of_a_verb_waits_for_a_package_that_is_loading():
+    code = (
+        "import signal, time; from masking.cli import progress\n"
+        "signal.signal(signal.SIGINT, signal.SIG_DFL); progress.raise_interrupts()\n"
+        "load = 'signal.raise_signal(signal.SIGINT); time.sleep(0.2)'\n"
+        "exec(compile(load, '<frozen importlib._bootstrap>', 'exec')); print('loaded')\n"
+        "try: time.sleep(30)\n"
+        "except KeyboardInterrupt: print('interrupted')\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (ended.stdout, ended.stderr) == ("loaded\ninterrupted\n", "")
+
+
 def test_show_gives_table_4_2_beside_table_b_1(capsys):
     status, out, _ = run(capsys, "show", "setup", "--json")
     content = json.loads(out)
@@ -202,7 +229,7 @@ def test_the_wheel_carries_models_plants_and_examples():
 @pytest.mark.parametrize(
     ("mass", "said"),
     [
-        ("0", "the matrix of the accelerations is singular at the declared values; look for a mass that is 0"),
+        ("0", "the matrix of the accelerations is singular at the declared values; look for a mass that is 0 (m = 0)"),
         ("-0.2", "the kinetic energy is not positive at the declared values"),
     ],
 )

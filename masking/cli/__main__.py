@@ -2,6 +2,6 @@
 
 import sys
 
-from masking.cli.parser import main
+from masking.cli import main
 
 sys.exit(main())

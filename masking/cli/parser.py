@@ -11,15 +11,15 @@ from collections.abc import Sequence
 
 from masking.cli import declarations, discovery, identification, rig, runs, stability, thesis
 from masking.cli.adding import add_to
-from masking.cli.progress import INTERRUPTED
+from masking.cli.progress import INTERRUPTED, NOTHING_SAVED
 from masking.errors import DeclarationError, MaskingError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to mend first."""
-    if arguments is None:  # in a process of its own, which an interrupt may end while packages are still loading
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
     chosen = _parser().parse_args(arguments)
+    if arguments is None:  # in a process of its own, which an interrupt may end in the midst of compiled code
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         status: int = chosen.verb(chosen)
         sys.stdout.flush()
@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _tell(error, as_json=chosen.json)
         return error.exit_status
     except KeyboardInterrupt:
-        print("masking: interrupted; nothing was saved", file=sys.stderr)
+        print(NOTHING_SAVED, file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # the reader, such as head, has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
-from types import TracebackType
+import threading
+from types import FrameType, TracebackType
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
@@ -15,6 +17,8 @@ else:
     tqdm = lazy.load("tqdm")
 
 INTERRUPTED = 130  # exit status
+NOTHING_SAVED = "masking: interrupted; nothing was saved"
+_LATER = 0.02  # s, after which an interrupt tries again
 _FORM = "{desc} {percentage:3.0f}% {bar}"
 
 
@@ -49,7 +53,30 @@ class Bar:
         self.close()
 
 
+def end_at_interrupts() -> None:
+    """Let an interrupt end the process with a line while packages are loading, which may catch what is raised."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        os.write(2, f"{NOTHING_SAVED}\n".encode())
+        os._exit(INTERRUPTED)
+
+    signal.signal(signal.SIGINT, end)
+
+
 def raise_interrupts() -> None:
     """Let an interrupt be raised from here on: until now nothing was lost by ending the process."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, _raise_between_imports)
+
+
+def _raise_between_imports(number: int, frame: FrameType | None) -> None:
+    """Raise an interrupt, once no package is loading: what is raised inside of that may come out as another error."""
+    at = frame
+    while at is not None:
+        if at.f_code.co_filename.startswith("<frozen importlib"):
+            again = threading.Timer(_LATER, signal.raise_signal, [number])
+            again.daemon = True
+            again.start()
+            return
+        at = at.f_back
+    raise KeyboardInterrupt
