@@ -35,14 +35,15 @@ def assess(
             loop beside it.
         kind: 'model' or 'experiment', where a name stands for both; by default the model.
         changes: parameters that replace the declared ones, in the declared units.
-        box: where equilibria are looked for, by coordinate, in the scales of the system, or in SI units.
+        box: where equilibria are looked for, and where what is not proved everywhere is, by coordinate and velocity
+            (`x1'`), in the scales of the system, or in SI units.
         exponent: time over which the largest Lyapunov exponent of the motion from the initial state is found, in the
             scales of the system, or in s; it is not where none is given.
         tell: called with what is done, and the part done.
 
     Raises:
         DeclarationError: a declaration is wrong, or of another kind.
-        ModelError: the box names what is no coordinate, or no rig position gives the virtual equilibrium.
+        ModelError: the box names what is no coordinate or velocity, or no rig position gives the virtual equilibrium.
     """
     kind = kind or catalogue.kind_of(name_or_path)
     if kind not in KINDS:

@@ -115,14 +115,12 @@ class Sensitivity:
 
     def basis(self, theta: Array) -> tuple[Array, Array]:
         """Return the twin's parameter array, and how its entries depend on the parameters (affected, k)."""
-        p = self.parameters(theta)
+        p, bounds = self.parameters(theta), self.bounds()
         columns = []
-        for i, value in enumerate(theta):
-            step = _STEP * (abs(value) or 1.0)
-            ahead, behind = theta.copy(), theta.copy()
-            ahead[i] += step
-            behind[i] -= step
-            columns.append((self.parameters(ahead) - self.parameters(behind)) / (2.0 * step))
+        for i in range(len(theta)):
+            behind, ahead = _beside(theta, i, bounds)
+            apart = float(ahead[i] - behind[i]) or 1.0  # a parameter between bounds that are one changes nothing
+            columns.append((self.parameters(ahead) - self.parameters(behind)) / apart)
         found = np.array(columns).T if columns else np.zeros((len(p), 0))
         return p, np.ascontiguousarray(found[list(self.affected)])
 
@@ -131,12 +129,10 @@ class Sensitivity:
         """Return the indices in the twin's parameter array of all that depend on the parameters and shared ones."""
         if self.shared:
             return Sensitivity(self.twin, self._compiled).affected
-        theta, touched = self.start(), set[int]()
+        theta, touched, bounds = self.start(), set[int](), self.bounds()
         before = self.parameters(theta)
-        for i, value in enumerate(theta):
-            for step in (_STEP * (abs(value) or 1.0), -_STEP * (abs(value) or 1.0)):
-                changed = theta.copy()
-                changed[i] += step
+        for i in range(len(theta)):
+            for changed in _beside(theta, i, bounds):
                 touched |= set(np.flatnonzero(self.parameters(changed) != before).tolist())
         return tuple(sorted(touched))
 
@@ -397,3 +393,13 @@ def normal(
             _move(t + step * h, y, sens, u, rise, p, basis, h, work)
     return 0
 """
+
+
+def _beside(theta: Array, i: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return values with one of them a little smaller and a little larger, neither beyond its bounds."""
+    step = _STEP * (abs(theta[i]) or 1.0)
+    low, high = bounds
+    behind, ahead = theta.copy(), theta.copy()
+    behind[i] = max(theta[i] - step, min(low[i], theta[i]))
+    ahead[i] = min(theta[i] + step, max(high[i], theta[i]))
+    return behind, ahead

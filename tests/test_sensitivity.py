@@ -5,6 +5,7 @@ import pytest
 from scipy import linalg, signal
 
 from masking.declaration import schema
+from masking.discovery import asked
 from masking.errors import IntegrationError, ModelError
 from masking.sensitivity import Sensitivity
 from masking.twin import Twin
@@ -24,6 +25,22 @@ def commands(samples, seed=0, size=0.02):
 @pytest.fixture(scope="module")
 def linear():
     return Sensitivity(Twin.load("linear_rig"), NAMES)
+
+
+@pytest.mark.parametrize(("value", "bounds"), [(0.0, (0.0, None)), (0.5, (None, 0.5)), (0.0, (0.0, 0.0))])
+def test_a_parameter_may_be_at_its_bound(value, bounds, tmp_path):
+    """Of x'' = f - k*x - c*x', for which a difference beyond the bounds would be refused."""
+    path, text = tmp_path / "mass.yaml", ", ".join("null" if b is None else str(b) for b in bounds)
+    path.write_text(
+        "name: mass\ncoordinates: {x: {}}\ninputs: {f: {}}\nparameters: {c: {value: "
+        f"{value}, bounds: [{text}]}}, k: 100}}\nequations: {{\"x''\": f - k*x - c*x'}}\n"
+    )
+    found = Sensitivity(asked.rig(path, None), ("c", "k"))
+    p, columns = found.basis(found.start())
+    slopes = np.zeros((len(p), 2))
+    slopes[list(found.affected)] = columns
+    rows = [int(np.flatnonzero(p == at)[0]) for at in (value, 100.0)]
+    np.testing.assert_allclose(slopes[rows], [[bounds != (0.0, 0.0), 0.0], [0.0, 1.0]], atol=1e-9)
 
 
 def test_sensors_that_round_are_simulated_as_they_are_before_that():

@@ -243,6 +243,9 @@ def test_frequency_response_is_the_closed_form_of_one_oscillator(declared):
     np.testing.assert_allclose(found[0, 0], 1.0 / (1.0 - w**2 + 0.2j * w), rtol=1e-10)
     with pytest.raises(ModelError, match="no inputs"):
         frequency_response(load("discs"), w)
+    for wrong in (-1.0, np.nan, np.inf):
+        with pytest.raises(ModelError, match=f"a frequency is {wrong:g}; give finite ones"):
+            frequency_response(model, np.array([1.0, wrong]))
 
 
 # Orbits
@@ -420,12 +423,32 @@ def test_parameters_and_boxes_of_the_verb(capsys, tmp_path):
     assert json.loads(numbers.read_text())["equilibria"]["box"]["x1"] == [-2.0, 2.0]
 
 
+def test_a_box_of_velocities_is_what_the_energy_is_looked_at_on(capsys, tmp_path):
+    """V' = x'^2 (-d + e x^2) is not positive where |x| <= sqrt(d/e), which is 2.24 m, or 2.24 of the scale."""
+    path = tmp_path / "grows.yaml"
+    path.write_text(
+        "name: Grows\n"
+        "scales: {length: {value: l, unit: m}, time: {value: 1/w, unit: s}}\n"
+        "coordinates: {x: {unit: m, initial: 0.0005}}\n"
+        "parameters: {l: {value: 1, unit: mm}, w: {value: 10, unit: rad/s}, e: {value: 2e5, unit: 1/(m**2*s)}}\n"
+        "equations: {x'': -w**2*x - 0.1*w*x' + e*x**2*x'}\n"
+        "energy: x'**2/2 + w**2*x**2/2\n"
+    )
+    arguments = ("stability", path, "--out", tmp_path / "out")
+    assert run(capsys, *arguments)[0] == 0
+    assert "the energy can grow" in run(capsys, *arguments)[1]
+    status, out, _ = run(capsys, *arguments, "--box", "x=-2:2", "--box", "x'=-3:3")
+    assert status == 0
+    assert "does not grow while the motion stays in the box |x| <= 2, |x'| <= 3" in out
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("tue_rig",), "has no stability of its own; name a model or an experiment"),
         (("discs", "--box", "th1=1"), "'th1=1' cannot be read; write it as in --box x1=-2:2"),
-        (("discs", "--box", "th9=0:1"), "has no coordinate 'th9'"),
+        (("discs", "--box", "th9=0:1"), "has no coordinate or velocity 'th9'"),
+        (("discs", "--box", "th1'=1:1"), "the box of th1' is [1, 1]; give the least value, then the largest"),
         (("discs", "--set", "w9=1"), "did you mean"),
     ],
 )

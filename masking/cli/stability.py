@@ -20,7 +20,7 @@ def add_stability(found: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     sub.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="change a parameter of the system"
     )
-    text = "look for equilibria with this coordinate between LOW and HIGH"
+    text = "look for equilibria, and prove what is not proved everywhere, with this coordinate or velocity in between"
     sub.add_argument("--box", metavar="NAME=LOW:HIGH", action="append", default=[], help=text)
     text = "find the largest Lyapunov exponent of the motion from the initial state over this time: is it chaotic?"
     sub.add_argument("--exponent", metavar="TIME", type=float, help=text)

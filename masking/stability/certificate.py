@@ -16,8 +16,8 @@ from masking.errors import ModelError
 from masking.model import Model
 from masking.stability.algebra import normal, radical
 from masking.stability.boundedness import Boundedness, boundedness, is_positive_definite
-from masking.stability.dissipation import Box, Dissipation, Status, dissipation
-from masking.stability.equilibria import UNDECIDED, equilibria
+from masking.stability.dissipation import Dissipation, Status, dissipation
+from masking.stability.equilibria import UNDECIDED, Box, equilibria
 from masking.stability.hypotheses import Hypotheses
 from masking.stability.lasalle import Family, InvariantSet, invariant_set
 from masking.stability.motion import Motion

@@ -8,7 +8,6 @@ velocities is negative semidefinite all over the box.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -18,9 +17,9 @@ import numpy as np
 from masking.compile.graph import Graph
 from masking.errors import ModelError
 from masking.kernels import Array
-from masking.model import Model
 from masking.stability.algebra import is_zero, normal
 from masking.stability.boundedness import Square, squares
+from masking.stability.equilibria import Box, check_box
 from masking.stability.growth import SAMPLES, Growth
 from masking.stability.intervals import Interval, enclose
 from masking.stability.modes import state_matrix
@@ -32,7 +31,6 @@ else:
     sp = lazy.load("sympy")
 
 Status = Literal["proved", "refuted", "supported numerically", "open"]
-Box = Mapping[str, tuple[float, float]]
 
 _MOST_BOXES = 50_000
 _ROUNDS = 40
@@ -50,7 +48,8 @@ class Dissipation:
         method: how that was found.
         squares: of which -V' is the sum, where it is seen to be one.
         box: where it holds; None for everywhere.
-        counterexample: a state at which V' > 0, at the declared values, in SI units, and `growth`, the least V' there.
+        counterexample: a state at which V' > 0, at the declared values, in the units of the model, and `growth`, the
+            least V' there.
     """
 
     rate: sp.Expr
@@ -67,9 +66,9 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
 
     Args:
         motion: the equations; its hypotheses get those that the proof needs.
-        box: least and largest values of coordinates and velocities (`x1'`), in SI units, for what is not proved
-            everywhere; where not given, twice the largest declared initial value, times the largest eigenvalue, and
-            states at which V' > 0 are looked for up to a hundred times as far, too.
+        box: least and largest values of coordinates and velocities (`x1'`), in the units of the model, for what is not
+            proved everywhere; where not given, twice the largest declared initial value, times the largest eigenvalue,
+            and states at which V' > 0 are looked for up to a hundred times as far, too.
 
     Raises:
         ModelError: the model has no energy.
@@ -139,12 +138,9 @@ def _is_sum_of_resistances(rate: sp.Expr, motion: Motion) -> bool:
 
 
 def _sides(motion: Motion, box: Box) -> dict[str, tuple[float, float]]:
-    """Return a box of coordinates and velocities, in SI units."""
-    names = [*map(str, motion.q), *map(str, motion.v)]
-    for name in box:
-        if name not in names:
-            raise ModelError(f"the box names '{name}'; {motion.model.name} has {', '.join(names)}")
-    model = Model(motion.model.declaration, motion.model.overrides)
+    """Return a box of coordinates and velocities, in the units of the model."""
+    model, names = motion.model, [*map(str, motion.q), *map(str, motion.v)]
+    check_box(model, box)
     declared = model.declaration.coordinates
     state = model.initial_state({c: 0.0 for c, d in declared.items() if d.initial is None})
     n = len(motion.q)
@@ -209,13 +205,8 @@ class _Hessian:
 
     def __init__(self, motion: Motion, rate: sp.Expr, state: list[sp.Symbol], used: list[sp.Symbol]) -> None:
         self.graph, self.n = Graph(), len(used)
-        symbols = {x: self.graph.symbol(f"x_{x.name}", varying=True) for x in state}
-        self.at = list(symbols.values())
-        self.values = {}
-        for name, symbol in motion.given.symbols.items():
-            if not symbol.is_number:
-                symbols[symbol] = self.graph.symbol(f"p_{symbol}", varying=False)
-                self.values[symbols[symbol]] = Interval.of(motion.given.values[name])
+        symbols, values = motion.on(self.graph, state)
+        self.at, self.values = [symbols[x] for x in state], {n: Interval.of(x) for n, x in values.items()}
         self.entries = [self.graph.lower(x, symbols) for x in sp.hessian(rate, used)]
 
     def edge(self, low: Array, high: Array) -> Array:

@@ -103,6 +103,23 @@ class Equilibria:
         return found
 
 
+def check_box(model: Model, box: Box, *, with_velocities: bool = True) -> None:
+    """Refuse a box of what the model does not have, or without an inside.
+
+    Raises:
+        ModelError: a name is no coordinate or, with velocities, no velocity (`x1'`); or a least value is not below the
+            largest.
+    """
+    names, what = [*model.coordinates], "coordinate"
+    if with_velocities:
+        names, what = [*names, *(f"{name}'" for name in names)], "coordinate or velocity"
+    for name, (low, high) in box.items():
+        if name not in names:
+            raise ModelError(f"{model.name} has no {what} '{name}'; {nearest(name, names)}")
+        if not low < high:
+            raise ModelError(f"the box of {name} is [{low:g}, {high:g}]; give the least value, then the largest")
+
+
 def equilibria(model: Model, box: Box | None = None) -> Equilibria:
     """Find every equilibrium of a model in a box.
 
@@ -191,11 +208,7 @@ class _Rest:
     def search(self, given: dict[str, tuple[float, float]]) -> Equilibria:
         """Cut the box until each part is decided."""
         names = [q.name for q in self.q]
-        for name, (low, high) in given.items():
-            if name not in names:
-                raise ModelError(f"{self.model.name} has no coordinate '{name}'; {nearest(name, names)}")
-            if not low < high:
-                raise ModelError(f"the box of {name} is [{low}, {high}]; give the least value, then the largest")
+        check_box(self.model, given, with_velocities=False)
         box, known = {}, self.bound()
         state = self.model.initial_state(dict.fromkeys((n for n in names if self._undeclared(n)), 0.0))
         wide = _FURTHER * float(np.max(np.abs(state[: len(names)]), initial=0.0)) or 1.0

@@ -50,13 +50,8 @@ class Growth:
         jumps = [f.args[0] for f in expression.atoms(sp.sign, sp.Heaviside, sp.DiracDelta)]
         jumps += [r.lhs - r.rhs for r in expression.atoms(sp.core.relational.Relational)]
         self.graph = Graph()
-        symbols = {x: self.graph.symbol(f"x_{x.name}", varying=True) for x in self.state}
-        self.at = list(symbols.values())
-        self.values = dict[Node, float]()
-        for name, symbol in motion.given.symbols.items():
-            if not symbol.is_number:
-                symbols[symbol] = self.graph.symbol(f"p_{symbol}", varying=False)
-                self.values[symbols[symbol]] = motion.given.values[name]
+        symbols, self.values = motion.on(self.graph, self.state)
+        self.at = [symbols[x] for x in self.state]
         self.node = self.graph.lower(self.smooth, symbols)
         self.edges = [self.graph.lower(x, symbols) for x in dict.fromkeys(jumps)]
 

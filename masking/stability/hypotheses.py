@@ -44,8 +44,8 @@ class Hypotheses:
 
     @cached_property
     def values(self) -> dict[str, float]:
-        """Return the parameters by name, in SI units."""
-        return Model(self.model.declaration, self.model.overrides).parameter_values()
+        """Return the parameters by name, in the units of the model: SI or its scales."""
+        return self.model.parameter_values()
 
     @cached_property
     def groups(self) -> tuple[tuple[str, ...], ...]:

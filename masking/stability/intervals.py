@@ -45,8 +45,9 @@ class Interval:
 
     @property
     def middle(self) -> Array:
-        """Return a number inside of each."""
-        return 0.5 * self.low + 0.5 * self.high
+        """Return a number inside of each; NaN where both ends are infinite."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(0.5 * self.low + 0.5 * self.high)
 
     def __getitem__(self, index: Any) -> Interval:  # noqa: ANN401  # any that numpy takes
         return Interval(self.low[index], self.high[index])

@@ -247,10 +247,14 @@ def frequency_response(model: Model, frequencies: Array, at: Mapping[str, float]
         complex amplitudes (outputs, inputs, m).
 
     Raises:
-        ModelError: the model has no inputs.
+        ModelError: the model has no inputs, or a frequency is negative or no number.
     """
     if not model.inputs:
         raise ModelError(f"{model.name} has no inputs, and so no frequency response; declare 'inputs:'")
+    asked = np.asarray(frequencies, dtype=float)
+    wrong = asked[~(np.isfinite(asked) & (asked >= 0.0))]
+    if len(wrong):
+        raise ModelError(f"a frequency is {wrong[0]:g}; give finite ones that are not negative")
     system: Any = model.linearise(at)
-    response = control.frequency_response(system, np.asarray(frequencies, dtype=float), squeeze=False)
+    response = control.frequency_response(system, asked, squeeze=False)
     return np.asarray(response.complex, dtype=np.complex128)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
 
+from masking.compile.graph import Graph, Node
 from masking.errors import ModelError
 from masking.model import Model
 from masking.stability.algebra import is_zero, normal
@@ -38,7 +40,7 @@ class Motion:
         e = self.model.equations
         if self.model.states:
             raise ModelError(f"{self.model.name} has internal states, for which there is no certificate")
-        if e.symbols.t in sp.Matrix([*e.mass, *e.force]).free_symbols:
+        if not self.model.is_autonomous:
             raise ModelError(
                 f"the equations of {self.model.name} hold the time, for which there is no certificate; declare what "
                 "acts from outside, such as a drive, under 'inputs:'"
@@ -100,6 +102,16 @@ class Motion:
         rate = sum(sp.diff(self.energy, q) * v for q, v in zip(self.q, self.v, strict=True))
         rate += sum(sp.diff(self.energy, v) * a for v, a in zip(self.v, self.accelerations, strict=True))
         return normal(rate)
+
+    def on(self, graph: Graph, state: Sequence[sp.Symbol]) -> tuple[dict[sp.Symbol, Node], dict[Node, float]]:
+        """Return nodes of a graph for coordinates and velocities, first, and parameters, and the declared values."""
+        nodes = {x: graph.symbol(f"x_{x.name}", varying=True) for x in state}
+        values: dict[Node, float] = {}
+        for name, symbol in self.given.symbols.items():
+            if not symbol.is_number:
+                nodes[symbol] = graph.symbol(f"p_{symbol}", varying=False)
+                values[nodes[symbol]] = self.given.values[name]
+        return nodes, values
 
     @cached_property
     def circles(self) -> tuple[sp.Symbol, ...]:

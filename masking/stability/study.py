@@ -12,7 +12,7 @@ from masking.errors import ModelError
 from masking.kernels import Array
 from masking.model import Model
 from masking.stability.certificate import Certificate, certificate
-from masking.stability.equilibria import Box, Equilibria, Equilibrium, equilibria
+from masking.stability.equilibria import Box, Equilibria, Equilibrium, check_box, equilibria
 from masking.stability.lyapunov import Exponent
 from masking.stability.modes import Complex, Driven, Mode, Modes, loop_matrix, modes, state_matrix, upsilon
 
@@ -104,23 +104,25 @@ def study(model: Model, box: Box | None = None) -> Stability:
 
     Args:
         model: in SI units or in its scales; inputs are 0.
-        box: where equilibria are looked for; see `equilibria`.
+        box: least and largest value of coordinates, between which equilibria are looked for, and of coordinates and
+            velocities (`x1'`), for what the energy does not prove everywhere; see `equilibria` and `dissipation`.
 
     Raises:
-        ModelError: the box names what is no coordinate.
+        ModelError: the box names what is no coordinate or velocity, or has no inside.
     """
+    check_box(model, box or {})
+    places = {name: sides for name, sides in (box or {}).items() if name in model.coordinates}
     rest, untold, found = None, "", []
     try:
-        rest = equilibria(model, box)
+        rest = equilibria(model, places)
     except ModelError as error:
-        if box:
+        if places:
             raise
         untold = str(error)
     for point in rest.points if rest else ():
         found.append(modes(state_matrix(model, point.position), model.coordinates))
-    return Stability(
-        model.name, model.coordinates, rest, tuple(found), _upsilon(model, rest), certificate(model), untold=untold
-    )
+    proof = certificate(model, box)
+    return Stability(model.name, model.coordinates, rest, tuple(found), _upsilon(model, rest), proof, untold=untold)
 
 
 def loop_modes(loop: Driven, state: Array, lengths: Array, time_scale: float, virtual: Complex) -> LoopModes:

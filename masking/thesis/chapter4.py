@@ -17,7 +17,7 @@ from masking.signals import Multisine, crest_factor, minimise_crest, multisine, 
 from masking.thesis.benches import RATE, alone, recorded
 from masking.thesis.entry import Entry, Value
 from masking.thesis.plots import curves
-from masking.thesis.slips import GAINS, PHASES
+from masking.thesis.slips import GAINS, table_b_2
 from masking.twin import Twin
 
 NAMES = ("blue", "red", "beam")
@@ -46,10 +46,7 @@ def table_4_2() -> Entry:
 
 def fig_4_2() -> Entry:
     """The multisine whose crest factor is smallest."""
-    lines = np.linspace(0.01, 25.0, 25)
-    printed, beat = Multisine(lines, 1.0, np.pi * np.array(PHASES)), float(1.0 / (lines[1] - lines[0]))
-    samples = printed.sample(beat * np.arange(1000) / 1000)
-    sampled = float(np.abs(samples).max() / np.sqrt(np.mean(samples**2)))
+    printed, beat, sampled = table_b_2()
     ours = minimise_crest(Multisine.harmonic(np.arange(1, 26), beat), starts=12)
     turned = (
         f"over 200 s the phases of lines that are no harmonics turn; see the slip of 4.2.1. Harmonics of {beat:.4f} s "
@@ -262,8 +259,7 @@ def _identified(number: int) -> tuple[dict[str, float], dict[str, float], dict[s
 @functools.cache
 def _wave(number: int) -> Data:
     """Return a record of one oscillator alone under the multisine."""
-    lines = Multisine(np.linspace(0.01, 25.0, 25), 1.0, np.pi * np.array(PHASES))
-    made = multisine(lines, rate=RATE, duration=SECONDS)
+    made = multisine(table_b_2()[0], rate=RATE, duration=SECONDS)
     samples = made["u"][:, None] * PEAK[number - 1] / np.abs(made["u"]).max()
     return recorded(alone(number, is_true=True), samples, name=f"multisine, {NAMES[number - 1]}")
 

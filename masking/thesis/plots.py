@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -45,21 +45,18 @@ def transient(motion: Motion, title: str, *, time: str = r"$\tau$") -> bytes:
     bottom.set(ylabel=r"$\Delta\varphi\,/\,\pi$", xlabel=time, ylim=(-0.5, 1.5), yticks=(0.0, 0.5, 1.0, 1.5))
     for axes in (top, middle, bottom):
         axes.set_xlim(motion.t[0], motion.t[-1])
-    handles = [Line2D([], [], color=c, label=n) for c, n in zip((BLUE, RED, INK), names, strict=True)]
-    return _png(figure, handles, title)
+    return _png(figure, _handles(names, (BLUE, RED, INK)), title)
 
 
 def sums(motions: Mapping[str, Motion], title: str, *, time: str = r"$\tau$") -> bytes:
     """Draw |a + b| of several motions over time on a logarithmic scale."""
     figure, (axes,) = sheet([2.4], top=LEGEND)
-    handles = []
-    for (label, motion), colour in zip(motions.items(), COLOURS, strict=False):
+    for motion, colour in zip(motions.values(), COLOURS, strict=False):
         total = np.abs(motion.a + motion.b)
         axes.semilogy(*thin(motion.t, np.maximum(total, FLOOR)), color=colour, lw=0.6)
-        handles.append(Line2D([], [], color=colour, label=label))
     one, other, _ = (name.strip("$") for name in _symbols(motion))
     axes.set(ylabel=f"$|{one} + {other}|$", xlabel=time, xlim=(motion.t[0], motion.t[-1]))
-    return _png(figure, handles, title)
+    return _png(figure, _handles(motions, COLOURS), title)
 
 
 def steady(motion: Motion, seconds: float, title: str, *, time: str) -> bytes:
@@ -73,8 +70,7 @@ def steady(motion: Motion, seconds: float, title: str, *, time: str) -> bytes:
         axes.set_xlim(motion.t[last][0], motion.t[-1])
     top.set_ylabel(f"{names[0]}, {names[1]}")
     bottom.set(ylabel=names[2], xlabel=time)
-    handles = [Line2D([], [], color=c, label=n) for c, n in zip((BLUE, RED, INK), names, strict=True)]
-    return _png(figure, handles, title)
+    return _png(figure, _handles(names, (BLUE, RED, INK)), title)
 
 
 def curves(
@@ -98,7 +94,7 @@ def curves(
         axes.set(ylabel=vertical, xlim=(x[0], x[-1]))
         axes.yaxis.set_major_locator(MaxNLocator(4))
     all_axes[-1].set_xlabel(label)
-    return _png(figure, [Line2D([], [], color=c, label=n) for n, c in named.items()], title)
+    return _png(figure, _handles(named, named.values()), title)
 
 
 def valley(x: Series, drawn: Mapping[str, Series], labels: tuple[str, str], title: str) -> bytes:
@@ -114,13 +110,17 @@ def valley(x: Series, drawn: Mapping[str, Series], labels: tuple[str, str], titl
     for series, colour in zip(drawn.values(), COLOURS, strict=False):
         axes.semilogy(x, np.where(series > 0.0, series, np.nan), color=colour, lw=1.2)
     axes.set(xlabel=labels[0], ylabel=labels[1], xlim=(0.0, x[-1]), ylim=(1e-3, 1.2))
-    handles = [Line2D([], [], color=c, label=n) for n, c in zip(drawn, COLOURS, strict=False)]
-    return _png(figure, handles, title)
+    return _png(figure, _handles(drawn, COLOURS), title)
 
 
 def _symbols(motion: Motion) -> list[str]:
     """Return the names of a motion, typeset; th stands for theta."""
     return [symbol(re.sub(r"^th(?=\d)", "theta", name)) for name in motion.names]
+
+
+def _handles(names: Iterable[str], colours: Iterable[str]) -> list[Line2D]:
+    """Return the entries of a legend; colours that are left over have none."""
+    return [Line2D([], [], color=c, label=n) for n, c in zip(names, colours, strict=False)]
 
 
 def _png(figure: Figure, handles: list[Line2D], title: str) -> bytes:

@@ -11,7 +11,7 @@ from masking.signals import Multisine, crest_factor
 from masking.thesis.entry import Entry, Value
 
 # Table B.2, in units of pi.
-PHASES = (
+_PHASES = (
     *(1.5706, 0.1425, 1.2977, 1.7042, 1.4277, 1.8201, 1.0641, 0.0000, 0.7113, 0.6608, 0.6606, 1.4765, 1.7126),
     *(1.8925, 1.5232, 0.8378, 1.9196, 1.9680, 0.0724, 1.2242, 0.1689, 0.0000, 1.3600, 0.1597, 0.6171),
 )
@@ -217,11 +217,7 @@ def stiffness_power() -> Entry:
 
 def crest() -> Entry:
     """Section 4.2.1: the crest factor of Table B.2."""
-    lines = np.linspace(0.01, 25.0, 25)
-    signal = Multisine(lines, 1.0, np.pi * np.array(PHASES))
-    beat = float(1.0 / (lines[1] - lines[0]))
-    samples = signal.sample(beat * np.arange(1000) / 1000)
-    sampled = float(np.abs(samples).max() / np.sqrt(np.mean(samples**2)))
+    signal, beat, sampled = table_b_2()
     why = f"the lines 0.01 + k {1 / beat:.4f} Hz are not harmonics of one period: over 200 s their phases turn"
     rows = (
         Value("crest factor over one beat of 0.96 s, 1000 samples", sampled, document=1.4838, where="p. 24"),
@@ -237,6 +233,14 @@ def crest() -> Entry:
     )
     words = ("The optimised signal has the printed crest factor over one beat only. " + why[0].upper() + why[1:] + ".",)
     return Entry("Slip: 4.2.1", "Crest factor of the excitation", "slip", rows, words)
+
+
+def table_b_2() -> tuple[Multisine, float, float]:
+    """Return the printed multisine, the time of one beat in s, and the crest factor of 1000 samples of a beat."""
+    lines = np.linspace(0.01, 25.0, 25)
+    signal, beat = Multisine(lines, 1.0, np.pi * np.array(_PHASES)), float(1.0 / (lines[1] - lines[0]))
+    samples = signal.sample(beat * np.arange(1000) / 1000)
+    return signal, beat, float(np.abs(samples).max() / np.sqrt(np.mean(samples**2)))
 
 
 def _sum_values(z3: float) -> np.ndarray:
