@@ -3,6 +3,7 @@
 The rig's beam rubs; the rig's damping is 5 % larger than its controller believes, and its gains are 5 % smaller. It is
 excited by multisines within its limits, once to find out and once to judge by. From these records alone come the name
 of what is missing, and how large it is; with that in the block L, the rig is masked more truly.
+The page of the discovery, and the reports of both runs, are written to `results/refined`.
 """
 
 from pathlib import Path
@@ -38,6 +39,7 @@ with TemporaryDirectory() as name:
         record=folder / "records" / "fit",
         validation=folder / "records" / "unseen",
         tolerance=0.05,
+        out="results/refined",
     )
 
 print(found)

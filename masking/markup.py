@@ -17,6 +17,12 @@ GREEK: Final = frozenset(
 _TEMPLATE = Path(__file__).with_name("report_template.html")
 # Columns of words, which may run over several lines.
 _WORDY = frozenset({"meaning", "measure", "value", "what helps", "where"})
+_SYMBOL = re.compile(r"([A-Za-z]{1,3}|" + "|".join(sorted(GREEK)) + r")(\d*|_\w+)")
+# Short words and units that may be names, too: symbols where a value follows, or where they do not stand as units.
+_SHORT = frozenset({"A", "a", "an", "as", "at", "by", "in", "is", "it", "no", "of", "on", "or", "to", "all", "and",
+                    "its", "not", "the"})  # fmt: skip
+_UNITS = frozenset({"A", "C", "F", "H", "Hz", "J", "K", "N", "Pa", "T", "V", "W", "g", "h", "kg", "m", "min", "mm",
+                    "ms", "rad", "s"})  # fmt: skip
 _WORDS = {"chi": "<var>&chi;</var>", "pi": "&pi;", "alpha": "<var>&alpha;</var>", "eps": "<var>&epsilon;</var>"}
 
 
@@ -96,20 +102,34 @@ def details(summary: str, text: str) -> str:
 
 
 def prose(text: str, names: Collection[str] = ()) -> str:
-    """Escape a text and typeset the given names in it as symbols, powers of ten and Greek letters."""
+    """Escape a text and typeset names in it that are symbols as such, and powers of ten and Greek letters."""
 
     def typeset(match: re.Match[str]) -> str:
         word = match.group()
-        if word in names:
+        if word in names and is_symbol(word) and not _is_word(escaped, match):
             letters, index = re.fullmatch(r"(.*?)_?(\d*)", word).groups()  # type: ignore[union-attr]  # matches any word
             letters, index = (letters, index) if letters else (word, "")
             letters = f"&{letters};" if letters in GREEK else letters
             return f"<var>{letters}</var>" + (f"<sub>{index}</sub>" if index else "")
         return _WORDS.get(word, word)
 
-    escaped = re.sub(r"(?<![&\w])[A-Za-z_]\w*", typeset, html.escape(text))
+    escaped = html.escape(text)
+    escaped = re.sub(r"(?<![&\w])[A-Za-z_]\w*", typeset, escaped)
     escaped = re.sub(r"(?<=\d)e(-?)(\d+)\b", _power_of_ten, escaped)
     return escaped.replace("&lt;=", "&le;").replace(" - ", " &minus; ").replace("-&gt;", "&rarr;")
+
+
+def is_symbol(name: str) -> bool:
+    """Return whether a name is a symbol: a few letters or a Greek one, with or without an index; no English word."""
+    return _SYMBOL.fullmatch(name) is not None
+
+
+def _is_word(text: str, match: re.Match[str]) -> bool:
+    """Return whether what has the name of a symbol is a word or a unit where it stands."""
+    word, before, behind = match.group(), text[: match.start()], text[match.end() :]
+    if word in _SHORT:
+        return not behind.startswith(" =")
+    return word in _UNITS and re.search(r"(\d |[^\W\d_]/\(?|/\([^\W\d_]+ |[⁻⁰¹²³⁴⁵⁶⁷⁸⁹µ] )$", before) is not None
 
 
 def _power_of_ten(match: re.Match[str]) -> str:

@@ -260,23 +260,30 @@ class Model:
             ModelError: the equations cannot be made explicit, or the scales cannot express a unit.
         """
         self._build()
-        self._check_mass(self.values())
+        self.check_mass()
         if self.declaration.scales:
             self.dimensionless().values()
 
-    def _check_mass(self, values: np.ndarray) -> None:
-        """Refuse a mass matrix that is singular, or not positive definite where energy says that it must be."""
+    def check_mass(self) -> None:
+        """Refuse a mass matrix that is singular, or not positive definite where energy says that it must be.
+
+        Raises:
+            ModelError: it is, at the declared values and initial coordinates.
+        """
         if not self.coordinates:
             return
+        values = self.values()
         e, s = self.equations, self.equations.symbols
         rest = {c: d.initial or 0.0 for c, d in self.declaration.coordinates.items()}
         point = {q: rest[q.name] for q in s.q} | dict.fromkeys((s.t, *s.v), 0.0) | dict(zip(s.p, values, strict=True))
         point |= {z: self.declaration.states[z.name].initial for z in s.s}
         matrix = np.array(e.mass.subs(point).evalf().tolist(), dtype=float)
         if np.linalg.matrix_rank(matrix) < len(matrix):
+            zero = [p.name for p in s.p if p in e.mass.free_symbols and point[p] == 0.0]
+            told = f" ({', '.join(f'{name} = 0' for name in zero)})" if zero else ""
             raise ModelError(
                 f"{self.name}: the matrix of the accelerations is singular at the declared values; look for a mass "
-                "that is 0, and give it bounds such as [1e-6, null]"
+                f"that is 0{told}, and give it a value above 0 and bounds such as [1e-6, null]"
             )
         if self.declaration.lagrangian is not None and np.min(np.linalg.eigvalsh(matrix)) <= 0.0:
             raise ModelError(

@@ -8,9 +8,10 @@ from scipy import signal
 
 from masking.discovery import asked, words, written
 from masking.discovery.candidates import Span, candidates
-from masking.discovery.discover import believed, discover
+from masking.discovery.discover import discover
 from masking.discovery.evidence import Evidence
 from masking.discovery.opened import OpenRig, Slot
+from masking.discovery.settings import believed
 from masking.identification.data import Data
 from masking.identification.simulation import simulate
 from masking.twin import Twin

@@ -73,6 +73,7 @@ RECORDS = {
     "damper/hardening_spring": moved(lambda d: 2e7 * d**3),
     "damper/dahl_friction": moved(lambda d: 0.6 * components.dahl(d, 3e-4)),
     "damper/hysteresis": moved(lambda d: 800.0 * components.bouc_wen(d, 1e-3)),
+    "damper/local_friction": damper(lambda d, v: 0.2 * np.tanh(v / 1e-3) * (1.0 + np.tanh((d - 1e-3) / 5e-4))),
     "damper/parameter": damper(nothing, k=1300.0),
     "damper/constant_force": damper(lambda d, v: 0.5 + 0.0 * d),
     "motor/none": lambda seed: components.motor(0.0, SECONDS, seed),
@@ -86,6 +87,7 @@ NAMED = {
     "damper/hardening_spring": ("strut", {"k3": 2e7}),
     "damper/dahl_friction": ("strut", {"fc": 0.6, "x0": 3e-4}),
     "damper/hysteresis": ("strut", {"k": 800.0, "zmax": 1e-3}),
+    "damper/local_friction": ("strut", {"fc": 0.4, "edge": 1e-3, "width": 5e-4, "vs": 1e-3}),
     "tank/hardening_spring": ("valve", {"k3": 0.02}),
     "motor/dry_friction": ("shaft", {"fc": 0.05}),
 }
@@ -142,6 +144,7 @@ def test_what_is_hidden_is_named_where_it_is(discovered, name):
     assert (found.verdict, [(e.name, e.on) for e in found.effects]) == ("named", [(name.split("/")[1], on)])
     told = {key: found.effects[0].parameters[key][0] for key in parameters}
     assert told == pytest.approx(parameters, rel=0.02)
+    assert f"<Discovery: named, {found.effects[0].name} in {on}; error on unseen data: " in repr(found)
     for sensor, after in found.gap.validation[1].items():
         assert after < 1.1 * components.NOISE < found.adjusted_gap[sensor]
 

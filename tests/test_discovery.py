@@ -14,7 +14,7 @@ import masking
 from masking import formats, verbs
 from masking.cli import main
 from masking.discovery import asked
-from masking.errors import DeclarationError, RecordError
+from masking.errors import DeclarationError, ModelError, RecordError
 from masking.identification.data import Data
 from masking.identification.simulation import simulate
 from masking.recording import Recording
@@ -227,14 +227,48 @@ def two_clocks(columns):
         (without("sensor.s2"), "there is no column sensor.s2 or s2"),
         (without("t"), "--dt 0.001"),
         (still, "nothing moves"),
-        (holes, "column 'sensor.s2' is nan in row 7"),
-        (two_clocks, "samples are missing"),
+        (holes, "line 9 holds 'nan' in column 'sensor.s2' (t = "),
+        (two_clocks, "the rate changes from "),
         (lambda columns: {n: c[:300] for n, c in columns.items()}, "300 samples are too few"),
     ],
     ids=["channel", "clock", "still", "nan", "clocks", "short"],
 )
 def test_bad_records_are_refused(folder, change, words):
     assert words in spoiled(folder, change)
+
+
+def test_a_record_does_not_judge_itself(folder, tmp_path):
+    record, copy = folder / "none" / "train", tmp_path / "copy.csv"
+    columns = Recording.load(record).columns
+    np.savetxt(copy, np.column_stack([*columns.values()]), header=",".join(columns), delimiter=",", comments="")
+    end = columns["t"][-1]
+    cases = {
+        (record, record): "it holds the same samples as",
+        (record, copy): "it holds the same samples as",
+        (record, f"{record}@{end / 2:g}:"): f"its samples from {end / 2:g} s on are also in",
+        (
+            f"{copy}@{end / 4:g}:",
+            f"{copy}@:{end / 2:g}",
+        ): f"its samples from {end / 4:g} s to {end / 2:g} s are also in",
+        (copy, f"{copy}@:{end / 2:g}"): f"its samples up to {end / 2:g} s are also in",
+    }
+    for (given, validation), words in cases.items():
+        with pytest.raises(RecordError) as refused:
+            masking.discover(given, plant=folder / "plant.yaml", validation=validation)
+        assert words in str(refused.value)
+        assert "leave --validate out, and the last 30 % of the record judge" in str(refused.value)
+    parts = asked.asked(f"{copy}@:{end / 2:g}", None, folder / "plant.yaml", f"{copy}@{end / 2:g}:")
+    assert len(parts.record) + len(parts.validation) == len(columns["t"])
+
+
+def test_a_mass_that_is_0_is_refused_as_it_is_declared(folder, tmp_path):
+    path = tmp_path / "mass.yaml"
+    path.write_text(
+        "name: mass\ncoordinates: {x: {unit: m}}\ninputs: {f: {unit: N}}\nparameters: {m: {value: 0, unit: kg, bounds: "
+        "[0, null]}, k: {value: 100, unit: N/m}}\nequations: {\"m*x''\": f - k*x}\n"
+    )
+    with pytest.raises(ModelError, match=r"singular at the declared values; look for a mass that is 0 \(m = 0\)"):
+        masking.discover(folder / "none" / "train", model=path)
 
 
 def test_bad_settings_are_refused(folder):

@@ -10,12 +10,14 @@ from masking.declaration import catalogue
 from masking.declaration.dimensions import is_plain
 from masking.discovery import asked, fitting
 from masking.discovery.candidates import candidates
-from masking.discovery.discover import believed, steps_of
+from masking.discovery.discover import Named, is_patched
 from masking.discovery.evidence import Evidence
+from masking.discovery.noise import steps_of
 from masking.discovery.opened import OpenRig, Slot
 from masking.discovery.places import opened, places
 from masking.discovery.screening import Screen
 from masking.discovery.search import Search, occam
+from masking.discovery.settings import believed
 from masking.discovery.smoothing import smooth
 from masking.effects import attach
 from masking.errors import DeclarationError
@@ -259,3 +261,18 @@ def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, evidence
     deviation = 3e4 * np.sqrt(np.linalg.inv(found.jac.T @ found.jac)[k, k])
     assert both.deviations[k] == pytest.approx(deviation, rel=1e-2)
     assert both.deviations[k] < 0.9 * alone.deviations[k]
+
+
+@pytest.mark.parametrize(
+    ("causes", "patched"),
+    [
+        ((("dry_friction", "spring1"), ("dry_friction", "spring2"), ("dry_friction", "beam")), False),
+        ((("quadratic_damping", "spring2"), ("hardening_spring", "spring2")), False),
+        ((("quadratic_damping", "spring2"), ("dry_friction", "spring2")), True),
+        ((("local_friction", "spring2"), ("local_friction", "x2")), True),  # x2 is of spring2 alone
+        ((("dry_friction", "spring2"), ("dry_friction", "x1")), False),
+        ((("linear_spring", "x2"), ("viscous_damping", "x2"), ("delay", "V2")), True),  # any linear system
+    ],
+)
+def test_laws_of_one_kind_at_one_place_are_a_patchwork(rig, causes, patched):
+    assert is_patched([Named(name, on, {}, 1.0) for name, on in causes], rig) is patched

@@ -9,16 +9,16 @@ import pytest
 from scipy import integrate
 
 from masking.discovery import fitting, pages, words
-from masking.discovery.discover import Discovery, Gap, Named, believed
+from masking.discovery.discover import Discovery, Gap, Named
 from masking.discovery.evidence import Evidence
 from masking.discovery.harmonics import Periods, period
 from masking.discovery.memory import once
 from masking.discovery.opened import OpenRig, Slot
 from masking.discovery.portrait import followed, portrait
 from masking.discovery.search import Explanation, Found
+from masking.discovery.settings import believed
 from masking.discovery.smoothing import smooth
 from masking.discovery.where import where
-from masking.effects import EFFECTS
 from masking.identification.data import Data
 from masking.identification.whiteness import autocorrelation, ljung_box, whiteness
 from masking.twin import Twin
@@ -407,12 +407,3 @@ def test_the_page_tabulates_it(discoveries):
     table = pages._where(found, set())
     assert "<td>spring2</td>" in table
     assert "odd multiples of 0.125 Hz only" in table
-
-
-def test_powers_have_units():
-    assert words.power(5.4e-5, ("m/s**2", "m", "m/s")) == "54 µW/kg"
-    assert words.power(2.0, ("N", "m", "m/s")) == "2 W"
-    assert words.power(3.0, ("N*m", "rad", "rad/s")) == "3 N m rad/s"
-    assert words.power(3.0, ("", "", "")) == "3"
-    assert words.power(0.0, ("N", "m", "m/s")) == "0 W"
-    assert set(EFFECTS) >= {slot.effect for slot in SLOTS.values()}

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from masking import formats
 from masking.declaration import registry
 from masking.declaration.acting import driven_outputs
@@ -14,6 +16,7 @@ from masking.declaration.schema import ModelDeclaration, PlantDeclaration, Senso
 from masking.discovery.written import Origin
 from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.identification.data import Assumption, Data
+from masking.part import Part
 from masking.twin import Twin
 
 FEWEST = 400  # samples of a record
@@ -56,7 +59,8 @@ def asked(
 
     Raises:
         DeclarationError: neither a model nor a plant is given, or one is wrong.
-        RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates.
+        RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates or share
+            samples.
     """
     twin = with_effects(rig(model, plant), effects)
     return read(twin, record, validation, between=between, columns=columns, dt=dt)
@@ -74,7 +78,8 @@ def read(
     """Read and check the records of a rig; see `asked`.
 
     Raises:
-        RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates.
+        RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates or share
+            samples.
     """
 
     def one(path: str | Path) -> Data:
@@ -99,7 +104,37 @@ def read(
             "them, or judge by the last part of the record"
         )
     paths = {"record": record} | ({"judged by": validation} if validation is not None else {})
-    return Asked(twin, train, judge, Origin({what: (str(p), formats.digest(p)) for what, p in paths.items()}))
+    origin = Origin({what: (str(p), formats.digest(p)) for what, p in paths.items()})
+    if judge is not None:
+        _check_unseen(train, judge, origin)
+    return Asked(twin, train, judge, origin)
+
+
+def _check_unseen(train: Data, judge: Data, origin: Origin) -> None:
+    """Refuse to judge by what is searched: the same record, or parts of one file that overlap.
+
+    Raises:
+        RecordError: the two share samples.
+    """
+    (record, content), (validation, other) = origin.records["record"], origin.records["judged by"]
+    mend = "leave --validate out, and the last 30 % of the record judge, or give another record"
+    if np.array_equal(train.readings, judge.readings) and np.array_equal(train.commands, judge.commands):
+        raise RecordError(f"{validation}: it holds the same samples as {record}, which it is to judge; {mend}")
+    first, second = Part.of(record), Part.of(validation)
+    start, end = max(first.limits[0], second.limits[0]), min(first.limits[1], second.limits[1])
+    if content == other and start < end:
+        border = start if np.isfinite(start) else end
+        raise RecordError(
+            f"{validation}: its samples{_between(start, end)} are also in {record}, which it is to judge; give "
+            f"parts that share no time, such as {first.file}@:{border:.9g} and {first.file}@{border:.9g}:, or {mend}"
+        )
+
+
+def _between(start: float, end: float) -> str:
+    """Say from when until when, in s; nothing of a side that is infinite."""
+    if np.isinf(start):
+        return "" if np.isinf(end) else f" up to {end:.9g} s"
+    return f" from {start:.9g} s {'on' if np.isinf(end) else f'to {end:.9g} s'}"
 
 
 def rig(model: str | Path | None, plant: str | Path | None) -> Twin:
@@ -107,6 +142,7 @@ def rig(model: str | Path | None, plant: str | Path | None) -> Twin:
 
     Raises:
         DeclarationError: neither is given, or one is wrong.
+        ModelError: a mass is 0.
     """
     if plant is not None:
         twin = Twin.load(plant) if model is None else Twin.load(plant).as_model(model)
@@ -117,6 +153,7 @@ def rig(model: str | Path | None, plant: str | Path | None) -> Twin:
         base = registry.load_model(model)
         twin = Twin(PlantDeclaration(name=base.name, model=str(model), sensors=_sensors(base)), base)
     twin.validate()
+    twin.model.check_mass()
     return twin
 
 

@@ -21,6 +21,7 @@ BRISTLES = 3e-3  # s: damping of bristles for their stiffness, to begin with
 TURNS = (1e-3, 1e-4, 1e-5)  # m/s, or another unit of rate, over which friction turns round
 PARTS = (1e-2, 2e-3, 4e-4)  # of the rms rate, where that is not of coordinates
 EDGES = (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)  # parts of the travel at which a contact is tried
+EDGE = 0.04  # part of the largest displacement over which what begins at one begins, to begin with
 MOST_LEVELS = 10.0  # steps of a converter from the middle to the end of its range that are tried
 
 
@@ -148,7 +149,7 @@ RECIPES: dict[str, tuple[_Recipe, ...]] = {
     "bouc_wen_hysteresis": (_Recipe(("k",), ("x0", "delta"), _bends),),
     "backlash": (_Recipe(("k",), ("gap",), _parts("gap", 0.05, 0.15, 0.3, 0.5, 0.8, 1.2)),),
     "stop": (_Recipe(("k",), ("edge",), _edges),),
-    "local_friction": (_Recipe(("fc",), ("edge",), lambda span: _edges(span, width=0.04 * span.size)),),
+    "local_friction": (_Recipe(("fc",), ("edge", "width"), lambda span: _edges(span, width=EDGE * span.size)),),
     "gravity_force": (_Recipe(("a",), ("r",), _parts("r", 0.12, 0.2, 0.35, 0.6, 1.2, 3.0)),),
     "periodic_force": (_Recipe(("a", "b"), ("nu",), lambda span: [{"nu": tone} for tone in span.tones]),),
     "stiffness_drift": (_Recipe(("k",)),),
@@ -171,6 +172,13 @@ RECIPES_OF_RATES: dict[str, tuple[_Recipe, ...]] = {
     "dry_friction": (_Recipe(("fc",), ("vs",), lambda span: [{"vs": turn} for turn in span.turns]),),
     "asymmetric_friction": (_Recipe(("fp", "fm"), ("vs",), lambda span: [{"vs": turn} for turn in span.turns]),),
     "stribeck_friction": (_Recipe(("fc", "fs"), ("vst", "vs"), _rates("vst", 0.05, 0.15, 0.4, 0.8)),),
+    "local_friction": (
+        _Recipe(
+            ("fc",),
+            ("edge", "width", "vs"),
+            lambda span: [{**e, "vs": turn} for e in _edges(span, width=EDGE * span.size) for turn in span.turns],
+        ),
+    ),
 }
 FACTORS = {effect: recipes[-1].factors for effect, recipes in RECIPES.items()}
 PAIRS = ("linear_spring", "viscous_damping", "hardening_spring", "dry_friction")  # between coordinates not joined

@@ -6,7 +6,7 @@ and 16; the terms are physical effects with parameters and states of their own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,13 +16,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from masking.declaration.expression import Expression
-from masking.discovery import fitting
-from masking.discovery.evidence import Belief, Evidence
+from masking.discovery import fitting, settings
+from masking.discovery.evidence import Evidence
 from masking.discovery.experiment import NextExperiment, next_experiment
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.opened import OpenRig
-from masking.discovery.screening import thinning
 from masking.discovery.search import (
     CLEAN,
     REST,
@@ -35,9 +34,8 @@ from masking.discovery.search import (
     Search,
     probabilities,
 )
-from masking.discovery.smoothing import linearised
 from masking.effects import Effect
-from masking.errors import IntegrationError, RecordError
+from masking.errors import IntegrationError
 from masking.identification.data import Data
 from masking.identification.simulation import relative
 from masking.kernels import Array
@@ -46,16 +44,13 @@ from masking.twin import Twin
 Verdict = Literal["none", "parameter", "named", "ambiguous", "unknown"]
 Tell = Callable[[str, float], None]
 
-TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
+FAINT = 0.7  # part of the gap beyond noise that causes that are named may leave where that is less than `SMALL`
 SURE = 0.9  # probability from which a name is given
+SURELY = 2.0  # deviations from which a parameter is off, or an effect is there, where something else is left
 NEAR = 60.0  # of the score: rivals that the record that judges may decide between
 ROUNDED = 0.3  # part of the noise's variance, or of what is left, that rounding must make to be named
-RESTLESS = 10.0  # eigenvalue times the length of a record: what is slower does not come to rest in it
-SHARES = 20  # windows of a record of what does not come to rest
-FEWEST = 200  # samples of a window
-STIFF = 8  # steps between samples at least where forces act on states: friction stops these within a sample
-UNSEEN = 0.1  # of the noise: what integration may add
-HELD_OUT = 0.3  # of a record, where no other is given to judge by
+LOST = 0.5  # part of a reading that the model leaves from which its motion is out of step with the record
+MEASURED = 0.2  # part of what is left from which commands were measured, and not held, where they leave no more
 CLOSED = 1.1  # of the noise: a gap from here on is more than noise
 LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "added_mass", "actuator_gain", "constant_force")
 LINEAR = (*LIKE_PARAMETERS, "delay", "actuator_lag", "sensor_lag", "sensor_gain")
@@ -103,7 +98,7 @@ class Gap:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Discovery:
     """What was found.
 
@@ -121,6 +116,8 @@ class Discovery:
         judged: the record that it was judged by.
         before, after: the rig without and with the causes on the record that judges.
         next_experiment: that tells the two likeliest explanations apart, where the record does not.
+        as_measured: relative error of each sensor that adjusted parameters alone leave in the record where commands go
+            in straight lines between samples, where that is far less than what was found leaves.
     """
 
     verdict: Verdict
@@ -137,6 +134,13 @@ class Discovery:
     before: Hypothesis
     after: Hypothesis
     next_experiment: NextExperiment | None = None
+    as_measured: dict[str, float] | None = None
+
+    def __repr__(self) -> str:
+        causes = ", ".join(f"{one.name} in {one.on}" if one.on else one.name for one in self.effects)
+        before, after = self.gap.validation
+        errors = ", ".join(f"{name} {before[name]:.2g} to {after[name]:.2g}" for name in after)
+        return f"<Discovery: {self.verdict}{f', {causes}' if causes else ''}; error on unseen data: {errors}>"
 
     @property
     def rig(self) -> OpenRig:
@@ -184,6 +188,7 @@ class Discovery:
             "gap": self.gap.as_dict(),
             "rest": self.rest,
             "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
+            "as_measured": self.as_measured,
         }
 
 
@@ -193,7 +198,7 @@ def discover(
     validation: Data | None = None,
     *,
     parameters: Sequence[str] = (),
-    tolerance: float = TOLERANCE,
+    tolerance: float = settings.TOLERANCE,
     horizon: float | None = None,
     rig: OpenRig | None = None,
     tell: Tell | None = None,
@@ -207,7 +212,9 @@ def discover(
         parameters: of the model that may be off; all that its equations hold where none are given.
         tolerance: relative standard deviation of a parameter for which the model declares none.
         horizon: seconds after which the motion is simulated anew, from an initial state of its own; by default the
-            whole record is simulated in one, or a model that does not come to rest by itself in `SHARES` parts.
+            whole record is simulated in one, or a model that does not come to rest by itself in windows of a
+            twentieth of the record; where neither tells anything of a motion that the model does not follow, in windows
+            of a few oscillations.
         rig: the twin with its places open, where it has been made before.
         tell: told what is done, and the part done.
 
@@ -218,16 +225,68 @@ def discover(
     rig = rig or OpenRig(twin, tuple(parameters) or twin.equation_parameters())
     say = tell or (lambda text, part: None)
     say("preparing the rig; the first time, it is compiled", 0.0)
-    train, judge = _split(record) if validation is None else (record, validation)
-    belief, most = believed(twin, rig, tolerance), max(1, twin.substeps(train.rate) // 2)
+    train, judge = settings.split(record) if validation is None else (record, validation)
+    belief, most = settings.believed(twin, rig, tolerance), max(1, twin.substeps(train.rate) // 2)
     whole = Evidence(rig, train, belief, noise_of(rig, train), most)
-    evidence = replace(whole, horizon=_horizon(whole, horizon))
-    evidence = replace(evidence, substeps=_substeps(evidence))
-    judged = replace(evidence, record=judge, sigma=noise_of(rig, judge))
+    evidence = replace(whole, horizon=settings.horizon(whole, horizon))
+    evidence = replace(evidence, substeps=settings.substeps(evidence))
+    noise = noise_of(rig, judge)
+    found = _explained(evidence, judge, noise, say)
+    if horizon is None and not evidence.horizon and _is_out_of_step(found):
+        for seconds in settings.shorter(whole):
+            say(f"the motion comes out of step with the record: in windows of {seconds:.2g} s", 0.0)
+            again = _explained(replace(evidence, horizon=settings.horizon(whole, seconds)), judge, noise, say)
+            if again.verdict != "unknown":
+                found = again
+                break
+    return found if found.closed else replace(found, as_measured=_as_measured(found))
+
+
+def _as_measured(found: Discovery) -> dict[str, float] | None:
+    """Return the errors that are left where held commands were measured; None where they are no smaller."""
+    if found.record.between != "held" or not found.twin.actuators:
+        return None
+    evidence, known = found.evidence, found.explanation.hypothesis
+    evidence = replace(evidence, record=replace(found.record, between="straight", delay=0))
+    with threadpool_limits(1), suppress(IntegrationError):
+        other = fitting.fit(evidence)
+        size = found.record.readings.size
+        if other.cost - size < MEASURED * (known.cost - size):
+            return _chi(evidence, other)
+    return None
+
+
+def _is_out_of_step(found: Discovery) -> bool:
+    """Return whether nothing is found by simulating the whole record in one, whose motion the model does not follow."""
+    left = relative(found.twin.sensors, [found.record], found.found.base.hypothesis.squares)
+    return found.verdict == "unknown" and max(left.values()) > LOST
+
+
+def _explained(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discovery:
+    """Return what explains a record, simulated in steps that are fine enough for the law that is found."""
+    found = _found(evidence, judge, noise, say)
+    if found.verdict == "unknown":
+        return found
+    with threadpool_limits(1):
+        steps = settings.finer(evidence, found.explanation.hypothesis)
+    if steps == evidence.substeps:
+        return found
+    say(f"again, with {steps} steps between samples", 0.0)
+    return _found(replace(evidence, substeps=steps), judge, noise, say)
+
+
+def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discovery:
+    """Return what explains a record; its noise is that of the record that judges (sensors,)."""
+    rig, train = evidence.rig, evidence.record
+    judged = replace(evidence, record=judge, sigma=noise)
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
         found = Search(evidence, say).run()
         found = replace(found, steps=tuple(_reordered(step, evidence, judged) for step in found.steps))
         rivals = _chosen(found, judged, train.readings.size)
+        heat = evidence.temperature(rivals[0].hypothesis.residuals)
+        is_put_off = _is_put_off(rivals, heat, train.readings.size)
+        if is_put_off:
+            rivals = tuple(sorted(rivals, key=lambda rival: rival.score(heat)))
         chosen = rivals[0]
         declared = fitting.fit(evidence, theta=evidence.belief.mean, frozen=True)
         before, after = _judged(judged, declared), _judged(judged, chosen.hypothesis)
@@ -241,56 +300,18 @@ def discover(
         _floor(judged),
     )
     verdict, effects = _with_rounding(evidence, chosen.hypothesis, *_verdict(rig, rivals, heat, rest, size))
+    if is_put_off and verdict not in {"none", "parameter"}:
+        verdict = "unknown"
     coming = None
     if verdict == "ambiguous":
         say("looking for an experiment that tells them apart", 0.95)
         first, second = rivals[:2]
         names_of = (_name(first), _name(second))
         with threadpool_limits(1):
-            coming = next_experiment(evidence, first.hypothesis, second.hypothesis, names_of, _limits(twin))
+            coming = next_experiment(evidence, first.hypothesis, second.hypothesis, names_of, _limits(rig.twin))
     return Discovery(
-        verdict, effects, gap, rest, twin, chosen, rivals, heat, found, evidence, judged, before, after, coming
+        verdict, effects, gap, rest, rig.twin, chosen, rivals, heat, found, evidence, judged, before, after, coming
     )
-
-
-def _horizon(evidence: Evidence, seconds: float | None) -> int:
-    """Return the samples of a window, in whole blocks of the screening: as asked, or as the model needs; 0 for none.
-
-    Raises:
-        RecordError: the windows asked for are too short.
-    """
-    rate, count = evidence.record.rate, len(evidence.record)
-    if seconds is None:
-        speeds = np.asarray(np.linalg.eigvals(linearised(evidence.rig, evidence.belief.mean)[0])) * count / rate
-        if not ((np.abs(speeds) < RESTLESS) | (speeds.real > 1.0)).any():
-            return 0
-        seconds = count / rate / SHARES
-    elif not seconds * rate >= FEWEST:
-        least = FEWEST / rate
-        raise RecordError(f"the horizon is {seconds:g} s; give {least:g} s or more, which are {FEWEST} samples")
-    if seconds * rate >= count:
-        return 0
-    _, block = thinning(evidence.rig, rate)
-    samples = round(seconds * rate / block) * block
-    return samples if samples < count else 0
-
-
-def _substeps(evidence: Evidence) -> int:
-    """Return how many integration steps between samples simulate the readings within their noise."""
-    least = STIFF if len(evidence.rig.twin.free) > 2 * len(evidence.rig.coordinates) else 1
-    theta, most = evidence.belief.mean, max(least, evidence.substeps)
-    start = fitting.first_states(evidence, theta)
-
-    def simulated(substeps: int) -> Array:
-        return evidence.rig.equations(replace(evidence, substeps=substeps), theta, start).simulated
-
-    steps, before = least, simulated(least)
-    while steps < most:
-        after = simulated(min(2 * steps, most))
-        if bool((np.sqrt(((after - before) ** 2).mean(axis=0)) < UNSEEN * evidence.sigma).all()):
-            break
-        steps, before = min(2 * steps, most), after
-    return steps
 
 
 def _name(explanation: Explanation) -> str:
@@ -307,16 +328,6 @@ def _limits(twin: Twin) -> Array | None:
     return np.array([declared[n].max * twin.size(declared[n].unit) / twin.size(ports[n].unit) for n in twin.actuators])
 
 
-def believed(twin: Twin, rig: OpenRig, tolerance: float) -> Belief:
-    """Return the declared values of the rig's parameters and how far they may be off."""
-    declared = twin.model.declaration.parameters
-    deviations = []
-    for name, value in zip(rig.names, rig.start, strict=True):
-        std = declared[name].std if name in declared else None
-        deviations.append(std or tolerance * (abs(float(value)) or 1.0))
-    return Belief(rig.start.copy(), np.array(deviations))
-
-
 def _judged(evidence: Evidence, hypothesis: Hypothesis) -> Hypothesis:
     """Return a hypothesis on a record that judges: only its initial state is estimated."""
     return fitting.fit(evidence, hypothesis.slots, theta=hypothesis.theta, frozen=True)
@@ -327,12 +338,6 @@ def _cost(evidence: Evidence, hypothesis: Hypothesis) -> float:
         return float(_judged(evidence, hypothesis).squares @ evidence.weights)
     except IntegrationError:
         return np.inf
-
-
-def _split(record: Data) -> tuple[Data, Data]:
-    seconds = len(record) / record.rate
-    train = record.first((1.0 - HELD_OUT) * seconds)
-    return train, record.windows(HELD_OUT * seconds)[-1]
 
 
 def _reordered(rivals: tuple[Explanation, ...], evidence: Evidence, judged: Evidence) -> tuple[Explanation, ...]:
@@ -373,6 +378,13 @@ def _chosen(found: Found, judged: Evidence, size: int) -> tuple[Explanation, ...
     return chosen
 
 
+def _is_put_off(rivals: tuple[Explanation, ...], heat: float, size: int) -> bool:
+    """Return whether a far likelier explanation was put off for what a simpler law leaves, and nothing came of it."""
+    if rivals[0].kind != "effects" or rivals[0].hypothesis.cost <= CLEAN**2 * size:
+        return False
+    return bool(probabilities(rivals, heat)[0] < 1.0 - SURE)
+
+
 def _verdict(
     rig: OpenRig, rivals: tuple[Explanation, ...], heat: float, rest: float, size: int
 ) -> tuple[Verdict, tuple[Named, ...]]:
@@ -383,7 +395,11 @@ def _verdict(
     weights = [float(weight) for weight in probabilities(rivals, heat)]
     others = [(*r.names[-1], weight) for r, weight in zip(rivals[1:], weights[1:], strict=True) if weight > 1e-4]
     causes = _causes(rig, chosen, heat, weights[0], tuple(others))
-    if (rest > REST and not closed) or _is_patched(causes, rig.twin.dictionary):
+    most = REST if chosen.hypothesis.cost > SMALL * size else FAINT
+    if (rest > most and not closed) or is_patched(causes, rig):
+        return "unknown", causes
+    usual = rig.start[rig.names.index(causes[0].name)] if chosen.kind == "parameter" else 0.0
+    if not closed and all(abs(x - usual) < SURELY * std for x, std in causes[-1].parameters.values()):
         return "unknown", causes
     if chosen.kind == "parameter" or all(_is_like_parameter(c.name, chosen) for c in causes):
         return "parameter", causes
@@ -405,16 +421,27 @@ def _with_rounding(
     return ("named" if is_much and not causes else verdict), (*causes, *rounded)
 
 
-def _is_patched(causes: Sequence[Named], known: Mapping[str, Effect]) -> bool:
+def is_patched(causes: Sequence[Named], rig: OpenRig) -> bool:
     """Return whether several laws are put together to one that the dictionary lacks.
 
-    Such are laws of one kind at one place, and linear laws of which so many can make any linear system.
+    Such are laws of one kind at one place, or at an element and at a coordinate that is its alone, and linear laws of
+    which so many can make any linear system.
     """
     if len(causes) >= ENOUGH and all(cause.name in LINEAR for cause in causes):
         return True
-    kinds = [(cause.on, _kind(known[cause.name])) for cause in causes if cause.name in known]
+    known = rig.twin.dictionary
+    kinds = [(_seat(rig, cause.on), _kind(known[cause.name])) for cause in causes if cause.name in known]
     kinds = [kind for kind in kinds if kind[1]]
     return len(set(kinds)) < len(kinds)
+
+
+def _seat(rig: OpenRig, name: str) -> str:
+    """Return the element that a coordinate is of alone; what is no such coordinate itself."""
+    if not any(place.name == name and place.coordinate and not place.declared for place in rig.places):
+        return name
+    elements = [(p.name, p.element.displacement) for p in rig.places if p.declared]
+    those = [element for element, displacement in elements if displacement and name in displacement.symbols]
+    return those[0] if len(those) == 1 else name
 
 
 def _kind(effect: Effect) -> str:

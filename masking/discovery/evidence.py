@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,16 +15,24 @@ BLOCK = 32  # samples: what is left is averaged over these to see whether it cha
 
 @dataclass(frozen=True)
 class Belief:
-    """What is believed of the rig's parameters before the record: mean (k,) and standard deviation (k,)."""
+    """What is believed of the rig's parameters before the record.
+
+    Args:
+        mean: (k,).
+        deviation: standard deviations (k,).
+        low, high: what they cannot be below and above (k,).
+    """
 
     mean: Array
     deviation: Array
+    low: Array
+    high: Array
 
     def released(self, index: int) -> Belief:
         """Return the belief with one parameter free."""
         deviation = self.deviation.copy()
         deviation[index] *= 1e3
-        return Belief(self.mean, deviation)
+        return replace(self, deviation=deviation)
 
 
 @dataclass(frozen=True)

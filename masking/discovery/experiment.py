@@ -61,11 +61,25 @@ class NextExperiment:
             "separates": self.separates, "between": list(self.between),
         }  # fmt: skip
 
+    @property
+    def peaks(self) -> dict[str, float]:
+        """Return the peak of each actuator in its unit."""
+        return dict(self.settings["peak"])
+
+    @property
+    def pace(self) -> str:
+        """Say how fast and how long it is: '3 to 12 Hz, 30 s long'."""
+        length = f"{self.settings['seconds']:g} s long"
+        if "lowest" not in self.settings:
+            return length
+        return f"{self.settings['lowest'].removesuffix(' Hz')} to {self.settings['highest']}, {length}"
+
     def __str__(self) -> str:
-        told = ", ".join(f"{name} {value}" for name, value in self.settings.items())
-        if self.separates:
-            return f"a {self.excitation} ({told}) would tell {self.between[0]} from {self.between[1]}"
-        return f"no excitation of the actuators that was tried tells {self.between[0]} from {self.between[1]}"
+        one, other = (name.replace("_", " ") for name in self.between)
+        if not self.separates:
+            return f"no excitation of the actuators that was tried tells {one} from {other}"
+        peaks = " and ".join(f"{name} up to {peak:g}" for name, peak in self.peaks.items())
+        return f"a {self.excitation} of {peaks}, {self.pace}, would tell {one} from {other}"
 
 
 def next_experiment(

@@ -157,12 +157,13 @@ class _Point:
     start: Array
 
     def moved(self, step: Array, low: Array, high: Array, free: Sequence[int]) -> _Point:
-        """Return the point after a step, with parameters of effects within their bounds."""
+        """Return the point after a step, with parameters (k + f,) within their bounds."""
         k, f, s = len(self.theta), len(self.added), len(self.inner)
         start = self.start.copy()
         start[:, free] += step[k + f + s :].reshape(len(start), len(free))
-        added = within(self.added, step[k : k + f], low, high)
-        return _Point(self.theta + step[:k], added, self.inner + step[k + f : k + f + s], start)
+        theta = within(self.theta, step[:k], low[:k], high[:k])
+        added = restrained(self.added, step[k : k + f], low[k:], high[k:])
+        return _Point(theta, added, self.inner + step[k + f : k + f + s], start)
 
 
 @dataclass(frozen=True)
@@ -254,7 +255,8 @@ class _Problem:
 
     def _bounds(self) -> tuple[Array, Array]:
         pairs = [pair for slot in self.slots for pair in bounds(slot)]
-        return np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])
+        belief, low, high = self.evidence.belief, [a for a, _ in pairs], [b for _, b in pairs]
+        return np.array([*belief.low, *low]), np.array([*belief.high, *high])
 
 
 def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequence[Array]) -> Equations:
@@ -281,12 +283,17 @@ def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequen
 
 
 def within(values: Array, step: Array, low: Array, high: Array) -> Array:
-    """Return values after a step that goes at most 0.7 of the way to a bound, and doubles at most what is positive."""
+    """Return values after a step that goes at most 0.7 of the way to a bound."""
     least = np.where(np.isfinite(low), values - 0.7 * np.abs(values - low), -np.inf)
     most = np.where(np.isfinite(high), values + 0.7 * np.abs(high - values), np.inf)
-    most = np.where((low >= 0.0) & (values > 0.0), np.minimum(most, GROWTH * values), most)
     found: Array = np.clip(values + step, least, most)
     return found
+
+
+def restrained(values: Array, step: Array, low: Array, high: Array) -> Array:
+    """Return values after a step within bounds that doubles at most what is positive."""
+    most = np.where((low >= 0.0) & (values > 0.0), GROWTH * values, np.inf)
+    return np.minimum(within(values, step, low, high), most)
 
 
 def bounds(slot: Slot) -> list[tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""Forces: what a record shows of a cause at one place: the lacking force there, before and after, and the fitted law.
+"""Forces: what a record shows of a cause at one place: the lacking force there, before and after.
 
 Latent forces of all coordinates are brought to one place by least squares, weighted with their deviations. They are
 those of the model with the parameters that were found beside the causes: what a cause gives then lies on them, as in a
@@ -41,7 +41,6 @@ class Lack:
         rate: of it (m,).
         before: the lacking force, command or reading (m,).
         after: what is left of it with the causes (m,); None where no cause is known or it cannot be told.
-        law: what the cause at this place gives (m,); None where there is none.
         deviations: standard deviations of `before` and of `after`.
         units: of `before`, `x` and `rate`.
         known: whether displacement and rate are known.
@@ -53,7 +52,6 @@ class Lack:
     rate: Array
     before: Array
     after: Array | None
-    law: Array | None
     deviations: tuple[float, float]
     units: tuple[str, str, str]
     known: tuple[bool, bool] = (True, True)
@@ -89,12 +87,9 @@ def lack(found: Discovery, most: str) -> Lack:
     """
     slots = found.explanation.hypothesis.slots
     if not slots or found.verdict == "unknown":
-        slot = next((slot for slot in reversed(slots) if slot.at == most), None)
-        return _force(found, slot, "element", most)
-    slot = slots[-1]
-    where = slot.where
-    name = slot.at or _busiest(found)
-    return _sensor(found, slot, name) if where == "sensor" else _force(found, slot, where, name)
+        return _force(found, "element", most)
+    name = slots[-1].at or _busiest(found)
+    return _sensor(found, name) if slots[-1].where == "sensor" else _force(found, slots[-1].where, name)
 
 
 def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Array]:
@@ -116,7 +111,7 @@ def energies(found: Discovery) -> dict[str, float]:
     return dict(zip(found.twin.sensors, (float(part / whole) for part in beyond), strict=True))
 
 
-def _force(found: Discovery, slot: Slot | None, where: str, name: str) -> Lack:
+def _force(found: Discovery, where: str, name: str) -> Lack:
     rig, seen, known = found.rig, smoothed(found), (True, True)
     motion, left = seen.before, seen.after
     if where == "actuator":
@@ -136,23 +131,17 @@ def _force(found: Discovery, slot: Slot | None, where: str, name: str) -> Lack:
     by = directions(found, column)
     before, deviation = projected(motion, by)
     after, afterwards = (None, deviation) if left is None else projected(left, by)
-    law = None
-    if slot is not None:
-        moved = motion.acted_on(slot.entry, at) if where == "element" else (x, rate)
-        law = along(found, slot, *moved)
-        law = law - x if where == "actuator" else law
-    return Lack(name, where, x, rate, before, after, law, (deviation, afterwards), units, known)
+    return Lack(name, where, x, rate, before, after, (deviation, afterwards), units, known)
 
 
-def _sensor(found: Discovery, slot: Slot | None, name: str) -> Lack:
+def _sensor(found: Discovery, name: str) -> Lack:
     at, base, after = found.twin.sensors.index(name), found.found.base.hypothesis, found.explanation.hypothesis
     x = (found.record.readings - after.residuals)[:, at]
     rate = np.gradient(x) * found.record.rate
-    law = None if slot is None else along(found, slot, x, rate) - x
     unit, sigma = found.twin.declaration.sensors[name].unit, float(found.evidence.sigma[at])
     units = unit, unit, _per_second(unit)
     before, left = base.residuals[:, at], after.residuals[:, at]
-    return Lack(name, "sensor", x, rate, before, left, law, (sigma, sigma), units)
+    return Lack(name, "sensor", x, rate, before, left, (sigma, sigma), units)
 
 
 def along(found: Discovery, slot: Slot, x: Array, rate: Array) -> Array:

@@ -178,6 +178,12 @@ class OpenRig:
         """Return the declared values of the parameters (k,), in declared units."""
         return self._sensitivity.start()[: len(self.names)]
 
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the least and the largest allowed value of each parameter (k,), in declared units."""
+        low, high = self._sensitivity.bounds()
+        return low[: len(self.names)], high[: len(self.names)]
+
     @cached_property
     def _basis(self) -> tuple[Array, Array]:
         """Return the parameter array as declared, and how its affected entries depend on names and ports."""

@@ -12,8 +12,8 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking import markup
-from masking.discovery import forces, words, written
-from masking.discovery.discover import CLOSED, Discovery, Named
+from masking.discovery import forces, quantities, words, written
+from masking.discovery.discover import CLOSED, Discovery
 from masking.discovery.search import probabilities
 from masking.discovery.where import where
 from masking.discovery.written import Files, Origin
@@ -27,6 +27,7 @@ else:
     plates = lazy.load("masking.discovery.plates", suppress_warning=True)
 
 MOST_TRIED = 20
+LEAST_SURE = 0.001  # probability: less is told as less than this
 LEAST = 0.01  # share of a place that is told
 LITTLE = 0.05  # of the power that a force could take out of the motion: less is not told
 TITLES = {
@@ -81,22 +82,26 @@ def page(
         lead += markup.paragraph(f"{'. '.join(told)}.", "changed", names)
     if words.beside(found):
         lead += markup.paragraph(f"{words.beside(found)}.", "card", names)
-    return markup.document(TITLES[found.verdict], lead, _tiles(found, names), sections)
+    title = TITLES["named" if found.verdict == "ambiguous" and not words.is_open(found) else found.verdict]
+    return markup.document(title, lead, _tiles(found, names), sections)
 
 
 def _tiles(found: Discovery, names: set[str]) -> list[str]:
     tiles = []
     for one in found.effects[:3] if found.verdict != "unknown" else ():
-        tiles.append(markup.tile(_spoken(found, one), words.percent(one.probability), "probability", names=names))
+        sure = words.probability(found, one)
+        told = quantities.percent(sure) if sure > LEAST_SURE else f"< {quantities.percent(LEAST_SURE)}"
+        tiles.append(markup.tile(words.labelled(found, one.name, one.on), told, "probability", names=names))
     floor, after, worst = found.gap.validation_floor, found.gap.validation[1], words.worst(found)
     if found.effects:
-        before = words.percent(found.adjusted_gap[worst])
-        tiles.append(markup.tile(f"error in {worst} without it", before, "unseen", names=names))
+        before, how = words.without(found)
+        label = f"error in {worst} {'as declared' if how == 'as declared' else 'without it'}"
+        tiles.append(markup.tile(label, quantities.percent(before[worst]), "unseen", names=names))
     tiles.append(
         markup.tile(
             f"error in {worst}" + " with it" * bool(found.effects),
-            words.percent(after[worst]),
-            f"noise {words.percent(floor[worst])}",
+            quantities.percent(after[worst]),
+            f"noise {quantities.percent(floor[worst])}",
             is_wrong=after[worst] > CLOSED * floor[worst],
             names=names,
         )
@@ -104,24 +109,27 @@ def _tiles(found: Discovery, names: set[str]) -> list[str]:
     return tiles
 
 
-def _spoken(found: Discovery, one: Named) -> str:
-    return words.capital(words.spoken(found, one.name, one.on))
-
-
 def _what_helps(found: Discovery) -> list[str]:
     """Say what each cause is, its values, where it comes from and what helps."""
-    if not found.effects:
+    if not words.offered(found):
         return []
     rows = []
-    for one in found.effects:
+    for one in words.offered(found):
         units = words.units(found, one)
         for name, (value, std) in one.parameters.items():
             effect = found.twin.dictionary.get(one.name)
             if effect is None:
-                meaning = f"declared {words.number(float(found.rig.start[found.rig.names.index(name)]), 5)}"
+                meaning = f"declared {quantities.number(float(found.rig.start[found.rig.names.index(name)]), 5)}"
             else:
                 meaning = effect.parameters[name].meaning if name in effect.parameters else "delay"
-            rows.append((_spoken(found, one), name, words.with_deviation(value, std, units.get(name, "")), meaning))
+            rows.append(
+                (
+                    words.labelled(found, one.name, one.on),
+                    name,
+                    quantities.with_deviation(value, std, units.get(name, "")),
+                    meaning,
+                )
+            )
     body = markup.table(("what", "parameter", "value", "meaning"), rows)
     cards = [
         (name, f"{meaning} Usual causes: {cause}." if cause else meaning, f"{remedy}." if remedy else "")
@@ -129,17 +137,15 @@ def _what_helps(found: Discovery) -> list[str]:
     ]
     if cards:
         body += markup.table(("effect", "meaning", "what helps"), cards)
-    if found.next_experiment is not None:
-        body += markup.paragraph(f"{words.capital(str(found.next_experiment))}.", "card")
     return [markup.section("What was found", body)]
 
 
 def _gaps(found: Discovery, names: set[str]) -> str:
     gap, share, own = found.gap, forces.energies(found), plates.own_gap(found)
     rows = [
-        (name, what, *(words.percent(part[name]) for part in parts), share_of if what == "record" else "")
+        (name, what, *(quantities.percent(part[name]) for part in parts), share_of if what == "record" else "")
         for name in found.twin.sensors
-        for share_of in (words.percent(share[name]) if sum(share.values()) else "",)
+        for share_of in (quantities.percent(share[name]) if sum(share.values()) else "",)
         for what, parts in (
             ("record", (gap.train[0], own, gap.train[1], gap.floor)),
             ("unseen", (gap.validation[0], found.adjusted_gap, gap.validation[1], gap.validation_floor)),
@@ -159,16 +165,16 @@ def _where(found: Discovery, names: set[str]) -> str:
     for place in sorted(seen, key=lambda place: -place.explained):
         parts, portrait = place.portrait.parts, place.portrait
         told = (
-            [words.percent(part) for part in (parts.displacement, parts.rate, parts.both, parts.neither)]
+            [quantities.percent(part) for part in (parts.displacement, parts.rate, parts.both, parts.neither)]
             if parts is not None
             else [""] * 4
         )
-        odd = "" if parts is None or parts.odd is None else words.percent(parts.odd)
-        loss = words.power(abs(portrait.loss), place.units)
+        odd = "" if parts is None or parts.odd is None else quantities.percent(parts.odd)
+        loss = quantities.power(abs(portrait.loss), place.units)
         taken = f"{'-' if portrait.loss < 0.0 else ''}{loss}" if abs(portrait.taken) > LITTLE else "little"
         regions = words.regions(place) if parts is not None else []
         at = words.listed(regions) if regions else ""
-        rows.append((place.name, words.percent(place.share), *told, odd, taken, at))
+        rows.append((place.name, quantities.percent(place.share), *told, odd, taken, at))
     head = ("place", "share", "displacement", "rate", "both together", "neither", "odd", "takes out", "where")
     said = (
         "What a force at each place alone would make of all that is lacking; which parts of its energy follow the "
@@ -181,14 +187,14 @@ def _where(found: Discovery, names: set[str]) -> str:
         ("reading", lacking.sensors, "what the simulation leaves of it"),
     ):
         if those:
-            each = words.listed([f"{words.percent(part)} ({name})" for name, part in those.items()])
+            each = words.listed([f"{quantities.percent(part)} ({name})" for name, part in those.items()])
             said += f"A function of a {what} would make {each} of {of}. "
     harmonics = lacking.best.harmonics
     if harmonics is not None and harmonics.only_odd:
         said += (
             f"The commands repeat themselves with odd multiples of {harmonics.base:.4g} Hz only; of the force at "
-            f"{lacking.best.name}, {words.percent(harmonics.even)} is at even multiples and "
-            f"{words.percent(harmonics.odd)} at odd ones that were not excited."
+            f"{lacking.best.name}, {quantities.percent(harmonics.even)} is at even multiples and "
+            f"{quantities.percent(harmonics.odd)} at odd ones that were not excited."
         )
     return markup.table(head, rows, range(1, 8), names) + markup.paragraph(said, "missing", names)
 
@@ -200,7 +206,7 @@ def _whiteness(found: Discovery, names: set[str]) -> str:
         for what, one in zip(("adjusted alone", "with what was found"), pair, strict=True):
             if one is not None:
                 p = f"{one.p:.3f}" if one.p > 5e-4 else "< 0.001"
-                rows.append((name, what, words.white(one), p, words.percent(one.beyond)))
+                rows.append((name, what, words.white(one), p, quantities.percent(one.beyond)))
     head = ("sensor", "model", "residual", "p if white", "beyond noise")
     said = (
         "Ljung and Box's test of correlations over 0.1 s on data that were not used, with the frequency at which the "
@@ -215,34 +221,47 @@ def _rivals(found: Discovery) -> str:
     rivals, heat = found.rivals, found.temperature
     if len(rivals) < 2 or not found.effects:
         return ""
-    rows = []
+    rows: dict[str, tuple[float, str, str]] = {}
     sure = probabilities(rivals, heat)
     for rival, probability in zip(rivals, sure, strict=True):
-        told = " and ".join(words.spoken(found, *name) for name in rival.names)
+        first, *more = rival.names
+        told = " and ".join([words.labelled(found, *first), *(words.spoken(found, *name) for name in more)])
         deviations = np.sqrt(heat) * rival.hypothesis.deviations[len(found.rig.names) :]
         values, used = [], 0
         for slot in rival.hypothesis.slots:
             for name, i in zip(slot.names, slot.free, strict=True):
-                values.append(f"{name} = {words.with_deviation(slot.values[i], float(deviations[used]), '')}")
+                values.append(f"{name} = {quantities.with_deviation(slot.values[i], float(deviations[used]), '')}")
                 used += 1
-        p = f"{probability:.3f}" if probability > 5e-4 else "< 0.001"
-        worse = words.number(rival.score(heat) - rivals[0].score(heat), 4)
-        rows.append((words.capital(told), p, worse, ", ".join(values)))
+        worse = quantities.number(rival.score(heat) - rivals[0].score(heat), 4)
+        if told in rows:  # a delay of the only actuator is that of all of them
+            rows[told] = (rows[told][0] + float(probability), *rows[told][1:])
+        else:
+            rows[told] = float(probability), worse, ", ".join(values)
+    cells = [(told, f"{p:.3f}" if p > 5e-4 else "< 0.001", worse, values) for told, (p, worse, values) in rows.items()]
     head = ("explanation", "probability", "worse by", "value")
     told = (
         "Each was fitted in full, with the model's parameters free within what is believed of them. 'Worse by' is the "
         "difference of -2 log likelihood, with what each parameter must pay (Schwarz). Values in coherent units."
     )
-    return markup.table(head, rows, (1, 2)) + markup.paragraph(told, "missing")
+    return markup.table(head, cells, (1, 2)) + markup.paragraph(told, "missing")
 
 
 def _tried(found: Discovery) -> str:
     rows = [
-        (words.capital(words.spoken(found, effect, at)), f"{100.0 * part:.3g} %", f"{100.0 * paid:.3g} %")
+        (words.labelled(found, effect, at), f"{100.0 * part:.3g} %", _paid(paid))
         for effect, at, part, paid in plates.tried(found)[:MOST_TRIED]
     ]
     head = ("candidate", "would close of the gap", "of what would count")
     return markup.table(head, rows, (1, 2)) if rows else ""
+
+
+def _signed(part: float) -> str:
+    return f"{'-' if part < 0.0 else '+'}{quantities.number(100.0 * abs(part), 2)} %"
+
+
+def _paid(part: float) -> str:
+    most = plates.MOST_PAID
+    return f"{100.0 * part:.3g} %" if 100.0 * part <= most else f"> {most:.0f} %"
 
 
 def _parameters(found: Discovery, names: set[str]) -> str:
@@ -250,10 +269,17 @@ def _parameters(found: Discovery, names: set[str]) -> str:
     known = found.twin.base.parameters
     rows = []
     for (name, value, std), start in zip(written.refitted(found), found.rig.start, strict=True):
-        change = f"{100.0 * (value / start - 1.0):+.2g} %" if start else ""
-        told = words.with_deviation(value, std, "")
+        change = _signed(value / start - 1.0) if start else ""
+        told = quantities.with_deviation(value, std, "")
         rows.append(
-            (name, words.number(float(start), 6), told, change, words.pretty(known[name].unit), known[name].meaning)
+            (
+                name,
+                quantities.number(float(start), 6),
+                told,
+                change,
+                quantities.pretty(known[name].unit),
+                known[name].meaning,
+            )
         )
     head = ("parameter", "declared", "found", "change", "unit", "meaning")
     said = "They were free within what is believed of them, so that a small error of one is not taken for an effect."
@@ -296,14 +322,14 @@ def summary(found: Discovery, files: Files | None) -> str:
     ):
         if what == "with what was found" and not found.effects:
             continue
-        table.append((what, *(words.percent(part[name]) for name in found.twin.sensors)))
+        table.append((what, *(quantities.percent(part[name]) for name in found.twin.sensors)))
     widths = [max(len(row[i]) for row in table) for i in range(len(head))]
     lines += ["  " + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
-    for one in found.effects:
+    for one in words.offered(found):
         effect = found.twin.dictionary.get(one.name)
         if effect is not None and (effect.cause or effect.remedy):
             told = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]
-            lines.append(f"{one.name.replace('_', ' ')}: {'; '.join(told)}")
+            lines.append(f"{words.titled(one.name)}: {'; '.join(told)}")
     if files is not None:
         told = [str(path) for path in (files.model, files.plant, files.numbers) if path]
         lines += [f"written: {', '.join(told)}", f"page: {files.page}"]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
 import numpy as np
@@ -12,11 +11,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from masking.discovery import forces, words
+from masking.discovery import forces, maps, quantities, words
 from masking.discovery.discover import CLOSED, Discovery
+from masking.discovery.maps import AFTER, BEFORE, CLOUD, POINTS, scale
 from masking.discovery.screening import Promise
 from masking.discovery.search import SIGN
-from masking.drawing import COLOURS, GRID, INK, MUTED, SIZE, Plate, panels, symbol, thin, with_unit
+from masking.drawing import COLOURS, GRID, INK, MUTED, SIZE, WIDTH, Plate, panels, symbol, thin, with_unit
 from masking.identification.figures import DASHED, heading, legend, shown, ticks, top
 from masking.kernels import Array
 
@@ -25,13 +25,11 @@ if TYPE_CHECKING:
 else:
     signal = lazy.load("scipy.signal", suppress_warning=True)
 
-BEFORE: Final = COLOURS[1]
-AFTER: Final = COLOURS[0]
-CLOUD: Final = 0.4  # opacity
 MOST_SENSORS = 6
 MOST_TRIED = 12
+LETTER = 0.082  # inches of a letter of a label, with some room
+MOST_PAID = 1000.0  # %, of what would count: more is told as more than this
 NEAR = 0.9  # of the best candidate's gain: those that are told together
-POINTS = 5000  # of a cloud
 WIDE = 200.0  # highest over lowest frequency from which powers of ten are enough of a scale
 FAINT = 1e-3  # of the strongest line: weaker ones are rounded off by the smoother, and not drawn
 SEGMENTS = 8  # that a record is cut into for a spectrum
@@ -42,13 +40,13 @@ def plates(found: Discovery) -> list[Plate]:
     """Draw the figures of a discovery."""
     lacking = forces.lack(found, words.rest(found).best.name)
     course = [_course(found, lacking)] if lacking.where != "sensor" and found.twin.actuators else []
-    return [_gap(found), _map(found, lacking), *course, _residual(found), _candidates(found)]
+    return [_gap(found), maps.plate(found, lacking), *course, _residual(found), _candidates(found)]
 
 
 def _gap(found: Discovery) -> Plate:
     """Draw the error of each sensor before and after, in the record and in the one that judges, beside the noise."""
     names = found.twin.sensors
-    said = words.gap(found) if found.effects else words.capital(words.left(found))
+    said = words.capital(words.left(found)) if found.verdict == "none" else words.gap(found)
     figure, (row,) = panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), top(said) + 0.28)
     gap = found.gap
     own = own_gap(found)
@@ -93,78 +91,6 @@ def _gap(found: Discovery) -> Plate:
     return Plate("gap", "The gap", caption, figure)
 
 
-def _map(found: Discovery, lacking: forces.Lack) -> Plate:
-    """Draw the lacking force over displacement and rate, before and after, with the law."""
-    has_after = lacking.after is not None and bool(found.effects)
-    what = {"element": "force", "actuator": "command", "sensor": "reading"}[lacking.where]
-    said = _seen(found, lacking, what)
-    values = [lacking.before, *([lacking.law] if lacking.law is not None else [])]
-    by, unit = _scale(lacking.units[0], values)
-    reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
-    rows_of = [(lacking.before, BEFORE, "lacking"), *([(lacking.after, AFTER, "left")] if has_after else [])]
-    seen = lacking.seen
-    figure, rows = panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), top(said))
-    low = np.array([np.quantile(x, [0.0005, 0.9995]) for x, _ in seen])
-    step = max(1, len(lacking.x) // POINTS)
-    for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
-        assert values_of is not None  # noqa: S101  # those that are None have no row
-        for axes, (x, x_unit), (left, right) in zip(row, seen, low, strict=True):
-            times, name = _scale(x_unit, [x])
-            axes.plot(times * x[::step], by * values_of[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
-            centres, means, _ = forces.binned(x, values_of)
-            half = 2.0 * lacking.deviations[row is not rows[0]]
-            axes.fill_between(times * centres, by * (means - half), by * (means + half), color=colour, alpha=0.16, lw=0)
-            axes.plot(times * centres, by * means, color=colour, lw=1.8)
-            if kind == "lacking" and lacking.law is not None:
-                _law(axes, times * x, by * lacking.law)
-            pad = 0.03 * (right - left)
-            axes.set(xlim=(times * (left - pad), times * (right + pad)), ylim=(-reach, reach))
-            axes.axhline(0.0, color=MUTED, lw=0.7)
-            label = {"element": "displacement", "actuator": "command", "sensor": "reading"}[lacking.where]
-            if row is rows[-1]:
-                axes.set_xlabel(with_unit(label if x is lacking.x else f"rate of {label}", words.pretty(name)))
-        label = f"lacking {what}" if kind == "lacking" else f"{what} that is left"
-        row[0].set_ylabel(with_unit(label, words.pretty(unit)))
-        for axes in row[1:]:
-            axes.tick_params(labelleft=False)
-            axes.yaxis.get_offset_text().set_visible(False)
-    heading(figure, said)
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], color=BEFORE, lw=2, label=f"{what} that the model lacks, its mean and ± 2 deviations")
-    ]
-    if lacking.law is not None:
-        handles.append(Line2D([], [], color=INK, lw=1.6, label="law that was fitted"))
-    if has_after:
-        handles.append(Line2D([], [], color=AFTER, lw=2, label="what is left"))
-    legend(figure, rows[0][-1], handles)
-    caption = (
-        f"The {what} at {lacking.place} that the model lacks along the record, from its readings by a Kalman smoother "
-        "that adds a random walk to the equations. It takes no differences of readings, and rounds off what changes "
-        "faster than the noise lets it see. Points are samples; the line is their mean over equal ranges."
-    )
-    if lacking.where == "sensor":
-        caption = (
-            f"What the simulation leaves of the reading of {lacking.place} along the record, over what it should read."
-        )
-    return Plate("map", "What it looks like", caption, figure)
-
-
-def _seen(found: Discovery, lacking: forces.Lack, what: str) -> str:
-    if found.verdict == "none":
-        return f"At {lacking.place} the record shows no {what} beyond its deviation that follows the motion"
-    if found.verdict == "unknown" or lacking.after is None or not found.effects:
-        return words.look(found)
-    noise = lacking.deviations[0] ** 2 if lacking.where == "sensor" else 0.0
-    after, before = (max(float((v**2).mean()) - noise, 0.0) for v in (lacking.after, lacking.before))
-    taken = f"{100.0 * max(1.0 - after / max(before, 1e-300), 0.0):.3g} % of the mean square of the {what}"
-    name = (
-        words.spoken(found, found.effects[-1].name, found.effects[-1].on)
-        if lacking.law is not None
-        else "what was found"
-    )
-    return f"{words.capital(name)} takes away {taken} that the model lacks at {lacking.place}"
-
-
 def _course(found: Discovery, lacking: forces.Lack) -> Plate:
     """Draw what is lacking over a command, time and frequency, before and after."""
     what = {"element": "force", "actuator": "command"}[lacking.where]
@@ -172,12 +98,12 @@ def _course(found: Discovery, lacking: forces.Lack) -> Plate:
     command = max(seen.actuators, key=lambda name: seen.actuators[name])
     column = found.record.acting[:, found.twin.actuators.index(command)]
     said = _coursed(found, lacking, command)
-    by, unit = _scale(lacking.units[0], [lacking.before])
+    by, unit = scale(lacking.units[0], [lacking.before])
     figure, ((over, time, spectrum),) = panels(1, 1.75, (2.05, 2.7, 1.6), top(said))
     t, step = np.arange(len(lacking.before)) / found.record.rate, max(1, len(lacking.before) // POINTS)
     pairs = [(lacking.before, BEFORE), *([(lacking.after, AFTER)] if found.effects else [])]
     drawn = [(values, colour) for values, colour in pairs if values is not None]
-    times, name = _scale(forces.command_unit(found, command), [column])
+    times, name = scale(forces.command_unit(found, command), [column])
     for values, colour in drawn:
         over.plot(times * column[::step], by * values[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
         time.plot(*thin(t, by * values, 500), color=colour, lw=0.7)
@@ -196,13 +122,13 @@ def _course(found: Discovery, lacking: forces.Lack) -> Plate:
     time.tick_params(labelleft=False)
     time.yaxis.get_offset_text().set_visible(False)
     over.xaxis.set_major_locator(MaxNLocator(4))
-    over.set_ylabel(with_unit(f"lacking {what}", words.pretty(unit)))
-    over.set_xlabel(with_unit(f"command {symbol(command)}", words.pretty(name)))
+    over.set_ylabel(with_unit(f"lacking {what}", quantities.pretty(unit)))
+    over.set_xlabel(with_unit(f"command {symbol(command)}", quantities.pretty(name)))
     time.set_xlabel("time (s)")
     spectrum.set_xscale("log")
     spectrum.set_yscale("log")
     spectrum.set_xlabel("frequency (Hz)")
-    spectrum.set_ylabel(with_unit("density", f"{words.pretty(lacking.units[0])}/√Hz" if lacking.units[0] else ""))
+    spectrum.set_ylabel(with_unit("density", f"{quantities.pretty(lacking.units[0])}/√Hz" if lacking.units[0] else ""))
     low, high = spectrum.get_xlim()
     steps = (1.0, 2.0, 5.0) if high < WIDE * low else (1.0,)
     spectrum.xaxis.set_major_locator(LogLocator(subs=steps))
@@ -234,21 +160,8 @@ def _coursed(found: Discovery, lacking: forces.Lack, command: str) -> str:
     if place is None or not place.portrait.regions:
         return told
     thirds = [energy for energy, _ in place.portrait.regions["record"].values()]
-    parts = words.listed([words.percent(part) for part in thirds])
+    parts = words.listed([quantities.percent(part) for part in thirds])
     return f"{told}; the thirds of the record hold {parts} of the energy of the force at {lacking.place}"
-
-
-def _law(axes: Axes, x: Array, law: Array) -> None:
-    """Draw a law: as a line where it is a function of x, as a fine cloud where it is not."""
-    order = np.argsort(x)
-    steps = np.abs(np.diff(law[order]))
-    size = float(np.abs(law).max())
-    rough = float(np.ptp(law)) > 1e-9 * size and float(np.quantile(steps, 0.9)) > 2e-3 * float(np.ptp(law))
-    if not rough:
-        axes.plot(*thin(x[order], law[order], 400), color=INK, lw=1.6, zorder=5)
-        return
-    step = max(1, len(x) // 6000)
-    axes.plot(x[::step], law[::step], ".", color=INK, ms=1.4, alpha=0.6, mew=0, zorder=5)
 
 
 def _residual(found: Discovery) -> Plate:
@@ -289,6 +202,7 @@ def _residual(found: Discovery) -> Plate:
         for axis in (spectrum.xaxis, spectrum.yaxis):
             axis.set_minor_formatter(NullFormatter())
             axis.set_major_locator(LogLocator(numticks=5))
+        spectrum.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         spectrum.set_ylabel(f"{unit}/√Hz" if unit != "1" else "1/√Hz")
     rows[-1][0].set_xlabel("time (s)")
     rows[-1][1].set_xlabel("frequency (Hz)")
@@ -307,22 +221,26 @@ def _residual(found: Discovery) -> Plate:
 
 def _candidates(found: Discovery) -> Plate:
     """Draw what each candidate would have closed of the gap; where nothing is missing, of what would have counted."""
-    every, nothing = tried(found), not found.effects
+    every, nothing = tried(found), found.verdict == "none"
     chosen = {(one.name, one.on) for one in found.effects}
     rows = [row for i, row in enumerate(every) if i < MOST_TRIED or (row[0], row[1]) in chosen]
     if not rows:
         return Plate("candidates", "What was tried", "No candidate would have closed any of the gap.", None)
-    names = [words.spoken(found, effect, at) for effect, at, _, _ in rows]
+    names = [words.labelled(found, effect, at) for effect, at, _, _ in rows]
     parts = [100.0 * (paid if nothing else part) for _, _, part, paid in rows]
     fitted = {key for rival in found.rivals for key in rival.names}
     near = [part for part in parts if part > NEAR * parts[0]]
     count = len(found.found.tried)
-    if nothing and found.verdict == "none":
-        said = f"None of {count} candidates would close enough to be worth its parameters"
+    if nothing and parts[0] > 100.0:
+        many = sum(part > 100.0 for part in parts)
+        said = f"The model leaves noise; of {count} candidates, {many} would gain more than it costs, to first order"
     elif nothing:
+        said = f"None of {count} candidates would close enough to be worth its parameters"
+    elif not found.effects:
         said = f"None of {count} candidates explains what is left"
     elif len(near) == 1:
-        said = f"Of {count} candidates, {names[0]} alone would close {near[0]:.3g} % of the gap"
+        first = words.spoken(found, *rows[0][:2])
+        said = f"Of {count} candidates, {first} alone would close {near[0]:.3g} % of the gap"
     else:
         said = (
             f"Of {count} candidates, {len(near)} would each close more than {min(near):.2g} % of the gap; full fits "
@@ -330,13 +248,16 @@ def _candidates(found: Discovery) -> Plate:
         )
     figure, ((axes,),) = panels(1, 0.235 * len(rows) + 0.1, (5.6,), top(said))
     box = axes.get_position()
-    axes.set_position((box.x0 + 0.19, box.y0, box.width, box.height))
+    right, room = box.x0 + 0.19 + box.width, LETTER * max(map(len, names)) / WIDTH
+    axes.set_position((max(box.x0, room), box.y0, right - max(box.x0, room), box.height))
     colours = [_colour((effect, at), chosen, fitted) for effect, at, _, _ in rows]
     axes.barh(range(len(rows)), parts, height=0.66, color=colours)
+    reach = 112.0 if nothing else 1.12 * max(parts)
     for i, part in enumerate(parts):
-        axes.annotate(f"{part:.3g} %", (part, i), (4, 0), textcoords="offset points", va="center",
+        label = f"{part:.3g} %" if part <= MOST_PAID else f"> {MOST_PAID:.0f} %"
+        axes.annotate(label, (min(part, reach), i), (4, 0), textcoords="offset points", va="center",
                       fontsize=SIZE - 1.5, color=MUTED)  # fmt: skip
-    axes.set(ylim=(len(rows) - 0.4, -0.6), xlim=(0.0, 112.0 if nothing else 1.12 * max(parts)))
+    axes.set(ylim=(len(rows) - 0.4, -0.6), xlim=(0.0, reach))
     axes.yaxis.set_major_locator(FixedLocator([float(i) for i in range(len(rows))]))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: names[round(y)]))
     axes.grid(visible=False, axis="y")
@@ -362,14 +283,18 @@ def _colour(key: tuple[str, str], chosen: set[tuple[str, str]], fitted: set[tupl
 
 def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
     """Return each candidate once, the best first: effect, place, part of the gap, part of what would count."""
-    best: dict[tuple[str, str], Promise] = {}
+    best: dict[str, Promise] = {}
     for promise in found.found.tried:
-        if promise.gain > 0.0 and promise.gain > getattr(best.get(promise.candidate.key), "gain", 0.0):
-            best[promise.candidate.key] = promise
+        told = words.spoken(found, *promise.candidate.key)
+        if promise.gain > 0.0 and promise.gain > getattr(best.get(told), "gain", 0.0):
+            best[told] = promise
     size = found.record.readings.size
     whole = max(found.found.base.hypothesis.cost - size, *(p.gain for p in best.values()), 1e-300)
-    ordered = sorted(best.items(), key=lambda item: -item[1].gain)
-    return [(*key, p.gain / whole, p.gain / (float(np.log(size)) * len(p.candidate.free) + SIGN)) for key, p in ordered]
+    price = float(np.log(size))
+    return [
+        (*p.candidate.key, p.gain / whole, p.gain / (price * len(p.candidate.free) + SIGN))
+        for p in sorted(best.values(), key=lambda promise: -promise.gain)
+    ]
 
 
 def own_gap(found: Discovery) -> dict[str, float]:
@@ -397,16 +322,6 @@ def _percents(axes: Axes, low: float, high: float) -> None:
     axes.xaxis.set_major_locator(FixedLocator([v for v in every if low <= v <= high]))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g} %"))
-
-
-def _scale(unit: str, values: Sequence[Array]) -> tuple[float, str]:
-    """Return the factor and unit in which values are drawn: metres, volts, newtons in thousandths where small."""
-    if unit in {"V", "m", "N"}:
-        return shown(unit, *(np.abs(v) for v in values))
-    largest = max(float(np.abs(v).max()) for v in values)
-    if unit.startswith(("m/", "V/", "N/")) and largest < 0.1:
-        return 1e3, f"m{unit}"
-    return 1.0, unit
 
 
 def _lift_legend(figure: object, inches: float) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from masking.discovery import laws
 from masking.discovery.candidates import Candidate
 from masking.discovery.evidence import Evidence
-from masking.discovery.fitting import Hypothesis, bounds, within
+from masking.discovery.fitting import Hypothesis, bounds, restrained
 from masking.discovery.opened import MOST_COLUMNS, OpenRig, Slot
 from masking.discovery.smoothing import Motion, linearised
 from masking.kernels import Array
@@ -398,7 +398,8 @@ class Screen:
 
     def _rows(self, columns: Array) -> Array:
         """Return columns (blocks, sensors, c) in standard deviations, as rows (blocks * sensors, c)."""
-        found: Array = (columns * self.scale[None, :, None]).reshape(-1, columns.shape[2])
+        with np.errstate(over="ignore"):  # a force along which the rig's motion runs away is as good as infinite
+            found: Array = (columns * self.scale[None, :, None]).reshape(-1, columns.shape[2])
         return found
 
     def _out(self, x: Array) -> Array:
@@ -423,7 +424,7 @@ def _has_shape(candidate: Candidate) -> bool:
 def _stepped(slot: Slot, step: Array) -> Slot:
     """Return a slot after a step of its free parameters, within their bounds."""
     low, high = np.array(bounds(slot)).T
-    values = within(np.array([slot.values[i] for i in slot.free]), step, low, high)
+    values = restrained(np.array([slot.values[i] for i in slot.free]), step, low, high)
     return slot.with_values(slot.free, values)
 
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from masking.declaration.units import describe, dimension_of
 from masking.discovery import forces
 from masking.discovery.discover import Discovery, Named
+from masking.discovery.quantities import much, number, percent, power, pretty, put_together, quantity, with_deviation
 from masking.discovery.where import Lacking, Place, where
 from masking.identification.whiteness import Whiteness
 
@@ -22,36 +21,153 @@ MUCH = 1.5  # times the part of the time: a part of the energy from which a regi
 TAKEN = 0.2  # of the power that a force could take out of the motion, from which that is told
 SHOWN = 0.01  # probability from which an alternative is told
 SURE = 2.0  # deviations of a parameter from which it is told in a sentence
+MOVED = 3.0  # of its deviations by which a parameter moved that is told, and of those that are believed
+APART = 0.02  # of its declared value by which it moved then
+LOST = 0.9  # part of a reading that is left, from which the model is told not to follow it
+LARGER = 1.05  # times the record's own peak, from which that of an experiment is told
+SUMS = frozenset({"polynomial_spring", "periodic_force", "asymmetric_friction"})  # each parameter is a force of its own
+PEOPLE = {"bouc": "Bouc", "coulomb": "Coulomb", "dac": "DAC", "dahl": "Dahl", "lugre": "LuGre",
+          "stribeck": "Stribeck", "wen": "Wen"}  # fmt: skip
+CHECK = "check units, columns and signs of the record against the model"
 NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured input is the rate of which"
-_PREFIXES = {-9: "n", -6: "µ", -3: "m"}
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def sentence(found: Discovery) -> str:
-    """Say what was found, in a sentence or two without a full stop at the end."""
+    """Say what was found, in a few sentences without a full stop at the end."""
     if found.verdict == "none":
-        return f"Nothing is missing: with its parameters adjusted within what is believed of them, {left(found)}"
-    if found.verdict == "parameter":
-        return f"No effect is missing, but a parameter is off: {cause(found, found.effects[-1])}. {gap(found)}"
-    if found.verdict == "named":
+        first = f"Nothing is missing: with its parameters adjusted within what is believed of them, {left(found)}"
+        told = [first, moved(found)]
+    elif found.verdict == "parameter":
+        first = f"No effect is missing, but a parameter is off: {cause(found, found.effects[-1])}"
+        told = [first, gap(found), moved(found)]
+    elif found.verdict == "unknown":
+        known = [cause(found, one) for one in offered(found)]
+        do = "does" if len(known) == 1 else "do"
+        near = f"The nearest of it is {listed(known, '; ')}, which {do} not explain the rest" if known else ""
+        told = ["Something is missing that is not in the dictionary", hardly(found), near, look(found)]
+    elif is_open(found):
+        before = [cause(found, one) for one in found.effects[:-1]]
+        known = [f"{listed(before, '; ')} {'is' if len(before) == 1 else 'are'} missing"] if before else []
+        first = ", and ".join([*known, alternatives(alike(found))])
+        first = f"{capital(first)} is missing, and this record cannot tell which"
+        told = [first, hardly(found), gap(found), moved(found), capital(experiment(found))]
+    else:
         what = listed([cause(found, one) for one in found.effects], "; ")
         pause = "," if ", " in what else ""
-        return f"{capital(what)}{pause} {'is' if len(found.effects) == 1 else 'are'} missing. {gap(found)}"
-    if found.verdict == "ambiguous":
-        last = found.effects[-1]
-        names = [
-            spoken(found, last.name, last.on),
-            *(spoken(found, n, on) for n, on, p in last.alternatives if p > SHOWN),
+        first = f"{capital(what)}{pause} {'is' if len(found.effects) == 1 else 'are'} missing"
+        told = [first, hardly(found), gap(found), moved(found)]
+    return ". ".join(filter(None, [*told, measured(found)]))
+
+
+def measured(found: Discovery) -> str:
+    """Say that commands seem to be measured ones; '' where they do not."""
+    if found.as_measured is None:
+        return ""
+    name = worst(found)
+    left = f"{percent(found.as_measured[name])} of {name}, against {percent(found.gap.train[1][name])}"
+    return (
+        "Commands are taken to act until the next sample; where they go in straight lines between samples instead, as "
+        f"measured ones do, the model alone leaves {left}: if they were measured, use --between straight"
+    )
+
+
+def is_open(found: Discovery) -> bool:
+    """Return whether the record leaves open what is missing, among what has names of its own."""
+    return found.verdict == "ambiguous" and len(alike(found)) > 1
+
+
+def alike(found: Discovery) -> list[str]:
+    """Name what the last cause may be; a delay of the only actuator is that of all of them."""
+    last = found.effects[-1]
+    others = [spoken(found, name, on) for name, on, probability in last.alternatives if probability > SHOWN]
+    return list(dict.fromkeys([spoken(found, last.name, last.on), *others]))
+
+
+def probability(found: Discovery, named: Named) -> float:
+    """Return the probability of a cause, with that of alternatives that are the same."""
+    told = spoken(found, named.name, named.on)
+    return named.probability + sum(p for name, on, p in named.alternatives if spoken(found, name, on) == told)
+
+
+def offered(found: Discovery) -> list[Named]:
+    """Return the causes that are told: where they do not explain all, those whose strength is surely not 0."""
+    if found.verdict != "unknown":
+        return list(found.effects)
+    kept = []
+    for one in found.effects:
+        values = list(one.parameters.values())
+        if any(abs(value) > SURE * std for value, std in (values if one.name in SUMS else values[:1])):
+            kept.append(one)
+    return kept
+
+
+def hardly(found: Discovery) -> str:
+    """Say which readings the model hardly follows at all; '' where there are none."""
+    remains = found.adjusted_gap if found.verdict == "unknown" else found.gap.validation[1]
+    floor = found.gap.validation_floor
+    lost = [f"{name} ({percent(part)} is left)" for name, part in remains.items() if part >= LOST > 2.0 * floor[name]]
+    if not lost:
+        return ""
+    return f"The model follows hardly anything of {listed(lost)}: {CHECK}"
+
+
+def adjusted(found: Discovery) -> dict[str, tuple[float, float, bool]]:
+    """Return the parameters that moved beside the causes: the value, what is declared, and whether it is believed."""
+    off = {one.name for one in found.effects if one.name not in found.twin.dictionary}
+    belief, theta = found.evidence.belief, found.explanation.hypothesis.theta
+    told = {}
+    for name, value, std, start, wide in zip(
+        found.rig.names, theta, found.deviations, found.rig.start, belief.deviation, strict=False
+    ):
+        by = abs(float(value - start))
+        if name not in off and by > MOVED * std and by > APART * abs(start):
+            told[name] = float(value), float(start), by <= MOVED * float(wide)
+    return told
+
+
+def moved(found: Discovery) -> str:
+    """Say which parameters moved far beside the causes; '' where none did."""
+    told, known = [], found.twin.base.parameters
+    for is_believed, how in ((True, "within"), (False, "beyond")):
+        those = [
+            f"{name} = {quantity(value, known[name].unit, 4)}, {beyond(value, start)}"
+            for name, (value, start, held) in adjusted(found).items()
+            if held is is_believed
         ]
-        before = [cause(found, one) for one in found.effects[:-1]]
-        first = (
-            f"{capital(listed(before, '; '))} is missing, and {alternatives(names)}" if before else alternatives(names)
-        )
-        coming = f". {capital(str(found.next_experiment or NO_EXPERIMENT))}"
-        return f"{capital(first)} is missing, and this record cannot tell which. {gap(found)}{coming}"
-    known = [cause(found, one) for one in found.effects]
-    near = f" The nearest of it is {listed(known)}, which does not explain the rest." if known else ""
-    return f"Something is missing that is not in the dictionary.{near} {look(found)}"
+        if those:
+            every = {1: f"{how} what is believed of it", 2: f"both {how} what is believed of them"}
+            told.append(f"{'; '.join(those)}, {every.get(len(those), f'all {how} what is believed of them')}")
+    far = any(not held and not 0.5 < value / start < 2.0 for value, start, held in adjusted(found).values() if start)
+    return f"Adjusted: {'; '.join(told)}{f': {CHECK}' if far else ''}" if told else ""
+
+
+def beyond(value: float, declared: float) -> str:
+    """Say how far a value is off what is declared."""
+    if not declared or not 0.1 < value / declared < 2.0:
+        return f"where {number(declared, 5)} is declared"
+    off = value / declared - 1.0
+    return f"{abs(off) * 100.0:.2g} % {'more' if off > 0.0 else 'less'} than declared"
+
+
+def experiment(found: Discovery) -> str:
+    """Say which experiment would tell apart what the record leaves open."""
+    coming = found.next_experiment
+    if coming is None:
+        return NO_EXPERIMENT
+    one, other = (spoken(found, *rival.names[-1]) for rival in found.rivals[:2])
+    if not coming.separates:
+        return f"no excitation of the actuators that was tried tells {one} from {other}"
+    most = np.abs(found.record.commands).max(axis=0)
+    peaks = dict(zip(found.twin.actuators, most, strict=True))
+    size = {
+        name: f"{name} up to {quantity(peak, forces.command_unit(found, name))}" for name, peak in coming.peaks.items()
+    }
+    told = f"a {coming.excitation} of {listed(list(size.values()))}, {coming.pace}, would tell {one} from {other}"
+    times = max(peak / max(peaks[name], 1e-300) for name, peak in coming.peaks.items())
+    declared = found.twin.declaration.limits.inputs
+    if times < LARGER or all(name in declared for name in found.twin.actuators):
+        return told
+    return f"{told}. Its peak is {number(times, 2)} times the record's; a plant file may declare limits (limits.inputs)"
 
 
 def left(found: Discovery) -> str:
@@ -66,14 +182,25 @@ def left(found: Discovery) -> str:
 
 def spoken(found: Discovery, name: str, on: str) -> str:
     """Name a cause with its place: 'dry friction in spring1', 'an added mass on x1'."""
-    words, effect = name.replace("_", " "), found.twin.dictionary.get(name)
+    words, effect = titled(name), found.twin.dictionary.get(name)
     if effect is None:
         return f"another {name}"
     if effect.is_inertia:
         return f"an {words} on {on}"
     if effect.where == "loop":
-        return f"a {words} of {on or 'all actuators'}"
+        actuators = found.twin.actuators
+        return f"a {words} of {on or (actuators[0] if len(actuators) == 1 else 'all actuators')}"
     return f"{words} {'in' if effect.where == 'element' else 'of'} {on}"
+
+
+def labelled(found: Discovery, name: str, on: str) -> str:
+    """Name a cause with its place as a label: 'Delay of V1'."""
+    return capital(spoken(found, name, on).removeprefix("an ").removeprefix("a "))
+
+
+def titled(name: str) -> str:
+    """Write the name of an effect as it is spoken, with names of people as these are written."""
+    return " ".join(PEOPLE.get(part, part) for part in name.split("_")).replace("Bouc Wen", "Bouc-Wen")
 
 
 def cause(found: Discovery, named: Named) -> str:
@@ -87,10 +214,7 @@ def cause(found: Discovery, named: Named) -> str:
         value, std = named.parameters[name]
         told = f"{name} = {with_deviation(value, std, units(found, named).get(name, ''))}"
         if named.name not in found.twin.dictionary:
-            declared = float(found.rig.start[found.rig.names.index(name)])
-            told += (
-                f", {abs(value / declared - 1.0) * 100.0:.2g} % {'more' if value > declared else 'less'} than declared"
-            )
+            told += f", {beyond(value, float(found.rig.start[found.rig.names.index(name)]))}"
         values.append(told)
     what = spoken(found, named.name, named.on) if named.name in found.twin.dictionary else ""
     if what and found.twin.dictionary[named.name].is_inertia:
@@ -100,17 +224,29 @@ def cause(found: Discovery, named: Named) -> str:
 
 def gap(found: Discovery) -> str:
     """Say how far the gap closes on the record that judges, for the sensor in which it was largest."""
-    before, after, floor = found.adjusted_gap, found.gap.validation[1], found.gap.validation_floor
+    before, how = without(found)
+    after, floor = found.gap.validation[1], found.gap.validation_floor
     name = worst(found)
+    if not found.effects:
+        before, how, what = found.gap.validation[0], "as declared", "with parameters adjusted alone"
+    else:
+        what = "with this"
     return (
-        f"On data that were not used, the error in {name} is {percent(before[name])} with parameters adjusted alone "
-        f"and {percent(after[name])} with this; noise alone makes {percent(floor[name])}"
+        f"On data that were not used, the error in {name} is {percent(before[name])} {how} and {percent(after[name])} "
+        f"{what}; noise alone makes {percent(floor[name])}"
     )
 
 
+def without(found: Discovery) -> tuple[dict[str, float], str]:
+    """Return the error of each sensor on the record that judges, without what was found, and how that is."""
+    if found.verdict == "parameter":
+        return found.gap.validation[0], "as declared"
+    return found.adjusted_gap, "with parameters adjusted alone"
+
+
 def worst(found: Discovery) -> str:
-    """Return the sensor in which adjusted parameters alone leave most, beside its noise."""
-    floor, before = found.gap.validation_floor, found.adjusted_gap
+    """Return the sensor in which most is left without what was found, beside its noise."""
+    floor, (before, _) = found.gap.validation_floor, without(found)
     return max(floor, key=lambda name: before[name] / max(floor[name], 1e-300))
 
 
@@ -124,19 +260,19 @@ def beside(found: Discovery) -> str:
 def look(found: Discovery) -> str:
     """Say what is lacking, or is left beside the causes, looks like."""
     lacking = rest(found)
+    what = "It" if lacking is where(found).lacking else "What is left"
     place = lacking.best
     portrait, (unit, *_) = place.portrait, place.units
     of_command = max(lacking.actuators, key=lambda name: lacking.actuators[name], default="")
     if of_command and lacking.actuators[of_command] > max(MOST, place.explained):
-        return f"It looks like a force: {follows_command(lacking, of_command)}"
-    size = f"{number(portrait.size, 2)} {pretty(unit)}".rstrip()
-    return f"It looks like a force of {size} (rms) at {place.name}: {portrayed(place)}"
+        return f"{what} looks like a force: {follows_command(lacking, of_command)}"
+    return f"{what} looks like a force of {quantity(portrait.size, unit, 2)} (rms) at {place.name}: {portrayed(place)}"
 
 
 def rest(found: Discovery) -> Lacking:
-    """Return what is lacking, or what is left where causes are known that do not explain it."""
+    """Return what is lacking, or what is left where causes are told that do not explain it."""
     seen = where(found)
-    return seen.lacking if seen.left is None or not found.effects else seen.left
+    return seen.lacking if seen.left is None or not offered(found) else seen.left
 
 
 def subject(found: Discovery) -> Lacking:
@@ -248,28 +384,23 @@ def white(one: Whiteness) -> str:
     return f"not white ({'slow, ' if one.slow and one.frequency else ''}{at})"
 
 
-def power(value: float, units: Sequence[str]) -> str:
-    """Write a power with its unit: that of a force times that of a rate."""
-    unit = _put_together("F*V", {"F": units[0] or "1", "V": units[2] or "1"})
-    unit = {"m**2/s**3": "W/kg", "N*m/s": "W"}.get(unit, unit)
-    scale = math.floor(math.log10(value) / 3.0) * 3 if value > 0.0 else 0
-    if unit in {"W", "W/kg"} and scale in _PREFIXES:
-        return f"{number(value / 10.0**scale)} {_PREFIXES[scale]}{unit}"
-    return f"{number(value)} {pretty(unit)}".rstrip()
-
-
 def remedies(found: Discovery) -> list[tuple[str, str, str, str]]:
     """Return what each named effect is, what causes it and what helps: (name, meaning, cause, remedy)."""
     dictionary = found.twin.dictionary
-    seen = dict.fromkeys(n for e in found.effects for n in (e.name, *(a[0] for a in e.alternatives if a[2] > 0.05)))
+    seen = dict.fromkeys(n for e in offered(found) for n in (e.name, *(a[0] for a in e.alternatives if a[2] > 0.05)))
     known = [(name, dictionary[name]) for name in seen if name in dictionary]
-    return [(name.replace("_", " "), e.meaning, e.cause, e.remedy) for name, e in known]
+    return [(titled(name), e.meaning, e.cause, e.remedy) for name, e in known]
 
 
 def units(found: Discovery, named: Named) -> dict[str, str]:
-    """Return the units of the parameters of a cause."""
+    """Return the units of the parameters of a cause, as they are shown."""
+    return {name: pretty(unit) for name, unit in plain_units(found, named).items()}
+
+
+def plain_units(found: Discovery, named: Named) -> dict[str, str]:
+    """Return the units of the parameters of a cause, such as N/m**3."""
     if named.name not in found.twin.dictionary:
-        return {n: pretty(found.twin.base.parameters[n].unit) for n in named.parameters}
+        return {n: found.twin.base.parameters[n].unit for n in named.parameters}
     effect, twin = found.twin.dictionary[named.name], found.twin
     if effect.where == "element":
         force, displacement, _ = forces.element_units(found, named.on)
@@ -278,81 +409,10 @@ def units(found: Discovery, named: Named) -> dict[str, str]:
         known = {"S": twin.declaration.sensors[named.on].unit}
     else:
         known = {"U": forces.command_unit(found, named.on)}
-    made = {n: _put_together(effect.parameters[n].unit, known) for n in named.parameters}
+    made = {n: put_together(effect.parameters[n].unit, known) for n in named.parameters}
     if effect.is_inertia:  # kg, rather than N s²/m
         made = {n: describe(dimension_of(unit)) for n, unit in made.items()}
-    return {n: pretty(unit) for n, unit in made.items()}
-
-
-def _put_together(template: str, known: Mapping[str, str]) -> str:
-    """Return a unit of the dictionary with the units of a place in it as they are written, not as SI has them."""
-    powers: dict[str, int] = {}
-    for letter, power in _powers(template).items():
-        for name, inner in _powers(known.get(letter, letter)).items():
-            powers[name] = powers.get(name, 0) + power * inner
-    above = [n if p == 1 else f"{n}**{p}" for n, p in powers.items() if p > 0]
-    below = [n if p == -1 else f"{n}**{-p}" for n, p in powers.items() if p < 0]
-    return "/".join(["*".join(above) or "1", *below])
-
-
-def _powers(unit: str) -> dict[str, int]:
-    """Return the units in a text such as m/s**2 or 1/(V**2*s) with their powers."""
-    found: dict[str, int] = {}
-    sign, depth, last, last_sign = 1, [1], "", 1
-    for piece in re.findall(r"\*\*\s*\(?-?\d+\)?|[A-Za-zµΩ%]+|[*/()]|\d+", unit):
-        if piece.startswith("**"):
-            found[last] += (int(piece.strip("*() ")) - 1) * last_sign
-        elif piece == "(":
-            depth.append(depth[-1] * sign)
-            sign = 1
-        elif piece == ")":
-            depth.pop()
-        elif piece in "*/":
-            sign = 1 if piece == "*" else -1
-        elif not piece.isdigit():
-            last, last_sign = piece, sign * depth[-1]
-            found[last] = found.get(last, 0) + last_sign
-            sign = 1
-    return {n: p for n, p in found.items() if p}
-
-
-def pretty(unit: str) -> str:
-    """Write a unit for people, such as 1/(m² s²) for 1/m**2/s**2."""
-    raised = re.sub(r"\*\*\(?(-?\d+)\)?", lambda m: m[1].translate(_RAISED), "" if unit == "1" else unit)
-    first, *below = (part.replace("*", " ") for part in raised.split("/"))
-    return "/".join([first, *([f"({' '.join(below)})"] if len(below) > 1 else below)])
-
-
-def with_deviation(value: float, std: float, unit: str) -> str:
-    """Write a value with as many digits as its deviation tells, its deviation and its unit."""
-    if not (std > 0.0 and math.isfinite(std)):
-        return f"{number(value, 5)} {unit}".rstrip()
-    size = max(abs(value), std)
-    power = 0 if 1e-3 <= size < 1e5 else 3 * math.floor(math.log10(size) / 3.0)
-    scaled, off = value / 10.0**power, std / 10.0**power
-    digits = max(0, 1 - math.floor(math.log10(off)))
-    told = f"{scaled:.{digits}f} ± {off:.{digits}f}"
-    if not power:
-        return f"{told} {unit}".rstrip()
-    if power in _PREFIXES and re.match(r"[mVN](/|$)", unit):
-        return f"{told} {_PREFIXES[power]}{unit}"
-    return f"({told})·10{str(power).translate(_RAISED)} {unit}".rstrip()
-
-
-def number(value: float, digits: int = 3) -> str:
-    """Write a number; small and large ones with a power of ten."""
-    mantissa, e, exponent = f"{value:.{digits}g}".partition("e")
-    return f"{mantissa}e{int(exponent)}" if e else mantissa
-
-
-def percent(part: float) -> str:
-    """Write a part in percent."""
-    return f"{100.0 * part:.2g}\N{NO-BREAK SPACE}%" if part < 0.995 else f"{100.0 * part:.0f}\N{NO-BREAK SPACE}%"
-
-
-def much(part: float) -> str:
-    """Write how much of something: all, nothing, or a part in percent."""
-    return "all" if part >= 0.995 else percent(part) if part >= 0.005 else "nothing"
+    return made
 
 
 def capital(text: str) -> str:

@@ -21,8 +21,9 @@ import yaml
 from masking.declaration import catalogue, registry
 from masking.declaration.checks import equation_of
 from masking.declaration.schema import ModelDeclaration, Parameter
+from masking.declaration.units import dimension_of, factor_of
 from masking.discovery import laws, words
-from masking.discovery.discover import Discovery
+from masking.discovery.discover import Discovery, Named
 from masking.discovery.opened import Slot
 from masking.discovery.places import identifier, opened
 from masking.discovery.where import where
@@ -135,7 +136,11 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     told.setdefault("next_experiment", None)
     told["model"] = None if files.model is None else str(files.model)
     told["plant"] = None if files.plant is None else str(files.plant)
-    told["parameters"] = {name: {"value": value, "std": std} for name, value, std in refitted(found)}
+    told["parameters"] = {
+        name: {"value": value, "std": std, "declared": float(start)}
+        for (name, value, std), start in zip(refitted(found), found.rig.start, strict=True)
+    }
+    told["adjusted"] = list(words.adjusted(found))
     told["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
     told["page"] = str(files.page)
     told["where"] = where(found).as_dict()
@@ -166,10 +171,10 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
         name: {"value": _rounded(value)} | ({"std": _rounded(std, 3)} if std > 0.0 else {})
         for name, value, std in refitted(found)
     }
-    deviations = _deviations(found)
+    deviations, known = _deviations(found), _units(found)
     for name, parameter in whole.parameters.items():
         if name not in twin.base.parameters:
-            parameters[name] = _written(parameter, deviations.get(name, 0.0))
+            parameters[name] = _written(parameter, deviations.get(name, 0.0), known.get(name, ""))
     made["parameters"] = parameters
     new_states = {n: s for n, s in whole.states.items() if n not in twin.base.states}
     if new_states:
@@ -294,8 +299,21 @@ def _deviations(found: Discovery) -> dict[str, float]:
     return told
 
 
-def _written(parameter: Parameter, std: float) -> dict[str, Any]:
+def _units(found: Discovery) -> dict[str, str]:
+    """Return the units of the parameters of causes in the equations, by the names they have there, as places say."""
+    told: dict[str, str] = {}
+    for slot, label in labels(found).items():
+        values = dict.fromkeys(slot.entry.parameters, (0.0, 0.0))
+        units = words.plain_units(found, Named(slot.effect, slot.at, values, 1.0))
+        told |= {f"{label}_{name}": unit for name, unit in units.items()}
+    return told
+
+
+def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:
+    """Return a parameter as a file has it: in a unit as its place says it, where that is the same unit."""
     made = parameter.model_dump(mode="json", exclude_defaults=True)
+    if unit and (dimension_of(unit), factor_of(unit)) == (dimension_of(parameter.unit), factor_of(parameter.unit)):
+        made |= {"unit": unit} if unit != "1" else {}
     return made | ({"std": _rounded(std, 3)} if std > 0.0 else {})
 
 

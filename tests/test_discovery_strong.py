@@ -1,0 +1,102 @@
+"""Discovery where the motion hardly resembles the model's: strong laws, stiff ones, and records in other units.
+
+Records are made here, by the classical Runge-Kutta method in plain Python, in eight steps a sample.
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+import masking
+
+M, C, K = 2.0, 1.5, 800.0  # kg, N s/m, N/m: 3.2 Hz, damping ratio 0.019
+NOISE = 1e-5  # m
+MODEL = """
+name: mass on a spring
+coordinates: {x: {unit: m}}
+inputs: {force: {unit: N}}
+parameters: {m: {value: 2, unit: kg, bounds: [0, null]}, c: {value: 1.5, unit: N*s/m}, k: {value: 800, unit: N/m}}
+equations: {m*x'': force - c*x' - k*x}
+elements: {spring: {displacement: x, unit: N, acts: {x: -1}}}
+"""
+
+
+def motion(force, rate, law, steps=8):
+    """Return the displacement (m,) of the mass under a force (m,) that is held between samples."""
+
+    def acceleration(x, v, u):
+        return (u - K * x - C * v - law(x, v)) / M
+
+    x, v, h, found = 0.0, 0.0, 1.0 / (rate * steps), np.empty(len(force))
+    for i, u in enumerate(force):
+        found[i] = x
+        for _ in range(steps):
+            a1 = acceleration(x, v, u)
+            v2 = v + 0.5 * h * a1
+            a2 = acceleration(x + 0.5 * h * v, v2, u)
+            v3 = v + 0.5 * h * a2
+            a3 = acceleration(x + 0.5 * h * v2, v3, u)
+            v4 = v + h * a3
+            a4 = acceleration(x + h * v3, v4, u)
+            x += h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
+            v += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    return found
+
+
+@pytest.fixture(scope="module")
+def discovered(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("strong")
+    (folder / "mass.yaml").write_text(MODEL)
+
+    def find(law, *, rate=500.0, seconds=40.0, sign=1.0, scale=1.0, every=1, **settings):
+        rng = np.random.default_rng(0)
+        t = np.arange(round(seconds * rate)) / rate
+        lines = np.arange(10, 241) / 20.0  # Hz, 0.5 to 12
+        phases = rng.uniform(0.0, 2.0 * np.pi, len(lines))
+        force = 4.0 * sum(np.sin(2.0 * np.pi * f * t + p) for f, p in zip(lines, phases, strict=True))
+        force /= math.sqrt(len(lines) / 2.0)
+        x = motion(force, rate, law) + NOISE * rng.standard_normal(len(t))
+        table = np.column_stack([t, sign * force, scale * x])[::every]
+        np.savetxt(folder / "record.csv", table, delimiter=",", header="t,force,x", comments="", fmt="%.9g")
+        return masking.discover(folder / "record.csv", model=folder / "mass.yaml", **settings)
+
+    return find
+
+
+def test_a_strong_spring_is_found_in_windows(discovered):
+    """At the ends of the travel the cubic force is larger than the linear one: in one run, motion comes out of step."""
+    found = discovered(lambda x, v: 4e5 * x**3)
+    assert (found.verdict, [(e.name, e.on) for e in found.effects]) == ("named", [("hardening_spring", "spring")])
+    assert found.effects[0].parameters["k3"][0] == pytest.approx(4e5, rel=1e-3)
+    assert found.closed
+    assert 0 < found.evidence.horizon < len(found.record)
+
+
+def test_friction_that_turns_round_fast_is_simulated_in_finer_steps(discovered):
+    """In one step a sample, this is called Stribeck's friction, with less force at rest than while sliding."""
+    found = discovered(lambda x, v: 0.5 * math.tanh(v / 1e-3), rate=1000.0, seconds=20.0)
+    assert (found.verdict, [(e.name, e.on) for e in found.effects]) == ("named", [("dry_friction", "spring")])
+    value, std = found.effects[0].parameters["fc"]
+    assert abs(value - 0.5) < 4.0 * std < 1e-3
+    assert found.evidence.substeps > 1
+
+
+def test_a_command_of_the_other_sign_hides_no_spring(discovered):
+    found = discovered(lambda x, v: 5e4 * x**3, sign=-1.0)
+    assert (found.verdict, found.closed) == ("named", True)
+    told = {(e.name, e.on): e.parameters for e in found.effects}
+    assert told["actuator_gain", "force"]["e"][0] == pytest.approx(-2.0, abs=0.02)
+    assert told["hardening_spring", "spring"]["k3"][0] == pytest.approx(5e4, rel=0.02)
+
+
+def test_commands_that_were_measured_are_told_from_those_that_are_held(discovered):
+    found = discovered(lambda x, v: 0.0, rate=4000.0, seconds=20.0, every=8)
+    assert found.verdict == "unknown"
+    assert found.as_measured["x"] < 0.2 * found.gap.train[1]["x"]
+
+
+def test_parameters_keep_their_signs_and_bounds(discovered):
+    """Readings in mm are a thousand times too large: no mass, damper or spring becomes negative for them."""
+    found = discovered(lambda x, v: 5e4 * x**3, scale=1e3)
+    assert (found.explanation.hypothesis.theta > 0.0).all()

@@ -1,0 +1,213 @@
+"""What is said of a discovery: each sentence against numbers that are given, so that it holds for no others."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from masking.discovery import forces, maps, pages, quantities, words
+from masking.discovery.discover import Gap, Named
+from masking.discovery.experiment import NextExperiment
+from masking.discovery.opened import Slot
+from masking.discovery.search import Explanation
+from masking.effects import EFFECTS
+from tests.test_where import SLOTS, discoveries, rig
+
+__all__ = ["discoveries", "rig"]  # fixtures
+
+SENSORS = ("s1", "s2", "s3")
+
+
+def gaps(declared, after, floor):
+    """Return a gap that is the same in both records."""
+    each = (dict(zip(SENSORS, declared, strict=True)), dict(zip(SENSORS, after, strict=True)))
+    noise = dict(zip(SENSORS, floor, strict=True))
+    return Gap(each, each, noise, noise)
+
+
+def test_without_effects_the_title_says_what_is_left(discoveries):
+    found = replace(discoveries("friction"), verdict="unknown", effects=())
+    found = replace(found, gap=gaps((1.33, 0.1, 0.1), (0.94, 0.1, 0.1), (0.001, 0.1, 0.1)))
+    found.__dict__["adjusted_gap"] = found.gap.validation[1]
+    assert words.gap(found) == (
+        "On data that were not used, the error in s1 is 133\N{NO-BREAK SPACE}% as declared and "
+        "94\N{NO-BREAK SPACE}% with parameters adjusted alone; noise alone makes 0.1\N{NO-BREAK SPACE}%"
+    )
+
+
+def test_a_parameter_is_compared_with_what_is_declared(discoveries):
+    named = (Named("z2", "", {"z2": (0.02, 1e-5)}, 1.0),)
+    found = replace(discoveries("friction"), verdict="parameter", effects=named)
+    found = replace(found, gap=gaps((0.027, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3)))
+    assert "the error in s1 is 2.7\N{NO-BREAK SPACE}% as declared and 0.1" in words.gap(found)
+
+
+@pytest.mark.parametrize(
+    ("after", "floor", "told"),
+    [(0.98, 0.01, "s1 (98\N{NO-BREAK SPACE}% is left): check units"), (0.8, 0.01, ""), (0.98, 0.9, "")],
+)
+def test_a_reading_that_is_hardly_followed(discoveries, after, floor, told):
+    found = replace(discoveries("friction"), gap=gaps((1.0, 0.1, 0.1), (after, 0.1, 0.1), (floor, 0.1, 0.1)))
+    said = words.hardly(found)
+    assert told in said
+    assert bool(said) is bool(told)
+    assert said in words.sentence(found)
+
+
+def test_commands_that_seem_measured_are_told(discoveries):
+    found = replace(discoveries("friction"), gap=gaps((1.0, 0.1, 0.1), (0.2, 0.1, 0.1), (0.01, 0.1, 0.1)))
+    found.__dict__["adjusted_gap"] = found.gap.validation[0]
+    told = words.sentence(replace(found, as_measured={"s1": 0.01, "s2": 0.1, "s3": 0.1}))
+    assert told.endswith(
+        "the model alone leaves 1\N{NO-BREAK SPACE}% of s1, against 20\N{NO-BREAK SPACE}%: if they were measured, use "
+        "--between straight"
+    )
+
+
+def test_a_law_that_may_be_nothing_is_not_offered(discoveries):
+    sure, unsure = (Named("stiffness_drift", "spring1", {"k": (-4.0, std)}, 0.9) for std in (1.0, 161.0))
+    found = replace(discoveries("friction"), verdict="unknown")
+    assert "The nearest of it is stiffness drift in spring1" in words.sentence(replace(found, effects=(sure,)))
+    lost = replace(found, effects=(unsure,))
+    assert "nearest" not in words.sentence(lost)
+    assert pages._what_helps(lost) == []
+    springs = Named("polynomial_spring", "spring1", {"k2": (0.0, 1.0), "k3": (9.0, 1.0)}, 0.9)
+    assert words.offered(replace(found, effects=(springs,))) == [springs]
+
+
+@pytest.mark.parametrize(("wide", "how"), [(1.0, "beyond"), (10.0, "within")])
+def test_parameters_that_moved_are_told(discoveries, wide, how):
+    found = discoveries("friction")
+    at, known = found.rig.names.index("z2"), found.explanation.hypothesis
+    theta = found.rig.start.copy()
+    theta[at] *= 1.05
+    belief = found.evidence.belief
+    moved = replace(
+        found,
+        explanation=replace(
+            found.explanation, hypothesis=replace(known, theta=theta, covariance=0.0 * known.covariance)
+        ),
+        evidence=replace(found.evidence, belief=replace(belief, deviation=wide * belief.deviation)),
+    )
+    assert words.moved(moved).startswith("Adjusted: z2 = ")
+    assert words.moved(moved).endswith(f", 5 % more than declared, {how} what is believed of it")
+    off = Named("z2", "", {"z2": (theta[at], 0.0)}, 1.0)
+    assert words.moved(replace(moved, verdict="parameter", effects=(off,))) == ""
+    assert [*words.adjusted(moved)] == ["z2"]
+
+
+@pytest.mark.parametrize(("value", "told"), [(2.1, "5 % more than"), (1.8, "10 % less than"), (-1.0, "where 2 is")])
+def test_how_far_a_value_is_off(value, told):
+    assert words.beyond(value, 2.0).startswith(told)
+
+
+def coming(found, peak, separation=1e3):
+    """Return a discovery that leaves two causes open, and an experiment with a peak."""
+    settings = {"peak": {"V1": peak, "V2": 0.01, "V3": 0.1}, "lowest": "3 Hz", "highest": "12 Hz", "seconds": 30.0}
+    other = Explanation("effects", (("dahl_friction", "spring1"),), found.explanation.hypothesis)
+    last = replace(found.effects[-1], probability=0.6, alternatives=(("dahl_friction", "spring1", 0.4),))
+    told = NextExperiment("multisine", settings, separation, ("one", "other"), np.zeros((1, 3)))
+    return replace(found, verdict="ambiguous", effects=(last,), rivals=(found.rivals[0], other), next_experiment=told)
+
+
+def test_an_experiment_is_said_in_words(discoveries):
+    found = discoveries("friction")
+    most = float(np.abs(found.record.commands[:, 0]).max())
+    said = words.experiment(coming(found, 3.0 * most))
+    assert said.startswith(
+        f"a multisine of V1 up to {quantities.quantity(3.0 * most, 'V')}, V2 up to 10 mV and V3 up to "
+    )
+    assert ", 3 to 12 Hz, 30 s long, would tell dry friction in spring1 from Dahl friction in spring1" in said
+    assert "{" not in said
+    assert "{" not in str(coming(found, most).next_experiment)
+    lasting = words.sentence(coming(found, 3.0 * most, separation=0.0))
+    assert lasting.endswith("No excitation of the actuators that was tried tells dry friction in spring1 from "
+                            "Dahl friction in spring1")  # fmt: skip
+    assert "multisine" not in "".join(pages._what_helps(coming(found, most)))  # it is in the first paragraph
+
+
+def test_limits_are_asked_for_where_there_are_none(discoveries):
+    found = coming(discoveries("friction"), 1.0)
+    declaration = found.twin.declaration
+    limited = declaration.limits.inputs.keys() >= set(found.twin.actuators)
+    assert ("a plant file may declare limits" in words.experiment(found)) is not limited
+
+
+def test_a_delay_of_the_only_actuator_is_told_once():
+    last = Named("delay", "", {"samples": (0.01, 1e-3)}, 0.5, (("delay", "force", 0.5),))
+    one, two = (
+        SimpleNamespace(
+            verdict="ambiguous", effects=(last,), twin=SimpleNamespace(actuators=actuators, dictionary=EFFECTS)
+        )
+        for actuators in (("force",), ("force", "torque"))
+    )
+    assert words.alike(one) == ["a delay of force"]
+    assert words.probability(one, last) == 1.0
+    assert not words.is_open(one)
+    assert words.alike(two) == ["a delay of all actuators", "a delay of force"]
+    assert words.labelled(two, "delay", "force") == "Delay of force"
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [("lugre_friction", "LuGre friction"), ("bouc_wen_hysteresis", "Bouc-Wen hysteresis"),
+     ("dry_friction", "dry friction"), ("dac_quantisation", "DAC quantisation"),
+     ("stribeck_friction", "Stribeck friction")],
+)  # fmt: skip
+def test_effects_are_named_after_people(name, told):
+    assert words.titled(name) == told
+
+
+def test_the_map_credits_each_law_with_its_own_part(discoveries):
+    found = discoveries("friction")
+    lacking = forces.lack(found, "spring1")
+    friction, hypothesis = SLOTS["friction"], found.explanation.hypothesis
+    weak = Slot("hardening_spring", "spring1", (1e-3,), (0,))
+    both = (hypothesis.slots[0], weak)
+    laws = [maps.along(found, lacking, [slot]) for slot in both]
+    assert np.allclose(maps.along(found, lacking, both), sum(laws))
+    assert laws[0].max() == pytest.approx(friction.values[0], rel=0.05)
+    assert maps.share(lacking, laws[0]) > 0.8
+    assert maps.share(lacking, laws[1]) < 0.01
+    effects = tuple(Named(slot.effect, slot.at, {}, 1.0) for slot in both)
+    together = replace(
+        found, effects=effects, explanation=replace(found.explanation, hypothesis=replace(hypothesis, slots=both))
+    )
+    said = maps._seen(together, lacking, "force", laws[0])
+    assert said.startswith("Dry friction in spring1 and hardening spring in spring1 together take away ")
+    alone = replace(together, effects=effects[1:])  # the other is not offered at this place
+    part = maps._seen(replace(alone, explanation=together.explanation), lacking, "force", laws[1])
+    assert part.startswith("Hardening spring in spring1 takes away ")
+    assert "; all that was found takes " in part
+
+
+def test_no_force_is_told_where_a_parameter_explains_it(discoveries):
+    found = discoveries("friction")
+    lacking = forces.lack(found, "spring1")
+    small = replace(lacking, before=1e-9 * lacking.before)
+    told = maps._seen(replace(found, verdict="parameter"), small, "force", None)
+    assert told.startswith("With the parameters that were found, the record shows no force at spring1")
+
+
+def test_numbers_read_as_people_write_them():
+    assert quantities.number(120.0, 2) == "120"
+    assert quantities.number(31_960.0, 2) == "32000"
+    assert quantities.number(3e-7) == "3e-7"
+    assert quantities.quantity(120.0, "N", 2) == "120 N"
+    assert quantities.quantity(31_960.0, "N", 2) == "32 kN"
+    assert quantities.quantity(999.9, "N", 2) == "1 kN"
+    assert quantities.quantity(23.4, "W") == "23.4 W"
+    assert quantities.quantity(-0.1234, "m") == "-123 mm"
+    assert quantities.quantity(1200.0, "N/m") == "1200 N/m"
+    assert pages._paid(1.59e7) == "> 1000 %"
+    assert pages._paid(0.5) == "50 %"
+    assert pages._signed(1.1) == "+110 %"
+
+
+def test_powers_have_units():
+    assert quantities.power(5.4e-5, ("m/s**2", "m", "m/s")) == "54 µW/kg"
+    assert quantities.power(2.0, ("N", "m", "m/s")) == "2 W"
+    assert quantities.power(3.0, ("N*m", "rad", "rad/s")) == "3 N m rad/s"
+    assert quantities.power(3.0, ("", "", "")) == "3"
+    assert quantities.power(0.0, ("N", "m", "m/s")) == "0 W"
