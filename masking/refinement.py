@@ -20,7 +20,8 @@ import yaml
 from masking.budget import in_full
 from masking.declaration import registry
 from masking.discovery import asked, words, written
-from masking.discovery.discover import Discovery, Named, discover
+from masking.discovery.discover import discover
+from masking.discovery.discovery import Discovery, Named
 from masking.discovery.settings import TOLERANCE
 from masking.discovery.written import Files
 from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, SingularityError

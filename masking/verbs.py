@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from masking.declaration import registry
     from masking.declaration import schema as schemas
     from masking.discovery import answered as answers
-    from masking.discovery import discover as discoveries
+    from masking.discovery import discovery as discoveries
     from masking.discovery.written import Files
     from masking.identification import (
         channels,

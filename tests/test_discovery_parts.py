@@ -10,7 +10,8 @@ from masking.declaration import catalogue
 from masking.declaration.dimensions import is_plain
 from masking.discovery import asked, fitting
 from masking.discovery.candidates import candidates
-from masking.discovery.discover import Named, is_patched
+from masking.discovery.discover import is_patched
+from masking.discovery.discovery import Named
 from masking.discovery.evidence import Evidence
 from masking.discovery.noise import steps_of
 from masking.discovery.opened import OpenRig, Slot

@@ -9,7 +9,7 @@ import pytest
 import masking
 from masking import cli, refinement
 from masking.calibration import records
-from masking.discovery.discover import Named
+from masking.discovery.discovery import Named
 from masking.errors import DeclarationError, RecordError
 from masking.experiment import Experiment
 from masking.plants.simulated import SimulatedPlant

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from masking.discovery import forces, maps, pages, quantities, words
-from masking.discovery.discover import Gap, Named
+from masking.discovery.discovery import Gap, Named
 from masking.discovery.experiment import NextExperiment
 from masking.discovery.opened import Slot
 from masking.discovery.search import Explanation

@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from masking.discovery import asked, pages
-from masking.discovery.discover import Discovery, discover
+from masking.discovery.discover import discover
+from masking.discovery.discovery import Discovery
 from masking.discovery.settings import TOLERANCE
 from masking.discovery.written import Files
 from masking.identification.data import Assumption

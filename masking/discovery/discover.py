@@ -8,17 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Literal
+from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from masking.declaration.expression import Expression
 from masking.discovery import fitting, settings
+from masking.discovery.discovery import Discovery, Gap, Named, Verdict
 from masking.discovery.evidence import Evidence
-from masking.discovery.experiment import NextExperiment, next_experiment
+from masking.discovery.experiment import next_experiment
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.opened import OpenRig
@@ -41,7 +40,6 @@ from masking.identification.simulation import relative
 from masking.kernels import Array
 from masking.twin import Twin
 
-Verdict = Literal["none", "parameter", "named", "ambiguous", "unknown"]
 Tell = Callable[[str, float], None]
 
 FAINT = 0.7  # part of the gap beyond noise that causes that are named may leave where that is less than `SMALL`
@@ -51,145 +49,10 @@ NEAR = 60.0  # of the score: rivals that the record that judges may decide betwe
 ROUNDED = 0.3  # part of the noise's variance, or of what is left, that rounding must make to be named
 LOST = 0.5  # part of a reading that the model leaves from which its motion is out of step with the record
 MEASURED = 0.2  # part of what is left from which commands were measured, and not held, where they leave no more
-CLOSED = 1.1  # of the noise: a gap from here on is more than noise
 LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "added_mass", "actuator_gain", "constant_force")
 LINEAR = (*LIKE_PARAMETERS, "delay", "actuator_lag", "sensor_lag", "sensor_gain")
 ENOUGH = 3  # linear causes that together are any linear system
 BELIEVED = 0.5  # part of what a cause takes off the cost from which it is parameters that need not be off
-
-
-@dataclass(frozen=True)
-class Named:
-    """A cause with its parameters as value and standard deviation, its probability, and what it may be instead."""
-
-    name: str
-    on: str
-    parameters: dict[str, tuple[float, float]]
-    probability: float
-    alternatives: tuple[tuple[str, str, float], ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the cause as JSON can hold it."""
-        return {
-            "name": self.name,
-            "on": self.on,
-            "parameters": {n: {"value": value, "std": std} for n, (value, std) in self.parameters.items()},
-            "probability": self.probability,
-            "alternatives": [{"name": n, "on": on, "probability": p} for n, on, p in self.alternatives],
-        }
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Relative error of each sensor, by name: before and after, in the record and in the one that judges; and noise."""
-
-    train: tuple[dict[str, float], dict[str, float]]
-    validation: tuple[dict[str, float], dict[str, float]]
-    floor: dict[str, float]
-    validation_floor: dict[str, float]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the gap as JSON can hold it."""
-        return {
-            "train": {"before": self.train[0], "after": self.train[1]},
-            "validation": {"before": self.validation[0], "after": self.validation[1]},
-            "floor": self.floor,
-            "validation_floor": self.validation_floor,
-        }
-
-
-@dataclass(frozen=True, repr=False)
-class Discovery:
-    """What was found.
-
-    Args:
-        verdict: `none`, `parameter`, `named`, `ambiguous` or `unknown`.
-        effects: causes, in the order in which they were found.
-        gap: before and after.
-        rest: part of the gap beyond noise that is left on the record.
-        twin: the rig as it was believed to be.
-        explanation: the one that was chosen.
-        rivals: the explanations that it was chosen from, itself first.
-        temperature: by which costs of these were divided, see `Evidence.temperature`.
-        found: the whole search.
-        evidence: the record that was explained.
-        judged: the record that it was judged by.
-        before, after: the rig without and with the causes on the record that judges.
-        next_experiment: that tells the two likeliest explanations apart, where the record does not.
-        as_measured: relative error of each sensor that adjusted parameters alone leave in the record where commands go
-            in straight lines between samples, where that is far less than what was found leaves.
-    """
-
-    verdict: Verdict
-    effects: tuple[Named, ...]
-    gap: Gap
-    rest: float
-    twin: Twin
-    explanation: Explanation
-    rivals: tuple[Explanation, ...]
-    temperature: float
-    found: Found
-    evidence: Evidence
-    judged: Evidence
-    before: Hypothesis
-    after: Hypothesis
-    next_experiment: NextExperiment | None = None
-    as_measured: dict[str, float] | None = None
-
-    def __repr__(self) -> str:
-        causes = ", ".join(f"{one.name} in {one.on}" if one.on else one.name for one in self.effects)
-        before, after = self.gap.validation
-        errors = ", ".join(f"{name} {before[name]:.2g} to {after[name]:.2g}" for name in after)
-        return f"<Discovery: {self.verdict}{f', {causes}' if causes else ''}; error on unseen data: {errors}>"
-
-    @property
-    def rig(self) -> OpenRig:
-        """Return the rig with its places open."""
-        return self.evidence.rig
-
-    @property
-    def record(self) -> Data:
-        """Return the record that was explained."""
-        return self.evidence.record
-
-    @property
-    def judge(self) -> Data:
-        """Return the record that it was judged by."""
-        return self.judged.record
-
-    @property
-    def deviations(self) -> Array:
-        """Return the standard deviations of the rig's parameters and of those of the effects (k + f,)."""
-        return _deviations(self.explanation, self.temperature)
-
-    @cached_property
-    def adjusted(self) -> Hypothesis:
-        """Return the rig without causes, its parameters adjusted within belief, on the record that judges."""
-        with threadpool_limits(1):
-            return _judged(self.judged, self.found.base.hypothesis)
-
-    @cached_property
-    def adjusted_gap(self) -> dict[str, float]:
-        """Return the relative error of each sensor that adjusted parameters alone leave, where it is judged."""
-        return relative(self.twin.sensors, [self.judge], self.adjusted.squares)
-
-    @property
-    def closed(self) -> bool:
-        """Return whether what was found leaves no more than noise of any sensor, on the record that judges."""
-        after, floor = self.gap.validation[1], self.gap.validation_floor
-        return all(after[name] <= CLOSED * floor[name] for name in floor)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the discovery as JSON can hold it."""
-        return {
-            "verdict": self.verdict,
-            "closed": self.closed,
-            "effects": [effect.as_dict() for effect in self.effects],
-            "gap": self.gap.as_dict(),
-            "rest": self.rest,
-            "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
-            "as_measured": self.as_measured,
-        }
 
 
 def discover(
@@ -239,7 +102,7 @@ def discover(
             if again.verdict != "unknown":
                 found = again
                 break
-    return found if found.closed else replace(found, as_measured=_as_measured(found))
+    return found if found.within else replace(found, as_measured=_as_measured(found))
 
 
 def _as_measured(found: Discovery) -> dict[str, float] | None:
@@ -289,7 +152,7 @@ def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discover
             rivals = tuple(sorted(rivals, key=lambda rival: rival.score(heat)))
         chosen = rivals[0]
         declared = fitting.fit(evidence, theta=evidence.belief.mean, frozen=True)
-        before, after = _judged(judged, declared), _judged(judged, chosen.hypothesis)
+        before, after = fitting.judged(judged, declared), fitting.judged(judged, chosen.hypothesis)
     size, heat = train.readings.size, evidence.temperature(chosen.hypothesis.residuals)
     excess, left = (max(e.hypothesis.cost - size, 0.0) for e in (found.base, chosen))
     rest = left / excess if excess > 0.0 else 0.0
@@ -328,14 +191,9 @@ def _limits(twin: Twin) -> Array | None:
     return np.array([declared[n].max * twin.size(declared[n].unit) / twin.size(ports[n].unit) for n in twin.actuators])
 
 
-def _judged(evidence: Evidence, hypothesis: Hypothesis) -> Hypothesis:
-    """Return a hypothesis on a record that judges: only its initial state is estimated."""
-    return fitting.fit(evidence, hypothesis.slots, theta=hypothesis.theta, frozen=True)
-
-
 def _cost(evidence: Evidence, hypothesis: Hypothesis) -> float:
     try:
-        return float(_judged(evidence, hypothesis).squares @ evidence.weights)
+        return float(fitting.judged(evidence, hypothesis).squares @ evidence.weights)
     except IntegrationError:
         return np.inf
 
@@ -459,16 +317,11 @@ def _is_like_parameter(effect: str, chosen: Explanation) -> bool:
     return effect in LIKE_PARAMETERS and chosen.own < SAME
 
 
-def _deviations(explanation: Explanation, heat: float) -> Array:
-    """Return standard deviations (k + f,), larger where more than white noise is left."""
-    return np.asarray(np.sqrt(heat) * explanation.hypothesis.deviations)
-
-
 def _causes(
     rig: OpenRig, chosen: Explanation, heat: float, probability: float, others: tuple[tuple[str, str, float], ...]
 ) -> tuple[Named, ...]:
     hypothesis, k = chosen.hypothesis, len(rig.names)
-    deviations = _deviations(chosen, heat)
+    deviations = chosen.deviations(heat)
     if chosen.kind == "parameter":
         ((name, _),) = chosen.names
         i = rig.names.index(name)

@@ -118,6 +118,11 @@ def together(evidence: Evidence, other: Evidence, known: Hypothesis, rival: floa
     return problem.solve(at, MOST_ROUNDS, frozen=False, rival=rival)
 
 
+def judged(evidence: Evidence, hypothesis: Hypothesis) -> Hypothesis:
+    """Return a hypothesis on a record that judges: only its initial state is estimated."""
+    return fit(evidence, hypothesis.slots, theta=hypothesis.theta, frozen=True)
+
+
 def cost(evidence: Evidence, slots: Sequence[Slot], theta: Array, start: Array) -> float:
     """Return the cost of a hypothesis that is not fitted; infinite where its motion is not finite."""
     problem = _Problem(evidence, tuple(slots))

@@ -18,7 +18,7 @@ from masking.declaration.dimensions import dimension_in, displacement_dimension,
 from masking.declaration.expression import Expression
 from masking.declaration.units import Dimension, describe
 from masking.discovery import laws
-from masking.discovery.discover import Discovery
+from masking.discovery.discovery import Discovery
 from masking.discovery.memory import once
 from masking.discovery.opened import Slot
 from masking.discovery.places import is_of_one

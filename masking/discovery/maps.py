@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from masking.discovery import forces, quantities, words
-from masking.discovery.discover import Discovery
+from masking.discovery.discovery import Discovery
 from masking.discovery.opened import Slot
 from masking.discovery.portrait import SEEN
 from masking.drawing import COLOURS, INK, MUTED, Plate, panels, with_unit

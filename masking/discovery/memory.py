@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import TypeVar
 
-from masking.discovery.discover import Discovery
+from masking.discovery.discovery import Discovery
 
 Made = TypeVar("Made")
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from masking import markup
 from masking.discovery import forces, quantities, words, written
-from masking.discovery.discover import CLOSED, Discovery
+from masking.discovery.discovery import CLOSED, Discovery
 from masking.discovery.search import probabilities
 from masking.discovery.where import where
 from masking.discovery.written import Files, Origin
@@ -209,9 +209,9 @@ def _whiteness(found: Discovery, names: set[str]) -> str:
                 rows.append((name, what, words.white(one), p, quantities.percent(one.beyond)))
     head = ("sensor", "model", "residual", "p if white", "beyond noise")
     said = (
-        "Ljung and Box's test of correlations over 0.1 s on data that were not used, with the frequency at which the "
-        f"residual is furthest above white noise where p is below {DOUBTED:g}; and the part of its mean square that is "
-        "beyond noise."
+        "Ljung and Box's test of correlations over 0.1 s on data that were not used, with that of an even spectrum; "
+        f"where p is below {DOUBTED:g}, the frequency at which the residual is furthest above white noise; and the part "
+        "of its mean square that is beyond noise."
     )
     return markup.table(head, rows, (3, 4), names) + markup.paragraph(said, "missing")
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from masking.discovery import forces, maps, quantities, words
-from masking.discovery.discover import CLOSED, Discovery
+from masking.discovery.discovery import CLOSED, Discovery
 from masking.discovery.maps import AFTER, BEFORE, CLOUD, POINTS, scale
 from masking.discovery.screening import Promise
 from masking.discovery.search import SIGN

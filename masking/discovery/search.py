@@ -89,6 +89,10 @@ class Explanation:
         told = self.judged or self.hypothesis
         return told.cost / temperature + occam(told, temperature)
 
+    def deviations(self, temperature: float) -> Array:
+        """Return the standard deviations of its parameters (k + f,), larger where more than white noise is left."""
+        return np.asarray(np.sqrt(temperature) * self.hypothesis.deviations)
+
 
 @dataclass(frozen=True)
 class Found:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from masking.discovery import forces
-from masking.discovery.discover import Discovery
+from masking.discovery.discovery import Discovery
 from masking.discovery.harmonics import Harmonics, Periods
 from masking.discovery.memory import once
 from masking.discovery.portrait import SEEN, Portrait, followed, portrait
@@ -135,11 +135,8 @@ def where(found: Discovery) -> Where:
     judge, sigma = found.judge, found.judged.sigma
     told = {}
     for i, name in enumerate(found.twin.sensors):
-        before, after = (
-            whiteness(one.residuals[:, i], judge.readings[:, i], float(sigma[i]), judge.rate)
-            for one in (found.adjusted, found.after)
-        )
-        told[name] = before, after if found.effects else None
+        before = whiteness(found.adjusted.residuals[:, i], judge.readings[:, i], float(sigma[i]), judge.rate)
+        told[name] = before, found.whiteness[name] if found.effects else None
     return Where(lacking, left, told)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from masking.declaration.units import describe, dimension_of
 from masking.discovery import forces
-from masking.discovery.discover import Discovery, Named
+from masking.discovery.discovery import Discovery, Named
 from masking.discovery.quantities import much, number, percent, power, pretty, put_together, quantity, with_deviation
 from masking.discovery.where import Lacking, Place, where
 from masking.identification.whiteness import Whiteness
@@ -254,7 +254,8 @@ def beside(found: Discovery) -> str:
     """Say what is left beside the causes that are known, where more than noise is; '' where not, or it is said."""
     if found.closed or not found.effects or found.verdict == "unknown":
         return ""
-    return f"{'This does' if len(found.effects) == 1 else 'These do'} not explain all. {look(found)}"
+    little = ", or the noise is not white: little is left beyond it" if found.within else ""
+    return f"{'This does' if len(found.effects) == 1 else 'These do'} not explain all{little}. {look(found)}"
 
 
 def look(found: Discovery) -> str:

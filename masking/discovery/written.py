@@ -23,7 +23,7 @@ from masking.declaration.checks import equation_of
 from masking.declaration.schema import ModelDeclaration, Parameter
 from masking.declaration.units import dimension_of, factor_of
 from masking.discovery import laws, words
-from masking.discovery.discover import Discovery, Named
+from masking.discovery.discovery import Discovery, Named
 from masking.discovery.opened import Slot
 from masking.discovery.places import identifier, opened
 from masking.discovery.where import where

@@ -1,0 +1,183 @@
+"""Discovery: what was found, how much of the gap it leaves, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+from threadpoolctl import threadpool_limits
+
+from masking.discovery.evidence import Evidence
+from masking.discovery.experiment import NextExperiment
+from masking.discovery.fitting import Hypothesis, judged
+from masking.discovery.opened import OpenRig
+from masking.discovery.search import Explanation, Found
+from masking.identification.data import Data
+from masking.identification.simulation import relative
+from masking.identification.whiteness import Whiteness, whiteness
+from masking.kernels import Array
+from masking.twin import Twin
+
+Verdict = Literal["none", "parameter", "named", "ambiguous", "unknown"]
+
+CLOSED = 1.1  # of the noise: a gap from here on is more than noise
+BEGUN = 1e-3  # initial states per reading above which residuals are no longer as white as their noise
+
+
+@dataclass(frozen=True)
+class Named:
+    """A cause with its parameters as value and standard deviation, its probability, and what it may be instead."""
+
+    name: str
+    on: str
+    parameters: dict[str, tuple[float, float]]
+    probability: float
+    alternatives: tuple[tuple[str, str, float], ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the cause as JSON can hold it."""
+        return {
+            "name": self.name,
+            "on": self.on,
+            "parameters": {n: {"value": value, "std": std} for n, (value, std) in self.parameters.items()},
+            "probability": self.probability,
+            "alternatives": [{"name": n, "on": on, "probability": p} for n, on, p in self.alternatives],
+        }
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Relative error of each sensor, by name: before and after, in the record and in the one that judges; and noise."""
+
+    train: tuple[dict[str, float], dict[str, float]]
+    validation: tuple[dict[str, float], dict[str, float]]
+    floor: dict[str, float]
+    validation_floor: dict[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the gap as JSON can hold it."""
+        return {
+            "train": {"before": self.train[0], "after": self.train[1]},
+            "validation": {"before": self.validation[0], "after": self.validation[1]},
+            "floor": self.floor,
+            "validation_floor": self.validation_floor,
+        }
+
+
+@dataclass(frozen=True, repr=False)
+class Discovery:
+    """What was found.
+
+    Args:
+        verdict: `none`, `parameter`, `named`, `ambiguous` or `unknown`.
+        effects: causes, in the order in which they were found.
+        gap: before and after.
+        rest: part of the gap beyond noise that is left on the record.
+        twin: the rig as it was believed to be.
+        explanation: the one that was chosen.
+        rivals: the explanations that it was chosen from, itself first.
+        temperature: by which costs of these were divided, see `Evidence.temperature`.
+        found: the whole search.
+        evidence: the record that was explained.
+        judged: the record that it was judged by.
+        before, after: the rig without and with the causes on the record that judges.
+        next_experiment: that tells the two likeliest explanations apart, where the record does not.
+        as_measured: relative error of each sensor that adjusted parameters alone leave in the record where commands go
+            in straight lines between samples, where that is far less than what was found leaves.
+    """
+
+    verdict: Verdict
+    effects: tuple[Named, ...]
+    gap: Gap
+    rest: float
+    twin: Twin
+    explanation: Explanation
+    rivals: tuple[Explanation, ...]
+    temperature: float
+    found: Found
+    evidence: Evidence
+    judged: Evidence
+    before: Hypothesis
+    after: Hypothesis
+    next_experiment: NextExperiment | None = None
+    as_measured: dict[str, float] | None = None
+
+    def __repr__(self) -> str:
+        causes = ", ".join(f"{one.name} in {one.on}" if one.on else one.name for one in self.effects)
+        before, after = self.gap.validation
+        errors = ", ".join(f"{name} {before[name]:.2g} to {after[name]:.2g}" for name in after)
+        return f"<Discovery: {self.verdict}{f', {causes}' if causes else ''}; error on unseen data: {errors}>"
+
+    @property
+    def rig(self) -> OpenRig:
+        """Return the rig with its places open."""
+        return self.evidence.rig
+
+    @property
+    def record(self) -> Data:
+        """Return the record that was explained."""
+        return self.evidence.record
+
+    @property
+    def judge(self) -> Data:
+        """Return the record that it was judged by."""
+        return self.judged.record
+
+    @property
+    def deviations(self) -> Array:
+        """Return the standard deviations of the rig's parameters and of those of the effects (k + f,)."""
+        return self.explanation.deviations(self.temperature)
+
+    @cached_property
+    def adjusted(self) -> Hypothesis:
+        """Return the rig without causes, its parameters adjusted within belief, on the record that judges."""
+        with threadpool_limits(1):
+            return judged(self.judged, self.found.base.hypothesis)
+
+    @cached_property
+    def adjusted_gap(self) -> dict[str, float]:
+        """Return the relative error of each sensor that adjusted parameters alone leave, where it is judged."""
+        return relative(self.twin.sensors, [self.judge], self.adjusted.squares)
+
+    @cached_property
+    def whiteness(self) -> dict[str, Whiteness]:
+        """Return how white what is left of each sensor is, on the record that judges."""
+        return _whiteness(self.judged, self.after.residuals)
+
+    @property
+    def within(self) -> bool:
+        """Return whether what was found leaves no more than the noise of any sensor, on the record that judges."""
+        after, floor = self.gap.validation[1], self.gap.validation_floor
+        return all(after[name] <= CLOSED * floor[name] for name in floor)
+
+    @cached_property
+    def closed(self) -> bool:
+        """Return whether what is left is noise: no more than that on the record that judges, and white on both.
+
+        Where the motion begins so often anew that its initial states take much of the noise, its size alone counts.
+        """
+        fitted = self.explanation.hypothesis
+        seen = [*self.whiteness.values(), *_whiteness(self.evidence, fitted.residuals).values()]
+        is_begun = max(fitted.start.size, self.after.start.size) > BEGUN * self.judge.readings.size
+        return self.within and (is_begun or all(one.white for one in seen))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the discovery as JSON can hold it."""
+        return {
+            "verdict": self.verdict,
+            "closed": self.closed,
+            "effects": [effect.as_dict() for effect in self.effects],
+            "gap": self.gap.as_dict(),
+            "rest": self.rest,
+            "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
+            "as_measured": self.as_measured,
+        }
+
+
+def _whiteness(evidence: Evidence, residuals: Array) -> dict[str, Whiteness]:
+    readings, rate = evidence.record.readings, evidence.record.rate
+    return {
+        name: whiteness(residuals[:, i], readings[:, i], float(evidence.sigma[i]), rate)
+        for i, name in enumerate(evidence.rig.twin.sensors)
+    }
