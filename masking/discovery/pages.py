@@ -210,8 +210,8 @@ def _whiteness(found: Discovery, names: set[str]) -> str:
     head = ("sensor", "model", "residual", "p if white", "beyond noise")
     said = (
         "Ljung and Box's test of correlations over 0.1 s on data that were not used, with that of an even spectrum; "
-        f"where p is below {DOUBTED:g}, the frequency at which the residual is furthest above white noise; and the part "
-        "of its mean square that is beyond noise."
+        f"where p is below {DOUBTED:g}, the frequency at which the residual is furthest above white noise; and the "
+        "part of its mean square that is beyond noise."
     )
     return markup.table(head, rows, (3, 4), names) + markup.paragraph(said, "missing")
 
