@@ -144,6 +144,7 @@ def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discover
     judged = replace(evidence, record=judge, sigma=noise)
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
         found = Search(evidence, say).run()
+        say("comparing explanations on data that were not used", 0.95)
         found = replace(found, steps=tuple(_reordered(step, evidence, judged) for step in found.steps))
         rivals = _chosen(found, judged, train.readings.size)
         heat = evidence.temperature(rivals[0].hypothesis.residuals)

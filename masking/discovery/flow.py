@@ -12,9 +12,10 @@ FLOW = (
     INERTIAS
     + """
 @compiled
-def _act(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, jd, df, dv, heavier, v, acc, w):
+def _act(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, jd, df, dv, heavier, v, acc, on, w):
     # Forces of effects into p, commands into v, inertias into acc, rates of inner states into dy, and derivatives of
-    # all of these into df, dv, heavier and ds. Returns whether there is an inertia.
+    # all of these into df, dv, heavier and ds. Returns whether there is an inertia. Rows of df, dv and heavier are
+    # touched where something acts (on): of places, then of channels.
     n, places, channels, sensors, affected = {n}, {places}, {channels}, {sensors}, {affected}
     width, k = sens.shape[1], basis.shape[1]
     js, jps, rows = w[:sensors], w[sensors : 2 * sensors], w[2 * sensors : 2 * sensors + 2]
@@ -22,23 +23,32 @@ def _act(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, jd, df, d
     for e in range(places):
         p[{force_p}[e]] = 0.0
         acc[e] = 0.0
-        for j in range(width):
-            df[e, j] = 0.0
-            heavier[e, j] = 0.0
+        on[e] = 0.0
     for a in range(channels):
         v[a] = u[a]
-        for j in range(width):
-            dv[a, j] = 0.0
-        if lead[1, a] >= 0.0:
-            dv[a, int(lead[1, a])] = lead[0, a]
+        on[places + a] = 1.0 if lead[1, a] >= 0.0 else 0.0
     elements, inner, inertias = False, False, False
     for i in range(slots.shape[0]):
+        at = int(slots[i, 2])
+        if slots[i, 0] >= 0.0 and slots[i, 1] != 2.0:
+            on[places + at if slots[i, 1] == 1.0 else at] = 1.0
         if slots[i, 1] == 0.0:
             elements = True
         if slots[i, 1] == 3.0:
             inertias = True
         if slots[i, 1] == 2.0 and slots[i, 4] >= 0.0:
             inner = True
+    for e in range(places):
+        if on[e] != 0.0:
+            for j in range(width):
+                df[e, j] = 0.0
+                heavier[e, j] = 0.0
+    for a in range(channels):
+        if on[places + a] != 0.0:
+            for j in range(width):
+                dv[a, j] = 0.0
+            if lead[1, a] >= 0.0:
+                dv[a, int(lead[1, a])] = lead[0, a]
     if elements or inertias:
         placed(t, y, v, p, d, jd)
     for turn in range(2 * slots.shape[0]):  # sensors last: they may read what the others do
@@ -117,15 +127,17 @@ def _fed(jps, df, dv, j):
 
 
 @compiled
-def _flow(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, w):
+def _flow(t, y, sens, u, lead, p, basis, spans, slots, columns, theta, dy, ds, w):
     n, moving, places, channels, sensors, affected = {n}, {moving}, {places}, {channels}, {sensors}, {affected}
     width, k = sens.shape[1], basis.shape[1]
     jy, jp, top = w[0:n], w[n : 2 * n], 2 * n
     jd, top = w[top : top + 2 * places], top + 2 * places
     df, dv, top = w[top : top + places], w[top + places : top + places + channels], top + places + channels
-    share, acc, v, top = w[top], w[top + 1], w[top + 2], top + 3
+    share, acc, v, on, top = w[top], w[top + 1], w[top + 2], w[top + 3], top + 4
     pushed, heavier, top = w[top : top + places], w[top + places : top + 2 * places], top + 2 * places
-    inertias = _act(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, jd, df, dv, heavier, v, acc, w[top:])
+    inertias = _act(
+        t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, jd, df, dv, heavier, v, acc, on, w[top:]
+    )
     for again in range(2 if inertias else 1):
         if again:
             _inertias(width, jp, jd, share, pushed, acc, heavier, p, dy, df)
@@ -144,16 +156,16 @@ def _flow(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, w):
         for l in range(affected):
             by = jp[i, l]
             if by != 0.0:
-                for j in range(k):
+                for j in range(int(spans[0, l]), int(spans[1, l])):
                     ds[i, j] += by * basis[l, j]
         for e in range(places):
             by = jp[i, {force_column}[e]]
-            if by != 0.0:
+            if by != 0.0 and on[e] != 0.0:
                 for j in range(width):
                     ds[i, j] += by * df[e, j]
         for a in range(channels):
             by = jp[i, {command_column}[a]]
-            if by != 0.0:
+            if by != 0.0 and on[places + a] != 0.0:
                 for j in range(width):
                     ds[i, j] += by * dv[a, j]
     if inertias:
@@ -163,7 +175,7 @@ def _flow(t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds, w):
 
 
 @compiled
-def _go(t, y, sens, u, end, lead, p, basis, slots, columns, theta, h, work):
+def _go(t, y, sens, u, end, lead, p, basis, spans, slots, columns, theta, h, work):
     # One step of Runge and Kutta, with commands that go straight from u to end.
     size, width = y.shape[0], sens.shape[1]
     ks, ss, top = work[: 4 * size], work[4 * size : 5 * size], 5 * size
@@ -177,7 +189,7 @@ def _go(t, y, sens, u, end, lead, p, basis, slots, columns, theta, h, work):
             for j in range(width):
                 ss[i, j] = sens[i, j] + (c * h * ks[(stage - 1) * size + i, j] if stage > 0 else 0.0)
         _flow(
-            t + c * h, state[:size], ss[:size, :width], now, lead, p, basis, slots, columns, theta, ky[stage],
+            t + c * h, state[:size], ss[:size, :width], now, lead, p, basis, spans, slots, columns, theta, ky[stage],
             ks[stage * size : (stage + 1) * size], w,
         )
     for i in range(size):

@@ -8,7 +8,7 @@ Source: Frisch and Waugh (1933), Econometrica 1(4), for regression with some col
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import MutableMapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -27,6 +27,7 @@ NEAR = 0.5  # of the best gain: candidates whose shapes are sharpened
 ZOOMS = (0.08, 0.02, 0.005, 0.00125)  # of a converter's step, that are looked at on both sides
 MOST_SHARPENED, SHARPENINGS = 24, 8
 HUGE = 1e9  # standard deviations: no effect that can be told of
+KEPT = 4e7  # numbers of what candidates do along a motion that are kept for the next screen of it
 SCALED = (laws.DELAY, "sensor_lag", "actuator_lag")  # their effect grows in proportion to their time
 
 
@@ -48,6 +49,9 @@ class Promise:
     own: float
 
 
+Along = MutableMapping[tuple[tuple[int, ...], Slot], tuple[Array, Array]]  # thinned features by factors, and columns
+
+
 def thinning(rig: OpenRig, rate: float) -> tuple[int, int]:
     """Return the samples over which motions, and over which readings are averaged, at a rate in Hz."""
     own = np.abs(np.linalg.eigvals(linearised(rig, rig.start)[0]).imag).max(initial=0.0) / (2.0 * np.pi)
@@ -65,12 +69,21 @@ class Screen:
         motion: the smoothed record.
         found: effects that were found before; what they and their parameters explain is taken out too.
         taken: whether these effects are in the fit already.
+        along: what candidates do along this motion, from screens before; it is added to.
     """
 
     def __init__(
-        self, evidence: Evidence, base: Hypothesis, motion: Motion, found: Sequence[Slot] = (), *, taken: bool = False
+        self,
+        evidence: Evidence,
+        base: Hypothesis,
+        motion: Motion,
+        found: Sequence[Slot] = (),
+        *,
+        taken: bool = False,
+        along: Along | None = None,
     ) -> None:
         self.rig, self.record, self.base, self.motion = evidence.rig, evidence.record, base, motion
+        self.along: Along = {} if along is None else along
         rig, record, belief, sigma = evidence.rig, evidence.record, evidence.belief, evidence.sigma
         self.thin, self.every = thinning(rig, record.rate)
         self.blocks = len(record) // self.every
@@ -263,8 +276,7 @@ class Screen:
     def _judged(self, jobs: Sequence[tuple[Candidate, Slot]]) -> list[Promise]:
         """Return what slots of candidates take off; their columns together are at most `MOST_COLUMNS`."""
         candidates, slots = zip(*jobs, strict=True)
-        features, at = zip(*(self._features(candidate, slot) for candidate, slot in jobs), strict=True)
-        features = tuple(_thinned(table, self.thin) for table in features)
+        features, at = zip(*(self._thin(candidate, slot) for candidate, slot in jobs), strict=True)
         tables = [
             table.sum(axis=2, keepdims=True) if candidate.effect == laws.DELAY else table
             for candidate, table in zip(
@@ -336,6 +348,19 @@ class Screen:
                 factors = np.maximum(factors, 1e-3 * np.abs(factors).max())
             slot = slot.with_values(candidate.factors, factors)
         return Promise(candidate, slot, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
+
+    def _thin(self, candidate: Candidate, slot: Slot) -> tuple[Array, Array]:
+        """Return what a candidate does along the motion, thinned (m, c), and the columns where it acts (c,)."""
+        key = candidate.factors, slot
+        found = self.along.get(key)
+        if found is None:
+            made, at = self._features(candidate, slot)
+            found = _thinned(made, self.thin), at
+            follows_fit = slot.where == "sensor"  # it acts on readings as they are simulated
+            many = sum(table.size for table, _ in [*self.along.values(), found])
+            if slot in candidate.slots and not follows_fit and many < KEPT:
+                self.along[key] = found
+        return found
 
     def _features(self, candidate: Candidate, slot: Slot) -> tuple[Array, Array]:
         """Return what a candidate does along the motion (m, c), by its factors, and the columns where it acts (c,)."""

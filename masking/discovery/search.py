@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -21,12 +21,13 @@ from masking.discovery.candidates import FACTORS, PARTS, Candidate, Span, candid
 from masking.discovery.evidence import Evidence
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.opened import Slot
-from masking.discovery.screening import Promise, Screen
+from masking.discovery.screening import Along, Promise, Screen
 from masking.discovery.smoothing import Motion, smooth
 from masking.errors import IntegrationError
 from masking.kernels import Array
 
 Tell = Callable[[str, float], None]
+Job = Callable[[float], "Explanation"]  # given the cost of a rival
 
 FEWEST, FITTED = 3, 8  # candidates that are fitted in full in each round
 WORTH = 2.5  # a candidate is fitted where it leaves at most so many times what the best leaves, beyond noise
@@ -112,6 +113,23 @@ class Found:
 
 
 @dataclass(frozen=True)
+class _Ground:
+    """What every step of a search looks at.
+
+    Args:
+        base: the rig as believed, fitted within belief.
+        motion: smoothed record.
+        every: candidates.
+        along: what they do along the motion.
+    """
+
+    base: Explanation
+    motion: Motion
+    every: Sequence[Candidate]
+    along: Along = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Search:
     """A search in one record.
 
@@ -135,24 +153,23 @@ class Search:
         base = Explanation("none", (), plain)
         self.tell("smoothing the motion", 0.1)
         motion = smooth(self.evidence, base.hypothesis.theta, base.hypothesis.start)
-        every = list(candidates(self.evidence.rig, self._spans(motion), self.evidence.dt))
+        ground = _Ground(base, motion, list(candidates(self.evidence.rig, self._spans(motion), self.evidence.dt)))
         steps: list[tuple[Explanation, ...]] = []
         tried: tuple[Promise, ...] = ()
         now = settled = base
         number = 0
         while number < MOST_EFFECTS:
-            self.tell(f"screening {len(every)} candidates", 0.2 + 0.25 * number)
+            self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
             near = now.hypothesis.cost < SMALL * self.evidence.record.readings.size
-            looked_at = now.hypothesis if near else base.hypothesis
-            screen = Screen(self.evidence, looked_at, motion, now.hypothesis.slots, taken=near)
-            promises = screen.promises(every)
+            screen = self._screen(ground, now.hypothesis if near else base.hypothesis, now.hypothesis.slots, taken=near)
+            promises = screen.promises(ground.every)
             tried = tried or tuple(promises)
             found = self._round(now, promises, screen, parameters=number == 0)
             if not found or self._is_little(base, now, found[0]):
                 break
             if len(now.names) > 1 and now is not settled:
                 # What was named first may be only like what is there: it was compared while the others were lacking.
-                now, before = self._settled(now, base, motion, every), now
+                now, before = self._settled(now, ground), now
                 settled = now
                 if now is not before:
                     steps[-1] = (now,)
@@ -166,7 +183,7 @@ class Search:
             if now.kind == "parameter":
                 break
         if len(now.names) > 1 and now is steps[-1][0] and now is not settled:
-            settled = self._settled(now, base, motion, every)
+            settled = self._settled(now, ground)
             steps[-1] = steps[-1] if settled is now else (settled,)
         return Found(base, tuple(steps), motion, tried)
 
@@ -174,7 +191,7 @@ class Search:
         self, now: Explanation, promises: Sequence[Promise], screen: Screen, *, parameters: bool
     ) -> list[Explanation]:
         """Return explanations with one more cause, best first; none where the best is no better than chance."""
-        jobs: list[Callable[[float], Explanation]] = []
+        jobs: list[Job] = []
         gains = self._releases(now.hypothesis)
         best = max([promise.gain for promise in promises] + [*gains], default=0.0)
         most = self._worth(screen, screen.total - best)
@@ -198,10 +215,9 @@ class Search:
             jobs += [partial(self._released, now, int(i)) for i in np.argsort(-gains)[:3] if gains[i] > WRONG]
         self.tell(f"fitting {len(jobs)} of them", 0.3)
         found: list[Explanation] = []
-        with ThreadPoolExecutor(2) as pool:
-            for some in (jobs[:2], jobs[2:]):  # the most promising set the mark for the others
-                rival = min(e.hypothesis.cost for e in (now, *found))
-                found += [e for e in pool.map(partial(self._tried, rival=rival), some) if e is not None]
+        for some in (jobs[:2], jobs[2:]):  # the most promising set the mark for the others
+            rival = min(e.hypothesis.cost for e in (now, *found))
+            found += [e for e in self._tried(some, rival) if e is not None]
         if not found:
             return []
         heat = self.evidence.temperature(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
@@ -246,11 +262,20 @@ class Search:
         return explanation.hypothesis.cost <= CLEAN**2 * self.evidence.record.readings.size
 
     @staticmethod
-    def _tried(job: Callable[[float], Explanation], rival: float) -> Explanation | None:
-        try:
-            return job(rival)
-        except IntegrationError:
-            return None
+    def _tried(jobs: Sequence[Job], rival: float) -> list[Explanation | None]:
+        """Return what fits give, two at once; None where the motion is not finite."""
+
+        def tried(job: Job) -> Explanation | None:
+            try:
+                return job(rival)
+            except IntegrationError:
+                return None
+
+        with ThreadPoolExecutor(2) as pool:
+            return [*pool.map(tried, jobs)]
+
+    def _screen(self, ground: _Ground, looked_at: Hypothesis, found: Sequence[Slot], *, taken: bool = False) -> Screen:
+        return Screen(self.evidence, looked_at, ground.motion, found, taken=taken, along=ground.along)
 
     def _is_little(self, base: Explanation, now: Explanation, then: Explanation) -> bool:
         """Return whether one more cause would take too little of what is left, as what only resembles it does."""
@@ -264,49 +289,58 @@ class Search:
         explained = now is not base and before <= min(REST * start, little)
         return after > (1.0 - (SHARE if explained else LITTLE)) * before
 
-    def _settled(self, best: Explanation, base: Explanation, motion: Motion, every: Sequence[Candidate]) -> Explanation:
+    def _settled(self, best: Explanation, ground: _Ground) -> Explanation:
         """Return an explanation in which no other effect would do better in the place of one, and none is idle."""
-        found = self._swapped(best, base, motion, every)
+        found = self._swapped(best, ground)
         return best if found is best else self._reduced(found)
 
-    def _swapped(self, best: Explanation, base: Explanation, motion: Motion, every: Sequence[Candidate]) -> Explanation:
+    def _swapped(self, best: Explanation, ground: _Ground) -> Explanation:
         """Try other effects in the place of each but the last, which has just been chosen among all."""
         for i in range(len(best.names) - 1):
-            names, others = _without(best, i)
             self.tell(f"trying others than {best.names[i][0]}", 0.9)
-            screen = Screen(self.evidence, base.hypothesis, motion, others)
+            screen = self._screen(ground, ground.base.hypothesis, _without(best, i)[1])
             most = self._worth(screen, best.hypothesis.cost / screen.every)
-            promises = [p for p in screen.promises(every) if p.candidate.key not in best.names]
-            for promise in [p for p in promises if screen.total - p.gain < most][:SWAPS]:
-                try:
-                    found = self._fit((promise.slot, *others), best.hypothesis, best.hypothesis.cost)
-                except IntegrationError:
-                    continue
-                heat, whole = self.evidence.temperature(found.residuals), (promise.candidate.key, *names)
-                other = Explanation("effects", whole, found, min(best.own, promise.own))
-                richer = best.names[i][0] in SIMPLER.get(promise.candidate.effect, ())
-                if richer and self._is_little(base, best, other):
-                    continue
-                if other.score(heat) < best.score(heat) - 2.0:
-                    best = other
-                    return self._swapped(best, base, motion, every) if i + 1 < len(whole) - 1 else best
+            promises = [p for p in screen.promises(ground.every) if p.candidate.key not in best.names]
+            chosen = [p for p in promises if screen.total - p.gain < most][:SWAPS]
+            jobs = [partial(self._in_place, best, i, promise) for promise in chosen]
+            others = [
+                e for e in self._tried(jobs, best.hypothesis.cost) if e and self._is_better(ground.base, e, best, i)
+            ]
+            if others:
+                heat = self.evidence.temperature(min(others, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
+                best = min(others, key=lambda e: e.score(heat))
+                return self._swapped(best, ground) if i + 1 < len(best.names) - 1 else best
         return best
+
+    def _in_place(self, best: Explanation, i: int, promise: Promise, rival: float) -> Explanation:
+        """Return a fit with an effect in the place of one."""
+        names, others = _without(best, i)
+        found = self._fit((promise.slot, *others), best.hypothesis, rival)
+        return Explanation("effects", (promise.candidate.key, *names), found, min(best.own, promise.own))
+
+    def _is_better(self, base: Explanation, other: Explanation, best: Explanation, i: int) -> bool:
+        """Return whether an explanation is better than the best with another effect in the place of one."""
+        richer = best.names[i][0] in SIMPLER.get(other.names[0][0], ())
+        if richer and self._is_little(base, best, other):
+            return False
+        heat = self.evidence.temperature(other.hypothesis.residuals)
+        return other.score(heat) < best.score(heat) - 2.0
 
     def _reduced(self, best: Explanation) -> Explanation:
         """Leave out each cause in turn: where the rest is as good without it, it goes."""
         if len(best.names) < 2:
             return best
-        for i in reversed(range(len(best.names))):
-            names, slots = _without(best, i)
-            try:
-                less = self._fit(slots, best.hypothesis, best.hypothesis.cost)
-            except IntegrationError:
-                continue
-            heat = self.evidence.temperature(best.hypothesis.residuals)
-            fewer = Explanation("effects", names, less, best.own)
-            if fewer.score(heat) < best.score(heat) + SIGN:
+        heat = self.evidence.temperature(best.hypothesis.residuals)
+        jobs = [partial(self._less, best, i) for i in reversed(range(len(best.names)))]
+        for fewer in self._tried(jobs, best.hypothesis.cost):
+            if fewer and fewer.score(heat) < best.score(heat) + SIGN:
                 return self._reduced(fewer)
         return best
+
+    def _less(self, best: Explanation, i: int, rival: float) -> Explanation:
+        """Return a fit without one cause."""
+        names, slots = _without(best, i)
+        return Explanation("effects", names, self._fit(slots, best.hypothesis, rival), best.own)
 
     def _fit(self, slots: tuple[Slot, ...], like: Hypothesis, rival: float) -> Hypothesis:
         return fitting.fit(self.evidence, slots, theta=like.theta, start=like.start, rival=rival)

@@ -27,8 +27,15 @@ def run(
     lead, end, v, acc, top = work[top + 4 : top + 6], work[top + 6], work[top + 7], work[top + 8], top + 9
     df, dv, top = work[top : top + places], work[top + places : top + places + channels], top + places + channels
     jd, heavier, top = work[top : top + 2 * places], work[top + 2 * places : top + 3 * places], top + 3 * places
-    dy, ds, rest = work[top], work[top + 1 : top + 1 + size], work[top + 1 + size :]
+    dy, on, spans, top = work[top], work[top + 1], work[top + 2 : top + 4], top + 4
+    ds, rest = work[top : top + size], work[top + size :]
     h = dt / substeps
+    for l in range(affected):  # the columns that depend on an entry: from, until
+        spans[0, l] = k
+        for j in range(k):
+            if basis[l, j] != 0.0:
+                spans[0, l] = min(spans[0, l], j)
+                spans[1, l] = j + 1
     for a in range(channels):
         late[a] = 0.0
         lead[1, a] = -1.0
@@ -62,18 +69,22 @@ def run(
                 lead[0, a] = (before - after) / dt
             _act(
                 t, y, sens, u, lead, p, basis, slots, columns, theta, dy, ds[:, :width], jd, df, dv, heavier, v, acc,
-                rest,
+                on, rest,
             )
         sensed(t, y, v, p, noise, s, js, jps)
         for o in range(sensors):
             for j in range(width):
-                total = 0.0
-                for l in range(n):
-                    total += js[o, l] * sens[l, j]
-                if j < k:
-                    for l in range(affected):
-                        total += jps[o, l] * basis[l, j]
-                row[o, j] = total + _fed(jps[o], df, dv, j)
+                row[o, j] = _fed(jps[o], df, dv, j)
+            for l in range(n):
+                by = js[o, l]
+                if by != 0.0:
+                    for j in range(width):
+                        row[o, j] += by * sens[l, j]
+            for l in range(affected):
+                by = jps[o, l]
+                if by != 0.0:
+                    for j in range(int(spans[0, l]), int(spans[1, l])):
+                        row[o, j] += by * basis[l, j]
         for i in range(slots.shape[0]):
             if slots[i, 1] == 2.0:
                 at, z, first = int(slots[i, 2]), int(slots[i, 4]), int(slots[i, 3])
@@ -108,7 +119,7 @@ def run(
                 before = _command(commands, index, a, late[a] + 0.5, part, straight)
                 after = _command(commands, index, a, late[a] - 0.5, part, straight)
                 lead[0, a] = (before - after) / dt
-            _go(t + step * h, y, sens, u, end, lead, p, basis, slots, columns, theta, h, rest)
+            _go(t + step * h, y, sens, u, end, lead, p, basis, spans, slots, columns, theta, h, rest)
     return 0
 """
 
