@@ -21,6 +21,7 @@ from masking.errors import IntegrationError
 from masking.kernels import Array
 
 MOST_ROUNDS = 40
+MORE = 10.0  # times the damping after a step in vain, and so many times that after each further one
 GROWTH = 2.0  # times what is positive may become in a round
 HOPE, SLOW = 0.03, 6  # a fit ends that comes nearer to a better one by no more than this part so many times
 CONVERGED = 0.02  # of the cost, divided by the temperature, that a step may still take off
@@ -191,7 +192,7 @@ class _Problem:
         k, f, s, free = len(at.theta), len(at.added), len(at.inner), [*self.evidence.rig.twin.free]
         held = np.zeros(k + f + s + len(at.start) * len(free), dtype=bool)
         held[: k + f], held[k + f : k + f + s] = frozen, self.begins == 0.0
-        slow, damping = 0, 1e-6
+        slow, damping, more = 0, 1e-6, MORE
         found = self.equations(at)
         cost = self.cost(found, at)
         low, high = self._bounds()
@@ -213,11 +214,11 @@ class _Problem:
             if new < cost:
                 at, found = then, tried
                 taken, cost = cost - new, new
-                damping = max(damping / 10.0, 1e-9)
+                damping, more = max(damping / 10.0, 1e-9), MORE
                 if taken < enough:
                     break
             else:
-                damping *= 10.0
+                damping, more = damping * more, MORE * more  # a step that is far too long is soon far shorter
                 if damping > 1e8:
                     break
         matrix, _ = self._with_belief(found, at)
