@@ -352,6 +352,24 @@ def discoveries(rig):
     return lambda name: known.setdefault(name, known.get(name) or find(SLOTS[name]))
 
 
+@pytest.mark.parametrize("record", ["explained", "judging"])
+def test_what_is_left_is_closed_where_it_is_white_on_both_records(discoveries, record):
+    found = discoveries("friction")
+    assert found.closed
+    known = found.after
+    tone = 0.1 * NOISE * np.sin(2.0 * np.pi * 2.0 * np.arange(len(known.residuals)) / RATE)
+    slow = replace(known, residuals=known.residuals + tone[:, None])
+    chosen = replace(found.explanation, hypothesis=slow)
+    found = replace(found, explanation=chosen) if record == "explained" else replace(found, after=slow)
+    assert found.within
+    assert not found.closed
+    assert found.as_dict()["closed"] is False
+    assert words.beside(found).startswith("This does not explain all, or the noise is not white: little is left")
+    assert words.beside(replace(found, verdict="unknown")) == ""
+    many = replace(known, start=np.zeros((len(known.residuals) // 100, 6)))  # windows of a tenth of a second
+    assert replace(found, explanation=replace(chosen, hypothesis=many)).closed
+
+
 def test_friction_is_where_it_is(discoveries):
     found = discoveries("friction")
     seen = where(found)
