@@ -13,11 +13,12 @@ from masking.discovery.candidates import candidates
 from masking.discovery.discover import is_patched
 from masking.discovery.discovery import Named
 from masking.discovery.evidence import Evidence
+from masking.discovery.explanation import occam
 from masking.discovery.noise import steps_of
 from masking.discovery.opened import OpenRig, Slot
 from masking.discovery.places import opened, places
 from masking.discovery.screening import Screen
-from masking.discovery.search import Search, occam
+from masking.discovery.search import Search
 from masking.discovery.settings import believed
 from masking.discovery.smoothing import smooth
 from masking.effects import attach

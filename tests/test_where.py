@@ -11,11 +11,12 @@ from scipy import integrate
 from masking.discovery import fitting, pages, words
 from masking.discovery.discovery import Discovery, Gap, Named
 from masking.discovery.evidence import Evidence
+from masking.discovery.explanation import Explanation
 from masking.discovery.harmonics import Periods, period
 from masking.discovery.memory import once
 from masking.discovery.opened import OpenRig, Slot
 from masking.discovery.portrait import followed, portrait
-from masking.discovery.search import Explanation, Found
+from masking.discovery.search import Found
 from masking.discovery.settings import believed
 from masking.discovery.smoothing import smooth
 from masking.discovery.where import where

@@ -9,8 +9,8 @@ import pytest
 from masking.discovery import forces, maps, pages, quantities, words
 from masking.discovery.discovery import Gap, Named
 from masking.discovery.experiment import NextExperiment
+from masking.discovery.explanation import Explanation
 from masking.discovery.opened import Slot
-from masking.discovery.search import Explanation
 from masking.effects import EFFECTS
 from tests.test_where import SLOTS, discoveries, rig
 

@@ -18,21 +18,11 @@ from masking.discovery import fitting, settings
 from masking.discovery.discovery import Discovery, Gap, Named, Verdict
 from masking.discovery.evidence import Evidence
 from masking.discovery.experiment import next_experiment
+from masking.discovery.explanation import Explanation, probabilities
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.opened import OpenRig
-from masking.discovery.search import (
-    CLEAN,
-    REST,
-    SAME,
-    SHARE,
-    SMALL,
-    TRACE,
-    Explanation,
-    Found,
-    Search,
-    probabilities,
-)
+from masking.discovery.search import CLEAN, REST, SAME, SHARE, SMALL, TRACE, Found, Search
 from masking.effects import Effect
 from masking.errors import IntegrationError
 from masking.identification.data import Data

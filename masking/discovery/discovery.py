@@ -10,9 +10,10 @@ from threadpoolctl import threadpool_limits
 
 from masking.discovery.evidence import Evidence
 from masking.discovery.experiment import NextExperiment
+from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis, judged
 from masking.discovery.opened import OpenRig
-from masking.discovery.search import Explanation, Found
+from masking.discovery.search import Found
 from masking.identification.data import Data
 from masking.identification.simulation import relative
 from masking.identification.whiteness import Whiteness, whiteness

@@ -14,7 +14,7 @@ import numpy as np
 from masking import markup
 from masking.discovery import forces, quantities, words, written
 from masking.discovery.discovery import CLOSED, Discovery
-from masking.discovery.search import probabilities
+from masking.discovery.explanation import probabilities
 from masking.discovery.where import where
 from masking.discovery.written import Files, Origin
 from masking.identification.whiteness import DOUBTED

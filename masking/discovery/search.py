@@ -16,9 +16,10 @@ from functools import partial
 import numpy as np
 from scipy import signal
 
-from masking.discovery import fitting, laws
+from masking.discovery import fitting
 from masking.discovery.candidates import FACTORS, PARTS, Candidate, Span, candidates
 from masking.discovery.evidence import Evidence
+from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.opened import Slot
 from masking.discovery.screening import Along, Promise, Screen
@@ -59,40 +60,6 @@ IDLE = 2.0  # of the cost: further parameters that take no more do nothing
 FINE = 1e-7  # of what a law takes off the cost: so little may be of how it is integrated
 SIMPLE = {effect for kin in SIMPLER.values() for effect in kin}
 SMALL = 4.0  # cost per reading below which what is left of a fit is small enough to be looked at by itself
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """A hypothesis with what it is called and how it scores.
-
-    Args:
-        kind: `none`, `parameter` or `effects`.
-        names: (parameter, '') or (effect, place) of each.
-        hypothesis: fitted.
-        own: least part of an effect that parameters could not have.
-        judged: the hypothesis fitted to this and another record, where it has been judged by one.
-    """
-
-    kind: str
-    names: tuple[tuple[str, str], ...]
-    hypothesis: Hypothesis
-    own: float = 1.0
-    judged: Hypothesis | None = None
-
-    def believed(self, evidence: Evidence) -> Evidence:
-        """Return evidence in which the parameter that is off, where one is, may be anything."""
-        if self.kind != "parameter":
-            return evidence
-        return replace(evidence, belief=evidence.belief.released(evidence.rig.names.index(self.names[0][0])))
-
-    def score(self, temperature: float) -> float:
-        """Return its cost, divided by a temperature, with what its parameters pay."""
-        told = self.judged or self.hypothesis
-        return told.cost / temperature + occam(told, temperature)
-
-    def deviations(self, temperature: float) -> Array:
-        """Return the standard deviations of its parameters (k + f,), larger where more than white noise is left."""
-        return np.asarray(np.sqrt(temperature) * self.hypothesis.deviations)
 
 
 @dataclass(frozen=True)
@@ -220,6 +187,7 @@ class Search:
             found += [e for e in self._tried(some, rival) if e is not None]
         if not found:
             return []
+        found += self._simpler(found)
         heat = self.evidence.temperature(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
         merged: dict[tuple[tuple[str, str], ...], Explanation] = {}
         for explanation in sorted(found, key=lambda e: e.score(heat)):
@@ -230,6 +198,25 @@ class Search:
         if now.score(heat) - ranked[0].score(heat) < (WRONG if ranked[0].kind == "parameter" else SIGN):
             return []
         return self._simplest_first(now, ranked)
+
+    def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
+        """Return simpler kin of the best fit, fitted from where that is, where this begins better than they end."""
+        best = min(found, key=lambda e: e.hypothesis.cost)
+        if best.kind != "effects":
+            return []
+        (effect, at), known = best.names[-1], best.hypothesis
+        values = dict(zip(known.slots[-1].names, known.slots[-1].estimated, strict=True))
+        better = []
+        for kin in found:
+            if kin.kind != "effects" or kin.names[-1] not in {(simple, at) for simple in SIMPLER.get(effect, ())}:
+                continue
+            slot = kin.hypothesis.slots[-1]
+            shared = [i for i, name in zip(slot.free, slot.names, strict=True) if name in values]
+            slot = slot.with_values(shared, (values[name] for name in slot.names if name in values))
+            slots = (*known.slots[:-1], slot)
+            if fitting.cost(self.evidence, slots, known.theta, known.start) < kin.hypothesis.cost:
+                better.append(replace(kin, hypothesis=self._fit(slots, known, known.cost)))
+        return better
 
     def _worth(self, screen: Screen, left: float) -> float:
         """Return what a candidate may leave of a screen's cost to be fitted, where the best leaves so much."""
@@ -447,50 +434,3 @@ def _scaled(slot: Slot, part: float) -> Slot:
 
 def _span(x: Array, rate: float = 0.0, tones: tuple[float, ...] = ()) -> Span:
     return Span(float(x.min()), float(x.max()), float(np.abs(x).max()), rate, tones)
-
-
-def occam(hypothesis: Hypothesis, temperature: float = 1.0) -> float:
-    """Return what the parameters of effects must pay: how much narrower they become than they could have been.
-
-    Before the record, each factor of an effect could have been as large as makes it as strong as the strongest of them,
-    and each parameter of its shape twice as large or zero, or a plain number anywhere in its range. A direction that
-    the record does not tell costs nothing.
-    Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, section 28.1.
-    """
-    added = hypothesis.added
-    count = len(added)
-    if not count:
-        return 0.0
-    covariance = hypothesis.covariance[-count:, -count:]
-    if not np.isfinite(covariance).all():
-        return np.inf
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    information = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True, rcond=1e-12)
-    strength = np.abs(added) / size * np.sqrt(np.maximum(np.diag(information), 0.0))  # each by itself, in deviations
-    widths, used = np.abs(added) / size, 0
-    for slot in hypothesis.slots:
-        own = [used + i for i, name in enumerate(slot.names) if name in FACTORS.get(slot.effect, slot.entry.factors)]
-        for i, width in enumerate(_expected(slot)):
-            widths[used + i] = max(widths[used + i], width / size[used + i])
-        used += len(slot.free)
-        if own:
-            alone = np.sqrt(np.maximum(np.diag(information)[own], 1e-300))
-            widths[own] = np.maximum(widths[own], strength[own].max() / alone)
-    told = np.linalg.eigvalsh(information * np.outer(widths, widths)) / temperature
-    return float(np.log1p(np.maximum(told, 0.0)).sum())
-
-
-def _expected(slot: Slot) -> list[float]:
-    """Return half the range in which each estimated parameter is expected, where it is a plain number; else 0."""
-    if slot.effect == laws.DELAY:
-        return [0.0]
-    declared = [slot.entry.parameters[name] for name in slot.names]
-    return [0.5 * (p.prior[1] - p.prior[0]) if p.unit == "1" and p.prior else 0.0 for p in declared]
-
-
-def probabilities(explanations: Sequence[Explanation], temperature: float) -> Array:
-    """Return the probability of each explanation among these (e,)."""
-    scores = np.array([e.score(temperature) for e in explanations])
-    weights = np.exp(-0.5 * (scores - scores.min()))
-    found: Array = weights / weights.sum()
-    return found

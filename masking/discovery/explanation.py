@@ -1,0 +1,99 @@
+"""Explanation: a hypothesis with a name, what it costs and what its parameters pay, and how likely that makes it.
+
+Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, section 28.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from masking.discovery import laws
+from masking.discovery.candidates import FACTORS
+from masking.discovery.evidence import Evidence
+from masking.discovery.fitting import Hypothesis
+from masking.discovery.opened import Slot
+from masking.kernels import Array
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A hypothesis with what it is called and how it scores.
+
+    Args:
+        kind: `none`, `parameter` or `effects`.
+        names: (parameter, '') or (effect, place) of each.
+        hypothesis: fitted.
+        own: least part of an effect that parameters could not have.
+        judged: the hypothesis fitted to this and another record, where it has been judged by one.
+    """
+
+    kind: str
+    names: tuple[tuple[str, str], ...]
+    hypothesis: Hypothesis
+    own: float = 1.0
+    judged: Hypothesis | None = None
+
+    def believed(self, evidence: Evidence) -> Evidence:
+        """Return evidence in which the parameter that is off, where one is, may be anything."""
+        if self.kind != "parameter":
+            return evidence
+        return replace(evidence, belief=evidence.belief.released(evidence.rig.names.index(self.names[0][0])))
+
+    def score(self, temperature: float) -> float:
+        """Return its cost, divided by a temperature, with what its parameters pay."""
+        told = self.judged or self.hypothesis
+        return told.cost / temperature + occam(told, temperature)
+
+    def deviations(self, temperature: float) -> Array:
+        """Return the standard deviations of its parameters (k + f,), larger where more than white noise is left."""
+        return np.asarray(np.sqrt(temperature) * self.hypothesis.deviations)
+
+
+def occam(hypothesis: Hypothesis, temperature: float = 1.0) -> float:
+    """Return what the parameters of effects must pay: how much narrower they become than they could have been.
+
+    Before the record, each factor of an effect could have been as large as makes it as strong as the strongest of them,
+    and each parameter of its shape twice as large or zero, or a plain number anywhere in its range. A direction that
+    the record does not tell costs nothing.
+    Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, section 28.1.
+    """
+    added = hypothesis.added
+    count = len(added)
+    if not count:
+        return 0.0
+    covariance = hypothesis.covariance[-count:, -count:]
+    if not np.isfinite(covariance).all():
+        return np.inf
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    information = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True, rcond=1e-12)
+    strength = np.abs(added) / size * np.sqrt(np.maximum(np.diag(information), 0.0))  # each by itself, in deviations
+    widths, used = np.abs(added) / size, 0
+    for slot in hypothesis.slots:
+        own = [used + i for i, name in enumerate(slot.names) if name in FACTORS.get(slot.effect, slot.entry.factors)]
+        for i, width in enumerate(_expected(slot)):
+            widths[used + i] = max(widths[used + i], width / size[used + i])
+        used += len(slot.free)
+        if own:
+            alone = np.sqrt(np.maximum(np.diag(information)[own], 1e-300))
+            widths[own] = np.maximum(widths[own], strength[own].max() / alone)
+    told = np.linalg.eigvalsh(information * np.outer(widths, widths)) / temperature
+    return float(np.log1p(np.maximum(told, 0.0)).sum())
+
+
+def _expected(slot: Slot) -> list[float]:
+    """Return half the range in which each estimated parameter is expected, where it is a plain number; else 0."""
+    if slot.effect == laws.DELAY:
+        return [0.0]
+    declared = [slot.entry.parameters[name] for name in slot.names]
+    return [0.5 * (p.prior[1] - p.prior[0]) if p.unit == "1" and p.prior else 0.0 for p in declared]
+
+
+def probabilities(explanations: Sequence[Explanation], temperature: float) -> Array:
+    """Return the probability of each explanation among these (e,)."""
+    scores = np.array([e.score(temperature) for e in explanations])
+    weights = np.exp(-0.5 * (scores - scores.min()))
+    found: Array = weights / weights.sum()
+    return found
