@@ -10,12 +10,11 @@ from masking.declaration import catalogue
 from masking.declaration.dimensions import is_plain
 from masking.discovery import asked, fitting
 from masking.discovery.candidates import candidates
-from masking.discovery.discover import is_patched
-from masking.discovery.discovery import Named
 from masking.discovery.evidence import Evidence
 from masking.discovery.explanation import occam
 from masking.discovery.noise import steps_of
 from masking.discovery.opened import OpenRig, Slot
+from masking.discovery.patches import is_patched
 from masking.discovery.places import opened, places
 from masking.discovery.screening import Screen
 from masking.discovery.search import Search
@@ -274,7 +273,9 @@ def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, evidence
         ((("local_friction", "spring2"), ("local_friction", "x2")), True),  # x2 is of spring2 alone
         ((("dry_friction", "spring2"), ("dry_friction", "x1")), False),
         ((("linear_spring", "x2"), ("viscous_damping", "x2"), ("delay", "V2")), True),  # any linear system
+        ((("gravity_force", "x1"), ("linear_spring", "x2"), ("viscous_damping", "x2"), ("delay", "V2")), True),
+        ((("gravity_force", "x1"), ("viscous_damping", "x2"), ("delay", "V2")), False),
     ],
 )
 def test_laws_of_one_kind_at_one_place_are_a_patchwork(rig, causes, patched):
-    assert is_patched([Named(name, on, {}, 1.0) for name, on in causes], rig) is patched
+    assert is_patched(causes, rig) is patched

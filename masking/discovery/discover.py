@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.declaration.expression import Expression
 from masking.discovery import fitting, settings
 from masking.discovery.discovery import Discovery, Gap, Named, Verdict
 from masking.discovery.evidence import Evidence
@@ -22,8 +21,8 @@ from masking.discovery.explanation import Explanation, probabilities
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.opened import OpenRig
+from masking.discovery.patches import LIKE_PARAMETERS, is_patched
 from masking.discovery.search import CLEAN, REST, SAME, SHARE, SMALL, TRACE, Found, Search
-from masking.effects import Effect
 from masking.errors import IntegrationError
 from masking.identification.data import Data
 from masking.identification.simulation import relative
@@ -39,9 +38,6 @@ NEAR = 60.0  # of the score: rivals that the record that judges may decide betwe
 ROUNDED = 0.3  # part of the noise's variance, or of what is left, that rounding must make to be named
 LOST = 0.5  # part of a reading that the model leaves from which its motion is out of step with the record
 MEASURED = 0.2  # part of what is left from which commands were measured, and not held, where they leave no more
-LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "added_mass", "actuator_gain", "constant_force")
-LINEAR = (*LIKE_PARAMETERS, "delay", "actuator_lag", "sensor_lag", "sensor_gain")
-ENOUGH = 3  # linear causes that together are any linear system
 BELIEVED = 0.5  # part of what a cause takes off the cost from which it is parameters that need not be off
 
 
@@ -245,7 +241,7 @@ def _verdict(
     others = [(*r.names[-1], weight) for r, weight in zip(rivals[1:], weights[1:], strict=True) if weight > 1e-4]
     causes = _causes(rig, chosen, heat, weights[0], tuple(others))
     most = REST if chosen.hypothesis.cost > SMALL * size else FAINT
-    if (rest > most and not closed) or is_patched(causes, rig):
+    if (rest > most and not closed) or is_patched([(cause.name, cause.on) for cause in causes], rig):
         return "unknown", causes
     usual = rig.start[rig.names.index(causes[0].name)] if chosen.kind == "parameter" else 0.0
     if not closed and all(abs(x - usual) < SURELY * std for x, std in causes[-1].parameters.values()):
@@ -268,39 +264,6 @@ def _with_rounding(
             rounded.append(Named("quantisation", name, {"step": (float(step), 0.0)}, 1.0))
             is_much = is_much or step**2 / 12.0 > ROUNDED * left[i]
     return ("named" if is_much and not causes else verdict), (*causes, *rounded)
-
-
-def is_patched(causes: Sequence[Named], rig: OpenRig) -> bool:
-    """Return whether several laws are put together to one that the dictionary lacks.
-
-    Such are laws of one kind at one place, or at an element and at a coordinate that is its alone, and linear laws of
-    which so many can make any linear system.
-    """
-    if len(causes) >= ENOUGH and all(cause.name in LINEAR for cause in causes):
-        return True
-    known = rig.twin.dictionary
-    kinds = [(_seat(rig, cause.on), _kind(known[cause.name])) for cause in causes if cause.name in known]
-    kinds = [kind for kind in kinds if kind[1]]
-    return len(set(kinds)) < len(kinds)
-
-
-def _seat(rig: OpenRig, name: str) -> str:
-    """Return the element that a coordinate is of alone; what is no such coordinate itself."""
-    if not any(place.name == name and place.coordinate and not place.declared for place in rig.places):
-        return name
-    elements = [(p.name, p.element.displacement) for p in rig.places if p.declared]
-    those = [element for element, displacement in elements if displacement and name in displacement.symbols]
-    return those[0] if len(those) == 1 else name
-
-
-def _kind(effect: Effect) -> str:
-    """Return what the force of an element follows; '' where it follows neither displacement nor rate."""
-    if effect.where != "element" or effect.name in LIKE_PARAMETERS:
-        return ""
-    if effect.states:
-        return "memory"
-    names = Expression(effect.expression).symbols & {"d", "d_rate"}
-    return " and ".join(sorted(names))
 
 
 def _is_like_parameter(effect: str, chosen: Explanation) -> bool:

@@ -22,6 +22,7 @@ from masking.discovery.evidence import Evidence
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.opened import Slot
+from masking.discovery.patches import is_patched
 from masking.discovery.screening import Along, Promise, Screen
 from masking.discovery.smoothing import Motion, smooth
 from masking.errors import IntegrationError
@@ -126,6 +127,15 @@ class Search:
         now = settled = base
         number = 0
         while number < MOST_EFFECTS:
+            if is_patched(now.names, self.evidence.rig):
+                # One more law would leave it a patchwork; another one in the place of these may not.
+                if now is settled:
+                    break
+                now, before = self._settled(now, ground), now
+                settled = now
+                if now is not before:
+                    steps[-1] = (now,)
+                continue
             self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
             near = now.hypothesis.cost < SMALL * self.evidence.record.readings.size
             screen = self._screen(ground, now.hypothesis if near else base.hypothesis, now.hypothesis.slots, taken=near)
