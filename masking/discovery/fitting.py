@@ -214,7 +214,7 @@ class _Problem:
             if new < cost:
                 at, found = then, tried
                 taken, cost = cost - new, new
-                damping, more = max(damping / 10.0, 1e-9), MORE
+                damping, more = damping if more > MORE else max(damping / 10.0, 1e-9), MORE
                 if taken < enough:
                     break
             else:

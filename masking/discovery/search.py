@@ -168,7 +168,6 @@ class Search:
         self, now: Explanation, promises: Sequence[Promise], screen: Screen, *, parameters: bool
     ) -> list[Explanation]:
         """Return explanations with one more cause, best first; none where the best is no better than chance."""
-        jobs: list[Job] = []
         gains = self._releases(now.hypothesis)
         best = max([promise.gain for promise in promises] + [*gains], default=0.0)
         most = self._worth(screen, screen.total - best)
@@ -182,12 +181,13 @@ class Search:
         excess = now.hypothesis.cost - self.evidence.record.readings.size
         if now.names and self._closes(now) and self._is_excess(excess):
             chosen = [promise for promise in chosen if promise.gain > LITTLE * excess]
-        keys = {promise.candidate.key for promise in chosen}
+        keys = _keys(chosen)
         simpler = {(e, at) for effect, at in keys for e in SIMPLER.get(effect, ())} - keys - {*now.names}
         kin = simpler | {key for key in keys if key[0] in SIMPLE}
-        chosen += [p for p in promises if p.candidate.key in kin and all(p is not one for one in chosen)]
-        for promise in chosen:
-            jobs.append(partial(self._added, now, promise, screen))
+        others = [p for p in promises if p.candidate.key in kin and all(p is not one for one in chosen)]
+        chosen += [p for i, p in enumerate(others) if p.candidate.key not in _keys([*chosen, *others[:i]])]
+        variants = [p for p in others if all(p is not one for one in chosen)]
+        jobs = [partial(self._added, now, promise, screen) for promise in chosen]
         if parameters:
             jobs += [partial(self._released, now, int(i)) for i in np.argsort(-gains)[:3] if gains[i] > WRONG]
         self.tell(f"fitting {len(jobs)} of them", 0.3)
@@ -197,6 +197,12 @@ class Search:
             found += [e for e in self._tried(some, rival) if e is not None]
         if not found:
             return []
+        # Other shapes of a kin are looked at where one takes a part of what the best does.
+        rival = min(e.hypothesis.cost for e in found)
+        least = now.hypothesis.cost - KIN * (now.hypothesis.cost - rival)
+        near = {e.names[-1] for e in found if e.hypothesis.cost < least}
+        again = [partial(self._added, now, promise, screen) for promise in variants if promise.candidate.key in near]
+        found += [e for e in self._tried(again, rival) if e is not None]
         found += self._simpler(found)
         heat = self.evidence.temperature(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
         merged: dict[tuple[tuple[str, str], ...], Explanation] = {}
@@ -418,6 +424,10 @@ class Search:
             found.append(float(frequencies[i]))
             power[max(0, i - 12) : i + 13] = 0.0
         return tuple(found)
+
+
+def _keys(promises: Iterable[Promise]) -> set[tuple[str, str]]:
+    return {promise.candidate.key for promise in promises}
 
 
 def _without(explanation: Explanation, i: int) -> tuple[tuple[tuple[str, str], ...], tuple[Slot, ...]]:
