@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import masking
+from masking.discovery import words
 
 M, C, K = 2.0, 1.5, 800.0  # kg, N s/m, N/m: 3.2 Hz, damping ratio 0.019
 NOISE = 1e-5  # m
@@ -49,17 +50,22 @@ def discovered(tmp_path_factory):
     folder = tmp_path_factory.mktemp("strong")
     (folder / "mass.yaml").write_text(MODEL)
 
-    def find(law, *, rate=500.0, seconds=40.0, sign=1.0, scale=1.0, every=1, **settings):
+    def record(name, law, *, rate=500.0, seconds=40.0, sign=1.0, scale=1.0, every=1, loud=1.0):
         rng = np.random.default_rng(0)
         t = np.arange(round(seconds * rate)) / rate
         lines = np.arange(10, 241) / 20.0  # Hz, 0.5 to 12
         phases = rng.uniform(0.0, 2.0 * np.pi, len(lines))
-        force = 4.0 * sum(np.sin(2.0 * np.pi * f * t + p) for f, p in zip(lines, phases, strict=True))
+        force = 4.0 * loud * sum(np.sin(2.0 * np.pi * f * t + p) for f, p in zip(lines, phases, strict=True))
         force /= math.sqrt(len(lines) / 2.0)
         x = motion(force, rate, law) + NOISE * rng.standard_normal(len(t))
         table = np.column_stack([t, sign * force, scale * x])[::every]
-        np.savetxt(folder / "record.csv", table, delimiter=",", header="t,force,x", comments="", fmt="%.9g")
-        return masking.discover(folder / "record.csv", model=folder / "mass.yaml", **settings)
+        np.savetxt(folder / name, table, delimiter=",", header="t,force,x", comments="", fmt="%.9g")
+        return folder / name
+
+    def find(law, *, louder=0.0, **settings):
+        made = record("record.csv", law, **settings)
+        judge = record("louder.csv", law, loud=louder) if louder else None
+        return masking.discover(made, model=folder / "mass.yaml", validation=judge)
 
     return find
 
@@ -76,6 +82,16 @@ def test_a_strong_spring_is_found(discovered, k3, in_windows):
     assert found.effects[0].parameters["k3"][0] == pytest.approx(k3, rel=1e-3)
     assert found.closed
     assert (0 < found.evidence.horizon < len(found.record)) is in_windows
+
+
+def test_what_only_the_record_that_judges_shows_is_not_nothing(discovered):
+    found = discovered(lambda x, v: 5e3 * x**3, loud=0.05, louder=1.0)
+    assert found.explanation.kind == "none"
+    assert found.gap.validation[1]["x"] > 2.0 * found.gap.validation_floor["x"]
+    assert (found.verdict, found.closed) == ("unknown", False)
+    assert words.sentence(found).startswith(
+        "The record shows nothing that is missing, but data that were not used do: let these be the record. On "
+    )
 
 
 def test_friction_that_turns_round_fast_is_simulated_in_finer_steps(discovered):

@@ -159,9 +159,11 @@ def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discover
         names_of = (_name(first), _name(second))
         with threadpool_limits(1):
             coming = next_experiment(evidence, first.hypothesis, second.hypothesis, names_of, _limits(rig.twin))
-    return Discovery(
+    answer = Discovery(
         verdict, effects, gap, rest, rig.twin, chosen, rivals, heat, found, evidence, judged, before, after, coming
     )
+    # What the record does not show may be missing in the one that judges, which moves further or faster.
+    return replace(answer, verdict="unknown") if verdict == "none" and not answer.within else answer
 
 
 def _name(explanation: Explanation) -> str:

@@ -149,8 +149,13 @@ class Discovery:
     @property
     def within(self) -> bool:
         """Return whether what was found leaves no more than the noise of any sensor, on the record that judges."""
-        after, floor = self.gap.validation[1], self.gap.validation_floor
-        return all(after[name] <= CLOSED * floor[name] for name in floor)
+        return _is_noise(self.gap.validation[1], self.gap.validation_floor)
+
+    @property
+    def is_hidden(self) -> bool:
+        """Return whether something is missing that shows in the record that judges alone."""
+        is_seen = not _is_noise(self.gap.train[1], self.gap.floor)
+        return self.verdict == "unknown" and self.explanation.kind == "none" and not is_seen and not self.within
 
     @cached_property
     def closed(self) -> bool:
@@ -174,6 +179,10 @@ class Discovery:
             "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
             "as_measured": self.as_measured,
         }
+
+
+def _is_noise(after: dict[str, float], floor: dict[str, float]) -> bool:
+    return all(after[name] <= CLOSED * floor[name] for name in floor)
 
 
 def _whiteness(evidence: Evidence, residuals: Array) -> dict[str, Whiteness]:

@@ -44,7 +44,10 @@ def sentence(found: Discovery) -> str:
         known = [cause(found, one) for one in offered(found)]
         do = "does" if len(known) == 1 else "do"
         near = f"The nearest of it is {listed(known, '; ')}, which {do} not explain the rest" if known else ""
-        told = ["Something is missing that is not in the dictionary", hardly(found), near, look(found)]
+        first = "Something is missing that is not in the dictionary"
+        if found.is_hidden:
+            first = "The record shows nothing that is missing, but data that were not used do: let these be the record"
+        told = [first, hardly(found), near, gap(found) if found.is_hidden else look(found)]
     elif is_open(found):
         before = [cause(found, one) for one in found.effects[:-1]]
         known = [f"{listed(before, '; ')} {'is' if len(before) == 1 else 'are'} missing"] if before else []
