@@ -22,7 +22,7 @@ TURNS = (1e-3, 1e-4, 1e-5)  # m/s, or another unit of rate, over which friction 
 PARTS = (1e-2, 2e-3, 4e-4)  # of the rms rate, where that is not of coordinates
 EDGES = (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)  # parts of the travel at which a contact is tried
 EDGE = 0.04  # part of the largest displacement over which what begins at one begins, to begin with
-MOST_LEVELS = 10.0  # steps of a converter from the middle to the end of its range that are tried
+MOST_LEVELS = 24.0  # steps of a converter from the middle to the end of its range that are tried
 
 
 @dataclass(frozen=True)
