@@ -144,7 +144,7 @@ class Discovery:
     @cached_property
     def whiteness(self) -> dict[str, Whiteness]:
         """Return how white what is left of each sensor is, on the record that judges."""
-        return _whiteness(self.judged, self.after.residuals)
+        return whiteness_of(self.judged, self.after.residuals)
 
     @property
     def within(self) -> bool:
@@ -164,7 +164,7 @@ class Discovery:
         Where the motion begins so often anew that its initial states take much of the noise, its size alone counts.
         """
         fitted = self.explanation.hypothesis
-        seen = [*self.whiteness.values(), *_whiteness(self.evidence, fitted.residuals).values()]
+        seen = [*self.whiteness.values(), *whiteness_of(self.evidence, fitted.residuals).values()]
         is_begun = max(fitted.start.size, self.after.start.size) > BEGUN * self.judge.readings.size
         return self.within and (is_begun or all(one.white for one in seen))
 
@@ -185,7 +185,8 @@ def _is_noise(after: dict[str, float], floor: dict[str, float]) -> bool:
     return all(after[name] <= CLOSED * floor[name] for name in floor)
 
 
-def _whiteness(evidence: Evidence, residuals: Array) -> dict[str, Whiteness]:
+def whiteness_of(evidence: Evidence, residuals: Array) -> dict[str, Whiteness]:
+    """Return how white residuals (m, sensors) of a record are, by sensor."""
     readings, rate = evidence.record.readings, evidence.record.rate
     return {
         name: whiteness(residuals[:, i], readings[:, i], float(evidence.sigma[i]), rate)

@@ -127,9 +127,24 @@ def _fed(jps, df, dv, j):
 
 
 @compiled
+def _chained(by_state, by_entry, sens, basis, spans, row):
+    # Add what states and entries of the parameter array do, by column; an entry depends on the columns of its span.
+    for l in range({n}):
+        by = by_state[l]
+        if by != 0.0:
+            for j in range(sens.shape[1]):
+                row[j] += by * sens[l, j]
+    for l in range({affected}):
+        by = by_entry[l]
+        if by != 0.0:
+            for j in range(int(spans[0, l]), int(spans[1, l])):
+                row[j] += by * basis[l, j]
+
+
+@compiled
 def _flow(t, y, sens, u, lead, p, basis, spans, slots, columns, theta, dy, ds, w):
-    n, moving, places, channels, sensors, affected = {n}, {moving}, {places}, {channels}, {sensors}, {affected}
-    width, k = sens.shape[1], basis.shape[1]
+    n, moving, places, channels = {n}, {moving}, {places}, {channels}
+    width = sens.shape[1]
     jy, jp, top = w[0:n], w[n : 2 * n], 2 * n
     jd, top = w[top : top + 2 * places], top + 2 * places
     df, dv, top = w[top : top + places], w[top + places : top + places + channels], top + places + channels
@@ -148,16 +163,7 @@ def _flow(t, y, sens, u, lead, p, basis, spans, slots, columns, theta, dy, ds, w
     for i in range(moving, n):
         for j in range(width):
             ds[i, j] = 0.0
-        for l in range(n):
-            by = jy[i, l]
-            if by != 0.0:
-                for j in range(width):
-                    ds[i, j] += by * sens[l, j]
-        for l in range(affected):
-            by = jp[i, l]
-            if by != 0.0:
-                for j in range(int(spans[0, l]), int(spans[1, l])):
-                    ds[i, j] += by * basis[l, j]
+        _chained(jy[i], jp[i], sens, basis, spans, ds[i])
         for e in range(places):
             by = jp[i, {force_column}[e]]
             if by != 0.0 and on[e] != 0.0:

@@ -182,7 +182,7 @@ class Search:
         if now.names and self._closes(now) and self._is_excess(excess):
             chosen = [promise for promise in chosen if promise.gain > LITTLE * excess]
         keys = _keys(chosen)
-        simpler = {(e, at) for effect, at in keys for e in SIMPLER.get(effect, ())} - keys - {*now.names}
+        simpler = set().union(*map(_simple, keys)) - keys - {*now.names}
         kin = simpler | {key for key in keys if key[0] in SIMPLE}
         others = [p for p in promises if p.candidate.key in kin and all(p is not one for one in chosen)]
         chosen += [p for i, p in enumerate(others) if p.candidate.key not in _keys([*chosen, *others[:i]])]
@@ -220,11 +220,11 @@ class Search:
         best = min(found, key=lambda e: e.hypothesis.cost)
         if best.kind != "effects":
             return []
-        (effect, at), known = best.names[-1], best.hypothesis
+        known = best.hypothesis
         values = dict(zip(known.slots[-1].names, known.slots[-1].estimated, strict=True))
         better = []
         for kin in found:
-            if kin.kind != "effects" or kin.names[-1] not in {(simple, at) for simple in SIMPLER.get(effect, ())}:
+            if kin.names[-1] not in _simple(best.names[-1]):
                 continue
             slot = kin.hypothesis.slots[-1]
             shared = [i for i, name in zip(slot.free, slot.names, strict=True) if name in values]
@@ -248,8 +248,8 @@ class Search:
         best = ranked[0]
         if self._closes(best) or best.kind != "effects":
             return ranked
-        effect, at = best.names[-1]
-        simpler = {(e, at) for e in SIMPLER.get(effect, ())}
+        _, at = best.names[-1]
+        simpler = _simple(best.names[-1])
         most = now.hypothesis.cost - best.hypothesis.cost
         kin = [e for e in ranked if e.names[-1] in simpler and now.hypothesis.cost - e.hypothesis.cost > KIN * most]
         if not kin:
@@ -426,6 +426,12 @@ class Search:
         return tuple(found)
 
 
+def _simple(key: tuple[str, str]) -> set[tuple[str, str]]:
+    """Return the simpler kin of an effect at its place."""
+    effect, at = key
+    return {(simpler, at) for simpler in SIMPLER.get(effect, ())}
+
+
 def _keys(promises: Iterable[Promise]) -> set[tuple[str, str]]:
     return {promise.candidate.key for promise in promises}
 
@@ -438,8 +444,7 @@ def _without(explanation: Explanation, i: int) -> tuple[tuple[tuple[str, str], .
 
 def _is_idle(richer: Explanation, others: Iterable[Explanation], now: Explanation, heat: float) -> bool:
     """Return whether a simpler law at the same place does all that a richer one does, which is then that law itself."""
-    effect, at = richer.names[-1]
-    simple = {(name, at) for name in SIMPLER.get(effect, ())}
+    simple = _simple(richer.names[-1])
     taken = now.hypothesis.cost - richer.hypothesis.cost
     most = richer.hypothesis.cost + max(IDLE * heat, FINE * taken)
     return any(other.names[-1] in simple and other.hypothesis.cost < most for other in others)

@@ -75,16 +75,7 @@ def run(
         for o in range(sensors):
             for j in range(width):
                 row[o, j] = _fed(jps[o], df, dv, j)
-            for l in range(n):
-                by = js[o, l]
-                if by != 0.0:
-                    for j in range(width):
-                        row[o, j] += by * sens[l, j]
-            for l in range(affected):
-                by = jps[o, l]
-                if by != 0.0:
-                    for j in range(int(spans[0, l]), int(spans[1, l])):
-                        row[o, j] += by * basis[l, j]
+            _chained(js[o], jps[o], sens, basis, spans, row[o])
         for i in range(slots.shape[0]):
             if slots[i, 1] == 2.0:
                 at, z, first = int(slots[i, 2]), int(slots[i, 4]), int(slots[i, 3])

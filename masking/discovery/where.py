@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from masking.discovery import forces
-from masking.discovery.discovery import Discovery
+from masking.discovery.discovery import Discovery, whiteness_of
 from masking.discovery.harmonics import Harmonics, Periods
 from masking.discovery.memory import once
 from masking.discovery.portrait import SEEN, Portrait, followed, portrait
 from masking.discovery.smoothing import Motion
-from masking.identification.whiteness import Whiteness, whiteness
+from masking.identification.whiteness import Whiteness
 from masking.kernels import Array
 
 BEYOND = 1.05  # of the noise's variance, from which a residual is looked at
@@ -132,11 +132,8 @@ def where(found: Discovery) -> Where:
     lacking = _lacking(found, seen.before, seen.gap, periods)
     residuals = found.explanation.hypothesis.residuals
     left = None if seen.after is None else _lacking(found, seen.after, residuals, periods)
-    judge, sigma = found.judge, found.judged.sigma
-    told = {}
-    for i, name in enumerate(found.twin.sensors):
-        before = whiteness(found.adjusted.residuals[:, i], judge.readings[:, i], float(sigma[i]), judge.rate)
-        told[name] = before, found.whiteness[name] if found.effects else None
+    before, after = whiteness_of(found.judged, found.adjusted.residuals), found.whiteness
+    told = {name: (before[name], after[name] if found.effects else None) for name in found.twin.sensors}
     return Where(lacking, left, told)
 
 
