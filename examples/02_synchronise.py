@@ -3,7 +3,7 @@
 import numpy as np
 
 import masking
-from masking.synchronisation import phase_difference
+from masking.analysis.synchronisation import phase_difference
 
 recording = masking.run("huygens")
 phase = phase_difference(recording.t, recording["virtual.th1"], recording["virtual.th2"])

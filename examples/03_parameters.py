@@ -1,7 +1,7 @@
 """Change a parameter: a beam that is damped more lets the Duffing oscillators synchronise sooner."""
 
 import masking
-from masking.synchronisation import peak_sum
+from masking.analysis.synchronisation import peak_sum
 
 left = {}
 for damping in (0.02, 0.04, 0.08):

@@ -15,11 +15,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from scipy import io
 
-from masking.identification.data import Data
-from masking.identification.fit import fit
-from masking.identification.kalman import extended_kalman
-from masking.sensitivity import Sensitivity
-from masking.twin import Twin
+from masking.estimation.data import Data
+from masking.estimation.fit import fit
+from masking.estimation.kalman import extended_kalman
+from masking.estimation.sensitivity import Sensitivity
+from masking.rig.twin import Twin
 
 MODEL = """
 name: circuit with a cubic spring

@@ -10,9 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import masking
-from masking.calibration import records
-from masking.experiment import Experiment
 from masking.plants.simulated import SimulatedPlant
+from masking.procedures import calibration_records
+from masking.run.experiment import Experiment
 
 EXPERIMENT = """
 name: Duffing oscillators on a rig that rubs
@@ -33,7 +33,7 @@ with TemporaryDirectory() as name:
     (folder / "experiment.yaml").write_text(EXPERIMENT)
     rig = Experiment.load(folder / "experiment.yaml").twin
     settings = {"seconds": 20.0, "lockstep": True, "seed": 1, "say": print, "progress": lambda part: None}
-    records.make(rig, SimulatedPlant(rig, seed=3), folder / "records", **settings)
+    calibration_records.make(rig, SimulatedPlant(rig, seed=3), folder / "records", **settings)
     found = masking.refine(
         folder / "experiment.yaml",
         record=folder / "records" / "fit",

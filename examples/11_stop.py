@@ -1,9 +1,9 @@
 """End a run when the clocks have synchronised, say how they did, and show that they are not chaotic."""
 
 import masking
-from masking.experiment import Experiment
-from masking.stability.lyapunov import largest_exponent
-from masking.synchronisation import synchronisation
+from masking.analysis.stability.lyapunov import largest_exponent
+from masking.analysis.synchronisation import synchronisation
+from masking.run.experiment import Experiment
 
 clocks = Experiment.load("huygens").changed(stop={"when": "synchronised", "of": ["th1", "th2"], "eps": 0.02})
 recording = clocks.run()

@@ -14,16 +14,16 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from masking.drawing import png
-from masking.model import Model, load_model
-from masking.stability.basins import basins
-from masking.stability.certificate import certificate
-from masking.stability.equilibria import equilibria
-from masking.stability.modes import sweep, upsilon
-from masking.stability.orbits import orbit
-from masking.stability.plates import basins_plate, sweep_plate
-from masking.stability.settling import settling_time
-from masking.synchronisation import period
+from masking.analysis.stability.basins import basins
+from masking.analysis.stability.certificate import certificate
+from masking.analysis.stability.equilibria import equilibria
+from masking.analysis.stability.modes import sweep, upsilon
+from masking.analysis.stability.orbits import orbit
+from masking.analysis.stability.settling import settling_time
+from masking.analysis.synchronisation import period
+from masking.modelling.model import Model, load_model
+from masking.report.stability_figures import basins_plate, sweep_plate
+from masking.report.style import png
 
 CLOCKS = """
 name: two clocks on a beam

@@ -23,8 +23,8 @@ import lazy_loader as lazy
 __getattr__, __dir__, __all__ = lazy.attach(
     __name__,
     submod_attrs={
-        "closed_loop": ["ClosedLoop"],
-        "controller": ["Controller"],
+        "control.closed_loop": ["ClosedLoop"],
+        "control.law": ["Controller"],
         "errors": [
             "ActuationError",
             "DeclarationError",
@@ -34,9 +34,20 @@ __getattr__, __dir__, __all__ = lazy.attach(
             "RecordError",
             "SingularityError",
         ],
-        "experiment": ["Experiment"],
-        "model": ["Model", "load_model"],
-        "recording": ["Recording"],
-        "verbs": ["check", "discover", "identify", "list", "measure", "refine", "report", "run", "schema", "show"],
+        "run.experiment": ["Experiment"],
+        "modelling.model": ["Model", "load_model"],
+        "records.recording": ["Recording"],
+        "workflows.verbs": [
+            "check",
+            "discover",
+            "identify",
+            "list",
+            "measure",
+            "refine",
+            "report",
+            "run",
+            "schema",
+            "show",
+        ],
     },
 )

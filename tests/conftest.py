@@ -9,7 +9,7 @@ import hypothesis
 import pytest
 
 from masking.declaration.schema import ModelDeclaration
-from masking.model import Model
+from masking.modelling.model import Model
 
 # The gate draws the same examples every time; `HYPOTHESIS_PROFILE=explore` draws new ones.
 hypothesis.settings.register_profile("gate", derandomize=True)

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from masking.discovery import asked, words, written
+from masking.discovery.augmented_model import OpenRig, Slot
 from masking.discovery.candidates import Span, candidates
 from masking.discovery.discover import discover
-from masking.discovery.evidence import Evidence
-from masking.discovery.opened import OpenRig, Slot
+from masking.discovery.problem import Evidence
 from masking.discovery.settings import believed
-from masking.identification.data import Data
-from masking.identification.simulation import simulate
-from masking.twin import Twin
+from masking.estimation.data import Data
+from masking.estimation.simulation import simulate
+from masking.report import discovery_files, discovery_text
+from masking.rig.twin import Twin
+from masking.workflows import inputs
 from tests.benchmarks import hidden
 from tests.test_discovery import BASE, NOISE, PLANT
 
@@ -70,7 +71,7 @@ def test_several_at_once_are_a_mass_matrix(rig):
     evidence = evidence_of(rig, Data("a record", RATE, commands, np.zeros_like(commands)))
     places = (("x1", 0.05), ("spring1", 0.4), ("beam", -0.2), ("x2", 0.1), ("spring2", 0.7))
     slots = tuple(Slot("added_mass", at, (m,), (0,)) for at, m in places)
-    found = rig.equations(evidence, rig.start, np.zeros((1, 6)), slots, np.array([m for _, m in places]))
+    found = evidence.equations(rig.start, np.zeros((1, 6)), slots, np.array([m for _, m in places]))
     exact = read(setup(p, (0.05, 0.1, -0.2), (0.4, 0.7)), commands)
     assert np.abs(found.simulated - exact).max() < 1e-7 * np.abs(exact).max()
     for i in range(len(places)):  # -J^T W r is the gradient of half the squares, r being minus what is read
@@ -109,7 +110,7 @@ def test_a_heavier_oscillator_is_named(twin, rig, hidden_records):
     assert std == pytest.approx(0.01 / np.sqrt(2.5), rel=0.1)
     assert m == pytest.approx(0.04, abs=0.02)
     assert m == pytest.approx(0.04, abs=3.0 * std)
-    assert words.sentence(found).startswith(f"An added mass of {m:.4f} ± {std:.4f} on x1 is missing.")
+    assert discovery_text.sentence(found).startswith(f"An added mass of {m:.4f} ± {std:.4f} on x1 is missing.")
 
 
 def test_a_wrong_parameter_is_no_mass(twin, rig, hidden_records):
@@ -137,7 +138,7 @@ def test_a_mass_beside_parameters_that_are_known(tmp_path, rig):
     (effect,) = found.effects
     assert (found.verdict, effect.name, effect.on) == ("named", "added_mass", "x1")
     assert effect.parameters["m"][0] == pytest.approx(0.04, rel=0.02)
-    files = written.save(found, tmp_path / "found", written.Origin({}), "", {})
+    files = discovery_files.save(found, tmp_path / "found", discovery_files.Origin({}), "", {})
     assert "added_mass_acc: x1''" in files.model.read_text()
     for sensor, chi in simulate(Twin.load(files.plant), found.judge).chi.items():
         assert chi < 1.1 * found.gap.validation_floor[sensor]
@@ -181,7 +182,7 @@ def slider(m, commands, rate, pieces=4):
 def single(tmp_path_factory):
     path = tmp_path_factory.mktemp("single") / "slider.yaml"
     path.write_text(SLIDER)
-    return asked.rig(path, None)
+    return inputs.rig(path, None)
 
 
 @pytest.fixture(scope="module")
@@ -197,8 +198,8 @@ def test_it_is_the_parameter_of_a_single_mass(single_rig):
     assert np.abs(exact).max() > 0.8  # 30 % more inertia than at rest, or so
     evidence, start = evidence_of(rig, Data("a record", 200.0, commands, np.zeros_like(exact))), np.zeros((1, 2))
     larger = rig.start * np.where(np.array(rig.names) == "m", 1.3, 1.0)
-    added = rig.equations(evidence, rig.start, start, (Slot("added_mass", "x", (0.3,), (0,)),), np.array([0.3]))
-    heavy = rig.equations(evidence, larger, start)
+    added = evidence.equations(rig.start, start, (Slot("added_mass", "x", (0.3,), (0,)),), np.array([0.3]))
+    heavy = evidence.equations(larger, start)
     for found in (added, heavy):
         np.testing.assert_allclose(found.simulated, exact, atol=1e-6)
     by, own = rig.names.index("m"), [*range(n), n + 1, n + 2]

@@ -4,6 +4,7 @@ import ast
 import re
 import sys
 import tomllib
+from graphlib import CycleError, TopologicalSorter
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -11,77 +12,67 @@ import pytest
 
 ROOT = Path(__file__).parent.parent / "masking"
 
-# Each module imports only from rows above its own; the modules of a package share its row and import each other.
-ROWS = (
-    {"errors", "status"},
-    {"declaration", "parquet", "hdf5", "part", "dop853", "linear"},
-    {"markup"},
-    {"recording", "drawing", "scales", "fidelity", "integrate", "synchronisation", "wiring"},
-    {"signals", "formats"},
-    {"sampling"},
-    {"compile"},
-    {"kernels"},
-    {"effects"},
-    {"equations"},
-    {"lowering"},
-    {"model"},
-    {"blocks", "twin", "observer"},
-    {"controller", "instruments", "sensitivity"},
-    {"closed_loop", "sampled"},
-    {"loop"},
-    {"identification"},
-    {"discovery"},
-    {"plants"},
-    {"realtime"},
-    {"study"},
-    {"figures", "wording"},
-    {"tables"},
-    {"page"},
-    {"reporting", "calibration", "stability"},
-    {"ending"},
-    {"experiment"},
-    {"budget"},
-    {"rig"},
-    {"feasibility"},
-    {"refinement", "assessment"},
-    {"describe", "thesis"},
-    {"verbs"},
-    {"cli", "__init__"},
-)
+# Each folder, from the ground up, and what it may import; `errors` is open to all.
+FLOORS: dict[str, set[str]] = {
+    "errors": set(),
+    "numerics": set(),
+    "declaration": set(),
+    "effects": {"declaration"},
+    "codegen": {"numerics"},
+    "modelling": {"declaration", "effects", "codegen"},
+    "records": {"numerics"},
+    "signals": {"numerics", "records"},
+    "analysis": {"numerics", "codegen", "modelling"},
+    "rig": {"numerics", "declaration", "effects", "codegen", "modelling"},
+    "control": {"numerics", "declaration", "codegen", "modelling", "rig"},
+    "plants": {"numerics", "records", "rig"},
+    "run": {
+        *("numerics", "declaration", "effects", "codegen", "modelling", "records", "analysis", "rig", "control"),
+        "plants",
+    },
+    "estimation": {"numerics", "codegen", "records", "rig"},
+    "discovery": {"numerics", "declaration", "effects", "codegen", "records", "signals", "rig", "estimation"},
+    "procedures": {
+        *("numerics", "declaration", "modelling", "records", "signals", "rig", "control", "plants", "run"),
+        "estimation",
+    },
+    "report": {
+        *("numerics", "declaration", "effects", "modelling", "records", "analysis", "rig", "estimation"),
+        *("discovery", "procedures"),
+    },
+    "workflows": {
+        *("declaration", "effects", "modelling", "records", "analysis", "rig", "plants", "run"),
+        *("estimation", "discovery", "procedures", "report"),
+    },
+    "cli": {"records", "rig", "plants", "run", "report", "workflows"},
+}
 
-# A run and its study meet in the file on disk: only a refinement, the verbs and the command line know both. Mathematics
-# on series, such as synchronisation, which knows neither, serves both.
-ONLINE = {
-    "blocks",
-    "observer",
-    "instruments",
-    "controller",
-    "closed_loop",
-    "sampled",
-    "loop",
-    "budget",
-    "ending",
-    "experiment",
-    "feasibility",
+# Packages from outside, and the folders that may import them; all others are free.
+OUTSIDE: dict[str, set[str]] = {
+    "control": {"modelling", "control", "analysis"},
+    "h5py": {"records"},
+    "jinja2": {"report"},
+    "llvmlite": {"codegen"},
+    "matplotlib": {"report"},
+    "numba": {"numerics", "codegen"},
+    "pint": {"declaration"},
+    "platformdirs": {"codegen"},
+    "pyarrow": {"records"},
+    "pydantic": {"declaration"},
+    "sympy": {"declaration", "codegen", "modelling", "rig", "control", "analysis", "discovery", "workflows"},
+    "tqdm": {"cli"},
+    "yaml": {"declaration", "report", "workflows"},
 }
-ONLINE |= {"plants", "realtime", "rig"}
-OFFLINE = {
-    "study",
-    "drawing",
-    "markup",
-    "figures",
-    "wording",
-    "tables",
-    "page",
-    "reporting",
-    "identification",
-    "discovery",
-    "stability",
-}
+
+# A run and its study meet in the file on disk: only workflows and the command line know both. Mathematics on series,
+# such as synchronisation, which knows neither, serves both.
+ONLINE = {"control", "plants", "run"}
+OFFLINE = {"estimation", "discovery"}
 
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "sympify", "parse_expr", "parse_latex", "lambdify", "__import__"}
 
 FILES = sorted(ROOT.rglob("*.py"))
+MODULES = {".".join(p.relative_to(ROOT.parent).with_suffix("").parts).removesuffix(".__init__") for p in FILES}
 TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
 EACH_FILE = pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
 
@@ -102,8 +93,8 @@ def named(tree: ast.AST) -> set[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"line {node.lineno}: imports are absolute"
-            if node.module == "masking":
-                found |= {f"masking.{alias.name}" for alias in node.names}
+            if (node.module or "").partition(".")[0] == "masking":
+                found |= {n if (n := f"{node.module}.{alias.name}") in MODULES else node.module for alias in node.names}
             else:
                 found.add(node.module or "")
         elif isinstance(node, ast.Import):
@@ -123,17 +114,52 @@ def called(node: ast.Call) -> str:
     )
 
 
-def test_the_table_lists_every_module_once():
-    listed = [name for row in ROWS for name in row]
-    assert sorted(listed) == sorted({module_of(path) for path in FILES})
+def graph_within(folder: str) -> dict[str, set[str]]:
+    """Return the modules of a folder, and which of the same folder each imports."""
+    own = {name_of(path): TREES[path] for path in FILES if module_of(path) == folder}
+    return {name: {n for n in named(tree) if n in own and n != name} for name, tree in own.items()}
+
+
+def name_of(path: Path) -> str:
+    """Return the dotted name of a module; a package's own is that of the package."""
+    return ".".join(path.relative_to(ROOT.parent).with_suffix("").parts).removesuffix(".__init__")
+
+
+def test_the_table_lists_every_folder_once():
+    assert FLOORS.keys() | {"__init__"} == {module_of(path) for path in FILES}
+    assert {path.name for path in ROOT.glob("*.py")} == {"__init__.py", "errors.py"}
+
+
+def test_floors_stand_on_floors_below():
+    below: set[str] = set()
+    for folder, imports in FLOORS.items():
+        assert imports <= below, f"{folder} stands on {sorted(imports - below)}, which stand above it"
+        below.add(folder)
+
+
+@pytest.mark.parametrize("folder", FLOORS)
+def test_a_folder_imports_what_the_table_says_and_no_less(folder):
+    found = set().union(*(imported(TREES[path]) for path in FILES if module_of(path) == folder))
+    assert found - {folder, "errors"} == FLOORS[folder]
+
+
+@pytest.mark.parametrize("folder", [name for name in FLOORS if name != "errors"])
+def test_modules_of_a_folder_stand_in_an_order(folder):
+    try:
+        tuple(TopologicalSorter(graph_within(folder)).static_order())
+    except CycleError as error:
+        pytest.fail(f"{folder}: {' -> '.join(error.args[1])}")
 
 
 @EACH_FILE
-def test_a_module_imports_only_from_rows_above_it(path):
-    module = module_of(path)
-    row = {name: i for i, names in enumerate(ROWS) for name in names}
-    for name in imported(TREES[path]) - {module}:
-        assert row[name] < row[module], f"{module} may not import {name}"
+def test_packages_from_outside_are_imported_where_the_table_says(path):
+    for root in {name.partition(".")[0] for name in named(TREES[path])} & OUTSIDE.keys():
+        assert module_of(path) in OUTSIDE[root], f"{module_of(path)} may not import {root}"
+
+
+@pytest.mark.parametrize("folder", [name for name in FLOORS if name != "errors"])
+def test_a_folder_says_what_it_is(folder):
+    assert ast.get_docstring(ast.parse((ROOT / folder / "__init__.py").read_text(encoding="utf-8")))
 
 
 @pytest.mark.parametrize(("side", "other"), [(ONLINE, OFFLINE), (OFFLINE, ONLINE)], ids=["online", "offline"])

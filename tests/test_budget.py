@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import masking
-from masking import budget as budgets
-from masking.budget import ALL, CAUSES, NOTHING, SAMPLING, Budget, Row, budget
+from masking.analysis.masking_error import fidelity
 from masking.effects import EFFECTS
 from masking.errors import IntegrationError, ModelError
-from masking.experiment import Experiment
-from masking.fidelity import fidelity
-from masking.loop import run_twin
-from masking.recording import Recording
-from masking.reporting import summary, warnings
+from masking.records.recording import Recording
+from masking.report.run_report import summary, warnings
+from masking.run import error_budget as budgets
+from masking.run.error_budget import ALL, CAUSES, NOTHING, SAMPLING, Budget, Row, budget
+from masking.run.experiment import Experiment
+from masking.run.offline import run_twin
 
 PLANTS = Path(__file__).parents[1] / "plants"
 ON = "effects: {friction1: true, friction2: true, friction3: true}"

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from masking import cli
-from masking.calibration import Calibration, Stage, calibrate
 from masking.declaration import registry
 from masking.errors import MaskingError, ModelError, PlantMismatchError, RecordError
-from masking.identification.fit import fit
+from masking.estimation.fit import fit
 from masking.plants.simulated import SimulatedPlant
-from masking.recording import Recording
-from masking.twin import Twin
+from masking.records.recording import Recording
+from masking.rig.twin import Twin
+from masking.workflows.calibrate import Calibration, Stage, calibrate
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ import pytest
 import sympy as sp
 from scipy.integrate import solve_ivp
 
-from masking.model import load_model
-from masking.stability.certificate import certificate
-from masking.stability.hypotheses import Hypotheses
-from masking.stability.lasalle import invariant_set
-from masking.stability.motion import Motion
+from masking.analysis.stability.certificate import certificate
+from masking.analysis.stability.hypotheses import Hypotheses
+from masking.analysis.stability.lasalle import invariant_set
+from masking.analysis.stability.motion import Motion
+from masking.modelling.model import load_model
 
 
 def load(name, **values):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from masking.errors import RecordError
-from masking.identification.clock import rate
+from masking.records.clock import rate
 
 N = 20_000
 INDEX = np.arange(N)

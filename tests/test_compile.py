@@ -17,18 +17,18 @@ import sympy as sp
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from masking.compile import store
-from masking.compile.files import write_once
-from masking.compile.graph import Graph
-from masking.compile.printers import PYTHON, C, statements
-from masking.compile.source import Module
-from masking.compile.taylor import degree, is_analytic
+from masking.codegen import store
+from masking.codegen.files import write_once
+from masking.codegen.graph import Graph
+from masking.codegen.printers import PYTHON, C, statements
+from masking.codegen.source import Module
+from masking.codegen.taylor import degree, is_analytic
 from masking.declaration import registry
 from masking.declaration.expression import Expression
 from masking.declaration.operations import FUNCTIONS
 from masking.errors import ModelError
-from masking.lowering import module
-from masking.model import Model
+from masking.modelling.lowering import module
+from masking.modelling.model import Model
 
 NAMES = ("x", "y", "z")
 SYMBOLS = {name: sp.Symbol(name, real=True) for name in NAMES}

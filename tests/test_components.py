@@ -12,14 +12,14 @@ from scipy.integrate import solve_ivp
 import masking
 from masking.cli import main
 from masking.declaration import registry
-from masking.discovery import asked
 from masking.discovery.places import degrees, places
 from masking.errors import DeclarationError, ModelError
-from masking.identification.data import Data
-from masking.identification.simulation import simulate
-from masking.model import Model, load_model
+from masking.estimation.data import Data
+from masking.estimation.simulation import simulate
+from masking.modelling.model import Model, load_model
 from masking.plants.simulated import SimulatedPlant
-from masking.twin import Twin
+from masking.rig.twin import Twin
+from masking.workflows import inputs
 from tests.benchmarks import components
 
 SECONDS, TANK_SECONDS = 20.0, 600.0
@@ -255,7 +255,7 @@ def test_every_state_of_a_model_of_nothing_else_is_a_place(tmp_path):
     (tmp_path / "two.yaml").write_text(
         "name: two\nstates: {a: '', b: ''}\ninputs: {u: ''}\nequations: {\"a'\": u - a, \"b'\": a - b}\n"
     )
-    twin = asked.rig(tmp_path / "two.yaml", None)
+    twin = inputs.rig(tmp_path / "two.yaml", None)
     assert (degrees(twin.base), twin.sensors) == (("a", "b"), ("a", "b"))
     assert [place.name for place in places(twin.base)] == ["a", "b"]
 

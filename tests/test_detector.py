@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from masking.analysis.synchronisation import Detector
 from masking.errors import ModelError
-from masking.synchronisation import Detector
 
 SAMPLES = 25  # of a period
 PERIODS = 100  # of a run

@@ -11,14 +11,14 @@ import pytest
 from scipy import io
 
 import masking
-from masking import formats, verbs
 from masking.cli import main
-from masking.discovery import asked
 from masking.errors import DeclarationError, ModelError, RecordError
-from masking.identification.data import Data
-from masking.identification.simulation import simulate
-from masking.recording import Recording
-from masking.twin import Twin
+from masking.estimation.data import Data
+from masking.estimation.simulation import simulate
+from masking.records import readers
+from masking.records.recording import Recording
+from masking.rig.twin import Twin
+from masking.workflows import inputs, verbs
 from tests.benchmarks import hidden
 
 SECONDS = 20.0
@@ -257,7 +257,7 @@ def test_a_record_does_not_judge_itself(folder, tmp_path):
             masking.discover(given, plant=folder / "plant.yaml", validation=validation)
         assert words in str(refused.value)
         assert "leave --validate out, and the last 30 % of the record judge" in str(refused.value)
-    parts = asked.asked(f"{copy}@:{end / 2:g}", None, folder / "plant.yaml", f"{copy}@{end / 2:g}:")
+    parts = inputs.asked(f"{copy}@:{end / 2:g}", None, folder / "plant.yaml", f"{copy}@{end / 2:g}:")
     assert len(parts.record) + len(parts.validation) == len(columns["t"])
 
 
@@ -280,7 +280,7 @@ def test_bad_settings_are_refused(folder):
     with pytest.raises(DeclarationError, match="tolerance is 0"):
         masking.discover(record, plant=folder / "plant.yaml", tolerance=0.0)
     with pytest.raises(RecordError, match=r"--map t=time,u1=V1"):
-        formats.mapping("t:time")
+        readers.mapping("t:time")
     slow = {n: c[::2] for n, c in Recording.load(record).columns.items()}
     Recording(slow).save(folder / "slow")
     with pytest.raises(RecordError, match="two rates"):
@@ -295,16 +295,16 @@ def test_records_of_other_programs(tmp_path):
     )
     io.savemat(tmp_path / "b.mat", {"V1": u, "V2": y[:, None], "gain": 3.0, "other": np.zeros(7)})
     names = {"u1": "V1", "y1": "V2"}
-    first = formats.read(tmp_path / "a.csv", {"t": "time", **names})
-    second = formats.read(tmp_path / "b.mat", names, dt=0.01)
+    first = readers.read(tmp_path / "a.csv", {"t": "time", **names})
+    second = readers.read(tmp_path / "b.mat", names, dt=0.01)
     for one in (first, second):
         np.testing.assert_allclose(one.t, t, atol=1e-12)
         np.testing.assert_allclose(one["u1"], u, atol=1e-8)
         np.testing.assert_allclose(one["y1"], y, atol=1e-8)
     with pytest.raises(RecordError, match="name the clock, such as --map t=time"):
-        formats.read(tmp_path / "a.csv", names)
+        readers.read(tmp_path / "a.csv", names)
     with pytest.raises(RecordError, match=r"there is no column V3; did you mean 'V2'\?|did you mean 'V1'\?"):
-        formats.read(tmp_path / "b.mat", {"u1": "V3"}, dt=0.01)
+        readers.read(tmp_path / "b.mat", {"u1": "V3"}, dt=0.01)
 
 
 def test_a_model_alone_is_read_by_its_coordinates(tmp_path):
@@ -312,7 +312,7 @@ def test_a_model_alone_is_read_by_its_coordinates(tmp_path):
         "name: mass\ncoordinates: {x: {unit: m}}\ninputs: {f: {unit: N}}\nparameters: {m: {value: 1, unit: kg}, "
         "k: {value: 100, unit: N/m}}\nequations: {\"x''\": (f - k*x)/m}\n"
     )
-    twin = asked.rig(tmp_path / "mass.yaml", None)
+    twin = inputs.rig(tmp_path / "mass.yaml", None)
     assert (twin.sensors, twin.actuators) == (("x",), ("f",))
     t = np.arange(500) / 100.0
     record = Recording({"t": t, "f": np.sin(9.0 * t), "x": np.sin(3.0 * t)})

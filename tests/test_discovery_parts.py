@@ -8,23 +8,24 @@ from scipy import optimize, signal
 
 from masking.declaration import catalogue
 from masking.declaration.dimensions import is_plain
-from masking.discovery import asked, fitting
+from masking.discovery import fitting
+from masking.discovery.augmented_model import OpenRig, Slot
 from masking.discovery.candidates import candidates
-from masking.discovery.evidence import Evidence
+from masking.discovery.composites import is_patched
 from masking.discovery.explanation import occam
 from masking.discovery.noise import steps_of
-from masking.discovery.opened import OpenRig, Slot
-from masking.discovery.patches import is_patched
 from masking.discovery.places import opened, places
+from masking.discovery.problem import Evidence
 from masking.discovery.screening import Screen
 from masking.discovery.search import Search
 from masking.discovery.settings import believed
 from masking.discovery.smoothing import smooth
 from masking.effects import attach
 from masking.errors import DeclarationError
-from masking.identification.data import Data
-from masking.model import Model, load_model
-from masking.twin import Twin
+from masking.estimation.data import Data
+from masking.modelling.model import Model, load_model
+from masking.rig.twin import Twin
+from masking.workflows import inputs
 from tests.test_discovery import PLANT
 
 RATE, SECONDS, NOISE = 1000.0, 12.0, 1e-3
@@ -77,7 +78,7 @@ def evidence(twin, rig, commands):
 def equations(evidence, slots=(), added=None, theta=None):
     rig = evidence.rig
     values = np.array([s.values[i] for s in slots for i in s.free]) if added is None else added
-    return rig.equations(evidence, rig.start if theta is None else theta, np.zeros((1, 6)), slots, values)
+    return evidence.equations(rig.start if theta is None else theta, np.zeros((1, 6)), slots, values)
 
 
 def noisy(evidence, slots, seed=0):
@@ -146,7 +147,7 @@ def test_two_coordinates_push_each_other_by_their_masses():
 @pytest.mark.parametrize("name", catalogue.names("model"))
 def test_every_packaged_model_has_a_place_at_each_coordinate(name):
     # pushed by 1 in the unit of its place, each coordinate gets what its equation divides by
-    twin = asked.rig(name, None)
+    twin = inputs.rig(name, None)
     rig = OpenRig(twin, twin.equation_parameters())
     assert rig.start.shape == (len(rig.names),)
     assert len(rig.coordinate_places) == len(rig.coordinates)
@@ -161,7 +162,7 @@ UNITS = {
 
 
 def test_a_place_acts_in_an_equation_with_a_factor():
-    twin = asked.rig("duffing_enoc", None)
+    twin = inputs.rig("duffing_enoc", None)
     model = opened(twin.base)[0]
     pushed = Model(attach(model, "constant_force", "x3_place", "f", {"f0": 1.0}))
     out, rest, values = np.empty(3), np.zeros(3), pushed.values()
@@ -173,7 +174,7 @@ def test_a_coordinate_without_an_equation_of_its_own_is_refused(tmp_path):
     (tmp_path / "both.yaml").write_text(
         "name: both\ncoordinates: {x: '', y: ''}\nequations: {x'' + y'': -x, y'': -y}\n"
     )
-    twin = asked.rig(tmp_path / "both.yaml", None)
+    twin = inputs.rig(tmp_path / "both.yaml", None)
     with pytest.raises(DeclarationError, match="no equation has x'' and no other acceleration on its left side"):
         places(twin.base)
 
@@ -251,7 +252,7 @@ def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, evidence
         theta, k3, states = x[:k] * rig.start, x[k] * 3e4, x[k + 1 :].reshape(2, 1, 6) * 1e-4
         parts = [(theta - first.belief.mean) / first.belief.deviation]
         for one, state in zip(records, states, strict=True):
-            simulated = rig.equations(one, theta, state, (start,), np.array([k3])).simulated
+            simulated = one.equations(theta, state, (start,), np.array([k3])).simulated
             parts.append(((one.record.readings - simulated) / one.sigma).ravel())
         return np.concatenate(parts)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import masking
-from masking.discovery import words
+from masking.report import discovery_text
 
 M, C, K = 2.0, 1.5, 800.0  # kg, N s/m, N/m: 3.2 Hz, damping ratio 0.019
 NOISE = 1e-5  # m
@@ -89,7 +89,7 @@ def test_what_only_the_record_that_judges_shows_is_not_nothing(discovered):
     assert found.explanation.kind == "none"
     assert found.gap.validation[1]["x"] > 2.0 * found.gap.validation_floor["x"]
     assert (found.verdict, found.closed) == ("unknown", False)
-    assert words.sentence(found).startswith(
+    assert discovery_text.sentence(found).startswith(
         "The record shows nothing that is missing, but data that were not used do: let these be the record. On "
     )
 

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 
 from masking import effects
 from masking.declaration.checks import check_model
+from masking.declaration.differentiate import rate_of
 from masking.declaration.dimensions import check_dimensions, dimension_in
 from masking.declaration.expression import Expression
-from masking.declaration.rates import rate_of
 from masking.declaration.schema import ModelDeclaration
 from masking.declaration.units import describe, dimension_of
 from masking.effects import EFFECTS
 from masking.errors import DeclarationError, IntegrationError, ModelError
-from masking.model import Model, load_model
+from masking.modelling.model import Model, load_model
 
 IN_ELEMENTS = [name for name, effect in EFFECTS.items() if effect.where == "element"]
 OUTSIDE = [name for name, effect in EFFECTS.items() if effect.where in {"sensor", "actuator"}]

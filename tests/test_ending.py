@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.signal import hilbert
 
-from masking import budget, rig
 from masking.cli import main
 from masking.errors import DeclarationError, ModelError
-from masking.experiment import Experiment
 from masking.plants.simulated import SimulatedPlant
+from masking.run import error_budget, hardware
+from masking.run.experiment import Experiment
 
 STOP = {"when": "synchronised", "of": ["th1", "th2"]}
 
@@ -56,7 +56,7 @@ def test_clocks_that_begin_in_phase_are_so_at_once(clocks):
 def test_on_a_rig_in_lockstep_the_run_ends_at_the_same_sample_as_offline():
     experiment = Experiment.load("huygens_rig").changed(stop=STOP, record={"rate": "200 Hz"})
     offline = experiment.run()
-    found = rig.run(experiment, SimulatedPlant(experiment.twin), lockstep=True)
+    found = hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True)
     assert offline.manifest["stop"]["met"]
     assert found.manifest["stop"] == offline.manifest["stop"]
     assert found.manifest["rig"]["end"] == "synchronised"
@@ -67,14 +67,14 @@ def test_on_a_rig_in_lockstep_the_run_ends_at_the_same_sample_as_offline():
 def test_a_run_on_a_rig_that_does_not_synchronise_is_finished():
     changes = {"stop": {**STOP, "phase": "in", "eps": 0.001}, "duration": 30.0}
     experiment = Experiment.load("huygens_rig").changed(**changes)
-    found = rig.run(experiment, SimulatedPlant(experiment.twin), lockstep=True)
+    found = hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True)
     assert found.manifest["rig"]["end"] == "finished"
     assert not found.manifest["stop"]["met"]
     assert found.t[-1] == pytest.approx(30.0 * experiment.time_scale, abs=2e-3)
 
 
 def test_a_budget_is_of_the_run_as_long_as_it_was():
-    made = budget.in_full(Experiment.load("huygens_rig").changed(stop=STOP), 12.0)
+    made = error_budget.in_full(Experiment.load("huygens_rig").changed(stop=STOP), 12.0)
     assert (made.ending, made.declaration.duration) == (None, 12.0)
 
 

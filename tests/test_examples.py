@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from masking.declaration import registry
-from masking.experiment import Experiment
+from masking.run.experiment import Experiment
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SHORT = 30.0  # longer than the slowest period of any of them

@@ -9,9 +9,9 @@ import pytest
 
 from masking.declaration import registry
 from masking.errors import DeclarationError
-from masking.experiment import Experiment
-from masking.model import Model
-from masking.recording import Recording
+from masking.modelling.model import Model
+from masking.records.recording import Recording
+from masking.run.experiment import Experiment
 
 BASE = {"plant": "ideal", "virtual": "duffing", "duration": 20}
 

@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import io
 
-from masking import formats, verbs
-from masking.discovery import asked
 from masking.errors import ModelError, RecordError
-from masking.identification.data import Assumption, Data
-from masking.part import Part
-from masking.recording import Recording
+from masking.estimation.data import Assumption, Data
+from masking.records import readers
+from masking.records.recording import Recording
+from masking.records.time_slice import Part
+from masking.workflows import inputs, verbs
 
 # Version 7.3, as MATLAB marks it in the 512 bytes before an HDF5 file.
 HEADER = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
@@ -38,7 +38,7 @@ def hdf5(path, content, matlab=False):
 
 def refusal(path, *args, **settings):
     with pytest.raises(RecordError) as refused:
-        formats.read(path, *args, **settings)
+        readers.read(path, *args, **settings)
     return str(refused.value)
 
 
@@ -76,19 +76,19 @@ def times(tmp_path_factory):
 def test_groups_are_named_by_their_paths(runs, tmp_path, name):
     path = tmp_path / name
     path.write_bytes(runs.read_bytes())
-    made = formats.read(path, {"t": "noise/time", "u": "noise/u", "y": "noise/y"}, needed=("u", "y"))
+    made = readers.read(path, {"t": "noise/time", "u": "noise/u", "y": "noise/y"}, needed=("u", "y"))
     assert set(made.columns) == {"t", "u", "y"}
     np.testing.assert_array_equal(made["u"], np.sin(T))
     np.testing.assert_array_equal(made["y"], np.cos(T).astype(np.float32))
-    assert formats.digest(path) == formats.digest(runs)
+    assert readers.digest(path) == readers.digest(runs)
 
 
 def test_columns_of_other_lengths_are_left_out(runs):
-    made = formats.read(runs, {"u": "arrow/u"}, 0.1, needed=("u",))
+    made = readers.read(runs, {"u": "arrow/u"}, 0.1, needed=("u",))
     assert set(made.columns) == {"t", "u", "arrow/y"}
     np.testing.assert_array_equal(made["u"], np.arange(300.0))
     np.testing.assert_allclose(made.t, np.arange(300) / 10.0)
-    longest = formats.read(runs, dt=0.1)
+    longest = readers.read(runs, dt=0.1)
     assert set(longest.columns) == {"t", "noise/time", "noise/u", "noise/y"}
 
 
@@ -107,7 +107,7 @@ def test_names_in_groups_are_told(runs):
 
 def test_a_clock_of_another_length_is_not_needed_beside_dt(tmp_path):
     path = hdf5(tmp_path / "a.h5", {"t": np.arange(7.0), "u": np.arange(9.0)})
-    assert len(formats.read(path, dt=0.5, needed=("u",))) == 9
+    assert len(readers.read(path, dt=0.5, needed=("u",))) == 9
     assert "t has 7, u has 9" in refusal(path, needed=("u",))
 
 
@@ -132,16 +132,16 @@ def test_matlab_7_3_is_hdf5(tmp_path):
         for name, kind in kinds.items():
             file[name].attrs["MATLAB_class"] = np.bytes_(kind)
     assert path.read_bytes().startswith(b"MATLAB 7.3")
-    made = formats.read(path, {"u": "V1", "y": "run/V2"}, 0.01, needed=("u", "y"))
+    made = readers.read(path, {"u": "V1", "y": "run/V2"}, 0.01, needed=("u", "y"))
     assert set(made.columns) == {"t", "u", "y", "on"}
     np.testing.assert_array_equal(made["y"], np.cos(T))
 
 
 def test_hdf5_is_known_where_a_mat_file_has_no_mark_of_matlab(tmp_path):
     path = hdf5(tmp_path / "octave.mat", {"u/value": T})
-    np.testing.assert_array_equal(formats.read(path, {"u": "u/value"}, 0.01)["u"], T)
+    np.testing.assert_array_equal(readers.read(path, {"u": "u/value"}, 0.01)["u"], T)
     io.savemat(tmp_path / "old.mat", {"u": T})
-    np.testing.assert_array_equal(formats.read(tmp_path / "old.mat", dt=0.01)["u"], T)
+    np.testing.assert_array_equal(readers.read(tmp_path / "old.mat", dt=0.01)["u"], T)
 
 
 def test_files_that_hold_no_vectors_are_refused(runs, tmp_path):
@@ -167,7 +167,7 @@ def test_files_that_are_cut_off_or_damaged_are_refused(runs, tmp_path):
             spoiled[at] = random.integers(256)
         path.write_bytes(bytes(spoiled))
         try:
-            formats.read(path, dt=0.1)
+            readers.read(path, dt=0.1)
         except RecordError as error:
             assert str(error).startswith(f"{path}: ")
 
@@ -194,7 +194,7 @@ def test_reading_a_table_loads_no_h5py(times):
     ],
 )
 def test_a_part_keeps_the_instants_of_the_file(times, part, first, last):
-    made = formats.read(f"{times}@{part}")
+    made = readers.read(f"{times}@{part}")
     np.testing.assert_array_equal(made.t, made["x"])
     assert (made.t[0], made.t[-1]) == (first, last)
     assert len(made) == round((last - first) * 100) + 1
@@ -243,25 +243,25 @@ def test_a_path_that_is_there_is_taken_as_it_stands(times, tmp_path):
     (tmp_path / "a.csv").write_text("t,x\n0,0\n1,1\n")
     (tmp_path / "a.csv@0:1.csv").write_text(times.read_text())
     (tmp_path / "me@home").mkdir()
-    assert len(formats.read(tmp_path / "a.csv@0:1.csv")) == 1000
-    assert len(formats.read(f"{tmp_path / 'a.csv@0:1.csv'}@6:7")) == 100
+    assert len(readers.read(tmp_path / "a.csv@0:1.csv")) == 1000
+    assert len(readers.read(f"{tmp_path / 'a.csv@0:1.csv'}@6:7")) == 100
     (tmp_path / "me@home" / "a.csv").write_text(times.read_text())
-    assert len(formats.read(f"{tmp_path / 'me@home' / 'a.csv'}@6:")) == 900
+    assert len(readers.read(f"{tmp_path / 'me@home' / 'a.csv'}@6:")) == 900
     assert "no such record" in refusal(tmp_path / "me@home" / "b.csv")
     assert "b.csv@1:2: no such record" in refusal(tmp_path / "b.csv@1:2")
 
 
 def test_a_part_has_the_digest_of_its_file(times):
-    assert formats.digest(f"{times}@7:9") == formats.digest(times)
+    assert readers.digest(f"{times}@7:9") == readers.digest(times)
 
 
 def test_a_part_of_a_recording(tmp_path):
     Recording({"t": T, "x": T}, {"name": "kept"}).save(tmp_path / "run")
     for path in (tmp_path / "run", tmp_path / "run" / "recording.parquet"):
-        made = formats.read(f"{path}@2:3")
+        made = readers.read(f"{path}@2:3")
         assert made.manifest["name"] == "kept"
         np.testing.assert_array_equal(made["x"], T[200:300])
-    assert formats.digest(f"{tmp_path / 'run'}@2:3") == formats.digest(tmp_path / "run")
+    assert readers.digest(f"{tmp_path / 'run'}@2:3") == readers.digest(tmp_path / "run")
 
 
 def test_what_is_wrong_outside_of_a_part_does_not_matter(tmp_path):
@@ -270,7 +270,7 @@ def test_what_is_wrong_outside_of_a_part_does_not_matter(tmp_path):
     assert "line 2 holds 'nan' in column 'x' (t = 0 s), not a number, and 299 more lines so" in refusal(
         path, needed=("x",)
     )
-    np.testing.assert_array_equal(formats.read(f"{path}@3:", needed=("x",))["x"], T[300:])
+    np.testing.assert_array_equal(readers.read(f"{path}@3:", needed=("x",))["x"], T[300:])
 
 
 @pytest.mark.parametrize(
@@ -300,7 +300,7 @@ def test_a_text_is_told_with_the_column_of_the_file(tmp_path):
 
 
 def test_a_clock_is_made_before_a_part_is_taken(runs):
-    made = formats.read(f"{runs}@10:20", {"u": "arrow/u"}, 0.1, needed=("u",))
+    made = readers.read(f"{runs}@10:20", {"u": "arrow/u"}, 0.1, needed=("u",))
     np.testing.assert_array_equal(made["u"], np.arange(100.0, 200.0))
     np.testing.assert_allclose(made.t, np.arange(100, 200) / 10.0)
 
@@ -315,7 +315,7 @@ def mass(tmp_path_factory):
         "name: mass\ncoordinates: {x: {unit: m}}\ninputs: {f: {unit: N}}\nparameters: {m: {value: 1, unit: kg}, "
         "k: {value: 100, unit: N/m}}\nequations: {\"x''\": (f - k*x)/m}\n"
     )
-    return asked.rig(path, None)
+    return inputs.rig(path, None)
 
 
 def test_smooth_inputs_become_straight_lines(mass):
@@ -339,10 +339,10 @@ def test_parts_of_one_file_are_records_of_a_discovery(mass, tmp_path):
     columns = {"g/clock": T, "g/f": np.sin(9.0 * T), "g/x": np.cos(3.0 * T)}
     path = hdf5(tmp_path / "a.h5", columns)
     names = {"t": "g/clock", "f": "g/f", "x": "g/x"}
-    made = asked.read(mass, f"{path}@:6", f"{path}@6:", between="smooth", columns=names)
+    made = inputs.read(mass, f"{path}@:6", f"{path}@6:", between="smooth", columns=names)
     np.testing.assert_array_equal(made.record.readings[:, 0], np.cos(3.0 * T[:600]))
     np.testing.assert_array_equal(made.validation.readings[:, 0], np.cos(3.0 * T[600:]))
-    digest = formats.digest(path)
+    digest = readers.digest(path)
     assert made.origin.records == {"record": (f"{path}@:6", digest), "judged by": (f"{path}@6:", digest)}
     with pytest.raises(RecordError, match=r"a\.h5@:2: 200 samples are too few"):
-        asked.read(mass, f"{path}@:2", columns=names)
+        inputs.read(mass, f"{path}@:2", columns=names)

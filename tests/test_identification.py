@@ -11,13 +11,13 @@ from scipy.optimize import least_squares
 from masking import cli
 from masking.declaration import registry, schema
 from masking.errors import ModelError, RecordError
-from masking.experiment import Experiment
-from masking.identification.data import Data
-from masking.identification.fit import fit
-from masking.identification.written import save
-from masking.recording import Recording
-from masking.sensitivity import Sensitivity
-from masking.twin import Twin
+from masking.estimation.data import Data
+from masking.estimation.fit import fit
+from masking.estimation.sensitivity import Sensitivity
+from masking.records.recording import Recording
+from masking.report.fit_files import save
+from masking.rig.twin import Twin
+from masking.run.experiment import Experiment
 
 RATE = 500.0
 ALL = ("w1", "z1", "w2", "z2", "w3", "z3", "c1", "c2", "c3", "mu1", "mu2")

@@ -13,8 +13,8 @@ import pytest
 
 from masking.declaration import registry
 from masking.errors import IntegrationError
-from masking.experiment import Experiment
-from masking.loop import run_twin
+from masking.run.experiment import Experiment
+from masking.run.offline import run_twin
 
 OURS = {"rate": "1 kHz", "observer": "disturbance"}
 SPRINGS = {**OURS, "model": "setup_springs"}

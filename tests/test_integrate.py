@@ -10,15 +10,15 @@ import scipy.integrate
 import scipy.special
 from scipy.integrate._ivp import dop853_coefficients as theirs
 
-from masking import dop853, integrate
-from masking.compile import store
-from masking.compile.graph import Graph
-from masking.compile.source import Module
+from masking.codegen import store
+from masking.codegen.graph import Graph
+from masking.codegen.source import Module
 from masking.declaration import registry
 from masking.errors import IntegrationError, SingularityError
-from masking.lowering import LoweredEquations
-from masking.model import Model
-from masking.status import NOT_FINITE, REACHED
+from masking.modelling.lowering import LoweredEquations
+from masking.modelling.model import Model
+from masking.numerics import dop853, integrators
+from masking.numerics.stop_codes import NOT_FINITE, REACHED
 
 # One equation for all closed forms: harmonic oscillator (w), pendulum (k), x'' = 2 c x^3 (c), and a mass that
 # vanishes at x = 1/m.
@@ -52,9 +52,9 @@ def testbed(declared):
             order=order,
         )
         generated = store.load(store.key({"test": module.text()}), lambda module=module: module).module()
-        found[f"taylor_{order}"] = with_work(integrate.taylor(generated.coefficients, order, 2), (order + 1, 2))
+        found[f"taylor_{order}"] = with_work(integrators.taylor(generated.coefficients, order, 2), (order + 1, 2))
     found["taylor_14"] = found["taylor"]
-    advance = integrate.runge_kutta_4(model.kernels.generated.module().derivative, 2)
+    advance = integrators.runge_kutta_4(model.kernels.generated.module().derivative, 2)
 
     @numba.njit
     def classical(t, y, times, u, p, tolerance, fixed_step, out):  # noqa: PLR0917  (the arguments of all kernels)

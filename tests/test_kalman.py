@@ -11,9 +11,9 @@ from test_identification import ALL, measured, oscillator, recorded, sines  # no
 
 from masking.declaration import schema
 from masking.errors import IntegrationError, ModelError, RecordError
-from masking.identification.fit import fit
-from masking.identification.kalman import extended_kalman
-from masking.twin import Twin
+from masking.estimation.fit import fit
+from masking.estimation.kalman import extended_kalman
+from masking.rig.twin import Twin
 
 TIME = 2.0 / (12.5521 + 14.0337)  # s, the scale of time; Table 4.1
 LENGTH = 5e-3  # m, that of length, which every sensor reads as 1 V

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from masking.compile.graph import Graph
+from masking.codegen.graph import Graph
+from masking.codegen.linear import solve
 from masking.errors import ModelError
-from masking.linear import solve
 
 
 @dataclass

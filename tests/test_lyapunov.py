@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from masking.analysis.stability.lyapunov import largest_exponent
+from masking.analysis.stability.variational import Variational
 from masking.errors import ModelError
-from masking.model import load_model
-from masking.stability.lyapunov import largest_exponent
-from masking.stability.variational import Variational
+from masking.modelling.model import load_model
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from masking.analysis.masking_error import fidelity
 from masking.declaration import registry
 from masking.declaration.schema import ObserverSettings, Transform
 from masking.errors import ActuationError, ModelError, SingularityError
-from masking.experiment import Experiment
-from masking.fidelity import fidelity
-from masking.loop import rig_state, run_continuous, run_sampled
+from masking.run.experiment import Experiment
+from masking.run.offline import rig_state, run_continuous, run_sampled
 
 EXACT = 1e-6
 

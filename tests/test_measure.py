@@ -11,11 +11,11 @@ from test_procedures import ACTING, MEASURED, STROKE, VOLTS, alone, driven, teet
 import masking
 from masking import cli
 from masking.errors import DeclarationError, RecordError
-from masking.identification import measurement
-from masking.identification.channels import Source
-from masking.identification.responses import repeats, response
-from masking.recording import Recording
-from masking.twin import Twin
+from masking.procedures import measurement
+from masking.procedures.channels import Source
+from masking.procedures.responses import repeats, response
+from masking.records.recording import Recording
+from masking.rig.twin import Twin
 
 RATE = 250.0
 UNITS = {f"input.V{i}": {"unit": "V", "meaning": ""} for i in (1, 2, 3)}

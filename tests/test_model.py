@@ -7,7 +7,7 @@ import sympy as sp
 
 from masking.declaration import registry
 from masking.errors import ModelError
-from masking.model import Model
+from masking.modelling.model import Model
 
 
 def load(name):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from masking.identification.simulation import simulate
+from masking.estimation.simulation import simulate
 from tests.benchmarks import mujoco_records
 from tests.benchmarks.discovering import running, scoring
 from tests.benchmarks.hidden import Hidden

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from masking.identification.noise import white_noise
+from masking.records.noise import white_noise
 
 COUNT = 20_000
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
+from masking.control.observer import Differences, Disturbance, Kalman, Plan, bandwidths
 from masking.declaration import registry, schema
 from masking.errors import DeclarationError, ModelError
-from masking.experiment import Experiment
-from masking.observer import Differences, Disturbance, Kalman, Plan, bandwidths
+from masking.run.experiment import Experiment
 
 control = pytest.importorskip("control")
 # The set-up in SI units, table B.1.

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 import masking
-from masking import effects, verbs
+from masking import effects
 from masking.cli import main
-from masking.compile import store
+from masking.codegen import store
 from masking.declaration import registry
 from masking.declaration.dictionary import factors
 from masking.declaration.schema import OwnEffect
-from masking.discovery import asked
+from masking.discovery.augmented_model import OpenRig
 from masking.discovery.candidates import Span, candidates
-from masking.discovery.opened import OpenRig
 from masking.effects import EFFECTS
 from masking.errors import DeclarationError
-from masking.identification import written
-from masking.model import load_model
-from masking.twin import Twin
+from masking.modelling.model import load_model
+from masking.report import fit_files
+from masking.rig.twin import Twin
+from masking.workflows import inputs, verbs
 
 RATE, SECONDS, SUBSTEPS = 500.0, 12.0, 4
 K, C = 400.0, 4.0  # of the leaf, per mass
@@ -197,7 +197,7 @@ class TestDiscovery:
         assert "setup is a model; a dictionary of effects is needed here" in capsys.readouterr().err
 
     def test_what_is_tried_is_part_of_the_motion(self, folder, own):
-        twin = asked.with_effects(asked.rig(folder / "leaf.yaml", None), own)
+        twin = inputs.with_effects(inputs.rig(folder / "leaf.yaml", None), own)
         span = Span(-2e-3, 1e-3, 2e-3, 0.03)
         found = {c.key: c for c in candidates(OpenRig(twin, ("k", "c")), {"leaf": span, "x": span, "u": span}, 2e-3)}
         made = found["magnet", "leaf"]
@@ -240,12 +240,12 @@ class TestPlants:
         assert list(plant.files) == [str(folder / "rig" / "plant.yaml"), str(own)]
         other = write(folder / "other.yaml", DICTIONARY)
         with pytest.raises(DeclarationError) as caught:
-            asked.with_effects(Twin.load(folder / "rig" / "plant.yaml"), other)
+            inputs.with_effects(Twin.load(folder / "rig" / "plant.yaml"), other)
         assert f"{other}:3:3: dictionary.magnet: the effect 'magnet' is in another dictionary" in str(caught.value)
 
     def test_a_fitted_plant_names_its_dictionary(self, folder):
         twin = Twin.load(folder / "rig" / "plant.yaml")
-        made = written.plant(SimpleNamespace(twin=twin, names=(), values=(), std=()), folder / "results")
+        made = fit_files.plant(SimpleNamespace(twin=twin, names=(), values=(), std=()), folder / "results")
         assert made["own_effects"] == ["../rig/lab/own.yaml"]
 
     @pytest.mark.parametrize(

@@ -5,9 +5,9 @@ import pytest
 
 from masking.declaration import schema
 from masking.errors import ModelError, RecordError
-from masking.identification import procedures
-from masking.identification.procedures import actuator_ratio, locate_friction, shift_of_equilibrium, spring_curve
-from masking.twin import Twin
+from masking.procedures import procedures
+from masking.procedures.procedures import actuator_ratio, locate_friction, shift_of_equilibrium, spring_curve
+from masking.rig.twin import Twin
 
 STROKE, VOLTS = 5e-3, 0.42
 # Table B.4.

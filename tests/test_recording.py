@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from masking.analysis.masking_error import fidelity
 from masking.errors import RecordError
-from masking.fidelity import fidelity
-from masking.recording import FORMAT, Recording
+from masking.records.recording import FORMAT, Recording
 
 T = np.array([0.0, 0.1, 0.2, 0.30000000000000004])
 

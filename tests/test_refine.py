@@ -7,14 +7,15 @@ from pathlib import Path
 import pytest
 
 import masking
-from masking import cli, refinement
-from masking.calibration import records
+from masking import cli
 from masking.discovery.discovery import Named
 from masking.errors import DeclarationError, RecordError
-from masking.experiment import Experiment
 from masking.plants.simulated import SimulatedPlant
-from masking.recording import Recording
-from masking.refinement import believed, refined
+from masking.procedures import calibration_records
+from masking.records.recording import Recording
+from masking.run.experiment import Experiment
+from masking.workflows import refine as refinement
+from masking.workflows.refine import believed, refined
 
 SECONDS = 12.0
 EXPERIMENT = """
@@ -41,7 +42,7 @@ def rubs(tmp_path_factory):
     (folder / "e.yaml").write_text(EXPERIMENT)
     twin = Experiment.load(folder / "e.yaml").twin
     settings = {"seconds": SECONDS, "lockstep": True, "seed": 1, "say": lambda text: None, "progress": lambda p: None}
-    records.make(twin, SimulatedPlant(twin, 3), folder / "records", **settings)
+    calibration_records.make(twin, SimulatedPlant(twin, 3), folder / "records", **settings)
     return folder
 
 

@@ -14,11 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from masking import figures
 from masking.errors import RecordError
-from masking.recording import Recording
-from masking.reporting import limits_used, report, summary, warnings
-from masking.study import parameters, percent, study
+from masking.records.recording import Recording
+from masking.report import run_figures
+from masking.report.run_facts import parameters, percent, study
+from masking.report.run_report import limits_used, report, summary, warnings
 
 FIGURES = ["displacements", "others", "synchronisation", "inputs", "fidelity"]
 
@@ -323,7 +323,7 @@ def test_saturation_is_said_with_what_was_demanded(tmp_path):
     assert page.index("moved as") < page.index('<p class="card wrong">') < page.index("went from")
     assert '<div class="wrong"><dt>largest demand against a limit' in page
     assert '<th class="n">demanded</th>' in page
-    plate = figures.plates(study(recording))[3]
+    plate = run_figures.plates(study(recording))[3]
     above, below = plate.figure.axes
     assert above.get_title(loc="right") == "demanded 200 %, applied 100 % of 0.105 V"
     assert max(np.max(line.get_ydata()) for line in above.lines) == pytest.approx(0.21)
@@ -401,7 +401,7 @@ def test_what_limits_fidelity_is_drawn_and_tabulated(tmp_path):
         "without springsinfinfinfinfdivergesit stopped"
         "without all0000\N{MINUS SIGN}100 %"
     ) in text
-    axes = figures.plates(study(recording))[-1].figure.axes[0]
+    axes = run_figures.plates(study(recording))[-1].figure.axes[0]
     assert [label.get_text() for label in axes.get_yticklabels()] == [
         "without friction", "sampled faster", "without springs", "without all",
     ]  # fmt: skip
@@ -491,15 +491,15 @@ def test_the_source_is_named_where_its_numbers_are(made):
 @given(st.floats(-290, 290), st.floats(0.3, 8))
 def test_a_logarithmic_axis_holds_two_powers_of_ten(exponent, decades):
     low, high = 10.0**exponent, 10.0 ** (exponent + decades)
-    wide_low, wide_high = figures._two_decades(low, high)
+    wide_low, wide_high = run_figures._two_decades(low, high)
     assert wide_low <= low < high <= wide_high
     assert math.floor(math.log10(wide_high) + 1e-9) > math.ceil(math.log10(wide_low) - 1e-9)
 
 
 @pytest.mark.parametrize("peak", [1.1, 0.0999, 3.0, 1e-9, 2.4e17, 5e-324])
 def test_a_constant_peak_has_two_labels(peak):
-    _, (axes,) = figures.sheet([2.0])
-    figures._log_peaks(axes, np.arange(30.0), np.full(30, peak), figures.INK)
+    _, (axes,) = run_figures.sheet([2.0])
+    run_figures._log_peaks(axes, np.arange(30.0), np.full(30, peak), run_figures.INK)
     axes.figure.canvas.draw()
     low, high = axes.get_ylim()
     labels = [text.get_text() for text in axes.get_yticklabels() if low <= text.get_position()[1] <= high]
@@ -608,20 +608,20 @@ def test_fidelity_stated_by_the_run_stands_in_for_missing_columns():
 
 
 def test_limits_are_drawn_where_they_are_near():
-    plate = figures.plates(study(duffing(2000)))[3]
+    plate = run_figures.plates(study(duffing(2000)))[3]
     near, far = plate.figure.axes
-    levels = sorted(line.get_ydata()[0] for line in near.lines if line.get_color() == figures.LIMIT)
+    levels = sorted(line.get_ydata()[0] for line in near.lines if line.get_color() == run_figures.LIMIT)
     assert levels == [-0.42, 0.42]
-    assert not [line for line in far.lines if line.get_color() == figures.LIMIT]
+    assert not [line for line in far.lines if line.get_color() == run_figures.LIMIT]
     assert far.get_title(loc="right") == "peak 1.2 % of 0.42 V"
     assert "The limits of u2 lie far outside the axes." in plate.caption
 
 
 def test_time_is_that_of_the_virtual_system():
-    axes = figures.plates(study(duffing(2000)))[0].figure.axes
+    axes = run_figures.plates(study(duffing(2000)))[0].figure.axes
     assert axes[1].get_xlabel() == "virtual time τ"
     assert axes[0].get_xlim() == pytest.approx((0.0, 2500.0))
-    assert figures.plates(study(series(50, 1)))[0].figure.axes[0].get_xlabel() == "time t"
+    assert run_figures.plates(study(series(50, 1)))[0].figure.axes[0].get_xlabel() == "time t"
 
 
 def test_drawing_leaves_matplotlib_as_it_was(tmp_path):
@@ -648,13 +648,13 @@ def test_the_summary_loads_no_drawing_and_the_report_no_pyplot(tmp_path):
 @given(st.integers(1, 4000), st.integers(1, 60), st.integers(0, 2**32 - 1))
 def test_fewer_points_keep_ends_and_extremes(samples, bins, seed):
     tau, values = np.arange(float(samples)), np.random.default_rng(seed).standard_normal(samples)
-    thin_tau, thin_values = figures.thin(tau, values, bins)
+    thin_tau, thin_values = run_figures.thin(tau, values, bins)
     assert thin_values.min() == values.min()
     assert thin_values.max() == values.max()
     assert (thin_tau[0], thin_tau[-1]) == (tau[0], tau[-1])
     assert np.all(np.diff(thin_tau) > 0)
     assert len(thin_tau) <= max(4 * bins, 3 * bins + 2)
-    middle, low, high = figures.envelope(tau, values, bins)
+    middle, low, high = run_figures.envelope(tau, values, bins)
     assert len(middle) <= bins
     assert (low.min(), high.max()) == (values.min(), values.max())
     assert np.all(low <= high)
@@ -665,7 +665,7 @@ def test_fewer_points_keep_ends_and_extremes(samples, bins, seed):
     [("x1", "$x_{1}$"), ("theta2", r"$\theta_{2}$"), ("u", "$u$"), ("th1", r"$\mathit{th}_{1}$"), ("a$b", r"a\$b")],
 )
 def test_symbols(name, typeset):
-    assert figures.symbol(name) == typeset
+    assert run_figures.symbol(name) == typeset
 
 
 def test_percentages():

@@ -5,8 +5,8 @@ import pytest
 from scipy import signal
 
 from masking.errors import ModelError, RecordError
-from masking.identification import response
-from masking.identification.response import frequency_response, nonlinear_distortion, zippered_response
+from masking.procedures import response
+from masking.procedures.response import frequency_response, nonlinear_distortion, zippered_response
 
 RATE, LENGTH = 100.0, 200
 PERIOD = LENGTH / RATE

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from scipy import linalg
 from scipy.integrate import solve_ivp
 
-from masking import sampling
+from masking.control.sampled import SampledLoop
 from masking.declaration import registry, schema
 from masking.errors import ModelError, SingularityError
-from masking.experiment import Experiment
-from masking.loop import run_twin
-from masking.sampled import SampledLoop
-from masking.sampling import Sizes
+from masking.numerics import sampled_loop as sampling
+from masking.numerics.sampled_loop import Sizes
+from masking.run.experiment import Experiment
+from masking.run.offline import run_twin
 
 # The set-up in SI units (table B.1), the Duffing oscillators that it moves as (table 7.2), and their scales.
 W, Z = np.array([12.5521, 14.0337, 9.7369]), np.array([0.3362, 0.4296, 0.0409])

@@ -7,7 +7,7 @@ import pytest
 
 from masking.declaration import registry
 from masking.errors import DeclarationError, ModelError
-from masking.model import Model
+from masking.modelling.model import Model
 
 
 def setup():

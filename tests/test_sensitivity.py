@@ -5,10 +5,10 @@ import pytest
 from scipy import linalg, signal
 
 from masking.declaration import schema
-from masking.discovery import asked
 from masking.errors import IntegrationError, ModelError
-from masking.sensitivity import Sensitivity
-from masking.twin import Twin
+from masking.estimation.sensitivity import Sensitivity
+from masking.rig.twin import Twin
+from masking.workflows import inputs
 
 RATE = 1000.0
 NAMES = ("w1", "z1", "w2", "z2", "w3", "z3", "c1", "c2", "c3", "mu1", "mu2")
@@ -35,7 +35,7 @@ def test_a_parameter_may_be_at_its_bound(value, bounds, tmp_path):
         "name: mass\ncoordinates: {x: {}}\ninputs: {f: {}}\nparameters: {c: {value: "
         f"{value}, bounds: [{text}]}}, k: 100}}\nequations: {{\"x''\": f - k*x - c*x'}}\n"
     )
-    found = Sensitivity(asked.rig(path, None), ("c", "k"))
+    found = Sensitivity(inputs.rig(path, None), ("c", "k"))
     p, columns = found.basis(found.start())
     slopes = np.zeros((len(p), 2))
     slopes[list(found.affected)] = columns

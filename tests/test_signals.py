@@ -13,7 +13,7 @@ from scipy import integrate, optimize, signal
 
 from masking import signals
 from masking.errors import MaskingError, ModelError, RecordError
-from masking.recording import Recording
+from masking.records.recording import Recording
 from masking.signals import Excitation, Multisine, crest_factor, minimise_crest, schroeder_phases, time_factor
 from masking.signals.crest import Norm
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy import io
 
-from masking.identification.data import Data
-from masking.identification.fit import fit
-from masking.identification.simulation import nearest
-from masking.sensitivity import Sensitivity
-from masking.twin import Twin
+from masking.estimation.data import Data
+from masking.estimation.fit import fit
+from masking.estimation.sensitivity import Sensitivity
+from masking.estimation.simulation import nearest
+from masking.rig.twin import Twin
 
 FILE = Path(__file__).parents[2] / "shared" / "data" / "silverbox" / "SNLS80mV.mat"
 pytestmark = pytest.mark.skipif(not FILE.exists(), reason=f"the measurements are not at {FILE}")

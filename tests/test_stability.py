@@ -11,17 +11,17 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
 from masking import cli
-from masking.compile.graph import Graph
+from masking.analysis.stability.basins import LABELS, basins
+from masking.analysis.stability.equilibria import equilibria
+from masking.analysis.stability.intervals import Interval, enclose
+from masking.analysis.stability.modes import frequency_response, modes, state_matrix, sum_matrix, sweep, upsilon
+from masking.analysis.stability.orbits import orbit
+from masking.analysis.stability.settling import settling_time
+from masking.analysis.stability.transverse import anti_phase, in_phase, transverse
+from masking.analysis.synchronisation import synchronisation_time
+from masking.codegen.graph import Graph
 from masking.errors import DeclarationError, IntegrationError, ModelError
-from masking.model import load_model
-from masking.stability.basins import LABELS, basins
-from masking.stability.equilibria import equilibria
-from masking.stability.intervals import Interval, enclose
-from masking.stability.modes import frequency_response, modes, state_matrix, sum_matrix, sweep, upsilon
-from masking.stability.orbits import orbit
-from masking.stability.settling import settling_time
-from masking.stability.transverse import anti_phase, in_phase, transverse
-from masking.synchronisation import synchronisation_time
+from masking.modelling.model import load_model
 
 
 def load(name, **values):

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from masking.errors import ModelError, RecordError
-from masking.identification.data import Data
-from masking.identification.fit import fit
-from masking.identification.simulation import simulate
-from masking.identification.stepwise import Step, fit_in_steps
-from masking.sensitivity import Sensitivity
-from masking.twin import Twin
+from masking.estimation.data import Data
+from masking.estimation.fit import fit
+from masking.estimation.sensitivity import Sensitivity
+from masking.estimation.simulation import simulate
+from masking.estimation.stepwise import Step, fit_in_steps
+from masking.rig.twin import Twin
 
 RATE = 100.0
 NAMES = ("w1", "z1", "w2", "z2", "k")

@@ -8,8 +8,7 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from masking.errors import RecordError
-from masking.synchronisation import (
+from masking.analysis.synchronisation import (
     analytic_signal,
     anti_phase,
     interpolate,
@@ -20,6 +19,7 @@ from masking.synchronisation import (
     principal,
     running_peak,
 )
+from masking.errors import RecordError
 
 T = np.arange(0.0, 40.3 * 2 * np.pi, 0.1)
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from masking.compile.graph import NOT_ANALYTIC, Graph
-from masking.compile.printers import PYTHON, statements
-from masking.compile.tangent import RULES, SWITCHES, derivatives
+from masking.codegen.graph import NOT_ANALYTIC, Graph
+from masking.codegen.printers import PYTHON, statements
+from masking.codegen.tangent import RULES, SWITCHES, derivatives
 from masking.declaration.expression import Expression
 
 # Functions that give nan where the standard library raises, as compiled code does.

@@ -11,9 +11,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
+from masking.analysis.synchronisation import anti_phase, mean_phase, peak_sum, phase_difference, running_peak
 from masking.declaration import registry
-from masking.model import Model
-from masking.synchronisation import anti_phase, mean_phase, peak_sum, phase_difference, running_peak
+from masking.modelling.model import Model
 
 SAMPLE = 0.05
 

@@ -7,14 +7,15 @@ import re
 import numpy as np
 import pytest
 
-from masking import cli, verbs
+from masking import cli
+from masking.analysis.stability.modes import modes, state_matrix
 from masking.errors import DeclarationError
-from masking.model import load_model
-from masking.stability.modes import modes, state_matrix
-from masking.thesis import chapter7, chapter8, document, kept, slips
-from masking.thesis.contents import CHAPTERS, ENTRIES, chosen
-from masking.thesis.entry import Entry, Value
-from masking.thesis.mismatch import mismatch
+from masking.modelling.model import load_model
+from masking.workflows import verbs
+from reproduction import chapter7, chapter8, document, kept, slips
+from reproduction.contents import CHAPTERS, ENTRIES, chosen
+from reproduction.entry import Entry, Value
+from reproduction.mismatch import mismatch
 
 
 def value(entry, what):
@@ -116,7 +117,7 @@ def test_a_mismatch_has_the_mode_that_was_asked_for():
 
 
 def test_every_entry_is_named_as_its_number():
-    assert all(make.__module__.startswith("masking.thesis.") for make in ENTRIES.values())
+    assert all(make.__module__.startswith("reproduction.") for make in ENTRIES.values())
     assert sum(len(chapter) for chapter in CHAPTERS.values()) == len(ENTRIES)
     for number in ("Table 7.2", "Slip: (4.13)", "Table 8.4", "ENOC Table 2"):
         assert ENTRIES[number]().number == number

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 
 from masking.declaration import registry, schema
 from masking.errors import DeclarationError
-from masking.experiment import Experiment
-from masking.loop import run_twin
-from masking.twin import Twin
+from masking.rig.twin import Twin
+from masking.run.experiment import Experiment
+from masking.run.offline import run_twin
 
 # A bench: a mass on a spring whose force is under test, and a free mass, each pushed by its own input.
 BENCH = {

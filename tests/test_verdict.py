@@ -9,9 +9,16 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from masking.analysis.synchronisation import (
+    about_drift,
+    held,
+    interpolate,
+    period,
+    synchronisation,
+    synchronisation_time,
+)
 from masking.errors import RecordError
-from masking.model import load_model
-from masking.synchronisation import about_drift, held, interpolate, period, synchronisation, synchronisation_time
+from masking.modelling.model import load_model
 
 T = np.arange(0.0, 400.0, 0.05)
 

@@ -8,21 +8,22 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from masking.discovery import fitting, pages, words
+from masking.discovery import fitting
+from masking.discovery.augmented_model import OpenRig, Slot
 from masking.discovery.discovery import Discovery, Gap, Named
-from masking.discovery.evidence import Evidence
 from masking.discovery.explanation import Explanation
+from masking.discovery.force_decomposition import followed, portrait
 from masking.discovery.harmonics import Periods, period
+from masking.discovery.localisation import where
 from masking.discovery.memory import once
-from masking.discovery.opened import OpenRig, Slot
-from masking.discovery.portrait import followed, portrait
+from masking.discovery.problem import Evidence
 from masking.discovery.search import Found
 from masking.discovery.settings import believed
 from masking.discovery.smoothing import smooth
-from masking.discovery.where import where
-from masking.identification.data import Data
-from masking.identification.whiteness import autocorrelation, evenness, ljung_box, whiteness
-from masking.twin import Twin
+from masking.estimation.data import Data
+from masking.estimation.whiteness import autocorrelation, evenness, ljung_box, whiteness
+from masking.report import discovery_page, discovery_text
+from masking.rig.twin import Twin
 from tests.test_discovery import PLANT
 
 RATE = 1000.0
@@ -282,7 +283,7 @@ def test_what_is_not_white_is_told_with_its_frequency(frequency, slow):
     assert found.slow is slow
     assert found.beyond == pytest.approx(size**2 / (2.0 if frequency else 1.0), abs=0.02)
     assert found.as_dict().keys() == {"p", "white", "beyond", "frequency", "slow"}
-    assert words.white(found).startswith("not white (")
+    assert discovery_text.white(found).startswith("not white (")
 
 
 def test_residuals_that_are_zero_are_white():
@@ -334,7 +335,7 @@ def discoveries(rig):
     plain = Evidence(rig, empty, believed(rig.twin, rig, 0.01), np.full(3, NOISE), 2)
 
     def find(slot):
-        told = rig.equations(plain, rig.start, np.zeros((1, 6)), (slot,), np.array(slot.estimated)).simulated
+        told = plain.equations(rig.start, np.zeros((1, 6)), (slot,), np.array(slot.estimated)).simulated
         noise = NOISE * np.random.default_rng(1).standard_normal(told.shape)
         evidence = replace(plain, record=replace(empty, readings=told + noise))
         base, known = fitting.fit(evidence), fitting.fit(evidence, (slot,))
@@ -365,8 +366,10 @@ def test_what_is_left_is_closed_where_it_is_white_on_both_records(discoveries, r
     assert found.within
     assert not found.closed
     assert found.as_dict()["closed"] is False
-    assert words.beside(found).startswith("This does not explain all, or the noise is not white: little is left")
-    assert words.beside(replace(found, verdict="unknown")) == ""
+    assert discovery_text.beside(found).startswith(
+        "This does not explain all, or the noise is not white: little is left"
+    )
+    assert discovery_text.beside(replace(found, verdict="unknown")) == ""
     many = replace(known, start=np.zeros((len(known.residuals) // 100, 6)))  # windows of a tenth of a second
     assert replace(found, explanation=replace(chosen, hypothesis=many)).closed
 
@@ -395,12 +398,12 @@ def test_friction_is_where_it_is(discoveries):
 
 def test_what_is_said_of_friction(discoveries):
     found = discoveries("friction")
-    (told,) = words.whereabouts(found)
+    (told,) = discovery_text.whereabouts(found)
     assert told.startswith("All of what is lacking sits at spring1: 9")
     assert "of its energy follows the rate, alike in both directions; it takes " in told
     assert told.endswith("µW/kg out of the motion")
     lost = replace(found, verdict="unknown")
-    assert words.whereabouts(lost) == []
+    assert discovery_text.whereabouts(lost) == []
 
 
 def test_a_quadratic_spring_is_even(discoveries):
@@ -409,15 +412,15 @@ def test_a_quadratic_spring_is_even(discoveries):
     assert best.portrait.parts.displacement > 0.9
     assert best.portrait.parts.odd < 0.05
     assert best.harmonics.even > 0.95
-    assert "the same way on both sides" in words.portrayed(best)
+    assert "the same way on both sides" in discovery_text.portrayed(best)
 
 
 def test_a_gap_on_the_side_of_actuators_follows_a_command(discoveries):
     found = discoveries("limit")
     lacking = where(found).lacking
     assert lacking.actuators["V3"] > 0.9 > 2.0 * lacking.best.explained
-    assert "follows the command of V3" in words.whereabouts(found)[0]
-    assert "follows the command of V3" in words.look(replace(found, verdict="unknown", effects=()))
+    assert "follows the command of V3" in discovery_text.whereabouts(found)[0]
+    assert "follows the command of V3" in discovery_text.look(replace(found, verdict="unknown", effects=()))
 
 
 def test_a_gap_on_the_side_of_sensors_follows_a_reading(discoveries):
@@ -425,7 +428,7 @@ def test_a_gap_on_the_side_of_sensors_follows_a_reading(discoveries):
     lacking = where(found).lacking
     assert lacking.sensors["s1"] > 0.95
     assert max(lacking.sensors["s2"], lacking.sensors["s3"]) < 0.1
-    assert words.whereabouts(found)[0].endswith("of what is lacking of s1 follows its reading")
+    assert discovery_text.whereabouts(found)[0].endswith("of what is lacking of s1 follows its reading")
 
 
 def test_it_goes_into_json(discoveries):
@@ -439,7 +442,7 @@ def test_it_goes_into_json(discoveries):
 
 def test_the_page_tabulates_it(discoveries):
     found = discoveries("square")
-    assert "Ljung and Box" in pages._whiteness(found, set())
-    table = pages._where(found, set())
+    assert "Ljung and Box" in discovery_page._whiteness(found, set())
+    table = discovery_page._where(found, set())
     assert "<td>spring2</td>" in table
     assert "odd multiples of 0.125 Hz only" in table

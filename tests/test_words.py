@@ -6,12 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from masking.discovery import forces, maps, pages, quantities, words
+from masking.discovery import latent_force
+from masking.discovery.augmented_model import Slot
 from masking.discovery.discovery import Gap, Named
-from masking.discovery.experiment import NextExperiment
 from masking.discovery.explanation import Explanation
-from masking.discovery.opened import Slot
+from masking.discovery.next_experiment import NextExperiment
 from masking.effects import EFFECTS
+from masking.report import discovery_page, discovery_text, force_map, quantities
 from tests.test_where import SLOTS, discoveries, rig
 
 __all__ = ["discoveries", "rig"]  # fixtures
@@ -30,7 +31,7 @@ def test_without_effects_the_title_says_what_is_left(discoveries):
     found = replace(discoveries("friction"), verdict="unknown", effects=())
     found = replace(found, gap=gaps((1.33, 0.1, 0.1), (0.94, 0.1, 0.1), (0.001, 0.1, 0.1)))
     found.__dict__["adjusted_gap"] = found.gap.validation[1]
-    assert words.gap(found) == (
+    assert discovery_text.gap(found) == (
         "On data that were not used, the error in s1 is 133\N{NO-BREAK SPACE}% as declared and "
         "94\N{NO-BREAK SPACE}% with parameters adjusted alone; noise alone makes 0.1\N{NO-BREAK SPACE}%"
     )
@@ -40,7 +41,7 @@ def test_a_parameter_is_compared_with_what_is_declared(discoveries):
     named = (Named("z2", "", {"z2": (0.02, 1e-5)}, 1.0),)
     found = replace(discoveries("friction"), verdict="parameter", effects=named)
     found = replace(found, gap=gaps((0.027, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3)))
-    assert "the error in s1 is 2.7\N{NO-BREAK SPACE}% as declared and 0.1" in words.gap(found)
+    assert "the error in s1 is 2.7\N{NO-BREAK SPACE}% as declared and 0.1" in discovery_text.gap(found)
 
 
 @pytest.mark.parametrize(
@@ -49,16 +50,16 @@ def test_a_parameter_is_compared_with_what_is_declared(discoveries):
 )
 def test_a_reading_that_is_hardly_followed(discoveries, after, floor, told):
     found = replace(discoveries("friction"), gap=gaps((1.0, 0.1, 0.1), (after, 0.1, 0.1), (floor, 0.1, 0.1)))
-    said = words.hardly(found)
+    said = discovery_text.hardly(found)
     assert told in said
     assert bool(said) is bool(told)
-    assert said in words.sentence(found)
+    assert said in discovery_text.sentence(found)
 
 
 def test_commands_that_seem_measured_are_told(discoveries):
     found = replace(discoveries("friction"), gap=gaps((1.0, 0.1, 0.1), (0.2, 0.1, 0.1), (0.01, 0.1, 0.1)))
     found.__dict__["adjusted_gap"] = found.gap.validation[0]
-    told = words.sentence(replace(found, as_measured={"s1": 0.01, "s2": 0.1, "s3": 0.1}))
+    told = discovery_text.sentence(replace(found, as_measured={"s1": 0.01, "s2": 0.1, "s3": 0.1}))
     assert told.endswith(
         "the model alone leaves 1\N{NO-BREAK SPACE}% of s1, against 20\N{NO-BREAK SPACE}%: if they were measured, use "
         "--between straight"
@@ -68,12 +69,12 @@ def test_commands_that_seem_measured_are_told(discoveries):
 def test_a_law_that_may_be_nothing_is_not_offered(discoveries):
     sure, unsure = (Named("stiffness_drift", "spring1", {"k": (-4.0, std)}, 0.9) for std in (1.0, 161.0))
     found = replace(discoveries("friction"), verdict="unknown")
-    assert "The nearest of it is stiffness drift in spring1" in words.sentence(replace(found, effects=(sure,)))
+    assert "The nearest of it is stiffness drift in spring1" in discovery_text.sentence(replace(found, effects=(sure,)))
     lost = replace(found, effects=(unsure,))
-    assert "nearest" not in words.sentence(lost)
-    assert pages._what_helps(lost) == []
+    assert "nearest" not in discovery_text.sentence(lost)
+    assert discovery_page._what_helps(lost) == []
     springs = Named("polynomial_spring", "spring1", {"k2": (0.0, 1.0), "k3": (9.0, 1.0)}, 0.9)
-    assert words.offered(replace(found, effects=(springs,))) == [springs]
+    assert discovery_text.offered(replace(found, effects=(springs,))) == [springs]
 
 
 @pytest.mark.parametrize(("wide", "how"), [(1.0, "beyond"), (10.0, "within")])
@@ -90,16 +91,16 @@ def test_parameters_that_moved_are_told(discoveries, wide, how):
         ),
         evidence=replace(found.evidence, belief=replace(belief, deviation=wide * belief.deviation)),
     )
-    assert words.moved(moved).startswith("Adjusted: z2 = ")
-    assert words.moved(moved).endswith(f", 5 % more than declared, {how} what is believed of it")
+    assert discovery_text.moved(moved).startswith("Adjusted: z2 = ")
+    assert discovery_text.moved(moved).endswith(f", 5 % more than declared, {how} what is believed of it")
     off = Named("z2", "", {"z2": (theta[at], 0.0)}, 1.0)
-    assert words.moved(replace(moved, verdict="parameter", effects=(off,))) == ""
-    assert [*words.adjusted(moved)] == ["z2"]
+    assert discovery_text.moved(replace(moved, verdict="parameter", effects=(off,))) == ""
+    assert [*discovery_text.adjusted(moved)] == ["z2"]
 
 
 @pytest.mark.parametrize(("value", "told"), [(2.1, "5 % more than"), (1.8, "10 % less than"), (-1.0, "where 2 is")])
 def test_how_far_a_value_is_off(value, told):
-    assert words.beyond(value, 2.0).startswith(told)
+    assert discovery_text.beyond(value, 2.0).startswith(told)
 
 
 def coming(found, peak, separation=1e3):
@@ -114,24 +115,24 @@ def coming(found, peak, separation=1e3):
 def test_an_experiment_is_said_in_words(discoveries):
     found = discoveries("friction")
     most = float(np.abs(found.record.commands[:, 0]).max())
-    said = words.experiment(coming(found, 3.0 * most))
+    said = discovery_text.experiment(coming(found, 3.0 * most))
     assert said.startswith(
         f"a multisine of V1 up to {quantities.quantity(3.0 * most, 'V')}, V2 up to 10 mV and V3 up to "
     )
     assert ", 3 to 12 Hz, 30 s long, would tell dry friction in spring1 from Dahl friction in spring1" in said
     assert "{" not in said
     assert "{" not in str(coming(found, most).next_experiment)
-    lasting = words.sentence(coming(found, 3.0 * most, separation=0.0))
+    lasting = discovery_text.sentence(coming(found, 3.0 * most, separation=0.0))
     assert lasting.endswith("No excitation of the actuators that was tried tells dry friction in spring1 from "
                             "Dahl friction in spring1")  # fmt: skip
-    assert "multisine" not in "".join(pages._what_helps(coming(found, most)))  # it is in the first paragraph
+    assert "multisine" not in "".join(discovery_page._what_helps(coming(found, most)))  # it is in the first paragraph
 
 
 def test_limits_are_asked_for_where_there_are_none(discoveries):
     found = coming(discoveries("friction"), 1.0)
     declaration = found.twin.declaration
     limited = declaration.limits.inputs.keys() >= set(found.twin.actuators)
-    assert ("a plant file may declare limits" in words.experiment(found)) is not limited
+    assert ("a plant file may declare limits" in discovery_text.experiment(found)) is not limited
 
 
 def test_a_delay_of_the_only_actuator_is_told_once():
@@ -142,11 +143,11 @@ def test_a_delay_of_the_only_actuator_is_told_once():
         )
         for actuators in (("force",), ("force", "torque"))
     )
-    assert words.alike(one) == ["a delay of force"]
-    assert words.probability(one, last) == 1.0
-    assert not words.is_open(one)
-    assert words.alike(two) == ["a delay of all actuators", "a delay of force"]
-    assert words.labelled(two, "delay", "force") == "Delay of force"
+    assert discovery_text.alike(one) == ["a delay of force"]
+    assert discovery_text.probability(one, last) == 1.0
+    assert not discovery_text.is_open(one)
+    assert discovery_text.alike(two) == ["a delay of all actuators", "a delay of force"]
+    assert discovery_text.labelled(two, "delay", "force") == "Delay of force"
 
 
 @pytest.mark.parametrize(
@@ -156,37 +157,37 @@ def test_a_delay_of_the_only_actuator_is_told_once():
      ("stribeck_friction", "Stribeck friction")],
 )  # fmt: skip
 def test_effects_are_named_after_people(name, told):
-    assert words.titled(name) == told
+    assert discovery_text.titled(name) == told
 
 
 def test_the_map_credits_each_law_with_its_own_part(discoveries):
     found = discoveries("friction")
-    lacking = forces.lack(found, "spring1")
+    lacking = latent_force.lack(found, "spring1")
     friction, hypothesis = SLOTS["friction"], found.explanation.hypothesis
     weak = Slot("hardening_spring", "spring1", (1e-3,), (0,))
     both = (hypothesis.slots[0], weak)
-    laws = [maps.along(found, lacking, [slot]) for slot in both]
-    assert np.allclose(maps.along(found, lacking, both), sum(laws))
+    laws = [force_map.along(found, lacking, [slot]) for slot in both]
+    assert np.allclose(force_map.along(found, lacking, both), sum(laws))
     assert laws[0].max() == pytest.approx(friction.values[0], rel=0.05)
-    assert maps.share(lacking, laws[0]) > 0.8
-    assert maps.share(lacking, laws[1]) < 0.01
+    assert force_map.share(lacking, laws[0]) > 0.8
+    assert force_map.share(lacking, laws[1]) < 0.01
     effects = tuple(Named(slot.effect, slot.at, {}, 1.0) for slot in both)
     together = replace(
         found, effects=effects, explanation=replace(found.explanation, hypothesis=replace(hypothesis, slots=both))
     )
-    said = maps._seen(together, lacking, "force", laws[0])
+    said = force_map._seen(together, lacking, "force", laws[0])
     assert said.startswith("Dry friction in spring1 and hardening spring in spring1 together take away ")
     alone = replace(together, effects=effects[1:])  # the other is not offered at this place
-    part = maps._seen(replace(alone, explanation=together.explanation), lacking, "force", laws[1])
+    part = force_map._seen(replace(alone, explanation=together.explanation), lacking, "force", laws[1])
     assert part.startswith("Hardening spring in spring1 takes away ")
     assert "; all that was found takes " in part
 
 
 def test_no_force_is_told_where_a_parameter_explains_it(discoveries):
     found = discoveries("friction")
-    lacking = forces.lack(found, "spring1")
+    lacking = latent_force.lack(found, "spring1")
     small = replace(lacking, before=1e-9 * lacking.before)
-    told = maps._seen(replace(found, verdict="parameter"), small, "force", None)
+    told = force_map._seen(replace(found, verdict="parameter"), small, "force", None)
     assert told.startswith("With the parameters that were found, the record shows no force at spring1")
 
 
@@ -200,9 +201,9 @@ def test_numbers_read_as_people_write_them():
     assert quantities.quantity(23.4, "W") == "23.4 W"
     assert quantities.quantity(-0.1234, "m") == "-123 mm"
     assert quantities.quantity(1200.0, "N/m") == "1200 N/m"
-    assert pages._paid(1.59e7) == "> 1000 %"
-    assert pages._paid(0.5) == "50 %"
-    assert pages._signed(1.1) == "+110 %"
+    assert discovery_page._paid(1.59e7) == "> 1000 %"
+    assert discovery_page._paid(0.5) == "50 %"
+    assert discovery_page._signed(1.1) == "+110 %"
 
 
 def test_powers_have_units():

@@ -7,8 +7,8 @@ import json
 import sys
 from dataclasses import asdict
 
-from masking import verbs
-from masking.cli.adding import Add
+from masking.cli.options import Add
+from masking.workflows import verbs
 
 
 def add(verb: Add) -> None:

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 
-from masking import verbs
-from masking.cli.adding import RECORD, add_of_tables, names
+from masking.cli.options import RECORD, add_of_tables, names
 from masking.cli.progress import Bar, raise_interrupts
+from masking.workflows import verbs
 
 if TYPE_CHECKING:
-    from masking import formats
-    from masking.discovery import pages
+    from masking.records import readers
+    from masking.report import discovery_page
 else:
-    formats = lazy.load("masking.formats", suppress_warning=True)
-    pages = lazy.load("masking.discovery.pages", suppress_warning=True)
+    readers = lazy.load("masking.records.readers", suppress_warning=True)
+    discovery_page = lazy.load("masking.report.discovery_page", suppress_warning=True)
 
 NUMBERS = "discovery.json"
 
@@ -74,7 +74,7 @@ def _discover(chosen: argparse.Namespace) -> int:
     _prepare(chosen)
     with Bar("reading the record") as bar:
         found, files = verbs.discovered(chosen.record, model=chosen.model, out=out, tell=bar.tell, **_settings(chosen))
-    return _tell(chosen.json, out / NUMBERS, lambda: pages.summary(found, files))
+    return _tell(chosen.json, out / NUMBERS, lambda: discovery_page.summary(found, files))
 
 
 def _refine(chosen: argparse.Namespace) -> int:
@@ -101,7 +101,7 @@ def _settings(chosen: argparse.Namespace) -> dict[str, Any]:
         "tolerance": chosen.tolerance,
         "horizon": chosen.horizon,
         "between": chosen.between,
-        "columns": formats.mapping(chosen.map),
+        "columns": readers.mapping(chosen.map),
         "dt": chosen.dt,
         "effects": chosen.effects,
     }

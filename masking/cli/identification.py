@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 
-from masking import verbs
-from masking.cli.adding import RECORD, Add, add_of_tables, names
+from masking.cli.options import RECORD, Add, add_of_tables, names
 from masking.cli.progress import Bar
+from masking.workflows import verbs
 
 if TYPE_CHECKING:
-    from masking import formats
+    from masking.records import readers
 else:
-    formats = lazy.load("masking.formats", suppress_warning=True)
+    readers = lazy.load("masking.records.readers", suppress_warning=True)
 
 Option = tuple[str, Callable[[str], Any], str]  # of a procedure: what stands for its value, how it is read, help
 
@@ -112,7 +112,7 @@ def _identify(chosen: argparse.Namespace) -> int:
             square_root=chosen.square_root,
             iterated=chosen.iterated,
             between=chosen.between,
-            columns=formats.mapping(chosen.map),
+            columns=readers.mapping(chosen.map),
             dt=chosen.dt,
             out=out,
             progress=bar,

@@ -9,8 +9,8 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from masking.cli import declarations, discovery, identification, rig, runs, stability, thesis
-from masking.cli.adding import add_to
+from masking.cli import declarations, discovery, identification, rig, runs, stability
+from masking.cli.options import add_to
 from masking.cli.progress import INTERRUPTED, NOTHING_SAVED
 from masking.errors import DeclarationError, MaskingError
 
@@ -56,5 +56,4 @@ def _parser() -> argparse.ArgumentParser:
     discovery.add_refine(found)
     stability.add_stability(found)
     rig.add_rig(found)
-    thesis.add(verb)
     return parser

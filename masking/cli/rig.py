@@ -10,25 +10,27 @@ from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
 
-from masking import verbs
-from masking.cli.adding import add_to
+from masking.cli.options import add_to
 from masking.cli.progress import INTERRUPTED, Bar, raise_interrupts
+from masking.workflows import verbs
 
 if TYPE_CHECKING:
-    from masking import calibration, ending, experiment, realtime, reporting
-    from masking import rig as rigs
-    from masking import twin as twins
     from masking.plants import simulated
-    from masking.recording import Recording
+    from masking.records.recording import Recording
+    from masking.report import run_report
+    from masking.rig import twin as twins
+    from masking.run import experiment, realtime, stopping
+    from masking.run import hardware as rigs
+    from masking.workflows import calibrate as calibration
 else:
-    calibration = lazy.load("masking.calibration", suppress_warning=True)
-    ending = lazy.load("masking.ending", suppress_warning=True)
-    experiment = lazy.load("masking.experiment", suppress_warning=True)
-    realtime = lazy.load("masking.realtime", suppress_warning=True)
-    reporting = lazy.load("masking.reporting", suppress_warning=True)
-    rigs = lazy.load("masking.rig", suppress_warning=True)
+    calibration = lazy.load("masking.workflows.calibrate", suppress_warning=True)
+    stopping = lazy.load("masking.run.stopping", suppress_warning=True)
+    experiment = lazy.load("masking.run.experiment", suppress_warning=True)
+    realtime = lazy.load("masking.run.realtime", suppress_warning=True)
+    run_report = lazy.load("masking.report.run_report", suppress_warning=True)
+    rigs = lazy.load("masking.run.hardware", suppress_warning=True)
     simulated = lazy.load("masking.plants.simulated", suppress_warning=True)
-    twins = lazy.load("masking.twin", suppress_warning=True)
+    twins = lazy.load("masking.rig.twin", suppress_warning=True)
 
 
 def add_rig(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -81,7 +83,7 @@ def _rig_run(chosen: argparse.Namespace) -> int:
     def keep(recording: Recording) -> None:
         bar.close()
         recording.save(out)
-        written = reporting.report(recording, out)
+        written = run_report.report(recording, out)
         if chosen.json:
             told = {"fidelity": recording.manifest["fidelity"], "rig": recording.manifest["rig"], "recording": str(out)}
             print(json.dumps(told, indent=2))
@@ -94,7 +96,7 @@ def _rig_run(chosen: argparse.Namespace) -> int:
         recording = rigs.run(made, plant, lockstep=chosen.lockstep, progress=bar, keep=keep)
     keep(recording)
     end = recording.manifest["rig"]["end"]
-    is_planned = end in {realtime.FINISHED, ending.SYNCHRONISED}
+    is_planned = end in {realtime.FINISHED, stopping.SYNCHRONISED}
     if not is_planned:
         print(f"masking: the run was {end}; the record ends there", file=sys.stderr)
     return int(not is_planned)

@@ -10,18 +10,19 @@ from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
 
-from masking import verbs
-from masking.cli.adding import Add
 from masking.cli.declarations import say_compiling
+from masking.cli.options import Add
 from masking.cli.progress import Bar, raise_interrupts
 from masking.errors import DeclarationError, MaskingError, Problem
+from masking.workflows import verbs
 
 if TYPE_CHECKING:
-    from masking import budget, experiment, reporting
+    from masking.report import run_report
+    from masking.run import error_budget, experiment
 else:
-    budget = lazy.load("masking.budget", suppress_warning=True)
-    experiment = lazy.load("masking.experiment", suppress_warning=True)
-    reporting = lazy.load("masking.reporting", suppress_warning=True)
+    error_budget = lazy.load("masking.run.error_budget", suppress_warning=True)
+    experiment = lazy.load("masking.run.experiment", suppress_warning=True)
+    run_report = lazy.load("masking.report.run_report", suppress_warning=True)
 
 
 def add(verb: Add) -> None:
@@ -52,18 +53,18 @@ def _run(chosen: argparse.Namespace) -> int:
     raise_interrupts()
     try:
         with Bar("running") as bar:
-            recording = budget.run(made, chosen.budget, bar)
+            recording = error_budget.run(made, chosen.budget, bar)
     except MaskingError:
         if before:
             print(f"{out} still holds the run of {before}", file=sys.stderr)
         raise
     recording.save(out)
-    written = reporting.report(recording, out)
+    written = run_report.report(recording, out)
     if chosen.json:
         told = {
             "fidelity": recording.manifest["fidelity"],
-            "limits_used": reporting.limits_used(recording),
-            "warnings": reporting.warnings(recording),
+            "limits_used": run_report.limits_used(recording),
+            "warnings": run_report.warnings(recording),
             "recording": str(out),
             "report": str(written.path),
         }

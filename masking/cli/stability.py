@@ -6,9 +6,9 @@ import argparse
 import json
 from pathlib import Path
 
-from masking import verbs
 from masking.cli.progress import Bar, raise_interrupts
 from masking.errors import DeclarationError, Problem
+from masking.workflows import verbs
 
 
 def add_stability(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
-from masking.declaration.acting import driven_outputs, motions
+from masking.declaration.couplings import driven_outputs, motions
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ModelDeclaration
 from masking.errors import DeclarationError, Problem, nearest

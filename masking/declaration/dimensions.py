@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 
-from masking.declaration.acting import driven_outputs
 from masking.declaration.checks import equation_of, formulas
+from masking.declaration.couplings import driven_outputs
 from masking.declaration.expression import Expression
 from masking.declaration.operations import COMPARISONS, Step
 from masking.declaration.schema import Declaration, Element, ModelDeclaration

@@ -21,12 +21,11 @@ from masking.declaration.catalogue import (
     wrong_kind,
 )
 from masking.declaration.checks import check_model
+from masking.declaration.cross_checks import check_experiment, check_plant
 from masking.declaration.dictionary import check_dictionary
 from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.fields import Real, Text
-from masking.declaration.meeting import check_experiment, check_plant
 from masking.declaration.plant_units import check_plant_units
-from masking.declaration.reading import Places, in_order, plain_mapping, read
 from masking.declaration.schema import (
     Declaration,
     DictionaryDeclaration,
@@ -35,6 +34,7 @@ from masking.declaration.schema import (
     PlantDeclaration,
 )
 from masking.declaration.strict_yaml import Node
+from masking.declaration.validate import Places, in_order, plain_mapping, read
 from masking.errors import DeclarationError, Place, Problem, nearest
 
 __all__ = [

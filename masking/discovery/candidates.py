@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from masking.discovery import laws
-from masking.discovery.opened import OpenRig, Slot
+from masking.discovery.augmented_model import OpenRig, Slot
 from masking.discovery.places import is_of_one
 from masking.effects import EFFECTS, Effect, EffectParameter
 

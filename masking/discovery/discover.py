@@ -14,20 +14,20 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from masking.discovery import fitting, settings
+from masking.discovery.augmented_model import OpenRig
+from masking.discovery.composites import LIKE_PARAMETERS, is_patched
 from masking.discovery.discovery import Discovery, Gap, Named, Verdict
-from masking.discovery.evidence import Evidence
-from masking.discovery.experiment import next_experiment
 from masking.discovery.explanation import Explanation, probabilities
 from masking.discovery.fitting import Hypothesis
+from masking.discovery.next_experiment import next_experiment
 from masking.discovery.noise import noise_of, steps_of
-from masking.discovery.opened import OpenRig
-from masking.discovery.patches import LIKE_PARAMETERS, is_patched
+from masking.discovery.problem import Evidence
 from masking.discovery.search import CLEAN, REST, SAME, SHARE, SMALL, TRACE, Found, Search
 from masking.errors import IntegrationError
-from masking.identification.data import Data
-from masking.identification.simulation import relative
-from masking.kernels import Array
-from masking.twin import Twin
+from masking.estimation.data import Data
+from masking.estimation.simulation import relative
+from masking.numerics.arrays import Array
+from masking.rig.twin import Twin
 
 Tell = Callable[[str, float], None]
 

@@ -8,17 +8,17 @@ from typing import Any, Literal
 
 from threadpoolctl import threadpool_limits
 
-from masking.discovery.evidence import Evidence
-from masking.discovery.experiment import NextExperiment
+from masking.discovery.augmented_model import OpenRig
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis, judged
-from masking.discovery.opened import OpenRig
+from masking.discovery.next_experiment import NextExperiment
+from masking.discovery.problem import Evidence
 from masking.discovery.search import Found
-from masking.identification.data import Data
-from masking.identification.simulation import relative
-from masking.identification.whiteness import Whiteness, whiteness
-from masking.kernels import Array
-from masking.twin import Twin
+from masking.estimation.data import Data
+from masking.estimation.simulation import relative
+from masking.estimation.whiteness import Whiteness, whiteness
+from masking.numerics.arrays import Array
+from masking.rig.twin import Twin
 
 Verdict = Literal["none", "parameter", "named", "ambiguous", "unknown"]
 

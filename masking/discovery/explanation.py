@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from masking.discovery import laws
+from masking.discovery.augmented_model import Slot
 from masking.discovery.candidates import FACTORS
-from masking.discovery.evidence import Evidence
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.opened import Slot
-from masking.kernels import Array
+from masking.discovery.problem import Evidence
+from masking.numerics.arrays import Array
 
 
 @dataclass(frozen=True)

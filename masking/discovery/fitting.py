@@ -1,7 +1,7 @@
 """Fitting: the rig with effects at some places, brought as near to its records as its parameters let it.
 
 The parameters of the rig are held near their declared values by how far these may be off; the initial state of each
-window of the record is estimated. Source: as `masking.identification.fit`, with a normal prior.
+window of the record is estimated. Source: as `masking.estimation.fit`, with a normal prior.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.discovery import laws
-from masking.discovery.evidence import Evidence
-from masking.discovery.opened import Equations, Slot
+from masking.discovery.augmented_model import Equations, Slot
+from masking.discovery.problem import Evidence
 from masking.errors import IntegrationError
-from masking.kernels import Array
+from masking.numerics.arrays import Array
 
 MOST_ROUNDS = 40
 MORE = 10.0  # times the damping after a step in vain, and so many times that after each further one
@@ -230,10 +230,10 @@ class _Problem:
         )  # fmt: skip
 
     def equations(self, at: _Point) -> Equations:
-        rig, starts = self.evidence.rig, np.cumsum([one.windows for one in self.records])[:-1]
+        starts = np.cumsum([one.windows for one in self.records])[:-1]
         return _joined(
             [
-                rig.equations(one, at.theta, start, self.slots, at.added, inner=inner)
+                one.equations(at.theta, start, self.slots, at.added, inner=inner)
                 for one, start, inner in zip(
                     self.records, np.split(at.start, starts), np.split(at.inner, len(self.records)), strict=True
                 )

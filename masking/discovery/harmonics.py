@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.kernels import Array
+from masking.numerics.arrays import Array
 
 ALIKE = 1e-6  # of twice the variance: commands that differ by less a period later repeat themselves
 APART = 0.1  # of it: commands have changed since

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
 
-from masking.compile.graph import Graph
-from masking.compile.printers import statements
-from masking.compile.source import DECORATOR
-from masking.compile.tangent import derivatives
+from masking.codegen.graph import Graph
+from masking.codegen.printers import statements
+from masking.codegen.source import DECORATOR
+from masking.codegen.tangent import derivatives
 from masking.declaration.dictionary import MOST_PARAMETERS, MOST_STATES
 from masking.declaration.expression import Expression
 from masking.effects import Effect

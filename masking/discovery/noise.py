@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from masking.discovery.opened import OpenRig
+from masking.discovery.augmented_model import OpenRig
 from masking.errors import RecordError
-from masking.identification.data import Data
-from masking.identification.noise import white_noise
-from masking.kernels import Array
+from masking.estimation.data import Data
+from masking.numerics.arrays import Array
+from masking.records.noise import white_noise
 
 LATTICE = 0.1  # different values per reading below which readings may be rounded
 MEDIAN = 0.6745  # magnitude that half of all samples of a standard normal distribution stay below

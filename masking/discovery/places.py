@@ -13,8 +13,8 @@ import itertools
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from masking.declaration.acting import driven_outputs, driven_states, has_rate, motions
 from masking.declaration.checks import equation_of, no_equation
+from masking.declaration.couplings import driven_outputs, driven_states, has_rate, motions
 from masking.declaration.dimensions import force_dimensions, is_plain
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Element, ModelDeclaration

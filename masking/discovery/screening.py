@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from masking.discovery import laws
+from masking.discovery.augmented_model import MOST_COLUMNS, OpenRig, Slot
 from masking.discovery.candidates import Candidate
-from masking.discovery.evidence import Evidence
 from masking.discovery.fitting import Hypothesis, bounds, restrained
-from masking.discovery.opened import MOST_COLUMNS, OpenRig, Slot
+from masking.discovery.problem import Evidence
 from masking.discovery.smoothing import Motion, linearised
-from masking.kernels import Array
+from masking.numerics.arrays import Array
 
 HIGHEST = 60.0  # Hz, or twice what the rig does by itself; what is faster is averaged away
 NEAR = 0.5  # of the best gain: candidates whose shapes are sharpened

@@ -17,16 +17,16 @@ import numpy as np
 from scipy import signal
 
 from masking.discovery import fitting
+from masking.discovery.augmented_model import Slot
 from masking.discovery.candidates import FACTORS, PARTS, Candidate, Span, candidates
-from masking.discovery.evidence import Evidence
+from masking.discovery.composites import is_patched
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.opened import Slot
-from masking.discovery.patches import is_patched
+from masking.discovery.problem import Evidence
 from masking.discovery.screening import Along, Promise, Screen
 from masking.discovery.smoothing import Motion, smooth
 from masking.errors import IntegrationError
-from masking.kernels import Array
+from masking.numerics.arrays import Array
 
 Tell = Callable[[str, float], None]
 Job = Callable[[float], "Explanation"]  # given the cost of a rival

@@ -9,15 +9,15 @@ from functools import cache
 import numpy as np
 
 from masking.discovery import fitting
-from masking.discovery.evidence import Belief, Evidence
+from masking.discovery.augmented_model import OpenRig
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.opened import OpenRig
+from masking.discovery.problem import Belief, Evidence
 from masking.discovery.screening import thinning
 from masking.discovery.smoothing import linearised
 from masking.errors import RecordError
-from masking.identification.data import Data
-from masking.kernels import Array
-from masking.twin import Twin
+from masking.estimation.data import Data
+from masking.numerics.arrays import Array
+from masking.rig.twin import Twin
 
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
 SIGNED = 3.0  # deviations from 0 from which a parameter keeps its sign
@@ -91,7 +91,7 @@ def substeps(evidence: Evidence) -> int:
     start = fitting.first_states(evidence, theta)
 
     def simulated(number: int) -> Array:
-        return evidence.rig.equations(replace(evidence, substeps=number), theta, start).simulated
+        return replace(evidence, substeps=number).equations(theta, start).simulated
 
     steps, before = least, simulated(least)
     while steps < most:

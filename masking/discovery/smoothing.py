@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from masking.discovery.evidence import Evidence
-from masking.discovery.opened import OpenRig
+from masking.discovery.augmented_model import OpenRig
+from masking.discovery.problem import Evidence
 from masking.effects import Effect
 from masking.errors import IntegrationError
-from masking.kernels import Array
-from masking.sensitivity import is_straight
+from masking.estimation.sensitivity import is_straight
+from masking.numerics.arrays import Array
 
 WALKS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # intensities that are tried, of that which moves the sensors as their noise does
 DOUBLINGS = 24  # of the samples over which smoothing settles

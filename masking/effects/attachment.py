@@ -14,12 +14,12 @@ from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass, replace
 from typing import Any
 
-from masking.declaration.acting import driven_outputs, has_rate
 from masking.declaration.checks import check_model, equation_of, no_equation, velocities
+from masking.declaration.couplings import driven_outputs, has_rate
+from masking.declaration.differentiate import rate_of
 from masking.declaration.dimensions import check_dimensions, displacement_dimension, is_plain, symbol_dimensions
 from masking.declaration.expression import Expression
 from masking.declaration.fields import NAME_PATTERN
-from masking.declaration.rates import rate_of
 from masking.declaration.schema import Element, ModelDeclaration, Parameter, State
 from masking.declaration.units import Dimension, describe, dimension_of
 from masking.effects.entries import EFFECTS

@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 
 from masking.errors import PlantError
-from masking.plants.interface import APPLIED, Array, Plant, Sample, Settings, Telling
+from masking.numerics.arrays import Array
+from masking.plants.interface import APPLIED, Plant, Sample, Settings, Telling
 
 MakePlant = Callable[[], Plant]
 TICKS: Final = 20

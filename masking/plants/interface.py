@@ -29,11 +29,10 @@ from enum import StrEnum
 from typing import Any, Final, Protocol, final, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from masking.errors import CommandError, PlantMismatchError, PlantOrderError
+from masking.numerics.arrays import Array
 
-Array = NDArray[np.float64]
 Stop = Callable[[], bool]
 
 POLL: Final = 0.1  # seconds between looks at `stop` while nothing happens

@@ -30,10 +30,10 @@ from typing import Any, Final, Literal, final
 import numpy as np
 
 from masking.errors import MaskingError, PlantMismatchError, RecordError, WireError
+from masking.numerics.arrays import Array
 from masking.plants import wire
 from masking.plants.interface import (
     POLL,
-    Array,
     Deadlines,
     Plant,
     Sample,
@@ -44,7 +44,7 @@ from masking.plants.interface import (
     undisturbed,
 )
 from masking.plants.wire import Frame, Kind
-from masking.recording import Recording
+from masking.records.recording import Recording
 
 Clock = Literal["real", "lockstep"]
 

@@ -7,8 +7,9 @@ from typing import final
 import numpy as np
 
 from masking.errors import CommandError, ModelError
-from masking.plants.interface import APPLIED, Array, LifeCycle, Sample, Settings, check_command
-from masking.twin import Twin
+from masking.numerics.arrays import Array
+from masking.plants.interface import APPLIED, LifeCycle, Sample, Settings, check_command
+from masking.rig.twin import Twin
 
 
 @final

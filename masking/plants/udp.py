@@ -12,8 +12,9 @@ from typing import NoReturn, final
 import numpy as np
 
 from masking.errors import PlantLostError, PlantMismatchError, PlantRefusedError, WireError
+from masking.numerics.arrays import Array
 from masking.plants import wire
-from masking.plants.interface import Array, LifeCycle, Sample, Settings, check_command
+from masking.plants.interface import LifeCycle, Sample, Settings, check_command
 from masking.plants.wire import Frame, Kind
 
 TRY = 0.25  # seconds before a request is sent again

@@ -30,7 +30,8 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from masking.errors import PlantError, PlantMismatchError, WireError
-from masking.plants.interface import Array, Settings
+from masking.numerics.arrays import Array
+from masking.plants.interface import Settings
 
 MAGIC: Final = b"MSKG"
 VERSION: Final = 1

@@ -7,11 +7,10 @@ import numbers
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from masking.errors import ModelError
-
-Array = NDArray[np.float64]
+from masking.numerics.arrays import Array
 
 
 def real(what: str, value: object) -> float:

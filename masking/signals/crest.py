@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING, Protocol
 
 import lazy_loader as lazy
 import numpy as np
-from numpy.typing import NDArray
 
-from masking.signals.arguments import Array, count, positive
+from masking.numerics.arrays import Array, Complex
+from masking.signals.arguments import count, positive
 from masking.signals.lines import TURN, Multisine, check_size, crest_factor, periodic, schroeder_phases, wave
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ else:
     fft = lazy.load("scipy.fft", suppress_warning=True)
     linalg = lazy.load("scipy.linalg", suppress_warning=True)
 
-Complex = NDArray[np.complex128]
 Progress = Callable[[float], object]
 
 # Samples for each period of the highest line on which the norms are taken. Measured with 25 and 50 flat lines and 60

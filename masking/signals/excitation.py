@@ -20,13 +20,14 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.errors import ModelError, RecordError, nearest
-from masking.recording import FORMAT, Recording
-from masking.signals.arguments import Array, names, positive
+from masking.numerics.arrays import Array
+from masking.records.recording import FORMAT, Recording
+from masking.signals.arguments import names, positive
 
 if TYPE_CHECKING:
-    from masking import parquet
+    from masking.records import parquet
 else:
-    parquet = lazy.load("masking.parquet", suppress_warning=True)
+    parquet = lazy.load("masking.records.parquet", suppress_warning=True)
 
 KIND: Final = "excitation"
 PREFIX: Final = "input."

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from masking.errors import ModelError
-from masking.signals.arguments import Array, positive, real, row
+from masking.numerics.arrays import Array
+from masking.signals.arguments import positive, real, row
 
 if TYPE_CHECKING:
     from scipy import fft

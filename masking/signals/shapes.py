@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from masking.errors import ModelError
-from masking.signals.arguments import Array, below_nyquist, count, names, positive, real, samples
+from masking.numerics.arrays import Array
+from masking.signals.arguments import below_nyquist, count, names, positive, real, samples
 from masking.signals.excitation import Excitation
 from masking.signals.lines import TURN, Multisine
 

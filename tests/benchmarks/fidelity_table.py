@@ -13,8 +13,8 @@ import time
 from collections.abc import Iterator
 
 from masking.errors import MaskingError
-from masking.experiment import Experiment
-from masking.recording import Recording
+from masking.records.recording import Recording
+from masking.run.experiment import Experiment
 
 SYSTEMS = (
     "duffing", "duffing_enoc", "discs", "discs_eccentric", "discs_enoc", "huygens", "setup_identical", "setup_undamped",

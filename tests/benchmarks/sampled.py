@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from masking.closed_loop import ClosedLoop
-from masking.compile.graph import Graph, Node
-from masking.compile.printers import C, needed, statements
-from masking.controller import ControlLaw, ControllerParameters, RigSymbols
-from masking.experiment import Experiment
-from masking.loop import rig_state
-from masking.lowering import LoweredEquations
+from masking.codegen.graph import Graph, Node
+from masking.codegen.printers import C, needed, statements
+from masking.control.closed_loop import ClosedLoop
+from masking.control.law import ControlLaw, ControllerParameters, RigSymbols
+from masking.modelling.lowering import LoweredEquations
+from masking.run.experiment import Experiment
+from masking.run.offline import rig_state
 from tests.benchmarks.table import Row, interleaved, limited, missing
 
 RATE = 1000.0
@@ -32,7 +32,7 @@ FLAGS = {
     "-O3 -march=native -ffp-contract=fast": ["-O3", "-march=native", "-ffp-contract=fast"],
 }
 
-# The loop of `masking.integrate.sampled` with `runge_kutta_4`, line by line.
+# The loop of `masking.numerics.integrators.sampled` with `runge_kutta_4`, line by line.
 LOOP = """
 #include <math.h>
 

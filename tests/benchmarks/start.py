@@ -35,7 +35,7 @@ sys.exit(cli.main())
 COLD = """
 import json, sys, time
 clock = [time.perf_counter()]
-from masking.compile.native import NativeFunction
+from masking.codegen.native import NativeFunction
 from masking.experiment import Experiment
 def lap(): clock.append(time.perf_counter()); return clock[-1] - clock[-2]
 parts = {"import": lap()}

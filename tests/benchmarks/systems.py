@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from masking.declaration import registry
-from masking.model import Model
+from masking.modelling.model import Model
 
 Array = np.ndarray
 Values = Mapping[str, float]

@@ -15,8 +15,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from masking import drawing, markup
-from masking.drawing import COLOURS, DPI, GRID, INK, LIMIT, MUTED, SIZE, WIDTH, Plate
+from masking.report import html, style
+from masking.report.style import COLOURS, DPI, GRID, INK, LIMIT, MUTED, SIZE, WIDTH, Plate
 from tests.benchmarks import mujoco_records, table
 from tests.benchmarks.discovering import scoring, sindy, summary
 from tests.benchmarks.discovering.scoring import said, shortened, wilson
@@ -34,19 +34,19 @@ def write(
     """Write the page, its pictures and its numbers into a folder; return the page."""
     bars = summary.bars(ours, theirs)
     plates = [shares(bars), matrix(ours, OURS), matrix(theirs, THEIRS)]
-    images = {plate.name: drawing.png(plate) for plate in plates if plate.figure is not None}
+    images = {plate.name: style.png(plate) for plate in plates if plate.figure is not None}
     sections = [
-        markup.section("What must be reached", picture(plates[0], images) + _bars(bars, bool(theirs))),
-        markup.section("What was taken for what", picture(plates[1], images)),
-        markup.section(f"The same records with {THEIRS}", _contender(theirs) + picture(plates[2], images)),
-        markup.section("Beside the bars", _facts(ours, theirs)),
-        markup.section("Records made by MuJoCo", _engine(ours)),
-        markup.section("Every wrong answer", _wrong(ours)),
-        markup.section("Every gap that is not closed, or has grown", _open(ours)),
-        markup.section("How it is scored", _scored()),
-        markup.section("Provenance", _provenance(ours, theirs, expected, digests)),
+        html.section("What must be reached", picture(plates[0], images) + _bars(bars, bool(theirs))),
+        html.section("What was taken for what", picture(plates[1], images)),
+        html.section(f"The same records with {THEIRS}", _contender(theirs) + picture(plates[2], images)),
+        html.section("Beside the bars", _facts(ours, theirs)),
+        html.section("Records made by MuJoCo", _engine(ours)),
+        html.section("Every wrong answer", _wrong(ours)),
+        html.section("Every gap that is not closed, or has grown", _open(ours)),
+        html.section("How it is scored", _scored()),
+        html.section("Provenance", _provenance(ours, theirs, expected, digests)),
     ]
-    text = markup.document("Discovery of hidden effects", _lead(ours, bars, expected), _tiles(ours, theirs), sections)
+    text = html.document("Discovery of hidden effects", _lead(ours, bars, expected), _tiles(ours, theirs), sections)
     folder.mkdir(parents=True, exist_ok=True)
     for name, image in images.items():
         (folder / f"{name}.png").write_bytes(image)
@@ -59,7 +59,7 @@ def write(
 
 def picture(plate: Plate, images: Mapping[str, bytes]) -> str:
     """Return a figure with its caption."""
-    return markup.picture(plate.title, plate.caption, images.get(plate.name))
+    return html.picture(plate.title, plate.caption, images.get(plate.name))
 
 
 def shares(bars: Sequence[Bar]) -> Plate:
@@ -74,7 +74,7 @@ def shares(bars: Sequence[Bar]) -> Plate:
     figure = Figure(figsize=(WIDTH, total), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.add_axes((left / WIDTH, bottom / total, (WIDTH - left - 1.0) / WIDTH, height / total))
-    drawing.dress(axes)
+    style.dress(axes)
     for row, bar in enumerate(drawn):
         assert bar.share is not None
         for hits, count, colour, shift, marker in (
@@ -218,12 +218,12 @@ def _lead(ours: Sequence[Result], bars: Sequence[Bar], expected: int) -> str:
         f"generator that shares no code with what is judged: {reached} of {measured} measured bars are reached, "
         f"{wrong} answers are wrong."
     )
-    parts = [markup.paragraph(text, "lead")]
+    parts = [html.paragraph(text, "lead")]
     if len(ours) < expected:
-        parts.append(markup.paragraph(f"{expected - len(ours)} of {expected} records have not been run yet.", "card"))
+        parts.append(html.paragraph(f"{expected - len(ours)} of {expected} records have not been run yet.", "card"))
     failed = [r for r in ours if r.error]
     if failed:
-        parts.append(markup.paragraph(f"{len(failed)} records ended in an error.", "card wrong"))
+        parts.append(html.paragraph(f"{len(failed)} records ended in an error.", "card wrong"))
     return "\n".join(parts)
 
 
@@ -233,11 +233,11 @@ def _tiles(ours: Sequence[Result], theirs: Sequence[Result]) -> list[str]:
         few = [r for r in results if r.case.family == "effect"]
         if few:
             hits = sum(r.score.right for r in few)
-            tiles.append(markup.tile(f"{label}: hidden effects right", summary.percent(hits / len(few))))
+            tiles.append(html.tile(f"{label}: hidden effects right", summary.percent(hits / len(few))))
     wrong = sum(r.score.confidently_wrong for r in ours)
     if ours:
-        tiles.append(markup.tile("confident and wrong", str(wrong), f"of {len(ours)}", is_wrong=wrong > 0))
-        tiles.append(markup.tile("a record takes", f"{np.median([r.seconds for r in ours]):.3g}", "s, median"))
+        tiles.append(html.tile("confident and wrong", str(wrong), f"of {len(ours)}", is_wrong=wrong > 0))
+        tiles.append(html.tile("a record takes", f"{np.median([r.seconds for r in ours]):.3g}", "s, median"))
     return tiles
 
 
@@ -255,13 +255,13 @@ def _bars(bars: Sequence[Bar], beside: bool) -> str:
         )
         for bar in bars
     ]
-    return markup.table(head, rows, numbers=(2,))
+    return html.table(head, rows, numbers=(2,))
 
 
 def _contender(theirs: Sequence[Result]) -> str:
     if not theirs:
         why = "was not run on these records" if sindy.version() else "could not be installed here"
-        return markup.paragraph(f"{THEIRS} {why}: its columns are left out.", "card")
+        return html.paragraph(f"{THEIRS} {why}: its columns are left out.", "card")
     text = (
         f"{THEIRS} {sindy.version()} is given the declared rig and looks, in the force that each element lacks, for "
         "sparse terms among cubic polynomials of displacements and rates, v|v|, a smooth sign of each rate and powers "
@@ -270,12 +270,12 @@ def _contender(theirs: Sequence[Result]) -> str:
         "are free and count as added only where they change by more than 3 %. The score is the same: kind and place "
         "of the most significant term, of the two most significant where two effects are hidden."
     )
-    return markup.paragraph(text, "missing")
+    return html.paragraph(text, "missing")
 
 
 def _facts(ours: Sequence[Result], theirs: Sequence[Result]) -> str:
     rows = summary.facts(ours, theirs)
-    return markup.table(("what", OURS, THEIRS), rows, numbers=(1, 2))
+    return html.table(("what", OURS, THEIRS), rows, numbers=(1, 2))
 
 
 def _truth(result: Result) -> str:
@@ -293,7 +293,7 @@ def _engine(ours: Sequence[Result]) -> str:
     made = [r for r in ours if r.case.family == "mujoco"]
     if not made:
         why = "No record has been run yet" if mujoco_records.version() else "MuJoCo is not installed here"
-        return markup.paragraph(f"{why}.", "missing")
+        return html.paragraph(f"{why}.", "missing")
     text = (
         "These records are made by an engine that nobody here wrote, with what is hidden in its own terms "
         "(tests/benchmarks/mujoco_records.py tells which, and how near its laws are to those of the dictionary). Noise "
@@ -313,13 +313,13 @@ def _engine(ours: Sequence[Result]) -> str:
                 f"{r.seconds:.0f}",
             )
         )
-    return markup.paragraph(text, "missing") + markup.table(head, rows, numbers=(3, 4, 5))
+    return html.paragraph(text, "missing") + html.table(head, rows, numbers=(3, 4, 5))
 
 
 def _wrong(ours: Sequence[Result]) -> str:
     wrong = [r for r in ours if not r.score.right]
     if not wrong:
-        return markup.paragraph("None." if ours else "No record has been run yet.", "missing")
+        return html.paragraph("None." if ours else "No record has been run yet.", "missing")
     head = ("record", "strength", "truth", "meaning", "why it is wrong", "gap/noise")
     rows = [
         (
@@ -333,8 +333,8 @@ def _wrong(ours: Sequence[Result]) -> str:
         for r in sorted(wrong, key=lambda r: r.case.name)
     ]
     text = "Under meaning is what was answered. Confident answers are those without reserve: named and parameter."
-    errors = "".join(markup.details(f"{r.case.name}: error", r.error) for r in wrong if r.error)
-    return markup.paragraph(text, "missing") + markup.table(head, rows, numbers=(5,)) + errors
+    errors = "".join(html.details(f"{r.case.name}: error", r.error) for r in wrong if r.error)
+    return html.paragraph(text, "missing") + html.table(head, rows, numbers=(5,)) + errors
 
 
 def _open(ours: Sequence[Result]) -> str:
@@ -349,12 +349,12 @@ def _open(ours: Sequence[Result]) -> str:
         )
     ]
     if not named:
-        return markup.paragraph("None.", "missing")
+        return html.paragraph("None.", "missing")
     rows = [
         (r.case.name, shortened(str(r.answer), 60), "" if r.left is None else f"{r.left:.3f}", "yes" if r.grown else "")
         for r in sorted(named, key=lambda r: -(r.left or 0.0))
     ]
-    return markup.table(("record", "meaning", "gap/noise", "larger than before"), rows, numbers=(2,))
+    return html.table(("record", "meaning", "gap/noise", "larger than before"), rows, numbers=(2,))
 
 
 def _scored() -> str:
@@ -370,12 +370,12 @@ def _scored() -> str:
         "Gaps are relative errors of the validation, in units of the noise that discovery itself estimates; the worst "
         "sensor counts. A gap is larger than before where it is so over all sensors together.",
     )
-    return "".join(markup.paragraph(text, "missing") for text in texts)
+    return "".join(html.paragraph(text, "missing") for text in texts)
 
 
 def _provenance(ours: Sequence[Result], theirs: Sequence[Result], expected: int, digests: Mapping[str, str]) -> str:
     versions = table.versions()
-    return markup.provenance(
+    return html.provenance(
         [
             ("written", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"),
             ("records", f"{len(ours)} of {expected}; {len(theirs)} with {THEIRS}"),

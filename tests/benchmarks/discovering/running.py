@@ -23,10 +23,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from masking.declaration import schema
+from masking.discovery.augmented_model import OpenRig
 from masking.discovery.discover import discover
-from masking.discovery.opened import OpenRig
-from masking.identification.data import Data
-from masking.twin import Twin
+from masking.estimation.data import Data
+from masking.rig.twin import Twin
 from tests.benchmarks import hidden, mujoco_records
 from tests.benchmarks.discovering import sindy, suite
 from tests.benchmarks.hidden.rig import LIGHT, RATE, Damping

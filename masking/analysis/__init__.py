@@ -1,0 +1,1 @@
+"""Analysis of motions: masking error, synchronisation, stability and its proofs."""

@@ -1,0 +1,222 @@
+"""Exact algebra of expressions with sines and cosines: normal forms, coefficients, what a few constants must be.
+
+Sines and cosines of different angles are algebraic variables S and C with S^2 + C^2 = 1, so that an expression is zero
+where its normal form is, and a function of one variable that is zero everywhere has no coefficient that is not.
+Source: Cox, Little and O'Shea, Ideals, Varieties, and Algorithms (2015), chapters 2 and 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+
+from masking.analysis.stability.hypotheses import Hypotheses
+from masking.errors import ModelError
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+_MOST_ROUNDS = 40
+_MOST_ANGLES = 24  # sin(n x) is a polynomial in sin x and cos x up to this n
+
+
+def normal(expression: sp.Expr) -> sp.Expr:
+    """Return the normal form: one fraction of polynomials in symbols, sines and cosines, even powers of sines gone."""
+    expanded, back = _algebraic(expression)
+    numerator, denominator = (_reduced(part, back) for part in sp.fraction(sp.cancel(sp.together(expanded))))
+    return sp.factor_terms(sp.cancel(numerator / denominator)).xreplace(back)
+
+
+def is_zero(expression: sp.Expr) -> bool:
+    """Tell whether an expression vanishes identically."""
+    return bool(normal(expression) == 0)
+
+
+def coefficients(expression: sp.Expr, variables: Sequence[sp.Symbol]) -> dict[sp.Expr, sp.Expr]:
+    """Return the coefficients of the linearly independent functions of variables that an expression is a sum of.
+
+    The functions are products of powers of variables, of sines and of cosines of them. The sum vanishes for all
+    values of the variables where every coefficient does.
+
+    Raises:
+        ModelError: the expression is no such sum.
+    """
+    expanded, back = _algebraic(expression)
+    numerator, denominator = (_reduced(part, back) for part in sp.fraction(sp.cancel(sp.together(expanded))))
+    moving = {*variables}
+    own = [s for s in back if back[s].free_symbols & moving] + list(variables)
+    if denominator.free_symbols & {*own}:
+        raise ModelError(f"{expression} is no polynomial in {', '.join(map(str, variables))}, sines and cosines")
+    for generator in own:
+        angles = back[generator].args[0] if generator in back else generator
+        if generator in back and not (angles in moving or -angles in moving):
+            raise ModelError(f"{back[generator]} is no function of one variable")
+    if not numerator.is_polynomial(*own):
+        raise ModelError(f"{expression} is no polynomial in {', '.join(map(str, variables))}, sines and cosines")
+    terms = sp.Poly(numerator, *own).terms() if own else [((), numerator)]
+    found: dict[sp.Expr, sp.Expr] = {}
+    for powers, coefficient in terms:
+        function = sp.Mul(*(g**n for g, n in zip(own, powers, strict=True))).xreplace(back)
+        found[function] = sp.cancel(coefficient / denominator).xreplace(back)
+    return {function: c for function, c in found.items() if c != 0}
+
+
+def _algebraic(expression: sp.Expr) -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr]]:
+    """Return an expression with symbols for sines, cosines and steep exponentials, and what they stand for."""
+    steep = {f: sp.Dummy("e", real=True) for f in _sorted(expression, sp.exp, sp.Pow) if _is_steep(f)}
+    expression = expression.xreplace(steep)
+    whole = {
+        f: sp.Dummy("f", real=True) for f in _sorted(expression, *_hyperbolic(), sp.sin, sp.cos, sp.tan) if _is_whole(f)
+    }
+    expanded = sp.expand_trig(expression.xreplace(whole)).xreplace({symbol: f for f, symbol in whole.items()})
+    expanded = expanded.rewrite(sp.tan, sp.sin).subs(sp.tan, sp.sin)
+    for tangent in expanded.atoms(sp.tan):
+        expanded = expanded.xreplace({tangent: sp.sin(tangent.args[0]) / sp.cos(tangent.args[0])})
+    back: dict[sp.Symbol, sp.Expr] = {}
+    there: dict[sp.Expr, sp.Symbol] = {}
+    for angle in sorted({f.args[0] for f in expanded.atoms(sp.sin, sp.cos)}, key=sp.default_sort_key):
+        for function in (sp.sin, sp.cos):
+            symbol = sp.Dummy(f"{function.__name__}({angle})", real=True)
+            there[function(angle)], back[symbol] = symbol, function(angle)
+    kept = {symbol: f for f, symbol in steep.items()}
+    return expanded.xreplace(there), {s: f.xreplace(kept) for s, f in back.items()} | kept
+
+
+def _sorted(expression: sp.Expr, *kinds: type) -> list[sp.Expr]:
+    return sorted(expression.atoms(*kinds), key=sp.default_sort_key)
+
+
+def _is_steep(power: sp.Expr) -> bool:
+    """Tell whether an exponential is one of sines, or to sympy a high power: exp(10**8 x) is one of exp(x)."""
+    if power.func == sp.Pow and not power.exp.free_symbols:
+        return False
+    numbers = [c for c, _ in _terms(power.exp) if c.is_Rational]
+    most = max((max(abs(int(c.p)), int(c.q)) for c in numbers), default=0)
+    return bool(power.exp.atoms(sp.sin, sp.cos, sp.tan)) or most > _MOST_ANGLES
+
+
+def _hyperbolic() -> tuple[type, ...]:
+    return sp.sinh, sp.cosh, sp.tanh
+
+
+def _is_whole(function: sp.Expr) -> bool:
+    """Tell whether a function is left as it is, not written in functions of parts of its argument."""
+    if function.func in _hyperbolic():
+        return True
+    return any(c.is_Integer and abs(c) > _MOST_ANGLES for c, rest in _terms(function.args[0]) if rest != 1)
+
+
+def _terms(total: sp.Expr) -> list[tuple[sp.Expr, sp.Expr]]:
+    """Return the terms of a sum, each as a number and what it multiplies."""
+    return [term.as_coeff_Mul() for term in sp.Add.make_args(sp.expand(total))]
+
+
+def _reduced(polynomial: sp.Expr, back: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
+    """Return a polynomial in which no sine has a power above 1."""
+    found = sp.expand(polynomial)
+    cosine = {what.args[0]: symbol for symbol, what in back.items() if what.func == sp.cos}
+    for symbol, what in back.items():
+        if what.func == sp.sin and found.has(symbol):
+            found = sp.rem(found, symbol**2 + cosine[what.args[0]] ** 2 - 1, symbol)
+    return sp.expand(found)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What constants must be: values of some, and the equations that are left of others.
+
+    `values` is None where there is no solution.
+    """
+
+    values: dict[sp.Symbol, sp.Expr] | None
+    left: tuple[sp.Expr, ...] = ()
+
+
+def solve_constants(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol], given: Hypotheses) -> Solution:
+    """Return what real constants must be for expressions of them to vanish.
+
+    Factors that have a sign are left out, powers are taken away, equations that are linear in one unknown are solved
+    for it, and what is known of its sine or cosine is put in.
+
+    Args:
+        equations: expressions of the unknowns and of parameters, all 0.
+        unknowns: the constants.
+        given: of the parameters.
+    """
+    pending, values = [normal(e) for e in equations], dict[sp.Symbol, sp.Expr]()
+    trigonometric: dict[sp.Expr, sp.Expr] = {}
+    for _ in range(_MOST_ROUNDS):
+        pending = list(
+            dict.fromkeys(x for e in pending if (x := radical(normal(e.xreplace(trigonometric)), given)) != 0)
+        )
+        fixed = [e for e in pending if not e.free_symbols & {*unknowns}]
+        if any(given.is_nonzero(e) for e in fixed):
+            return Solution(None)
+        for equation in fixed:  # of parameters alone, and true at their declared values
+            given.suppose(f"{equation} = 0")
+        pending = [e for e in pending if e not in fixed]
+        if not pending:
+            return Solution(values)
+        found = next((s for e in pending if (s := _linear(e, unknowns, given)) is not None), None)
+        if found is not None:
+            unknown, value = found
+            values = {u: normal(v.subs(unknown, value)) for u, v in values.items()} | {unknown: value}
+            pending = [e.subs(unknown, value) for e in pending]
+            trigonometric = {f: v for f, v in trigonometric.items() if unknown not in f.free_symbols}
+            continue
+        known = next((e for e in pending if e.func in {sp.sin, sp.cos} and e.args[0] in unknowns), None)
+        if known is None or known in trigonometric:
+            return Solution(values, tuple(pending))
+        trigonometric[known] = sp.Integer(0)
+        rest = [e for e in pending if e != known]
+        if [radical(normal(e.xreplace(trigonometric)), given) for e in rest] == rest:
+            return Solution(values, tuple(pending))
+    return Solution(values, tuple(pending))
+
+
+def radical(expression: sp.Expr, given: Hypotheses) -> sp.Expr:
+    """Return the product of the different factors of a numerator that may vanish; 1 where none may."""
+    expanded, back = _algebraic(expression)
+    numerator, _ = sp.fraction(sp.together(expanded))
+    if numerator == 0:
+        return sp.Integer(0)
+    _, factors = sp.factor_list(numerator)
+    kept = []
+    for factor, _ in factors:
+        plain = factor.xreplace(back)
+        if given.sign(plain) is not None:
+            continue
+        kept.append(plain)
+    product = sp.Mul(*kept)
+    for what in back.values():
+        if what.func == sp.cos:
+            product = _without_square(product, what, sp.sin(what.args[0]))
+    return product
+
+
+def _without_square(product: sp.Expr, cosine: sp.Expr, sine: sp.Expr) -> sp.Expr:
+    """Return S for (C - 1)(C + 1) = -S^2."""
+    factors = list(sp.Mul.make_args(product))
+    if cosine - 1 in factors and cosine + 1 in factors:
+        rest = [f for f in factors if f not in {cosine - 1, cosine + 1, sine}]
+        return sp.Mul(*rest, sine)
+    return product
+
+
+def _linear(expression: sp.Expr, unknowns: Sequence[sp.Symbol], given: Hypotheses) -> tuple[sp.Symbol, sp.Expr] | None:
+    """Return an unknown that an equation gives, and what it is; None where there is none."""
+    for unknown in unknowns:
+        if not expression.has(unknown) or not expression.is_polynomial(unknown):
+            continue
+        by = sp.Poly(expression, unknown)
+        if by.degree() != 1:
+            continue
+        slope, rest = by.all_coeffs()
+        if given.sign(slope) in {1, -1}:
+            return unknown, normal(-rest / slope)
+    return None

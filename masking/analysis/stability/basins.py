@@ -1,0 +1,117 @@
+"""Basins: at which motion a system ends, over a grid of initial states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.analysis.stability.modes import pair_of
+from masking.errors import IntegrationError, ModelError, SingularityError
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array
+
+LABELS: Final = ("rest", "in phase", "anti-phase", "other", "lost")
+_THREADS = 2
+_ROWS = 400  # samples of the last part
+
+
+@dataclass(frozen=True)
+class Basins:
+    """At which motion each initial state ends.
+
+    Args:
+        names: of the two states that are varied.
+        first: values of the first (m,), in declared units.
+        second: values of the second (k,).
+        ends: index into `LABELS` (m, k).
+    """
+
+    names: tuple[str, str]
+    first: Array
+    second: Array
+    ends: NDArray[np.int64]
+
+    def shares(self) -> dict[str, float]:
+        """Return the part of the grid that ends at each motion."""
+        return {label: float(np.mean(self.ends == i)) for i, label in enumerate(LABELS)}
+
+
+def basins(
+    model: Model,
+    first: tuple[str, Array],
+    second: tuple[str, Array],
+    *,
+    duration: float,
+    last: float,
+    initial: Mapping[str, float] | None = None,
+    tolerance: float = 1e-8,
+    near: float = 0.1,
+    rest: float = 1e-3,
+    progress: Callable[[float], None] | None = None,
+) -> Basins:
+    """Simulate from a grid of initial states and tell where each motion ends.
+
+    Args:
+        model: with two oscillators, in SI units or in its scales.
+        first: a coordinate or velocity (`x1'`), and its values in declared units.
+        second: another.
+        duration: of each motion, in units of the model's time.
+        last: the last part of it, over which the end is told: some periods.
+        initial: of all other states; as declared where not given.
+        tolerance: local relative error of integration.
+        near: in phase where |a - b|, in anti-phase where |a + b| of the oscillations a and b about their means stays
+            below this part of the larger one.
+        rest: at rest where both stay below this part of the largest value of the grid.
+        progress: called with the part done.
+
+    Raises:
+        ModelError: there are not two oscillators, or a state is unknown.
+    """
+    pair = pair_of(model)
+    if not 0.0 < last < duration:
+        raise ModelError(f"the last part, {last:g}, must be shorter than the duration, {duration:g}, and positive")
+    a, b = np.asarray(first[1], dtype=float), np.asarray(second[1], dtype=float)
+    kernels, p, u = model.kernels, model.values(), np.zeros(len(model.inputs))
+    times = np.concatenate([[0.0], np.linspace(duration - last, duration, _ROWS)])
+    starts = [[model.initial_state({**(initial or {}), first[0]: float(x), second[0]: float(z)}) for z in b] for x in a]
+    size = max(float(np.max(np.abs(s[: len(model.coordinates)]))) for row in starts for s in row) or 1.0
+    kernels.integrate(times[:1], starts[0][0], u, p, tolerance=tolerance)  # compiled once, before the threads
+
+    def row(i: int) -> list[int]:
+        found = []
+        for state in starts[i]:
+            try:
+                run = kernels.integrate(times, state, u, p, tolerance=tolerance)
+            except (IntegrationError, SingularityError):
+                found.append(LABELS.index("lost"))
+            else:
+                found.append(_end(run[pair[0]][1:], run[pair[1]][1:], near, rest * size))
+        return found
+
+    ends = np.zeros((len(a), len(b)), dtype=np.int64)
+    with ThreadPoolExecutor(_THREADS) as pool:
+        for i, found in enumerate(pool.map(row, range(len(a)))):
+            ends[i] = found
+            if progress is not None:
+                progress((i + 1) / len(a))
+    return Basins((first[0], second[0]), a, b, ends)
+
+
+def _end(a: Array, b: Array, near: float, rest: float) -> int:
+    """Return the label of the last part of two oscillations (m,)."""
+    if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b))):
+        return LABELS.index("lost")
+    a, b = a - np.mean(a), b - np.mean(b)
+    larger = max(float(np.max(np.abs(a))), float(np.max(np.abs(b))))
+    if larger < rest:
+        return LABELS.index("rest")
+    if float(np.max(np.abs(a - b))) < near * larger:
+        return LABELS.index("in phase")
+    if float(np.max(np.abs(a + b))) < near * larger:
+        return LABELS.index("anti-phase")
+    return LABELS.index("other")

@@ -1,0 +1,163 @@
+"""Boundedness: where energy cannot grow, whether motion stays in a compact set, as LaSalle's theorem wants.
+
+Energy is V = v^T H(q) v/2 + U(q). Its sets {V <= c} are compact where H is positive definite and U grows without bound
+in every direction that is no angle. U does so where it is a sum of bounded terms and of a convex one, of even powers of
+linear forms and a quadratic form, which grows along every ray.
+Source: LaSalle (1960), Some extensions of Liapunov's second method; Rockafellar, Convex Analysis (1970), theorem 8.6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+
+from masking.analysis.stability.algebra import normal
+from masking.analysis.stability.hypotheses import Hypotheses
+from masking.analysis.stability.motion import Motion
+from masking.errors import ModelError
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+
+@dataclass(frozen=True)
+class Boundedness:
+    """Whether every set {V <= c} is compact, angles counted modulo one turn.
+
+    Args:
+        is_shown: whether that is proved.
+        text: why, or what is missing.
+    """
+
+    is_shown: bool
+    text: str
+
+
+def boundedness(motion: Motion) -> Boundedness:
+    """Find out whether the energy of a model keeps its motion bounded."""
+    energy, given = motion.energy, motion.given
+    if energy is None:
+        return Boundedness(False, "no energy is declared")
+    potential = energy.subs(dict.fromkeys(motion.v, 0))
+    kinetic = sp.hessian(energy, motion.v) if motion.v else sp.zeros(0, 0)
+    rest = energy - potential - (sp.Matrix([motion.v]) * kinetic * sp.Matrix(motion.v))[0] / 2
+    if kinetic.free_symbols & {*motion.v} or normal(rest) != 0:
+        return Boundedness(False, "the energy is no sum of a quadratic form of the velocities and a potential")
+    if not is_positive_definite(kinetic, given):
+        return Boundedness(False, "the kinetic energy could not be shown to be positive definite")
+    try:
+        missing = _unbounded(potential, motion)
+    except ModelError as error:
+        return Boundedness(False, str(error))
+    if missing:
+        return Boundedness(False, missing)
+    angles = ", ".join(map(str, motion.circles))
+    turn = f" (the angles {angles} modulo one turn)" if angles else ""
+    text = "the kinetic energy is positive definite and the potential grows in every direction: {V <= c} is compact"
+    return Boundedness(True, text + turn)
+
+
+def is_positive_definite(matrix: sp.Matrix, given: Hypotheses) -> bool:
+    """Tell whether a symmetric matrix is positive definite for all coordinates: by its leading minors (Sylvester)."""
+    return all(given.declared_sign(normal(matrix[:k, :k].det())) == 1 for k in range(1, matrix.rows + 1))
+
+
+@dataclass(frozen=True)
+class Square:
+    """A term coefficient * form^2 with a linear form of some symbols."""
+
+    coefficient: sp.Expr
+    form: sp.Expr
+
+
+def squares(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], given: Hypotheses) -> tuple[Square, ...] | None:
+    """Return x^T matrix x as a sum of squares with positive coefficients; None where it is not seen to be one.
+
+    By completing squares, one symbol after the other: matrix = L D L^T, with D > 0 or left out where it is 0.
+    """
+    rest, found = matrix.applyfunc(normal), []
+    for i in range(rest.rows):
+        row = rest[i, :]
+        if all(x == 0 for x in row):
+            continue
+        pivot = rest[i, i]
+        if pivot == 0 or given.declared_sign(pivot) != 1:
+            return None
+        form = sum((normal(row[j] / pivot) * symbols[j] for j in range(rest.cols)), sp.Integer(0))
+        found.append(Square(pivot, form))
+        rest = (rest - row.T * row / pivot).applyfunc(normal)
+    return tuple(found)
+
+
+def _unbounded(potential: sp.Expr, motion: Motion) -> str:  # noqa: PLR0911  # one reason each
+    """Return why a potential may not grow in every direction that is no angle; '' where it does."""
+    lines = [q for q in motion.q if q not in motion.circles]
+    given, forms, remainder = motion.given, [], sp.Integer(0)
+    for term in sp.Add.make_args(sp.expand_mul(potential)):
+        if not term.free_symbols & {*lines} or _is_bounded(term, motion.q):
+            if not _is_bounded(term, motion.q):
+                return f"the term {term} of the energy is not bounded"
+            continue
+        form = _even_power(term, lines, given)
+        if form is not None:
+            forms.append((form, _power_of(term, lines)))
+        else:
+            remainder += term
+    remainder = sp.expand(remainder)
+    if not remainder.is_polynomial(*lines) or (remainder.free_symbols & {*motion.circles}):
+        return f"the part {remainder} of the potential is not seen to grow"
+    if remainder != 0 and sp.Poly(remainder, *lines).total_degree() > 2:
+        return f"the part {remainder} of the potential is not seen to grow"
+    steep = [form for form, power in forms if power > 2]
+    if _rank_is_full(steep, lines, given):  # of fourth order or more in every direction: they outgrow all squares
+        return ""
+    quadratic = sp.hessian(remainder, lines) if lines else sp.zeros(0, 0)
+    found = squares(quadratic, lines, given) if lines else ()
+    if found is None:
+        return f"the quadratic part of the potential, {remainder}, is not seen to be positive"
+    if not _rank_is_full([form for form, _ in forms] + [square.form for square in found], lines, given):
+        return "there is a direction in which the potential does not grow"
+    return ""
+
+
+def _rank_is_full(forms: Sequence[sp.Expr], lines: Sequence[sp.Symbol], given: Hypotheses) -> bool:
+    """Tell whether linear forms vanish together at one point alone."""
+    if len(forms) < len(lines):
+        return False
+    directions = sp.Matrix([[sp.diff(form, q) for q in lines] for form in forms]) if forms else sp.zeros(0, len(lines))
+    return not lines or given.declared_sign(normal((directions.T * directions).det())) == 1
+
+
+def _is_bounded(term: sp.Expr, coordinates: Sequence[sp.Symbol]) -> bool:
+    """Tell whether a term is a product of parameters, sines and cosines."""
+    for factor in sp.Mul.make_args(term):
+        base, power = factor.as_base_exp()
+        if not base.free_symbols & {*coordinates}:
+            continue
+        if base.func not in {sp.sin, sp.cos, sp.tanh, sp.atan} or not (power.is_integer and power > 0):
+            return False
+    return True
+
+
+def _power_of(term: sp.Expr, lines: Sequence[sp.Symbol]) -> int:
+    """Return the power of the part of a term that holds coordinates."""
+    _, dependent = term.as_independent(*lines, as_Add=False)
+    return int(dependent.as_base_exp()[1])
+
+
+def _even_power(term: sp.Expr, lines: Sequence[sp.Symbol], given: Hypotheses) -> sp.Expr | None:
+    """Return the linear form of a term that is a positive number times an even power of it; None where it is not."""
+    coefficient, dependent = term.as_independent(*lines, as_Add=False)
+    base, power = dependent.as_base_exp()
+    if not (power.is_Integer and power > 0 and power % 2 == 0) or coefficient.free_symbols & {*lines}:
+        return None
+    if not base.is_polynomial(*lines) or sp.Poly(base, *lines).total_degree() != 1:
+        return None
+    if base.free_symbols - {*lines} - {*given.symbols.values()}:
+        return None
+    return base if given.declared_sign(coefficient) == 1 else None

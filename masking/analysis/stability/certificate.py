@@ -1,0 +1,362 @@
+"""Energy certificate: what a declared energy proves of all motions of a model, word for word and no more.
+
+V' <= 0 and compact sets {V <= c} let every motion converge to the largest invariant set on which V' = 0 (LaSalle). That
+set, and the equilibria in it, make the conclusion. Theorems 5.1, 7.1, 8.1 and 9.1 and conjecture 8.1 of Rijlaarsdam
+(2008) are of this kind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
+
+from masking.analysis.stability.algebra import normal, radical
+from masking.analysis.stability.boundedness import Boundedness, boundedness, is_positive_definite
+from masking.analysis.stability.dissipation import Dissipation, Status, dissipation
+from masking.analysis.stability.equilibria import UNDECIDED, Box, equilibria
+from masking.analysis.stability.hypotheses import Hypotheses
+from masking.analysis.stability.lasalle import Family, InvariantSet, invariant_set
+from masking.analysis.stability.motion import Motion
+from masking.errors import ModelError
+from masking.modelling.model import Model
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+_MOST_POINTS = 64
+_CLOSE = 1e-10  # of the largest coordinate: nearer to a relation than this, an equilibrium belongs to a family
+
+
+class NotIsolatedError(ModelError):
+    """Equilibria are whole curves or surfaces, so that no list holds them."""
+
+
+@dataclass(frozen=True)
+class RestPoint:
+    """An equilibrium outside of the families: its coordinates as texts, and what is known of its stability."""
+
+    position: dict[str, str]
+    stability: str
+    is_unstable: bool
+
+    def __str__(self) -> str:
+        return "(" + ", ".join(f"{n} = {x}" for n, x in self.position.items()) + f"): {self.stability}"
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What an energy proves.
+
+    Args:
+        name: of the model.
+        energy: V, in symbols of the hypotheses; None where none is declared.
+        hypotheses: that inputs are 0, and what is assumed of the parameters, which holds for the declared values; the
+            proof holds wherever they do.
+        dissipation: what is known of V'; None where no energy is declared, or the equations are of another kind.
+        boundedness: whether every set {V <= c} is compact.
+        invariant: the largest invariant set in V' = 0; None where it was not looked for.
+        others: equilibria outside of the families of that set; None where they could not be found.
+        status: of the conclusion.
+        conclusion: what every motion does, as far as it is shown.
+        reasons: what is missing for more, or must be known to read the conclusion.
+    """
+
+    name: str
+    energy: sp.Expr | None
+    hypotheses: tuple[str, ...]
+    dissipation: Dissipation | None
+    boundedness: Boundedness | None
+    invariant: InvariantSet | None
+    others: tuple[RestPoint, ...] | None
+    status: Status
+    conclusion: str
+    reasons: tuple[str, ...] = field(default_factory=tuple)
+
+    def __str__(self) -> str:
+        lines = [f"{self.status}: {self.conclusion}"]
+        if self.hypotheses:
+            lines.append(f"  for {', '.join(self.hypotheses)}")
+        if self.dissipation is not None:
+            lines.append(f"  V' = {self.dissipation.rate}: {_words(self.dissipation)}")
+        if self.boundedness is not None:
+            lines.append(f"  {self.boundedness.text}")
+        lines += [f"  {step}" for step in (self.invariant.steps if self.invariant else ())]
+        lines += [f"  equilibrium {point}" for point in (self.others or ())[:_MOST_POINTS]]
+        lines += [f"  {reason}" for reason in self.reasons]
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the certificate as JSON can hold it."""
+        d, i = self.dissipation, self.invariant
+        return {
+            "model": self.name,
+            "status": self.status,
+            "conclusion": self.conclusion,
+            "hypotheses": list(self.hypotheses),
+            "energy": None if self.energy is None else str(self.energy),
+            "dissipation": None
+            if d is None
+            else {
+                "rate": str(d.rate),
+                "status": d.status,
+                "method": d.method,
+                "squares": [{"coefficient": str(s.coefficient), "form": str(s.form)} for s in d.squares],
+                "box": d.box,
+                "counterexample": d.counterexample,
+                "growth": d.growth,
+            },
+            "boundedness": None
+            if self.boundedness is None
+            else {"is_shown": self.boundedness.is_shown, "text": self.boundedness.text},
+            "invariant_set": None
+            if i is None
+            else {
+                "is_found": i.is_found,
+                "families": [[str(r) for r in family.relations] for family in i.families],
+                "equilibria": i.equilibria,
+                "steps": list(i.steps),
+            },
+            "other_equilibria": None
+            if self.others is None
+            else [
+                {"position": p.position, "stability": p.stability, "is_unstable": p.is_unstable} for p in self.others
+            ],
+            "reasons": list(self.reasons),
+        }
+
+
+def certificate(model: Model, box: Box | None = None) -> Certificate:
+    """Derive what the declared energy of a model proves of its motion without inputs.
+
+    Args:
+        model: with `energy`, or a Lagrangian, without internal states.
+        box: for what is not proved everywhere; see `dissipation`.
+    """
+    given = Hypotheses(model)
+    try:
+        motion = Motion(model, given)
+        lost = dissipation(motion, box)
+    except ModelError as error:
+        return Certificate(model.name, None, (), None, None, None, None, "open", f"not shown: {error}")
+    if lost.status == "refuted":
+        where = ", ".join(f"{n} = {x:g}" for n, x in (lost.counterexample or {}).items())
+        text = (
+            f"the energy can grow: V' >= {lost.growth:.3g} > 0 at {where}, at the declared values; it certifies nothing"
+        )
+        return Certificate(model.name, motion.energy, _values(given), lost, None, None, None, "refuted", text)
+    if lost.status != "proved":
+        text = "whether the energy can grow is not shown"
+        return Certificate(model.name, motion.energy, given.texts, lost, None, None, None, lost.status, text)
+    bounded = boundedness(motion)
+    if lost.box is not None or not lost.squares:
+        text, reasons = _without_set(lost, bounded)
+        return Certificate(model.name, motion.energy, given.texts, lost, bounded, None, None, "proved", text, reasons)
+    found = invariant_set(motion, [square.form.as_base_exp()[0] for square in lost.squares])
+    others, reasons = _others(motion, found)
+    text, further = _conclusion(bounded, found, others)
+    return Certificate(
+        model.name, motion.energy, given.texts, lost, bounded, found, others, "proved", text, (*reasons, *further)
+    )
+
+
+def _words(lost: Dissipation) -> str:
+    where = "" if lost.box is None else f" on {_box(lost.box)}"
+    sign = "" if lost.status != "proved" or lost.rate == 0 else "V' <= 0, "
+    return f"{sign}{lost.method}{where} ({lost.status})"
+
+
+def _box(box: dict[str, tuple[float, float]]) -> str:
+    return ", ".join(f"|{n}| <= {b:.4g}" if a == -b else f"{a:.4g} <= {n} <= {b:.4g}" for n, (a, b) in box.items())
+
+
+def _values(given: Hypotheses) -> tuple[str, ...]:
+    return (*given.inputs, *(f"{name} = {value:g}" for name, value in given.values.items()))
+
+
+def _without_set(lost: Dissipation, bounded: Boundedness) -> tuple[str, tuple[str, ...]]:
+    """Conclude where V' is no sum of squares of velocities, so that there is no elimination."""
+    if lost.box is not None:
+        return f"the energy does not grow while the motion stays in the box {_box(lost.box)}", (
+            "That motion stays there is not shown, so that nothing follows for its end.",
+        )
+    stays = "every motion is bounded" if bounded.is_shown else "whether motion is bounded is not shown"
+    return f"the energy never grows; {stays}", ()
+
+
+def _conclusion(  # noqa: PLR0911  # one way each
+    bounded: Boundedness, found: InvariantSet, others: tuple[RestPoint, ...] | None
+) -> tuple[str, tuple[str, ...]]:
+    """Return what every motion does, and what is left to say."""
+    who = "every motion" if bounded.is_shown else "every motion that is bounded"
+    if not found.is_found:
+        return (
+            f"{who} converges to the largest invariant set on which V' = 0",
+            ("What that set is, is open: it could not be eliminated.",),
+        )
+    sets = " or to ".join(f"the set {family}" for family in found.families)
+    if not sets and others == ():
+        return "no motion is bounded: there is no equilibrium to converge to", (
+            "A motion that is bounded would converge to the largest invariant set on which V' = 0, which is empty.",
+        )
+    if not found.equilibria or others == ():
+        return f"{who} converges to {sets}", ()
+    if others is None:
+        rest = f"the equilibria and {sets}, taken together" if sets else "the set of equilibria"
+        return f"{who} converges to {rest}", ("There is no complete list of the equilibria.",)
+    if not sets:
+        return f"{who} converges to one of {len(others)} equilibria" if len(others) > 1 else (
+            f"{who} converges to the equilibrium {others[0]}"
+        ), ()
+    text = f"{who} converges to {sets}, or to one of {len(others)} equilibria outside of it"
+    if all(point.is_unstable for point in others):
+        return text, (
+            "Each of these has an eigenvalue with positive real part (proved), so that motions that converge to them "
+            "start from a set of measure zero: almost every motion converges to the set.",
+        )
+    return text, ("Some of these are not proved to be unstable: motion may end there instead of in the set.",)
+
+
+def _others(motion: Motion, found: InvariantSet) -> tuple[tuple[RestPoint, ...] | None, tuple[str, ...]]:
+    """Return the equilibria outside of the families, and how they were found; None where that is open."""
+    if not found.is_found or not found.equilibria:
+        return (None if not found.is_found else ()), ()
+    try:
+        exact = rest_points(motion, found.known)
+    except NotIsolatedError as error:
+        return None, (f"{error}.",)
+    if exact is not None:
+        outside = [p for p in exact if not any(_is_in(family, p, motion) for family in found.families)]
+        return tuple(_exact_point(motion, p) for p in outside), ()
+    try:
+        numeric = equilibria(motion.model)
+    except ModelError as error:
+        return None, (f"The equilibria could not be enclosed: {error}.",)
+    if not (numeric.is_complete and numeric.is_global):
+        return None, (f"Of the equilibria is known: {numeric}.",)
+    values = ", ".join(f"{n} = {x:g}" for n, x in motion.model.parameter_values().items())
+    points = []
+    for point in numeric.points:
+        if not any(_is_near(family, point.position) for family in found.families):
+            texts = {n: f"{x:.6g}" for n, x in point.position.items()}
+            proved = " (proved)" if point.is_unstable else " (by its eigenvalues)"
+            if point.verdict == UNDECIDED:
+                proved = ""
+            points.append(RestPoint(texts, point.verdict + proved, point.is_unstable))
+    motion.given.suppose(f"and, as to which equilibria there are, {values}")
+    return tuple(points), (f"Equilibria there, by intervals: {numeric}.",)
+
+
+def rest_points(motion: Motion, known: dict[sp.Symbol, sp.Expr]) -> tuple[dict[sp.Symbol, sp.Expr], ...] | None:
+    """Return every equilibrium exactly, angles in (-pi, pi]; None where they are not found by factors one by one.
+
+    Args:
+        motion: the equations.
+        known: values of coordinates that hold at all of them.
+
+    Raises:
+        NotIsolatedError: at the declared values, equilibria are whole curves.
+    """
+    try:
+        return _branch([e.subs(known) for e in motion.at_rest], dict(known), motion)
+    except NotIsolatedError:
+        raise
+    except ModelError:
+        return None
+
+
+def _branch(
+    equations: list[sp.Expr], values: dict[sp.Symbol, sp.Expr], motion: Motion
+) -> tuple[dict[sp.Symbol, sp.Expr], ...]:
+    pending = [r for e in equations if (r := radical(normal(e), motion.given)) != 0]
+    unknown = [q for q in motion.q if q not in values]
+    fixed = [e for e in pending if not e.free_symbols & {*unknown}]
+    if any(motion.given.is_nonzero(e) for e in fixed):
+        return ()
+    for equation in fixed:  # of parameters alone, and true at their declared values
+        motion.given.suppose(f"{equation} = 0")
+    pending = [e for e in pending if e not in fixed and not _is_void(e, unknown, motion)]
+    if not pending:
+        if unknown:
+            some = ", ".join(f"{q} = {x}" for q, x in values.items())
+            every = ", ".join(map(str, unknown))
+            where = f" with {some}" if some else ""
+            raise NotIsolatedError(f"The equilibria are not isolated: every {every}{where} is one")
+        return (values,)
+    pending.sort(key=sp.count_ops)
+    for equation in pending:
+        factors = sp.Mul.make_args(sp.factor(equation))
+        parts = [f for f in factors if f.free_symbols & {*unknown}]
+        options = [_solved(f, unknown, motion) for f in parts]
+        if all(option is not None for option in options):
+            if not all(motion.given.is_nonzero(f) for f in factors if f not in parts):
+                raise ModelError(f"{equation} = 0 may hold whatever the coordinates are")
+            found: dict[tuple[tuple[str, str], ...], dict[sp.Symbol, sp.Expr]] = {}
+            for option in options:
+                for q, value in option or ():
+                    for point in _branch([e.subs(q, value) for e in pending], values | {q: value}, motion):
+                        found[tuple(sorted((str(a), str(b)) for a, b in point.items()))] = point
+            return tuple(found.values())
+    raise ModelError("no factor can be solved")
+
+
+def _is_void(equation: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> bool:
+    """Tell whether a factor of parameters is 0 at declared values, so that the equation says nothing."""
+    for factor in sp.Mul.make_args(sp.factor(equation)):
+        if not factor.free_symbols & {*unknown} and motion.given.at_values(factor) == 0:
+            motion.given.suppose(f"{factor} = 0")
+            return True
+    return False
+
+
+def _solved(factor: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> list[tuple[sp.Symbol, sp.Expr]] | None:
+    """Return the values that a coordinate has where a factor vanishes; None where it is not seen."""
+    mine = [q for q in unknown if factor.has(q)]
+    if len(mine) != 1:
+        return None
+    (q,) = mine
+    if q in motion.circles and factor == sp.sin(q):
+        return [(q, sp.Integer(0)), (q, sp.pi)]
+    if q in motion.circles and factor == sp.cos(q):
+        return [(q, sp.pi / 2), (q, -sp.pi / 2)]
+    if factor.is_polynomial(q) and sp.Poly(factor, q).degree() == 1:
+        slope, rest = sp.Poly(factor, q).all_coeffs()
+        if motion.given.sign(slope) in {1, -1}:
+            return [(q, normal(-rest / slope))]
+    return None
+
+
+def _is_in(family: Family, point: dict[sp.Symbol, sp.Expr], motion: Motion) -> bool:
+    """Tell whether an exact equilibrium is in a family, angles modulo one turn."""
+    still = dict.fromkeys(motion.v, 0)
+    for relation in family.relations:
+        value = normal(relation.subs(still).subs(point))
+        is_angle = bool(relation.free_symbols & {*motion.circles})
+        if value != 0 and not (is_angle and (value / (2 * sp.pi)).is_integer):
+            return False
+    return True
+
+
+def _is_near(family: Family, position: dict[str, float]) -> bool:
+    """Tell whether an enclosed equilibrium, which no angle modulo one turn brings nearer, is in a family."""
+    size = max(map(abs, position.values()), default=0.0) or 1.0
+    for relation in family.relations:
+        value = relation.subs({s: position.get(s.name, 0) for s in relation.free_symbols})
+        if abs(float(value)) > _CLOSE * max(1.0, size):
+            return False
+    return True
+
+
+def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr]) -> RestPoint:
+    """Tell whether the determinant of the stiffness is negative, that of the mass positive."""
+    stiffness = -sp.Matrix(motion.at_rest).jacobian(motion.q)
+    signs = [motion.given.declared_sign(normal(m.subs(point).det())) for m in (stiffness, motion.mass)]
+    is_unstable = signs in ([-1, 1], [1, -1])
+    words = "unstable, it has a positive eigenvalue (proved)" if is_unstable else "its stability is not shown"
+    potential = (motion.energy or sp.Integer(0)).subs(dict.fromkeys(motion.v, 0))
+    if not is_unstable and is_positive_definite(sp.hessian(potential, motion.q).subs(point), motion.given):
+        words = "stable, the energy has a minimum there (proved)"
+    return RestPoint({str(q): str(point[q]) for q in motion.q}, words, is_unstable)

@@ -1,0 +1,240 @@
+"""Dissipation: whether the rate V' of a declared energy is nowhere positive.
+
+Tried in this order: V' as minus a sum of squares of velocities, by completing squares; a state at which V' > 0, which
+is confirmed; V' <= 0 on a box, by intervals, where V' and its slope vanish at rest and its Hessian in the
+velocities is negative semidefinite all over the box.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.analysis.stability.algebra import is_zero, normal
+from masking.analysis.stability.boundedness import Square, squares
+from masking.analysis.stability.equilibria import Box, check_box
+from masking.analysis.stability.growth import SAMPLES, Growth
+from masking.analysis.stability.intervals import Interval, enclose
+from masking.analysis.stability.modes import state_matrix
+from masking.analysis.stability.motion import Motion
+from masking.codegen.graph import Graph
+from masking.errors import ModelError
+from masking.numerics.arrays import Array
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+Status = Literal["proved", "refuted", "supported numerically", "open"]
+
+_MOST_BOXES = 50_000
+_ROUNDS = 40
+_FURTHER = (1.0, 10.0, 100.0)  # times a side that is not given: how far a state at which V' > 0 is looked for
+
+
+@dataclass(frozen=True)
+class Dissipation:
+    """What is known of V'.
+
+    Args:
+        rate: V', in normal form.
+        status: 'proved': V' <= 0, everywhere or on `box`; 'refuted': V' > 0 at `counterexample`; 'supported
+            numerically': V' <= 0 at all sampled states; 'open' where it could not be looked at, or the energy jumps.
+        method: how that was found.
+        squares: of which -V' is the sum, where it is seen to be one.
+        box: where it holds; None for everywhere.
+        counterexample: a state at which V' > 0, at the declared values, in the units of the model, and `growth`, the
+            least V' there.
+    """
+
+    rate: sp.Expr
+    status: Status
+    method: str
+    squares: tuple[Square, ...] = ()
+    box: dict[str, tuple[float, float]] | None = None
+    counterexample: dict[str, float] | None = None
+    growth: float = 0.0
+
+
+def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa: PLR0911  # one way each
+    """Find out whether the energy of a model can grow.
+
+    Args:
+        motion: the equations; its hypotheses get those that the proof needs.
+        box: least and largest values of coordinates and velocities (`x1'`), in the units of the model, for what is not
+            proved everywhere; where not given, twice the largest declared initial value, times the largest eigenvalue,
+            and states at which V' > 0 are looked for up to a hundred times as far, too.
+
+    Raises:
+        ModelError: the model has no energy.
+    """
+    rate = motion.energy_rate
+    pieces = motion.energy.atoms(sp.Piecewise) if motion.energy is not None else ()
+    unsure = {str(condition) for piece in pieces for condition in _edges_of_jumps(piece)}
+    if unsure:
+        at = ", ".join(sorted(unsure))
+        return Dissipation(rate, "open", f"the energy may jump at the edge of {at}; declare one that is continuous")
+    if rate == 0:
+        return Dissipation(rate, "proved", "V' vanishes identically: the energy is constant")
+    terms = _sum_of_squares(rate, motion)
+    if terms is not None:
+        return Dissipation(rate, "proved", "a sum of squares of velocities", terms)
+    if _is_sum_of_resistances(rate, motion):
+        return Dissipation(rate, "proved", "a sum of velocities times forces against them")
+    sides = _sides(motion, box or {})
+    try:
+        growth = Growth(motion, rate)
+    except ModelError as error:
+        return Dissipation(rate, "open", f"not looked at: {error}")
+    for further in _FURTHER if not sides.keys() <= (box or {}).keys() else (1.0,):
+        reach = {n: side if n in (box or {}) else (further * side[0], further * side[1]) for n, side in sides.items()}
+        found = growth.search(reach)
+        if found is not None:
+            state, least = found
+            return Dissipation(rate, "refuted", "a state at which V' > 0", counterexample=state, growth=least)
+    if rate.has(sp.DiracDelta):
+        at = ", ".join(sorted({f"{f.args[0]} = 0" for f in rate.atoms(sp.DiracDelta)}))
+        return Dissipation(rate, "open", f"the energy jumps at {at}; declare one that is continuous")
+    if _is_negative(motion, rate, sides):
+        return Dissipation(rate, "proved", "interval arithmetic on a box", box=sides)
+    return Dissipation(rate, "supported numerically", f"V' <= 0 at {SAMPLES} sampled states", box=sides)
+
+
+def _sum_of_squares(rate: sp.Expr, motion: Motion) -> tuple[Square, ...] | None:
+    """Return the squares of which -V' is the sum: of a quadratic form, or of monomials with even powers."""
+    v = motion.v
+    expanded = sp.expand(-rate, power_exp=False)  # exp(a + b) is not split: its parts may underflow
+    if not expanded.is_polynomial(*v):
+        return None
+    polynomial = sp.Poly(expanded, *v)
+    if polynomial.is_homogeneous and polynomial.total_degree() == 2:
+        return squares(sp.hessian(expanded, v) / 2, v, motion.given)
+    found = []
+    for powers, coefficient in polynomial.terms():
+        is_even = all(n % 2 == 0 for n in powers) and any(powers)
+        if not is_even or motion.given.declared_sign(normal(coefficient)) != 1:
+            return None
+        form = sp.Mul(*(x ** (n // 2) for x, n in zip(v, powers, strict=True)))
+        found.append(Square(coefficient, form))
+    return tuple(found)
+
+
+def _is_sum_of_resistances(rate: sp.Expr, motion: Motion) -> bool:
+    """Tell whether -V' is a sum of terms such as c v tanh(k v) or c |v|, which are never negative.
+
+    A term has the sign that it has with x for odd increasing functions of x, and x^2 for |x|.
+    """
+    odd = {sp.tanh, sp.atan, sp.sinh, sp.asinh, sp.sign}
+    for term in sp.Add.make_args(sp.expand(-rate, power_exp=False)):
+        plain = term.replace(lambda x: x.func in odd, lambda x: x.args[0]).replace(sp.Abs, lambda x: x**2)
+        if motion.given.declared_sign(plain, strictly=False) not in {0, 1}:
+            return False
+    return True
+
+
+def _sides(motion: Motion, box: Box) -> dict[str, tuple[float, float]]:
+    """Return a box of coordinates and velocities, in the units of the model."""
+    model, names = motion.model, [*map(str, motion.q), *map(str, motion.v)]
+    check_box(model, box)
+    declared = model.declaration.coordinates
+    state = model.initial_state({c: 0.0 for c, d in declared.items() if d.initial is None})
+    n = len(motion.q)
+    reach = 2.0 * float(np.max(np.abs(state[:n]), initial=0.0)) or 1.0
+    try:
+        linear = state_matrix(model)
+    except ModelError:  # at a kink, or where an operation has no slope: nothing is known of how fast the motion is
+        linear = np.full((1, 1), np.nan)
+    rates = np.abs(np.linalg.eigvals(linear)) if np.all(np.isfinite(linear)) else np.ones(1)
+    fast = max(float(np.max(rates, initial=0.0)), 1e-3)
+    default = dict.fromkeys(names[:n], (-reach, reach)) | dict.fromkeys(names[n:], (-reach * fast, reach * fast))
+    return {name: box.get(name, default[name]) for name in names}
+
+
+def _edges_of_jumps(piece: sp.Piecewise) -> list[sp.Expr]:
+    """Return the conditions of a function in pieces at whose edge two of them are not shown to agree."""
+    found = []
+    for (value, condition), (other, _) in itertools.pairwise(piece.args):
+        edges = _edges(condition)
+        if not edges or any(not is_zero((value - other).subs(edge)) for edge in edges):
+            found.append(condition)
+    return found
+
+
+def _edges(condition: sp.Expr) -> list[dict[sp.Expr, sp.Expr]]:
+    """Return where an inequality turns, solved for a symbol in which it is linear; none where that is not seen."""
+    if not isinstance(condition, sp.core.relational.Relational):
+        return []
+    edge = sp.expand(condition.lhs - condition.rhs)
+    for symbol in sorted(edge.free_symbols, key=str):
+        slope = edge.diff(symbol)
+        if slope.is_number and slope != 0:
+            return [{symbol: symbol - edge / slope}]
+    return []
+
+
+def _is_negative(motion: Motion, rate: sp.Expr, sides: dict[str, tuple[float, float]]) -> bool:
+    """Tell whether V' <= 0 on a box: V' and its slope in the velocities vanish at rest, and it is concave in them.
+
+    False, too, where V' has kinks or jumps in the velocities, and where its Hessian has no enclosure by intervals.
+    """
+    state = [x for x in (*motion.q, *motion.v) if x in rate.free_symbols]
+    used = [v for v in motion.v if v in state]
+    kinks = (sp.sign, sp.Heaviside, sp.Abs, sp.Min, sp.Max, sp.Piecewise, sp.floor, sp.ceiling)
+    if any(f.free_symbols & {*used} for f in rate.atoms(*kinks)):
+        return False
+    still = dict.fromkeys(used, 0)
+    if not used or any(normal(x.subs(still)) != 0 for x in (rate, *(sp.diff(rate, v) for v in used))):
+        return False
+    low, high = (np.array([sides[x.name][k] for x in state]) for k in (0, 1))
+    inside = [(b >= -1e-300) and (a <= 1e-300) for a, b in zip(low, high, strict=True)]
+    if not all(ok for ok, x in zip(inside, state, strict=True) if x in used):
+        return False
+    try:
+        return _Hessian(motion, rate, state, used).is_negative(low, high)
+    except ModelError:
+        return False
+
+
+class _Hessian:
+    """The Hessian of V' in the velocities, on a graph, at the declared values."""
+
+    def __init__(self, motion: Motion, rate: sp.Expr, state: list[sp.Symbol], used: list[sp.Symbol]) -> None:
+        self.graph, self.n = Graph(), len(used)
+        symbols, values = motion.on(self.graph, state)
+        self.at, self.values = [symbols[x] for x in state], {n: Interval.of(x) for n, x in values.items()}
+        self.entries = [self.graph.lower(x, symbols) for x in sp.hessian(rate, used)]
+
+    def edge(self, low: Array, high: Array) -> Array:
+        """Return what no eigenvalue is above, for each box (m, states) and row (m, n)."""
+        given = self.values | {node: Interval.of(low[:, i], high[:, i]) for i, node in enumerate(self.at)}
+        entries, m, n = enclose(self.graph, self.entries, given), len(low), self.n
+        a = np.stack([np.broadcast_to(x.low, m) for x in entries], 1).reshape(m, n, n)
+        b = np.stack([np.broadcast_to(x.high, m) for x in entries], 1).reshape(m, n, n)
+        # Gershgorin: every eigenvalue is at most the diagonal plus what stands beside it.
+        beside = np.maximum(np.abs(a), np.abs(b))
+        beside[:, range(n), range(n)] = 0.0
+        found: Array = b[:, range(n), range(n)] + beside.sum(axis=2) * (1.0 + 1e-12)
+        return found
+
+    def is_negative(self, lowest: Array, highest: Array) -> bool:
+        """Tell whether it is negative semidefinite all over a box."""
+        low, high = lowest[None], highest[None]
+        for _ in range(_ROUNDS):
+            bad = ~np.all(self.edge(low, high) <= 1e-300, axis=1)
+            low, high = low[bad], high[bad]
+            if not len(low):
+                return True
+            if 2 * len(low) > _MOST_BOXES:
+                return False
+            axis = np.argmax((high - low) / (highest - lowest), axis=1)
+            rows = np.arange(len(low))
+            middle = 0.5 * (low[rows, axis] + high[rows, axis])
+            first, second = high.copy(), low.copy()
+            first[rows, axis], second[rows, axis] = middle, middle
+            low, high = np.concatenate([low, second]), np.concatenate([first, high])
+        return False

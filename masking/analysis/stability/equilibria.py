@@ -1,0 +1,361 @@
+"""Equilibria: every state of rest in a box, found by intervals, so that none is missed.
+
+A box in which the force at rest cannot vanish is left out. Where Krawczyk's operator maps a box into its inside, there
+is exactly one equilibrium in it; other boxes are cut in two. What is too small to cut stays undecided, such as
+equilibria that are not isolated.
+
+Source: Moore, Kearfott and Cloud, Introduction to Interval Analysis (2009), section 8.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.analysis.stability.algebra import is_zero
+from masking.analysis.stability.intervals import Interval, enclose
+from masking.analysis.stability.modes import state_matrix
+from masking.codegen.graph import Graph, Node
+from masking.codegen.tangent import derivatives
+from masking.errors import ModelError, nearest
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array, Complex
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+Box = Mapping[str, tuple[float, float]]
+
+UNDECIDED = "not decided by its eigenvalues"
+SMALLEST = 1e-7  # part of a side of the box, below which a box is not cut
+MOST_BOXES = 400_000
+_FURTHER = 10.0  # times the largest declared initial value, the box where nothing else is known
+_MOST_REFINED = 200
+_MARGIN = 0.0137  # of a turn, so that an equilibrium is not on the edge of a box of angles
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """A state of rest.
+
+    Args:
+        position: by coordinate, in SI units or in the declared scales.
+        radius: half the largest side of a box that is proved to hold exactly one equilibrium.
+        eigenvalues: of the model linearised there (2 n + k,), the slowest last to decay first.
+        is_unstable: whether an eigenvalue with positive real part is proved to exist: the determinant of the stiffness
+            is negative all over the box, that of the mass positive.
+    """
+
+    position: dict[str, float]
+    radius: float
+    eigenvalues: Complex
+    is_unstable: bool
+
+    @property
+    def verdict(self) -> str:
+        """Say what the eigenvalues tell."""
+        largest = float(np.max(self.eigenvalues.real, initial=-np.inf))
+        slack = 1e-9 * float(np.max(np.abs(self.eigenvalues), initial=1.0))
+        if self.is_unstable or largest > slack:
+            return "unstable"
+        return "asymptotically stable" if largest < -slack else UNDECIDED
+
+
+@dataclass(frozen=True)
+class Equilibria:
+    """The equilibria in a box.
+
+    Args:
+        points: those that are proved to exist, each alone in a box around it.
+        box: where they were looked for, by coordinate.
+        is_complete: whether there are no others in the box.
+        is_global: whether there are none outside of the box either; angles modulo one turn.
+        undecided: boxes in which it could not be decided whether there are equilibria: least and largest (m, n, 2).
+    """
+
+    points: tuple[Equilibrium, ...]
+    box: dict[str, tuple[float, float]]
+    is_complete: bool
+    is_global: bool
+    undecided: Array
+
+    def __str__(self) -> str:
+        where = (
+            ""
+            if self.is_global
+            else " in the box " + ", ".join(f"{n} in [{a:.4g}, {b:.4g}]" for n, (a, b) in self.box.items())
+        )
+        if self.is_complete:
+            found = (
+                f"{len(self.points)} equilibri{'um' if len(self.points) == 1 else 'a'}{where}, and no other (proved)"
+            )
+        else:
+            found = (
+                f"{len(self.points)} isolated equilibria{where}; in {len(self.undecided)} small boxes it is not decided"
+            )
+        return found
+
+
+def check_box(model: Model, box: Box, *, with_velocities: bool = True) -> None:
+    """Refuse a box of what the model does not have, or without an inside.
+
+    Raises:
+        ModelError: a name is no coordinate or, with velocities, no velocity (`x1'`); or a least value is not below the
+            largest.
+    """
+    names, what = [*model.coordinates], "coordinate"
+    if with_velocities:
+        names, what = [*names, *(f"{name}'" for name in names)], "coordinate or velocity"
+    for name, (low, high) in box.items():
+        if name not in names:
+            raise ModelError(f"{model.name} has no {what} '{name}'; {nearest(name, names)}")
+        if not low < high:
+            raise ModelError(f"the box of {name} is [{low:g}, {high:g}]; give the least value, then the largest")
+
+
+def equilibria(model: Model, box: Box | None = None) -> Equilibria:
+    """Find every equilibrium of a model in a box.
+
+    Args:
+        model: without inputs acting, in SI units or in its scales; its equations without time and internal states.
+        box: least and largest value of coordinates, in the same units; those that are not given are taken from a bound
+            that the equations themselves give, which makes the search global, or are ten times the largest declared
+            initial value; angles go once around.
+
+    Raises:
+        ModelError: a coordinate is unknown, or the equations hold what has no enclosure.
+    """
+    return _Rest(model).search(dict(box or {}))
+
+
+class _Rest:
+    """The force at rest f(q) and its Jacobian, on a graph."""
+
+    def __init__(self, model: Model) -> None:
+        e = model.equations
+        if model.states:
+            raise ModelError(f"{model.name} has internal states, for which equilibria are not looked for")
+        if not model.is_autonomous:
+            raise ModelError(f"the equations of {model.name} hold the time: it has no equilibria")
+        self.model, self.q = model, e.symbols.q
+        still = dict.fromkeys((*e.symbols.v, *e.symbols.u), 0)
+        self.force = [f.subs(still) for f in e.force]
+        self.graph = Graph()
+        symbols = {q: self.graph.symbol(f"q_{q.name}", varying=True) for q in self.q}
+        symbols |= {p: self.graph.symbol(f"p_{p.name}", varying=False) for p in e.symbols.p}
+        self.at: list[Node] = [symbols[q] for q in self.q]
+        self.nodes = [self.graph.lower(f, symbols) for f in self.force]
+        self.slopes = [x for row in derivatives(self.graph, self.nodes, self.at) for x in row]
+        self.values = {symbols[p]: Interval.of(x) for p, x in zip(e.symbols.p, model.values(), strict=True)}
+
+    def enclose(self, nodes: list[Node], boxes: Interval) -> Interval:
+        """Return enclosures (m, len(nodes)) over boxes (m, n)."""
+        given = self.values | {node: boxes[:, i] for i, node in enumerate(self.at)}
+        found = enclose(self.graph, nodes, given)
+        m = len(boxes.low)
+        low = np.stack([np.broadcast_to(x.low, m) for x in found], axis=1)
+        return Interval(low, np.stack([np.broadcast_to(x.high, m) for x in found], axis=1))
+
+    @cached_property
+    def angles(self) -> list[bool]:
+        """Tell which coordinates are angles: neither mass nor force change over one turn."""
+        e = self.model.equations
+        every = [*e.mass, *e.force]
+        return [all(is_zero(x.subs(q, q + 2 * sp.pi) - x) for x in every) for q in self.q]
+
+    def bound(self) -> dict[str, tuple[float, float]]:
+        """Return a box that holds every equilibrium of coordinates that are no angles; empty where none is known.
+
+        With f = A q + g(q) and bounded g, all equilibria have q = -A^-1 g.
+        """
+        lines = [i for i, is_angle in enumerate(self.angles) if not is_angle]
+        names = [self.q[i] for i in lines]
+        numbers = dict(zip(self.model.equations.symbols.p, self.model.values(), strict=True))
+        expanded = [sp.expand(self.force[i]) for i in lines]
+        slopes, rest = np.zeros((len(lines), len(lines))), []
+        for row, expression in enumerate(expanded):
+            left = expression
+            for column, q in enumerate(names):
+                by = expression.as_independent(*self.q, as_Add=True)[1].coeff(q, 1)
+                by = sum((t for t in sp.Add.make_args(by) if not t.free_symbols & {*self.q}), sp.Integer(0))
+                slopes[row, column] = float(by.subs(numbers))
+                left -= by * q
+            rest.append(sp.expand(left))
+        if not lines or np.linalg.matrix_rank(slopes) < len(lines):
+            return {}
+        symbols = dict(zip(self.q, self.at, strict=True))
+        symbols |= dict(zip(self.model.equations.symbols.p, self.values, strict=True))
+        given = self.values | dict.fromkeys(self.at, Interval.of(-np.inf, np.inf))
+        try:
+            nodes = [self.graph.lower(r, symbols) for r in rest]
+            ranges = enclose(self.graph, nodes, given)
+        except ModelError:
+            return {}
+        # |q| <= |A^-1| |g|, a little more for rounding of the inverse.
+        reach = np.abs(np.linalg.inv(slopes)) @ np.array([max(abs(float(r.low)), abs(float(r.high))) for r in ranges])
+        if not np.all(np.isfinite(reach)):
+            return {}
+        reach = reach * (1.0 + 1e-6) + 1e-9 * (1.0 + float(reach.max(initial=0.0)))
+        return {q.name: (-1.003 * float(r), 1.007 * float(r)) for q, r in zip(names, reach, strict=True)}
+
+    def search(self, given: dict[str, tuple[float, float]]) -> Equilibria:
+        """Cut the box until each part is decided."""
+        names = [q.name for q in self.q]
+        check_box(self.model, given, with_velocities=False)
+        box, known = {}, self.bound()
+        state = self.model.initial_state(dict.fromkeys((n for n in names if self._undeclared(n)), 0.0))
+        wide = _FURTHER * float(np.max(np.abs(state[: len(names)]), initial=0.0)) or 1.0
+        turn = (-np.pi * (1.0 - _MARGIN), np.pi * (1.0 + _MARGIN))
+        for name, is_angle in zip(names, self.angles, strict=True):
+            box[name] = given.get(name) or (turn if is_angle else known.get(name, (-1.003 * wide, 1.007 * wide)))
+        is_global = not given and all(a or n in known for n, a in zip(names, self.angles, strict=True))
+        sides = Interval(np.array([[a for a, _ in box.values()]]), np.array([[b for _, b in box.values()]]))
+        roots, undecided = self._cut(sides)
+        points = tuple(self._point(low, high) for low, high in roots)
+        return Equilibria(points, box, not len(undecided), is_global, undecided)
+
+    def _undeclared(self, name: str) -> bool:
+        return self.model.declaration.coordinates[name].initial is None
+
+    def _cut(self, whole: Interval) -> tuple[list[tuple[Array, Array]], Array]:
+        sides = whole.width[0]
+        pending, roots, undecided = whole, list[tuple[Array, Array]](), []
+        while len(pending.low):
+            if len(pending.low) > MOST_BOXES:
+                undecided.append(np.stack([pending.low, pending.high], axis=2))
+                break
+            force = self.enclose(self.nodes, pending)
+            pending = pending[np.all(force.contains_zero(), axis=1)]
+            for low, high in roots:  # a box that has one root alone has been searched
+                inside = np.all((pending.low >= low) & (pending.high <= high), axis=1)
+                pending = pending[~inside]
+            if not len(pending.low):
+                break
+            pending = self._contract(pending, roots)
+            parts = pending.width / sides
+            small = np.max(parts, axis=1, initial=0.0) < SMALLEST
+            if np.any(small):
+                undecided.append(np.stack([pending.low[small], pending.high[small]], axis=2))
+                pending, parts = pending[~small], parts[~small]
+            pending = _halves(pending, np.argmax(parts, axis=1)) if len(pending.low) else pending
+        unproved = np.concatenate(undecided) if undecided else np.empty((0, len(sides), 2))
+        kept = [not any(np.all((b[:, 0] >= low) & (b[:, 1] <= high)) for low, high in roots) for b in unproved]
+        return self._distinct(roots), unproved[kept] if len(unproved) else unproved
+
+    def _contract(self, boxes: Interval, roots: list[tuple[Array, Array]]) -> Interval:
+        """Return what is left of boxes: parts that Krawczyk's operator does not rule out; note boxes with one root."""
+        image, is_regular = self._krawczyk(boxes)
+        low, high = np.maximum(boxes.low, image.low), np.minimum(boxes.high, image.high)
+        one = is_regular & np.all((image.low > boxes.low) & (image.high < boxes.high), axis=1)
+        none = is_regular & np.any(low > high, axis=1)
+        roots += [(boxes.low[i], boxes.high[i]) for i in np.flatnonzero(one)]
+        kept = ~(one | none)
+        use = is_regular[:, None]
+        left = Interval(np.where(use, low, boxes.low)[kept], np.where(use, high, boxes.high)[kept])
+        # A root on the edge of a box is never inside of it: look at a larger box around the small ones.
+        for i in range(len(left.low) if len(left.low) <= 64 else 0):
+            self._around(left[i : i + 1], roots)
+        return left
+
+    def _around(self, box: Interval, roots: list[tuple[Array, Array]]) -> None:
+        middle, reach = box.middle, box.width
+        larger = Interval(middle - reach - 1e-300, middle + reach + 1e-300)
+        if any(np.all((box.low[0] >= low) & (box.high[0] <= high)) for low, high in roots):
+            return
+        image, is_regular = self._krawczyk(larger)
+        if is_regular[0] and np.all((image.low > larger.low) & (image.high < larger.high)):
+            roots.append((larger.low[0], larger.high[0]))
+
+    def _krawczyk(self, boxes: Interval) -> tuple[Interval, Array]:
+        """Return K = m - Y f(m) + (I - Y J)(X - m), and whether Y = mid(J)^-1 exists; (m, n) and (m,)."""
+        m, n = boxes.low.shape
+        middle = boxes.middle
+        slopes = self.enclose(self.slopes, boxes)
+        j = Interval(slopes.low.reshape(m, n, n), slopes.high.reshape(m, n, n))
+        finite = np.all(np.isfinite(j.low) & np.isfinite(j.high), axis=(1, 2))
+        centre = np.where(finite[:, None, None], j.middle, np.eye(n))
+        is_regular = finite & (np.abs(np.linalg.det(centre)) > 0.0)
+        centre[~is_regular] = np.eye(n)
+        y = Interval.of(np.linalg.inv(centre))
+        f = self.enclose(self.nodes, Interval.of(middle))
+        spread = Interval(boxes.low, boxes.high) - Interval.of(middle)
+        columns = []
+        for i in range(n):
+            total = Interval.of(middle[:, i])
+            for k in range(n):
+                total = total - y[:, i, k] * f[:, k]
+            for k in range(n):
+                entry = Interval.of(float(i == k))
+                for p in range(n):
+                    entry = entry - y[:, i, p] * j[:, p, k]
+                total = total + entry * spread[:, k]
+            columns.append(total)
+        return Interval(np.stack([c.low for c in columns], 1), np.stack([c.high for c in columns], 1)), is_regular
+
+    def _distinct(self, roots: list[tuple[Array, Array]]) -> list[tuple[Array, Array]]:
+        """Return each root once, in a box as small as Krawczyk's operator makes it; angles in (-pi, pi]."""
+        found: list[tuple[Array, Array]] = []
+        for low, high in roots:
+            box = Interval(low[None], high[None])
+            for _ in range(_MOST_REFINED):
+                image, _ = self._krawczyk(box)
+                new = Interval(np.maximum(box.low, image.low), np.minimum(box.high, image.high))
+                if np.all(new.width >= 0.99 * box.width):
+                    break
+                box = new
+            if not any(self._same(box, a, b) for a, b in found):
+                found.append((box.low[0], box.high[0]))
+        return sorted(found, key=lambda root: tuple(np.round(root[0] + root[1], 9)))
+
+    def _same(self, box: Interval, low: Array, high: Array) -> bool:
+        return bool(np.all((box.low[0] <= high) & (low <= box.high[0])))
+
+    def _point(self, low: Array, high: Array) -> Equilibrium:
+        position = {q.name: float(x) for q, x in zip(self.q, 0.5 * (low + high), strict=True)}
+        position = {n: 0.0 if abs(x) <= 0.5 * float(np.max(high - low)) else x for n, x in position.items()}
+        values = np.linalg.eigvals(state_matrix(self.model, position)).astype(np.complex128)
+        order = np.lexsort((-values.imag, -values.real))
+        radius = 0.5 * float(np.max(high - low, initial=0.0))
+        return Equilibrium(position, radius, values[order], self._is_unstable(low, high))
+
+    def _is_unstable(self, low: Array, high: Array) -> bool:
+        """Tell whether det(-df/dq) < 0 < det M over a box: the characteristic polynomial has a positive root."""
+        n = len(self.q)
+        j = self.enclose(self.slopes, Interval(low[None], high[None]))
+        stiffness = [[-j[0, i * n + k] for k in range(n)] for i in range(n)]
+        e = self.model.equations
+        symbols = dict(zip(self.q, self.at, strict=True))
+        symbols |= dict(zip(e.symbols.p, self.values, strict=True))
+        if e.mass.free_symbols - symbols.keys():
+            return False
+        given = self.values | {node: Interval.of(low[i], high[i]) for i, node in enumerate(self.at)}
+        entries = enclose(self.graph, [self.graph.lower(x, symbols) for x in e.mass], given)
+        mass = [entries[i * n : (i + 1) * n] for i in range(n)]
+        return bool(_determinant(stiffness).high < 0.0 < _determinant(mass).low)
+
+
+def _halves(boxes: Interval, axis: Array) -> Interval:
+    """Cut each box in two along its axis, a little off the middle, where symmetric models have their equilibria."""
+    rows = np.arange(len(boxes.low))
+    at = boxes.low[rows, axis] + 0.4871 * boxes.width[rows, axis]
+    first, second = boxes.high.copy(), boxes.low.copy()
+    first[rows, axis], second[rows, axis] = at, at
+    return Interval(np.concatenate([boxes.low, second]), np.concatenate([first, boxes.high]))
+
+
+def _determinant(matrix: list[list[Interval]]) -> Interval:
+    """Return an enclosure of a determinant, by expansion along the first row."""
+    if len(matrix) == 1:
+        return matrix[0][0]
+    total = Interval.of(0.0)
+    for k, entry in enumerate(matrix[0]):
+        minor = entry * _determinant([row[:k] + row[k + 1 :] for row in matrix[1:]])
+        total = total - minor if k % 2 else total + minor
+    return total

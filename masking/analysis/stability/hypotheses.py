@@ -1,0 +1,254 @@
+"""Hypotheses: what a proof takes for granted of the parameters, and the signs of expressions that follow from it.
+
+The hypotheses hold for the declared values, and for all others that satisfy them the proof holds, too.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.analysis.stability.intervals import Interval, enclose
+from masking.codegen.graph import Graph
+from masking.errors import ModelError
+from masking.modelling.model import Model
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+_DISTINCT = 1e-20  # a number that is no fraction is told from 0 by 30 digits
+
+
+@dataclass
+class Hypotheses:
+    """What is assumed of a model's parameters; grows as a proof needs more.
+
+    Parameters of the oscillators that have equal values and names that differ in the number alone, such as w1 and w2,
+    are one symbol. Every symbol has the sign of its value; what is 0 is 0.
+
+    Args:
+        model: whose values say what holds.
+        extra: further ones that a proof needed, as texts.
+    """
+
+    model: Model
+    extra: list[str] = field(default_factory=list)
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Return the parameters by name, in the units of the model: SI or its scales."""
+        return self.model.parameter_values()
+
+    @cached_property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        """Return the parameters that are equal, each group in declared order; most have one member."""
+        numbers = {match[0] for name in self.model.oscillators if (match := re.search(r"\d+$", name))}
+        found: dict[tuple[object, ...], list[str]] = {}
+        for name, value in self.values.items():
+            stem, digits = re.fullmatch(r"(.*?)_?(\d*)", name).groups()  # type: ignore[union-attr]  # matches any name
+            unit = self.model.declaration.parameters[name].unit
+            key = (stem, unit, value) if digits and digits in numbers and value != 0.0 else (name,)
+            found.setdefault(key, []).append(name)
+        return tuple(tuple(group) for group in found.values())
+
+    @cached_property
+    def symbols(self) -> dict[str, sp.Expr]:
+        """Return what stands for each parameter: a symbol with the sign of its value, or 0."""
+        made: dict[str, sp.Expr] = {}
+        for group in self.groups:
+            value = self.values[group[0]]
+            name = group[0] if len(group) == 1 else re.sub(r"_?\d+$", "", group[0])
+            if len(group) > 1 and name in {*self.values, *self.model.coordinates, *self.model.states}:
+                name = group[0]
+            signed = sp.Symbol(name, positive=True) if value > 0.0 else sp.Symbol(name, negative=True)
+            made |= dict.fromkeys(group, signed if value != 0.0 else sp.Integer(0))
+        return made
+
+    def of(self, expression: sp.Expr) -> sp.Expr:
+        """Return an expression in the symbols of the model with these for its parameters."""
+        known = dict(zip(self.model.equations.symbols.p, self.symbols.values(), strict=True))
+        return sp.nsimplify(expression.subs(known), rational=True)
+
+    def at_values(self, expression: sp.Expr) -> sp.Expr:
+        """Return an expression in these symbols with exact declared values for them."""
+        return expression.subs(
+            {s: sp.Rational(self.values[name]) for name, s in self.symbols.items() if not s.is_number}
+        )
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """Return all hypotheses, for people."""
+        found = []
+        for group in self.groups:
+            if not self._used & {*group}:
+                continue
+            value = self.values[group[0]]
+            sign = "> 0" if value > 0.0 else "< 0" if value < 0.0 else "= 0"
+            names = " = ".join(group)
+            found.append(f"{names} = {self.symbols[group[0]]} {sign}" if len(group) > 1 else f"{names} {sign}")
+        return (*self.inputs, *found, *dict.fromkeys(self.extra))
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Return that the inputs are 0, for people; nothing where the model has none."""
+        names = [str(u) for u in self.model.equations.symbols.u]
+        if not names:
+            return ()
+        return (f"the input{'s' if len(names) > 1 else ''} {' = '.join(names)} = 0",)
+
+    @cached_property
+    def _used(self) -> set[str]:
+        """Return the parameters that equations without inputs, or the energy, hold."""
+        e = self.model.equations
+        still = dict.fromkeys(e.symbols.u, 0)
+        held = [x.subs(still) for x in (*e.mass, *e.force, e.energy or sp.Integer(0))]
+        return {s.name for x in held for s in x.free_symbols}
+
+    def suppose(self, text: str) -> None:
+        """Add a hypothesis."""
+        self.extra.append(text)
+
+    def sign(self, expression: sp.Expr, *, strictly: bool = True) -> int | None:
+        """Return the sign of an expression for all values of its coordinates and velocities.
+
+        Args:
+            expression: in these symbols and those of the model's coordinates and velocities.
+            strictly: whether 0 is excluded; else 1 stands for >= 0 and -1 for <= 0.
+
+        Returns:
+            1, -1, or 0 where it is 0 whatever the values; None where it cannot be told, or changes.
+        """
+        return self._sign(expression, strictly, lambda factor: self._sign_of_factor(factor, strictly))
+
+    def declared_sign(self, expression: sp.Expr, *, strictly: bool = True) -> int | None:
+        """Return the sign of an expression, of its factors at declared values where need be, which is then supposed."""
+        return self._sign(expression, strictly, lambda factor: self._sign_at_values(factor, strictly))
+
+    def is_nonzero(self, expression: sp.Expr) -> bool:
+        """Tell whether an expression of parameters is not 0: by its sign, or at declared values, which is supposed."""
+        if self.sign(expression) in {1, -1}:
+            return True
+        value = self.at_values(expression)
+        if not value.is_number or not (value if value.is_Rational else abs(sp.N(value, 30)) > _DISTINCT):
+            return False
+        for factor, _ in factors(expression):
+            if self.sign(factor) is None:
+                self.suppose(f"{factor} != 0")
+        return True
+
+    def _sign(self, expression: sp.Expr, strictly: bool, of_factor: Callable[[sp.Expr], int | None]) -> int | None:
+        if expression.is_zero:
+            return 0
+        total = 1
+        for factor, power in factors(expression):
+            if not strictly and power > 0 and power % 2 == 0:
+                continue
+            found = of_factor(factor)
+            if found is None:
+                return None
+            total *= found if power % 2 else 1
+        return total
+
+    def _sign_of_factor(self, factor: sp.Expr, strictly: bool) -> int | None:
+        # 1 - cos^2 = sin^2: m (cos^2 - 2) is negative in either form, M - m cos^2 + m in one alone.
+        in_sines = sp.expand(
+            factor.replace(_is_even_cosine, lambda x: (1 - sp.sin(x.base.args[0]) ** 2) ** (x.exp / 2))
+        )
+        for form in (factor, in_sines):
+            if form.is_positive or form.is_negative:
+                return 1 if form.is_positive else -1
+            if not strictly and (form.is_nonnegative or form.is_nonpositive):
+                return 1 if form.is_nonnegative else -1
+        return self._enclosed(factor, self._ranges(), strictly)
+
+    def _sign_at_values(self, factor: sp.Expr, strictly: bool) -> int | None:
+        found = self._sign_of_factor(factor, strictly)
+        if found is None and any(s in factor.free_symbols for s in self.symbols.values()):
+            found = self._enclosed(factor, {s: Interval.of(self.values[n]) for n, s in self.symbols.items()}, strictly)
+            if found is not None:
+                self.suppose(f"{factor} {'>' if found > 0 else '<'}{'' if strictly else '='} 0")
+        return found
+
+    def _ranges(self) -> dict[sp.Expr, Interval]:
+        """Return what the parameters may be: on the side of 0 that their values are on, and within declared bounds."""
+        found: dict[sp.Expr, Interval] = {}
+        for group in self.groups:
+            value = self.values[group[0]]
+            low, high = (0.0, np.inf) if value > 0.0 else (-np.inf, 0.0)
+            for name in group:
+                parameter = self.model.declaration.parameters[name]
+                factor = self.model.units.conversions[parameter.unit].factor
+                least, most = parameter.bounds
+                if low < 0.0 and least is not None:
+                    low = max(low, least * factor)
+                if high > 0.0 and most is not None:
+                    high = min(high, most * factor)
+            found[self.symbols[group[0]]] = Interval.of(low, high)
+        return found
+
+    def _enclosed(self, factor: sp.Expr, known: dict[sp.Expr, Interval], strictly: bool) -> int | None:
+        """Return the sign of an enclosure over all coordinates and velocities."""
+        graph, given, symbols = Graph(), {}, {}
+        for symbol in factor.free_symbols:
+            symbols[symbol] = graph.symbol(str(symbol), varying=True)
+            given[symbols[symbol]] = known.get(symbol, Interval.of(-np.inf, np.inf))
+        try:
+            (found,) = enclose(graph, [graph.lower(factor, symbols)], given)
+        except ModelError:
+            return None
+        slack = 0.0 if strictly else 1e-300  # of outward rounding at 0
+        if found.low > -slack:
+            if strictly:
+                self._suppose_bounds(factor, known)
+            return 1
+        if found.high < slack:
+            if strictly:
+                self._suppose_bounds(factor, known)
+            return -1
+        return None
+
+    def _suppose_bounds(self, factor: sp.Expr, known: dict[sp.Expr, Interval]) -> None:
+        """Tell of the declared bounds that a sign rests on."""
+        for symbol in sorted(factor.free_symbols & known.keys(), key=str):
+            low, high = float(known[symbol].low), float(known[symbol].high)
+            if low == high:
+                continue
+            if np.isfinite(high) and high > 0.0:
+                self.suppose(f"{symbol} <= {high:g}")
+            if np.isfinite(low) and low < 0.0:
+                self.suppose(f"{symbol} >= {low:g}")
+
+
+def _is_even_cosine(expression: sp.Expr) -> bool:
+    return bool(expression.is_Pow and expression.base.func == sp.cos and expression.exp.is_even)
+
+
+def factors(expression: sp.Expr) -> Iterable[tuple[sp.Expr, int]]:
+    """Return factors with their integer powers; their product is the expression."""
+    plain, back = without_exponentials(expression)
+    numerator, denominator = sp.fraction(sp.together(plain))
+    for part, sign in ((numerator, 1), (denominator, -1)):
+        constant, factors = sp.factor_list(part)
+        yield constant, sign
+        for factor, power in factors:
+            yield factor.xreplace(back), sign * int(power)
+
+
+def without_exponentials(expression: sp.Expr) -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr]]:
+    """Return an expression with a symbol for each exponential and power that is no fixed one, and what they stand for.
+
+    Else exp(10**8 x) is a power of exp(x) to sympy, and a polynomial with as many coefficients.
+    """
+    there = {}
+    for power in sorted(expression.atoms(sp.Pow, sp.exp), key=sp.default_sort_key):
+        if power.func == sp.exp or power.exp.free_symbols:
+            there[power] = sp.Dummy("e", positive=power.is_positive, real=True)
+    return expression.xreplace(there), {symbol: power for power, symbol in there.items()}

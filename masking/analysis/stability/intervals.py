@@ -1,0 +1,210 @@
+"""Intervals: enclosures of expressions over boxes, many boxes at once, rounded outward.
+
+An enclosure holds every value that an expression takes over a box. Sums, products and roots are correct within half a
+unit in the last place by IEEE 754 and are widened by one; elementary functions are taken to be correct within four
+units, numbers of the expressions that are no integers within four, and are widened by eight. Source: Moore, Kearfott
+and Cloud, Introduction to Interval Analysis (2009), chapters 2 and 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.codegen.graph import Graph, Node
+from masking.codegen.printers import needed
+from masking.errors import ModelError
+from masking.numerics.arrays import Array
+
+_ULPS = 8  # by which elementary functions and numbers are widened
+_LARGEST_ANGLE = 1e8  # beyond this a sine may be anything in [-1, 1]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Closed intervals [low, high] of real numbers, as two arrays of one shape."""
+
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, low: Array | float, high: Array | float | None = None) -> Interval:
+        """Return intervals of given ends, or of single numbers."""
+        a = np.asarray(low, dtype=float)
+        return cls(a, a if high is None else np.asarray(high, dtype=float))
+
+    @property
+    def width(self) -> Array:
+        """Return high - low."""
+        return self.high - self.low
+
+    @property
+    def middle(self) -> Array:
+        """Return a number inside of each; NaN where both ends are infinite."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(0.5 * self.low + 0.5 * self.high)
+
+    def __getitem__(self, index: Any) -> Interval:  # noqa: ANN401  # any that numpy takes
+        return Interval(self.low[index], self.high[index])
+
+    def __neg__(self) -> Interval:
+        return Interval(-self.high, -self.low)
+
+    def __add__(self, other: Interval) -> Interval:
+        return _outward(self.low + other.low, self.high + other.high)
+
+    def __sub__(self, other: Interval) -> Interval:
+        return _outward(self.low - other.high, self.high - other.low)
+
+    def __mul__(self, other: Interval) -> Interval:
+        with np.errstate(invalid="ignore", over="ignore"):
+            products = [a * b for a in (self.low, self.high) for b in (other.low, other.high)]
+        # An end at infinity is never reached: 0 times it is 0.
+        stacked = np.nan_to_num(np.stack(np.broadcast_arrays(*products)), nan=0.0, posinf=np.inf, neginf=-np.inf)
+        return _outward(stacked.min(axis=0), stacked.max(axis=0))
+
+    def __truediv__(self, other: Interval) -> Interval:
+        return self * inverse(other)
+
+    def contains_zero(self) -> NDArray[np.bool_]:
+        """Tell where 0 lies inside."""
+        found: NDArray[np.bool_] = (self.low <= 0.0) & (self.high >= 0.0)
+        return found
+
+
+def inverse(x: Interval) -> Interval:
+    """Return 1/x; all real numbers where x contains 0."""
+    bad = x.contains_zero()
+    with np.errstate(divide="ignore", over="ignore"):
+        found = _outward(1.0 / x.high, 1.0 / x.low)
+    return Interval(np.where(bad, -np.inf, found.low), np.where(bad, np.inf, found.high))
+
+
+def square(x: Interval) -> Interval:
+    """Return x^2, which is never negative."""
+    a, b = np.abs(x.low), np.abs(x.high)
+    found = _outward(np.where(x.contains_zero(), 0.0, np.minimum(a, b) ** 2), np.maximum(a, b) ** 2)
+    return Interval(np.maximum(found.low, 0.0), found.high)
+
+
+def enclose(graph: Graph, nodes: Sequence[Node], given: Mapping[Node, Interval]) -> list[Interval]:
+    """Return what nodes of a graph may be over boxes.
+
+    Args:
+        graph: the expressions.
+        nodes: whose values are wanted.
+        given: what each symbol may be, (m,) for m boxes or one number for all.
+
+    Raises:
+        ModelError: an operation has no enclosure here, such as `floor`, or a symbol is not given.
+    """
+    found: dict[Node, Interval] = {}
+    for node in needed(graph, nodes):
+        name, *arguments = graph.operations[node]
+        if node in given:
+            found[node] = given[node]
+        elif name == "number":
+            value = float(arguments[0])
+            found[node] = Interval.of(value) if value.is_integer() else _outward(Interval.of(value), ulps=_ULPS)
+        elif name not in _RULES:
+            what = f"the symbol {arguments[0]}" if name == "symbol" else f"the operation '{name}'"
+            raise ModelError(f"{what} has no enclosure by intervals")
+        else:
+            inner = [found[int(a)] for a in arguments]
+            is_square = name == "mul" and arguments[0] == arguments[1]
+            found[node] = square(inner[0]) if is_square else _RULES[str(name)](*inner)
+    return [found[node] for node in nodes]
+
+
+def _outward(low: Array | Interval, high: Array | None = None, ulps: int = 1) -> Interval:
+    """Return intervals that are wider by units in the last place at both ends."""
+    a, b = (low.low, low.high) if isinstance(low, Interval) else (low, low if high is None else high)
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    for _ in range(ulps):
+        a, b = np.nextafter(a, -np.inf), np.nextafter(b, np.inf)
+    return Interval(a, b)
+
+
+def _monotone(function: Callable[[Array], Array], sign: float = 1.0) -> Callable[[Interval], Interval]:
+    def rule(x: Interval) -> Interval:
+        with np.errstate(over="ignore"):
+            ends = (function(x.low), function(x.high)) if sign > 0 else (function(x.high), function(x.low))
+        return _outward(*ends, ulps=_ULPS)
+
+    return rule
+
+
+def _sine(x: Interval, shift: float = 0.0) -> Interval:
+    """Enclose sin(x), or cos(x) with a shift of a quarter of a period: 1 and -1 where a crest may lie inside."""
+    function = np.cos if shift else np.sin
+    wide = (x.width >= 2.0 * np.pi) | (np.maximum(np.abs(x.low), np.abs(x.high)) > _LARGEST_ANGLE)
+    low, high = np.where(wide, 0.0, x.low), np.where(wide, 0.0, x.high)
+    slack = 1e-6  # turns: far more than rounding up to the largest angle; it only widens
+    a, b = function(low), function(high)
+
+    def crest(at: float) -> NDArray[np.bool_]:
+        start, end = (low + shift - at) / (2.0 * np.pi) - slack, (high + shift - at) / (2.0 * np.pi) + slack
+        found: NDArray[np.bool_] = wide | (np.floor(end) >= np.ceil(start))
+        return found
+
+    found = _outward(np.minimum(a, b), np.maximum(a, b), ulps=_ULPS)
+    return Interval(
+        np.maximum(np.where(crest(-np.pi / 2), -1.0, found.low), -1.0),
+        np.minimum(np.where(crest(np.pi / 2), 1.0, found.high), 1.0),
+    )
+
+
+def _cosh(x: Interval) -> Interval:
+    a = np.where(x.contains_zero(), 0.0, np.minimum(np.abs(x.low), np.abs(x.high)))
+    with np.errstate(over="ignore"):
+        return _outward(np.cosh(a), np.cosh(np.maximum(np.abs(x.low), np.abs(x.high))), ulps=_ULPS)
+
+
+def _absolute(x: Interval) -> Interval:
+    a, b = np.abs(x.low), np.abs(x.high)
+    return Interval(np.where(x.contains_zero(), 0.0, np.minimum(a, b)), np.maximum(a, b))
+
+
+def _root(x: Interval) -> Interval:
+    if np.any(x.low < 0.0):
+        raise ModelError("a root of what may be negative has no enclosure by intervals; take a smaller box")
+    return _outward(np.sqrt(x.low), np.sqrt(x.high), ulps=_ULPS)
+
+
+def _logarithm(x: Interval) -> Interval:
+    if np.any(x.low <= 0.0):
+        raise ModelError("a logarithm of what may not be positive has no enclosure by intervals; take a smaller box")
+    return _outward(np.log(x.low), np.log(x.high), ulps=_ULPS)
+
+
+def _power(x: Interval, exponent: Interval) -> Interval:
+    ends = exponent * _logarithm(x)
+    return _monotone(np.exp)(ends)
+
+
+_RULES: dict[str, Callable[..., Interval]] = {
+    "neg": lambda x: -x,
+    "add": lambda x, y: x + y,
+    "sub": lambda x, y: x - y,
+    "mul": lambda x, y: x * y,
+    "div": lambda x, y: x / y,
+    "sqrt": _root,
+    "pow": _power,
+    "exp": _monotone(np.exp),
+    "log": _logarithm,
+    "sin": _sine,
+    "cos": lambda x: _sine(x, np.pi / 2),
+    "tan": lambda x: _sine(x) / _sine(x, np.pi / 2),
+    "atan": _monotone(np.arctan),
+    "sinh": _monotone(np.sinh),
+    "cosh": _cosh,
+    "tanh": _monotone(np.tanh),
+    "abs": _absolute,
+    "sign": lambda x: Interval(np.sign(x.low), np.sign(x.high)),
+    "min": lambda x, y: Interval(np.minimum(x.low, y.low), np.minimum(x.high, y.high)),
+    "max": lambda x, y: Interval(np.maximum(x.low, y.low), np.maximum(x.high, y.high)),
+}

@@ -1,0 +1,434 @@
+"""LaSalle's invariant set: the motions along which the energy stays as it is.
+
+Where V' = -sum d_k l_k(v)^2 with d_k > 0, the energy stays while every l_k(v) is 0. What else holds of such a motion is
+found by elimination: for a linear model the states that cannot be observed through l_k(v), exactly; else from what
+stays of the equations when l_k(q) are constants, by the rules
+
+* a bounded function whose second derivative is constant is constant;
+* an analytic function of one coordinate that vanishes along a motion vanishes everywhere, or that coordinate is
+  constant;
+* where a product of analytic functions vanishes along a motion, one of them does.
+
+Source: LaSalle (1960), Some extensions of Liapunov's second method; Rijlaarsdam (2008), appendix A.2 (the first rule).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+
+from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants
+from masking.analysis.stability.hypotheses import Hypotheses, factors
+from masking.analysis.stability.motion import Motion
+from masking.errors import ModelError
+
+if TYPE_CHECKING:
+    import sympy as sp
+    from sympy.simplify import fu
+else:
+    sp = lazy.load("sympy")
+    fu = lazy.load("sympy.simplify.fu", suppress_warning=True)
+
+_MOST_RULES = 3  # applications of the first rule, one after the other
+
+
+@dataclass(frozen=True)
+class Family:
+    """A set of motions, by relations of coordinates and velocities: expressions that are 0 on it."""
+
+    relations: tuple[sp.Expr, ...]
+
+    def __str__(self) -> str:
+        return ", ".join(f"{relation} = 0" for relation in self.relations)
+
+
+@dataclass(frozen=True)
+class InvariantSet:
+    """The largest invariant set in V' = 0, found or not.
+
+    Args:
+        is_found: whether the elimination came to an end.
+        families: sets of motions in it.
+        equilibria: whether all else in it are equilibria; False where there is nothing else.
+        known: values of coordinates at those equilibria, as far as elimination tells.
+        steps: the argument, sentence by sentence.
+    """
+
+    is_found: bool
+    families: tuple[Family, ...] = ()
+    equilibria: bool = False
+    known: dict[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    steps: tuple[str, ...] = ()
+
+
+def invariant_set(motion: Motion, forms: Sequence[sp.Expr]) -> InvariantSet:
+    """Find the largest invariant set on which linear forms of the velocities are 0.
+
+    Args:
+        motion: whose solutions are bounded.
+        forms: linear in the velocities, their coefficients constant.
+    """
+    names = ", ".join(f"{form} = 0" for form in forms)
+    start = f"V' = 0 only where {names}."
+    if any(sp.diff(form, v).free_symbols & {*motion.q, *motion.v} for form in forms for v in motion.v):
+        return InvariantSet(
+            False, steps=(start, "These are no linear forms with constant coefficients: not eliminated.")
+        )
+    if motion.is_linear:
+        return _unobservable(motion, forms, start)
+    return _Elimination(motion, tuple(forms)).run(start)
+
+
+def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> InvariantSet:
+    """Return the unobservable subspace of a linear model, outputs being the forms.
+
+    The states x with O x = 0 for O = [C; C A; C A^2; ...], by elimination of rows that are linearly dependent.
+    """
+    n = len(motion.q)
+    state = (*motion.q, *motion.v)
+    inverse = motion.mass.inv()
+    lower = (inverse * motion.force.jacobian(state)).applyfunc(normal)
+    a = sp.Matrix.vstack(sp.Matrix.hstack(sp.zeros(n), sp.eye(n)), lower)
+    rows, fresh = list[sp.Matrix](), [_gradient(f, state) for f in forms]
+    pivots, determinant = list[int](), sp.Integer(1)
+    while fresh:
+        row = fresh.pop(0)
+        reduced = row
+        for pivot, other in zip(pivots, rows, strict=True):
+            reduced = (reduced - reduced[pivot] * other).applyfunc(normal)
+        entry = _pivot(reduced, motion.given)
+        if entry is None:
+            continue
+        determinant *= reduced[entry]
+        reduced = (reduced / reduced[entry]).applyfunc(normal)
+        rows = [(r - r[entry] * reduced).applyfunc(normal) for r in rows]
+        rows.append(reduced)
+        pivots.append(entry)
+        fresh.append((row * a).applyfunc(normal))
+    # Earlier pivots are eliminated from later rows: the product is a minor of O; the result holds where it is not 0.
+    for factor, _ in factors(normal(determinant)):
+        if motion.given.sign(factor) is None:
+            motion.given.suppose(f"{factor} != 0")
+    relations = tuple(_relation(row, state) for _, row in sorted(zip(pivots, rows, strict=True), key=lambda x: x[0]))
+    family = Family(relations)
+    if len(relations) == 2 * n:
+        end = "Along a motion of this linear model that stays there, everything is 0: it is the equilibrium."
+    else:
+        end = f"Motions of this linear model that stay there, which these forms do not observe, have {family}."
+    return InvariantSet(True, (family,), steps=(start, end))
+
+
+def _relation(row: sp.Matrix, state: Sequence[sp.Symbol]) -> sp.Expr:
+    return sum((row[j] * x for j, x in enumerate(state)), sp.Integer(0))
+
+
+def _gradient(form: sp.Expr, state: Sequence[sp.Symbol]) -> sp.Matrix:
+    return sp.Matrix([[sp.diff(form, x) for x in state]])
+
+
+def _pivot(row: sp.Matrix, given: Hypotheses) -> int | None:
+    """Return the last entry of a row that is not 0 at declared values, one with a sign first; None where all are 0."""
+    order = [j for j in reversed(range(row.cols)) if row[j] != 0]
+    for j in order:
+        if given.sign(row[j]) in {1, -1}:
+            return j
+    for j in order:
+        if given.at_values(row[j]) != 0:
+            return j
+    for j in order:
+        given.suppose(f"{sp.factor(row[j])} = 0")
+    return None
+
+
+class _OpenError(ModelError):
+    """The rules do not go on from here."""
+
+
+@dataclass
+class _Elimination:
+    """What is left of the equations of a model while forms of its coordinates are constant."""
+
+    motion: Motion
+    forms: tuple[sp.Expr, ...]
+    steps: list[str] = field(default_factory=list)
+    families: list[Family] = field(default_factory=list)
+    known: dict[sp.Symbol, sp.Expr] = field(default_factory=dict)
+
+    @property
+    def given(self) -> Hypotheses:
+        return self.motion.given
+
+    @cached_property
+    def frozen(self) -> tuple[tuple[int, ...], sp.Matrix]:
+        """Return the coordinates that the forms give, and the reduced forms."""
+        matrix = sp.Matrix([[sp.diff(f, v) for v in self.motion.v] for f in self.forms])
+        reduced, pivots = matrix.rref(simplify=normal)
+        return tuple(pivots), reduced[: len(pivots), :]
+
+    @cached_property
+    def constants(self) -> tuple[sp.Symbol, ...]:
+        """Return the constant values of the forms of the coordinates."""
+        count = len(self.frozen[0])
+        return tuple(self._new("c" if count == 1 else f"c{i + 1}") for i in range(count))
+
+    @cached_property
+    def bound(self) -> sp.Symbol:
+        """Return the constant that a bounded function is."""
+        return self._new("K")
+
+    def _new(self, name: str) -> sp.Symbol:
+        """Return a real constant with a name that nothing in the model has."""
+        symbols = self.motion.model.equations.symbols
+        taken = {str(s) for s in (*symbols.q, *symbols.v, *symbols.u, *symbols.p, *self.given.symbols.values())}
+        while name in taken:
+            name += "_"
+        return sp.Symbol(name, real=True)
+
+    @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """Return the indices of the other coordinates."""
+        return tuple(j for j in range(len(self.motion.q)) if j not in self.frozen[0])
+
+    def _tied(self, symbols: Sequence[sp.Symbol], values: Sequence[sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
+        """Return what the frozen ones among symbols are, the values of the forms given."""
+        pivots, reduced = self.frozen
+        rest = [sum((reduced[k, j] * symbols[j] for j in self.moving), sp.Integer(0)) for k in range(len(pivots))]
+        return {symbols[i]: values[k] - rest[k] for k, i in enumerate(pivots)}
+
+    @cached_property
+    def reduced(self) -> tuple[dict[sp.Symbol, sp.Expr], tuple[sp.Expr, ...]]:
+        """Return the accelerations of what moves, by velocity symbol, and the equations that are left over."""
+        q, v, n = self.motion.q, self.motion.v, len(self.motion.q)
+        zeros = [sp.Integer(0)] * len(self.frozen[0])
+        tied = self._tied(q, self.constants) | self._tied(v, zeros)
+        a = tuple(sp.Dummy(f"a{i}", real=True) for i in range(n))
+        tied_a = self._tied(a, zeros)
+        column = sp.Matrix([tied_a.get(x, x) for x in a])
+        residual = (self.motion.mass * column - self.motion.force).subs(tied)
+        wanted = [a[j] for j in self.moving]
+        own = sp.Matrix([residual[j] for j in self.moving])
+        matrix = own.jacobian(wanted)
+        right = -own.subs(dict.fromkeys(wanted, 0))
+        if wanted and self.given.declared_sign(normal(matrix.det())) not in {1, -1}:
+            raise _OpenError("the equations of what moves do not give its accelerations")
+        solved = dict(zip(wanted, (normal(x) for x in matrix.LUsolve(right)), strict=True)) if wanted else {}
+        left = tuple(normal(residual[i].subs(solved)) for i in self.frozen[0])
+        rates = {v[j]: solved[a[j]] for j in self.moving}
+        return rates, tuple(x for x in left if x != 0)
+
+    def rate(self, expression: sp.Expr) -> sp.Expr:
+        """Return the time derivative of an expression of what moves."""
+        accelerations, _ = self.reduced
+        found = sum(sp.diff(expression, self.motion.q[j]) * self.motion.v[j] for j in self.moving)
+        return found + sum(sp.diff(expression, v) * a for v, a in accelerations.items())
+
+    def run(self, start: str) -> InvariantSet:
+        """Apply the rules as far as they go."""
+        q = self.motion.q
+        values = ", ".join(f"{q[i]} = {x}" for i, x in zip(self.frozen[0], self._frozen_values(), strict=True))
+        self.steps += [start, f"A motion that stays there has {values}, constant."]
+        try:
+            if not self.moving:
+                self.steps.append("Nothing moves: it is an equilibrium.")
+            elif len(self.moving) == 1:
+                (r,) = (q[j] for j in self.moving)
+                self._vanishing([*self.reduced[1]], r, list(self.constants), {})
+            elif len(self.moving) == 2:
+                self._pair()
+            else:
+                raise _OpenError(f"{len(self.moving)} coordinates go on moving, the rules are for two")
+        except ModelError as error:
+            self.steps.append(f"Here the elimination ends: {error}.")
+            return InvariantSet(False, steps=tuple(self.steps))
+        return InvariantSet(True, tuple(dict.fromkeys(self.families)), True, self.known, tuple(self.steps))
+
+    def _frozen_values(self) -> list[sp.Expr]:
+        tied = self._tied(self.motion.q, self.constants)
+        return [tied[self.motion.q[i]] for i in self.frozen[0]]
+
+    def _pair(self) -> None:
+        """Eliminate with two coordinates that move."""
+        r1, r2 = (self.motion.q[j] for j in self.moving)
+        left = list(self.reduced[1])
+        if not left:
+            raise _OpenError("no equation is left over that ties what moves")
+        names = ", ".join(str(self.motion.q[i]) for i in self.frozen[0])
+        self.steps.append(f"What is left of the equation of {names} is 0 = {' and 0 = '.join(map(str, left))}.")
+        relation, constants = left[0], list(self.constants)
+        for _ in range(_MOST_RULES):
+            if _is_affine(relation, (r1, r2)):
+                break
+            found = self._constant_derivative(relation, (r1, r2), constants)
+            if found is None:
+                break
+            relation, constants = found
+        solved = {c: self.known[q] for q, c in self._single_constants() if q in self.known}
+        left = [normal(x.subs(solved)) for x in left]
+        relation = normal(relation.subs(solved))
+        if _is_affine(relation, (r1, r2)) and not self.given.is_nonzero(sp.diff(relation, r2)):
+            raise _OpenError(f"{relation} = 0 does not give {r2}")
+        for tied in _linear_relations(relation, r1, r2, self.bound, self.motion):
+            self._along(tied, r1, r2, left, constants)
+
+    def _single_constants(self) -> Iterator[tuple[sp.Symbol, sp.Symbol]]:
+        """Return each frozen coordinate that is one constant by itself, with it."""
+        for i, value in zip(self.frozen[0], self._frozen_values(), strict=True):
+            if value.is_Symbol:
+                yield self.motion.q[i], value
+
+    def _constant_derivative(
+        self, relation: sp.Expr, pair: tuple[sp.Symbol, sp.Symbol], constants: list[sp.Symbol]
+    ) -> tuple[sp.Expr, list[sp.Symbol]] | None:
+        """Apply the first rule: relation = D^2(sum a_j phi_j) + b with constant b; None where it is no such sum."""
+        functions = [*pair, *(sp.sin(r) for r in pair), *(sp.cos(r) for r in pair)]
+        weights = [sp.Dummy(f"a{i}", real=True) for i in range(len(functions))]
+        rates = [self.rate(self.rate(f)) for f in functions]
+        ansatz = relation - sum(w * rate for w, rate in zip(weights, rates, strict=True))
+        variables = (*pair, *(self.motion.v[j] for j in self.moving))
+        parts = coefficients(ansatz, variables)
+        constant = parts.pop(sp.Integer(1), sp.Integer(0))
+        found = sp.solve(list(parts.values()), weights, dict=True) if parts else []
+        if not found:
+            return None
+        solution = {w: found[0].get(w, sp.Integer(0)) for w in weights}
+        solution = {w: x.subs(dict.fromkeys(weights, 0)) for w, x in solution.items()}
+        if not all(self.given.is_nonzero(sp.fraction(sp.together(x))[1]) for x in solution.values()):
+            return None
+        constant = normal(constant.subs(solution))
+        total = normal(sum(solution[w] * f for w, f in zip(weights, functions, strict=True)))
+        if total == 0:
+            return None
+        factor, total = total.as_independent(*pair, as_Add=False)
+        if not self.given.is_nonzero(factor):
+            raise _OpenError(f"{relation} = 0 may hold because {factor} = 0")
+        constant = normal(constant / factor)
+        told = solve_constants([constant], constants, self.given)
+        if told.values is None:
+            raise _OpenError(f"{constant} = 0 cannot be")
+        if constant == 0 and any(
+            total.has(r) and not _only_in_waves(total, r) for r in pair if r in self.motion.circles
+        ):
+            return None
+        words = ", ".join(f"{c} = {x}" for c, x in told.values.items()) or "nothing new"
+        unbounded = any(total.has(r) and not _only_in_waves(total, r) for r in pair if r in self.motion.circles)
+        what = f"the second derivative of {total} is {normal(-constant)}, constant, and its first derivative is bounded"
+        self.steps.append(f"Hence {what}: the constant is 0, so {words}.")
+        for q, c in self._single_constants():
+            if c in told.values:
+                self.known[q] = told.values[c]
+        rest = [c for c in constants if c not in told.values]
+        if unbounded:
+            return (normal(relation.subs(told.values)), rest) if told.values else None
+        self.steps.append(f"{total} is bounded, so that it is a constant, {self.bound}.")
+        return total - self.bound, [*rest, self.bound]
+
+    def _along(
+        self, tied: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, left: Sequence[sp.Expr], constants: list[sp.Symbol]
+    ) -> None:
+        """Apply the second rule where r2 = tied, a linear function of r1."""
+        velocity = {v: self.motion.v[j] for j, v in zip(self.moving, (r1, r2), strict=True)}
+        slope = sp.diff(tied, r1)
+        on_it = {r2: tied, velocity[r2]: slope * velocity[r1]}
+        accelerations = self.reduced[0]
+        second = accelerations[velocity[r2]] - slope * accelerations[velocity[r1]]
+        known = {c: self.known[q] for q, c in self._single_constants() if q in self.known}
+        equations = [normal(x.subs(on_it).subs(known)) for x in (second, *left)]
+        unknown = [
+            c for c in dict.fromkeys([*tied.free_symbols & {self.bound}, *constants, *self.constants]) if c not in known
+        ]
+        self.steps.append(f"Where {r2} = {tied}, its second derivative gives 0 = {equations[0]}.")
+        self._vanishing(equations, r1, unknown, {r2: tied})
+
+    def _vanishing(
+        self, equations: Sequence[sp.Expr], r: sp.Symbol, unknown: Sequence[sp.Symbol], tied: dict[sp.Symbol, sp.Expr]
+    ) -> None:
+        """Apply the second rule: each expression of r vanishes for all r, or r is constant."""
+        velocities = {*self.motion.v}
+        for equation in equations:
+            if equation.free_symbols & velocities:
+                raise _OpenError(f"{equation} = 0 holds velocities, too")
+        conditions = [c for equation in equations for c in coefficients(equation, (r,)).values()]
+        if not conditions:
+            told = solve_constants([], unknown, self.given)
+        else:
+            shown = {radical(c, self.given): c for c in reversed(conditions)}
+            words = (
+                f"{shown[sp.Integer(1)]} = 0"
+                if sp.Integer(1) in shown
+                else ", ".join(f"{c} = 0" for c in sorted(shown, key=sp.count_ops))
+            )
+            self.steps.append(f"Either {r} is constant, which is an equilibrium, or this holds for every {r}: {words}.")
+            told = solve_constants(conditions, unknown, self.given)
+        if told.left:
+            raise _OpenError(f"{' and '.join(f'{x} = 0' for x in told.left)} could not be solved")
+        if told.values is None:
+            self.steps.append("That cannot be: only equilibria are left.")
+            return
+        values = told.values | {c: self.known[q] for q, c in self._single_constants() if q in self.known}
+        if conditions:
+            words = ", ".join(f"{c} = {x}" for c, x in told.values.items())
+            self.steps.append(f"It holds for {words}." if words else "It holds.")
+        self._add_family(values, tied)
+
+    def _add_family(self, values: dict[sp.Symbol, sp.Expr], tied: dict[sp.Symbol, sp.Expr]) -> None:
+        q, v = self.motion.q, self.motion.v
+        zeros = [sp.Integer(0)] * len(self.constants)
+        relations = []
+        for i, position in enumerate(q):
+            fixed = self._tied(q, self.constants) | tied
+            if position in fixed:
+                value = normal(fixed[position].subs(tied).subs(values))
+                speed = self._tied(v, zeros).get(v[i])
+                rate = (
+                    sum((sp.diff(value, q[j]) * v[j] for j in self.moving), sp.Integer(0)) if speed is None else speed
+                )
+                relations += [position - value, v[i] - rate]
+        ordered = sorted(relations, key=lambda x: (bool(x.free_symbols & {*v}), str(x)))
+        self.families.append(Family(tuple(ordered)))
+
+
+def _is_affine(expression: sp.Expr, variables: Sequence[sp.Symbol]) -> bool:
+    """Tell whether an expression is linear in variables, with a constant."""
+    return bool(expression.is_polynomial(*variables) and sp.Poly(expression, *variables).total_degree() == 1)
+
+
+def _only_in_waves(expression: sp.Expr, r: sp.Symbol) -> bool:
+    """Tell whether a variable is in sines and cosines alone."""
+    return r not in expression.replace(lambda x: x.func in {sp.sin, sp.cos}, lambda x: sp.Integer(1)).free_symbols
+
+
+def _linear_relations(relation: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, k: sp.Symbol, motion: Motion) -> list[sp.Expr]:
+    """Return what r2 may be, as linear functions of r1.
+
+    An affine relation gives r2 = K + sigma r1 with a new constant K; a product of sines, by the third rule, one
+    relation for each factor, angles modulo one turn.
+    """
+    if _is_affine(relation, (r1, r2)):
+        by = sp.diff(relation, r2)
+        if relation.has(k):
+            return [sp.expand(-relation.subs(r2, 0) / by)]
+        return [k - normal(sp.diff(relation, r1) / by) * r1]
+    product = fu.TR9(relation)
+    found: list[sp.Expr] = []
+    for factor in sp.Mul.make_args(sp.factor_terms(product)):
+        if not factor.free_symbols & {r1, r2}:
+            if not motion.given.is_nonzero(factor):
+                raise _OpenError(f"{relation} = 0 may hold because {factor} = 0")
+            continue
+        inner = factor.args[0] if factor.func in {sp.sin, sp.cos} else None
+        if inner is None or not _is_affine(inner, (r1, r2)) or {r1, r2} - {*motion.circles}:
+            raise _OpenError(f"{relation} = 0 gives no linear relation of {r1} and {r2}")
+        by = sp.diff(inner, r2)
+        step = sp.Abs(sp.pi / by)
+        turns = 2 * sp.pi / step
+        if not turns.is_Integer:
+            raise _OpenError(f"{relation} = 0 gives no finite number of relations modulo one turn")
+        offset = sp.Integer(0) if factor.func == sp.sin else sp.pi / 2
+        for m in range(int(turns)):
+            tied = sp.expand((offset - inner.subs(r2, 0)) / by) + m * step
+            found.append(tied)
+    return found

@@ -1,0 +1,131 @@
+"""The largest Lyapunov exponent of a model, by its variational equations, which are compiled with it.
+
+    y' = f(t, y),    w' = J(t, y) w,    lambda = lim log |w(t)| / t,    J = df/dy
+
+The tangent vector w is brought back to length 1 after each interval, and the logarithms of its growth are summed up.
+Source: Benettin, Galgani, Giorgilli and Strelcyn, Meccanica 15 (1980) 9; Sprott, Chaos and Time-Series Analysis
+(2003), section 5.6.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from masking.analysis.stability.variational import Variational
+from masking.errors import ModelError
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array
+
+INTERVALS = 2000  # that the record is cut into where no length is given
+_BATCHES = 20  # of which the spread tells the error
+_GROWTH = 10.0  # e-folds in the second half; the tangent of a regular motion grows by 2 there, as t does
+_SURE = 3.0  # standard errors
+_OFF = 0.3  # of the e-folds by which neighbours part, those by which an unbounded motion grows
+
+
+@dataclass(frozen=True)
+class Exponent:
+    """The largest Lyapunov exponent of one motion.
+
+    Args:
+        value: mean of log |w| per unit of time, after the transient.
+        error: standard error of the mean, from batches of the record.
+        times: end of each interval (m,), after the transient, unit of the model's time.
+        growth: log |w| gained in each interval (m,).
+        spread: log |y| gained in the second half of the record, by the motion itself.
+    """
+
+    value: float
+    error: float
+    times: Array
+    growth: Array
+    spread: float
+
+    @property
+    def _late(self) -> float:
+        return float(np.sum(self.growth[len(self.growth) // 2 :]))
+
+    @property
+    def is_bounded(self) -> bool:
+        """Tell whether the motion does not go off as its neighbours do."""
+        return self.spread < max(1.0, _OFF * self._late)
+
+    @property
+    def is_chaotic(self) -> bool:
+        """Tell whether nearby motions part exponentially: further than regular ones do, and surely, yet go nowhere."""
+        return self._late > _GROWTH and self.value > _SURE * self.error and self.is_bounded
+
+    @property
+    def running(self) -> Array:
+        """Return the estimate after each interval (m,)."""
+        lengths = np.diff(self.times, prepend=2.0 * self.times[0] - self.times[1])
+        return np.asarray(np.cumsum(self.growth) / np.cumsum(lengths))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the exponent as JSON can hold it."""
+        return {"value": self.value, "error": self.error, "chaotic": self.is_chaotic, "bounded": self.is_bounded}
+
+    def __str__(self) -> str:
+        kind = "chaotic" if self.is_chaotic else "not chaotic" if self.is_bounded else "unbounded"
+        return f"{kind}: the largest Lyapunov exponent is {self.value:.4g} +- {self.error:.2g}"
+
+
+def largest_exponent(
+    model: Model,
+    duration: float,
+    initial: Mapping[str, float] | None = None,
+    *,
+    transient: float = 0.0,
+    interval: float | None = None,
+    inputs: Array | None = None,
+    tolerance: float = 1e-9,
+    progress: Callable[[float], None] | None = None,
+) -> Exponent:
+    """Return the largest Lyapunov exponent of a motion of a model, with constant inputs.
+
+    Args:
+        model: any model; driven ones may hold the time `t`.
+        duration: over which it is averaged, in s or in units of the time scale. The error falls with its root.
+        initial: as for `Model.simulate`.
+        transient: time before that, in which the motion reaches its attractor and w its direction.
+        interval: time after which w is brought back to length 1; by default a 2000th of the duration.
+        inputs: constant inputs (k,); zero where not given.
+        tolerance: local relative error of the integrator.
+        progress: called with the part done.
+
+    Raises:
+        ModelError: the model has no states, or a time is not positive.
+        IntegrationError: the motion could not be integrated.
+    """
+    step = duration / INTERVALS if interval is None else interval
+    if not (duration > 0.0 and transient >= 0.0 and 0.0 < step <= duration / _BATCHES):
+        raise ModelError(
+            f"a Lyapunov exponent over {duration:g}, after {transient:g}, in intervals of {step:g}: all must be "
+            f"positive, and the duration at least {_BATCHES} intervals"
+        )
+    made, y = Variational(model, directions=1), model.initial_state(initial or {})
+    # A direction that is none of the axes: it has a part in every direction, that of fastest growth included.
+    w: Array = np.array([[1.0 + 0.1 * i] for i in range(made.size)]) / math.sqrt(made.size or 1)
+    before, count = math.ceil(transient / step), round(duration / step)
+    growth: Array = np.empty(before + count)
+    sizes = np.empty(before + count)
+    for i in range(before + count):
+        y, w = made.along((i * step, (i + 1) * step), y, w, u=inputs, tolerance=tolerance)
+        length = float(np.linalg.norm(w))
+        growth[i] = math.log(length) if length > 0.0 else -math.inf
+        sizes[i] = np.linalg.norm(y)
+        w /= length or 1.0
+        if progress is not None and i % 100 == 0:
+            progress(i / (before + count))
+    kept = growth[before:]
+    rates = np.array([float(np.mean(part)) for part in np.array_split(kept, _BATCHES)]) / step
+    error = float(np.std(rates, ddof=1) / math.sqrt(_BATCHES))
+    times: Array = step * np.arange(before + 1.0, before + count + 1.0)
+    quarter = np.array_split(np.maximum(sizes[before:], 1e-300), 4)
+    spread = math.log(float(np.max(quarter[3])) / float(np.max(quarter[1])))
+    return Exponent(float(np.mean(kept)) / step, error, times, kept, spread)

@@ -1,0 +1,259 @@
+"""Modes: eigenvalues, frequencies, damping and shapes of a system near a state, and how fast it synchronises."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.analysis.stability.intervals import Interval, enclose
+from masking.codegen.graph import Graph
+from masking.codegen.kernels import Kernels
+from masking.codegen.tangent import derivatives
+from masking.errors import ModelError, nearest
+from masking.modelling.lowering import LoweredEquations
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array, Complex
+
+if TYPE_CHECKING:
+    import control
+else:
+    control = lazy.load("control")
+
+
+_STEP = 1e-3  # of the size of a state, for differences of order 6: their error is near 1e-12 of it
+_STENCIL = ((1, 0.75), (2, -0.15), (3, 1.0 / 60.0))
+_NEUTRAL = 1e-9  # of the largest eigenvalue: below this a real part counts as 0
+
+
+class Driven(Protocol):
+    """Compiled dynamics with their own parameters: a closed loop."""
+
+    @property
+    def kernels(self) -> Kernels:
+        """Return the compiled functions, `derivative(t, y, u, p, dy)` among them."""
+
+    def values(self) -> Array:
+        """Return the parameter array."""
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A motion e^(lambda t) of a linear system.
+
+    Args:
+        eigenvalue: lambda, in 1/s or per unit of time.
+        shape: complex amplitude of each coordinate, the largest is 1.
+    """
+
+    eigenvalue: complex
+    shape: dict[str, complex]
+
+    @property
+    def frequency(self) -> float:
+        """Return |Im lambda|, in rad/s or rad per unit of time; 0 where it does not oscillate."""
+        return abs(self.eigenvalue.imag)
+
+    @property
+    def damping(self) -> float:
+        """Return the damping ratio -Re lambda/|lambda|; negative for a mode that grows."""
+        size = abs(self.eigenvalue)
+        return -self.eigenvalue.real / size if size > 0.0 else 0.0
+
+    def phase(self, first: str, second: str) -> float:
+        """Return the phase of one coordinate minus that of another, in (-pi, pi]."""
+        return float(np.angle(self.shape[first] / self.shape[second]))
+
+
+@dataclass(frozen=True)
+class Modes:
+    """All modes, the slowest to decay first; of a pair of conjugates the one with positive frequency."""
+
+    modes: tuple[Mode, ...]
+    eigenvalues: Complex
+
+    @property
+    def is_stable(self) -> bool | None:
+        """Tell whether all decay; None where some neither grow nor decay and none grows."""
+        largest = float(np.max(self.eigenvalues.real, initial=-np.inf))
+        slack = _NEUTRAL * float(np.max(np.abs(self.eigenvalues), initial=0.0))
+        return None if abs(largest) <= slack else largest < 0.0
+
+
+def state_matrix(model: Model, at: Mapping[str, float] | None = None) -> Array:
+    """Return dy'/dy (2 n + k, 2 n + k) of a model without inputs, by the chain rule, exact but for rounding.
+
+    Args:
+        model: in SI units or in its scales.
+        at: values of coordinates, velocities (`x1'`) and internal states, in the same; 0 where not given.
+
+    Raises:
+        ModelError: there is no such state, or the equations hold the time.
+    """
+    if not model.is_autonomous:
+        raise ModelError(
+            f"the equations of {model.name} hold the time: they have no constant matrix; for its motions there are "
+            "masking.analysis.stability.transverse and masking.analysis.stability.lyapunov"
+        )
+    lowered = LoweredEquations.of(model.equations, Graph())
+    graph, s = lowered.graph, model.equations.symbols
+    states = (*s.q, *s.v, *s.s)
+    given = dict(at or {})
+    names = [x.name for x in states]
+    for name in given:
+        if name not in names:
+            raise ModelError(f"{model.name} has no state '{name}'; {nearest(name, names)}")
+    nodes = [lowered.symbols[x] for x in states]
+    rates = [*nodes[len(s.q) : 2 * len(s.q)], *lowered.accelerations, *lowered.rates]
+    entries = [x for row in derivatives(graph, rates, nodes) for x in row]
+    values = dict.fromkeys((lowered.symbols[s.t], *(lowered.symbols[u] for u in s.u)), Interval.of(0.0))
+    values |= {lowered.symbols[x]: Interval.of(given.get(x.name, 0.0)) for x in states}
+    values |= {lowered.symbols[p]: Interval.of(x) for p, x in zip(s.p, model.values(), strict=True)}
+    found = [float(x.middle) for x in enclose(graph, entries, values)]
+    return np.array(found).reshape(len(states), len(states))
+
+
+def loop_matrix(loop: Driven, state: Array, lengths: Array) -> Array:
+    """Return dy'/dy of a closed loop, by central differences of order 6.
+
+    Args:
+        loop: a `ClosedLoop`.
+        state: y of the rig (2 n + k,), SI units.
+        lengths: a size of each state (2 n + k,) over which the loop is nearly linear.
+    """
+    size, p = len(state), loop.values()
+    matrix, ahead, behind = np.zeros((size, size)), np.empty(size), np.empty(size)
+    inputs = np.zeros(len(loop.kernels.meta["inputs"]))
+    for j in range(size):
+        step = _STEP * lengths[j]
+        for k, weight in _STENCIL:
+            for sign, rate in ((1.0, ahead), (-1.0, behind)):
+                y = np.array(state, dtype=float)
+                y[j] += sign * k * step
+                loop.kernels.derivative(0.0, y, inputs, p, rate)
+            matrix[:, j] += weight * (ahead - behind) / step
+    return matrix
+
+
+def modes(matrix: Array, coordinates: Sequence[str]) -> Modes:
+    """Return the modes of y' = matrix y.
+
+    Args:
+        matrix: (m, m), states being coordinates, velocities, internal states, such as `state_matrix` gives.
+        coordinates: names of the first states, whose amplitudes are the shape.
+    """
+    values, vectors = np.linalg.eig(np.asarray(matrix, dtype=float))
+    order = np.lexsort((-values.imag, np.round(-values.real, 12)))
+    found = []
+    for i in order:
+        if values[i].imag < 0.0:
+            continue
+        shape = vectors[: len(coordinates), i]
+        largest = shape[np.argmax(np.abs(shape))]
+        shape = shape / largest if largest != 0.0 else shape
+        found.append(Mode(complex(values[i]), dict(zip(coordinates, map(complex, shape), strict=True))))
+    return Modes(tuple(found), values[order])
+
+
+def sum_matrix(matrix: Array, coordinates: Sequence[str], pair: tuple[str, str]) -> Array:
+    """Return the matrix of the sum system: one coordinate is the sum of two, the others stay.
+
+    It describes the sum by itself where the two are alike. Source: Rijlaarsdam (2008), (8.10)-(8.11).
+
+    Args:
+        matrix: (2 n, 2 n) of the whole system.
+        coordinates: its n coordinates.
+        pair: the two, such as ("th1", "th2").
+
+    Returns:
+        matrix (2 n - 2, 2 n - 2), the sum in the place of the first.
+
+    Raises:
+        ModelError: the sum is not described by itself.
+    """
+    n, (first, second) = len(coordinates), (list(coordinates).index(c) for c in pair)
+    kept = [i for i in range(n) if i != second]
+    take, give = np.eye(n)[kept], np.eye(n)[:, kept]
+    take[kept.index(first), second] = 1.0
+    give[[first, second], kept.index(first)] = 0.5
+    both = np.eye(2)
+    wide, tall = np.kron(both, take), np.kron(both, give)
+    found = wide @ matrix @ tall
+    lost = wide @ matrix - found @ wide
+    if np.max(np.abs(lost), initial=0.0) > 1e-9 * np.max(np.abs(matrix), initial=1.0):
+        raise ModelError(
+            f"{pair[0]} + {pair[1]} has no equation of its own: the two are not alike; look at the modes of the whole"
+        )
+    return np.asarray(found, dtype=float)
+
+
+def upsilon(model: Model, at: Mapping[str, float] | None = None) -> float:
+    """Return how long synchronisation takes: 1/|Re| of the slowest eigenvalue of the sum system (8.13).
+
+    Args:
+        model: with two oscillators that are alike.
+        at: an equilibrium; 0 where not given.
+
+    Returns:
+        in seconds or units of time; infinite where the sum does not decay.
+
+    Raises:
+        ModelError: there are not two oscillators, or their sum has no equation of its own.
+    """
+    values = np.linalg.eigvals(sum_matrix(state_matrix(model, at), model.coordinates, pair_of(model)))
+    slowest = float(np.min(-values.real))
+    return 1.0 / slowest if slowest > _NEUTRAL * float(np.max(np.abs(values))) else np.inf
+
+
+def pair_of(model: Model) -> tuple[str, str]:
+    """Return the two oscillators of a model.
+
+    Raises:
+        ModelError: it has another number of them.
+    """
+    if len(model.oscillators) != 2:
+        raise ModelError(
+            f"{model.name} has the oscillators {', '.join(model.oscillators) or 'none'}; declare two, such as "
+            "'oscillators: [x1, x2]'"
+        )
+    return model.oscillators[0], model.oscillators[1]
+
+
+def sweep(model: Model, parameter: str, values: Array, measure: Callable[[Model], float] = upsilon) -> Array:
+    """Return a measure of a model over values of one parameter, such as `upsilon` over z3 (Fig. 8.4).
+
+    Args:
+        model: what is swept.
+        parameter: its name.
+        values: in the declared unit (m,).
+        measure: of a model; `upsilon` where not given.
+    """
+    return np.array([measure(model.with_parameters(**{parameter: float(x)})) for x in values])
+
+
+def frequency_response(model: Model, frequencies: Array, at: Mapping[str, float] | None = None) -> Complex:
+    """Return the response of outputs to inputs near an equilibrium, through python-control.
+
+    Args:
+        model: with inputs; its outputs, or its coordinates where it declares none.
+        frequencies: rad/s, or rad per unit of time (m,).
+        at: the equilibrium; 0 where not given.
+
+    Returns:
+        complex amplitudes (outputs, inputs, m).
+
+    Raises:
+        ModelError: the model has no inputs, or a frequency is negative or no number.
+    """
+    if not model.inputs:
+        raise ModelError(f"{model.name} has no inputs, and so no frequency response; declare 'inputs:'")
+    asked = np.asarray(frequencies, dtype=float)
+    wrong = asked[~(np.isfinite(asked) & (asked >= 0.0))]
+    if len(wrong):
+        raise ModelError(f"a frequency is {wrong[0]:g}; give finite ones that are not negative")
+    system: Any = model.linearise(at)
+    response = control.frequency_response(system, asked, squeeze=False)
+    return np.asarray(response.complex, dtype=np.complex128)

@@ -1,0 +1,136 @@
+"""Motion: the free equations of a model in exact symbols, and derivatives along them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+
+from masking.analysis.stability.algebra import is_zero, normal
+from masking.analysis.stability.hypotheses import Hypotheses
+from masking.codegen.graph import Graph, Node
+from masking.errors import ModelError
+from masking.modelling.model import Model
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """M(q) a = f(q, v) without inputs, and the energy V(q, v), in the symbols of hypotheses.
+
+    Args:
+        model: without internal states, its equations and energy without time.
+        given: hypotheses on its parameters.
+
+    Raises:
+        ModelError: the model has internal states, or its equations or energy hold the time.
+    """
+
+    model: Model
+    given: Hypotheses
+
+    def __post_init__(self) -> None:
+        e = self.model.equations
+        if self.model.states:
+            raise ModelError(f"{self.model.name} has internal states, for which there is no certificate")
+        if not self.model.is_autonomous:
+            raise ModelError(
+                f"the equations of {self.model.name} hold the time, for which there is no certificate; declare what "
+                "acts from outside, such as a drive, under 'inputs:'"
+            )
+        if e.energy is not None and e.symbols.t in e.energy.free_symbols:
+            raise ModelError(
+                f"the energy of {self.model.name}, {e.energy}, holds the time t, for which there is no certificate; "
+                "declare 'energy:' as a function of coordinates and velocities alone"
+            )
+
+    @property
+    def q(self) -> tuple[sp.Symbol, ...]:
+        """Return the coordinates."""
+        return self.model.equations.symbols.q
+
+    @property
+    def v(self) -> tuple[sp.Symbol, ...]:
+        """Return the velocities."""
+        return self.model.equations.symbols.v
+
+    def _free(self, expression: sp.Expr) -> sp.Expr:
+        return self.given.of(expression.subs(dict.fromkeys(self.model.equations.symbols.u, 0)))
+
+    @cached_property
+    def mass(self) -> sp.Matrix:
+        """Return M (n, n)."""
+        return self.model.equations.mass.applyfunc(self._free)
+
+    @cached_property
+    def force(self) -> sp.Matrix:
+        """Return f (n, 1)."""
+        return self.model.equations.force.applyfunc(self._free)
+
+    @cached_property
+    def at_rest(self) -> tuple[sp.Expr, ...]:
+        """Return f(q, 0), which vanishes at equilibria."""
+        return tuple(normal(f.subs(dict.fromkeys(self.v, 0))) for f in self.force)
+
+    @cached_property
+    def accelerations(self) -> tuple[sp.Expr, ...]:
+        """Return the accelerations, explicitly."""
+        return tuple(self._free(a) for a in self.model.equations.accelerations)
+
+    @cached_property
+    def energy(self) -> sp.Expr | None:
+        """Return V; None where the model has none."""
+        found = self.model.equations.energy
+        return None if found is None else self._free(found)
+
+    @cached_property
+    def energy_rate(self) -> sp.Expr:
+        """Return V' = dV/dq v + dV/dv a along the motion, in normal form.
+
+        Raises:
+            ModelError: the model has no energy.
+        """
+        if self.energy is None:
+            raise ModelError(f"{self.model.name} declares no energy; declare one, such as 'energy: x1'**2/2 + ...'")
+        rate = sum(sp.diff(self.energy, q) * v for q, v in zip(self.q, self.v, strict=True))
+        rate += sum(sp.diff(self.energy, v) * a for v, a in zip(self.v, self.accelerations, strict=True))
+        return normal(rate)
+
+    def on(self, graph: Graph, state: Sequence[sp.Symbol]) -> tuple[dict[sp.Symbol, Node], dict[Node, float]]:
+        """Return nodes of a graph for coordinates and velocities, first, and parameters, and the declared values."""
+        nodes = {x: graph.symbol(f"x_{x.name}", varying=True) for x in state}
+        values: dict[Node, float] = {}
+        for name, symbol in self.given.symbols.items():
+            if not symbol.is_number:
+                nodes[symbol] = graph.symbol(f"p_{symbol}", varying=False)
+                values[nodes[symbol]] = self.given.values[name]
+        return nodes, values
+
+    @cached_property
+    def circles(self) -> tuple[sp.Symbol, ...]:
+        """Return the coordinates that are angles: V and the equations do not change over one turn of them."""
+        found = []
+        for q in self.q:
+            turned = {q: q + 2 * sp.pi}
+            if all(is_zero(e.subs(turned) - e) for e in (*self.mass, *self.force, self.energy or sp.Integer(0))):
+                found.append(q)
+        return tuple(found)
+
+    @cached_property
+    def is_linear(self) -> bool:
+        """Tell whether M is constant and f linear in q and v."""
+        state = (*self.q, *self.v)
+        if self.mass.free_symbols & {*state}:
+            return False
+        return all(
+            f.is_polynomial(*state) and all(sum(powers) == 1 for powers in sp.Poly(f, *state).monoms() if f != 0)
+            for f in (sp.expand(f) for f in self.force)
+            if f != 0
+        )

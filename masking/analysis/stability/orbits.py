@@ -1,0 +1,97 @@
+"""Periodic orbits by shooting, and whether they are stable: Floquet multipliers of the monodromy matrix."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from masking.analysis.stability.variational import Variational
+from masking.errors import IntegrationError, ModelError
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array, Complex
+
+_MOST_STEPS = 30
+_ERROR = 1e-10  # of the size of the orbit, in closing
+_STILL = 1e-6  # of the size of a state: what moves less in a period is an equilibrium
+_NEUTRAL = 1e-6  # from 1: a multiplier within this neither grows nor decays, as far as integration tells
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """A periodic orbit.
+
+    Args:
+        state: y at its beginning (2 n + k,), in SI units or in the model's scales.
+        period: T, in the same.
+        multipliers: eigenvalues of the monodromy matrix Phi(T), the largest first; one of an orbit is always 1.
+        error: |y(T) - y(0)|, of the size of the orbit.
+    """
+
+    state: Array
+    period: float
+    multipliers: Complex
+    error: float
+
+    @property
+    def is_stable(self) -> bool | None:
+        """Tell whether all multipliers but one 1 are inside the unit circle; None where others are on it."""
+        size = np.sort(np.abs(self.multipliers))[::-1]
+        if size[0] > 1.0 + _NEUTRAL:
+            return False
+        return None if np.sum(size > 1.0 - _NEUTRAL) > 1 else True
+
+    @property
+    def exponents(self) -> Array:
+        """Return Floquet exponents: log |multiplier| / T, in 1/s or per unit of time."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(np.abs(self.multipliers)) / self.period, dtype=float)
+
+
+def orbit(model: Model, state: Array, period: float, tolerance: float = 1e-12) -> Orbit:
+    """Find a periodic orbit near a guess, by Newton's method on y(T; y0) = y0.
+
+    The state and the period change as little as each step allows, so that one member of a family of orbits is found,
+    near the guess. Multipliers are as true as Phi(T), whose error is some hundred times the tolerance.
+
+    Args:
+        model: autonomous, without inputs.
+        state: a guess of y (2 n + k,).
+        period: a guess of T.
+        tolerance: local relative error of integration.
+
+    Raises:
+        ModelError: the equations hold the time, whose period cannot be changed.
+        IntegrationError: no orbit is found near the guess.
+    """
+    if not model.is_autonomous:
+        raise ModelError(
+            f"the equations of {model.name} hold the time: orbits are looked for in autonomous models; make the drive "
+            "two states of the model"
+        )
+    made = Variational(model)
+    y, time = np.array(state, dtype=float), float(period)
+    rate = np.empty(made.size)
+    size = float(np.max(np.abs(y))) or 1.0
+    for _ in range(_MOST_STEPS):
+        end, phi = made.flow(y, time, tolerance)
+        miss = end - y
+        error = float(np.max(np.abs(miss))) / size
+        model.kernels.derivative(0.0, end, np.zeros(len(model.inputs)), model.values(), rate)
+        if float(np.max(np.abs(rate))) * time < _STILL * size:
+            break
+        if error <= _ERROR:
+            values = np.linalg.eigvals(phi)
+            order = np.argsort(-np.abs(values))
+            return Orbit(y, time, np.asarray(values[order], dtype=np.complex128), error)
+        jacobian = np.column_stack([phi - np.eye(made.size), rate])
+        # Directions in which the orbit goes on to be one, such as along itself, are left as they are.
+        step = np.linalg.lstsq(jacobian, -miss, rcond=1e-7)[0]
+        y, time = y + step[:-1], time + float(step[-1])
+        size = max(float(np.max(np.abs(y))), 1e-12)
+        if not 0.2 * period < time < 5.0 * period:
+            break
+    raise IntegrationError(
+        f"no periodic orbit of {model.name} is found near the period {period:g} (an equilibrium is none): give a "
+        "state and a period nearer to one, such as the last state of a long simulation"
+    )

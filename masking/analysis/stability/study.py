@@ -1,0 +1,201 @@
+"""Study of stability: equilibria of a model, its modes there, how fast it synchronises, what its energy proves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from masking.analysis.stability.certificate import Certificate, certificate
+from masking.analysis.stability.equilibria import Box, Equilibria, Equilibrium, check_box, equilibria
+from masking.analysis.stability.lyapunov import Exponent
+from masking.analysis.stability.modes import Driven, Mode, Modes, loop_matrix, modes, state_matrix, upsilon
+from masking.errors import ModelError
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array, Complex
+
+
+@dataclass(frozen=True)
+class LoopModes:
+    """Eigenvalues of a closed loop where the virtual system is at an equilibrium, per unit of virtual time.
+
+    Args:
+        eigenvalues: of the loop, the slowest to decay first.
+        distance: from the virtual system's eigenvalues to the nearest of these, at most.
+    """
+
+    eigenvalues: Complex
+    distance: float
+
+
+@dataclass(frozen=True)
+class Stability:
+    """What is known of the stability of a model.
+
+    Args:
+        name: of the model.
+        coordinates: its coordinates.
+        rest: its equilibria; None where they cannot be looked for, and `untold` then says why.
+        modes: at each of the equilibria.
+        upsilon: 1/|Re| of the slowest eigenvalue of the sum of two oscillators that are alike (8.13), at the first
+            equilibrium in which they rest at 0; None where there is no such sum.
+        certificate: what the energy proves.
+        loop: eigenvalues of the closed loop of an experiment; None for a model.
+        untold: why there is less than that.
+        exponent: the largest Lyapunov exponent of the motion from the declared initial state; None where not asked for.
+    """
+
+    name: str
+    coordinates: tuple[str, ...]
+    rest: Equilibria | None
+    modes: tuple[Modes, ...]
+    upsilon: float | None
+    certificate: Certificate
+    loop: LoopModes | None = None
+    untold: str = ""
+    exponent: Exponent | None = None
+
+    @property
+    def points(self) -> tuple[tuple[Equilibrium, Modes], ...]:
+        """Return each equilibrium with its modes."""
+        return tuple(zip(self.rest.points if self.rest else (), self.modes, strict=True))
+
+    def __str__(self) -> str:
+        lines = [self.name, ""]
+        lines += [f"equilibria: {self.rest}" if self.rest else f"equilibria: {self.untold}"]
+        for point, found in self.points:
+            lines.append(f"  {position_words(point)}: {point.verdict}" + " (proved)" * point.is_unstable)
+            lines += [f"    {mode_words(mode)}" for mode in found.modes]
+        if self.upsilon is not None:
+            lines.append(f"upsilon = {self.upsilon:.4g}, 1/|Re| of the slowest eigenvalue of the sum (8.13)")
+        if self.exponent is not None:
+            lines.append(f"motion from the initial state: {self.exponent}")
+        if self.loop is not None:
+            lines.append(f"closed loop: its eigenvalues are the virtual system's within {self.loop.distance:.1e}")
+        return "\n".join([*lines, "", "energy certificate", str(self.certificate)])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the study as JSON can hold it."""
+        return {
+            "name": self.name,
+            "equilibria": None
+            if self.rest is None
+            else {
+                "sentence": str(self.rest),
+                "is_complete": self.rest.is_complete,
+                "is_global": self.rest.is_global,
+                "box": self.rest.box,
+                "points": [_point(point, found) for point, found in self.points],
+            },
+            "untold": self.untold,
+            "upsilon": self.upsilon if self.upsilon is None or math.isfinite(self.upsilon) else None,
+            "exponent": self.exponent and self.exponent.as_dict(),
+            "certificate": self.certificate.as_dict(),
+            "loop": None
+            if self.loop is None
+            else {"eigenvalues": _numbers(self.loop.eigenvalues), "distance": self.loop.distance},
+        }
+
+
+def study(model: Model, box: Box | None = None) -> Stability:
+    """Work out what is known of the stability of a model.
+
+    Args:
+        model: in SI units or in its scales; inputs are 0.
+        box: least and largest value of coordinates, between which equilibria are looked for, and of coordinates and
+            velocities (`x1'`), for what the energy does not prove everywhere; see `equilibria` and `dissipation`.
+
+    Raises:
+        ModelError: the box names what is no coordinate or velocity, or has no inside.
+    """
+    check_box(model, box or {})
+    places = {name: sides for name, sides in (box or {}).items() if name in model.coordinates}
+    rest, untold, found = None, "", []
+    try:
+        rest = equilibria(model, places)
+    except ModelError as error:
+        if places:
+            raise
+        untold = str(error)
+    for point in rest.points if rest else ():
+        found.append(modes(state_matrix(model, point.position), model.coordinates))
+    proof = certificate(model, box)
+    return Stability(model.name, model.coordinates, rest, tuple(found), _upsilon(model, rest), proof, untold=untold)
+
+
+def loop_modes(loop: Driven, state: Array, lengths: Array, time_scale: float, virtual: Complex) -> LoopModes:
+    """Return the eigenvalues of a closed loop per unit of virtual time.
+
+    Args:
+        loop: a `ClosedLoop`.
+        state: of the rig (2 n + k,), SI units, which its transform maps to the virtual equilibrium.
+        lengths: a size of each state (2 n + k,).
+        time_scale: seconds per unit of virtual time.
+        virtual: eigenvalues of the virtual system there.
+    """
+    values = np.linalg.eigvals(loop_matrix(loop, state, lengths)).astype(np.complex128) * time_scale
+    values = values[np.lexsort((-values.imag, np.round(-values.real, 9)))]
+    distance = max((float(np.min(np.abs(values - x))) for x in virtual), default=0.0)
+    return LoopModes(values, distance)
+
+
+def position_words(point: Equilibrium) -> str:
+    """Name an equilibrium by its coordinates."""
+    return ", ".join(f"{name} = {x:.6g}" for name, x in point.position.items())
+
+
+def mode_words(mode: Mode) -> str:
+    """Tell a mode in one line: eigenvalue, damping, and the shape by amplitudes and phases over pi."""
+    z = mode.eigenvalue
+    value = f"{_plain(z.real, 6):+.6f}" + (f" ± {mode.frequency:.6f}i" if mode.frequency else "")
+    damping = f"damping {_plain(mode.damping, 4):.4f}" if mode.frequency else ""
+    shape = ", ".join(
+        f"{name} {abs(x):.3f}" + (f" at {phase(x):.2f} pi" if abs(x) > 1e-6 else "") for name, x in mode.shape.items()
+    )
+    return f"{value:24} {damping:16} {shape}"
+
+
+def phase(amplitude: complex) -> float:
+    """Return the phase of a complex amplitude over pi, in (-1, 1], to two digits."""
+    found = _plain(float(np.angle(amplitude)) / np.pi, 2)
+    return 1.0 if found == -1.0 else found
+
+
+def _plain(x: float, digits: int) -> float:
+    """Round; what is 0 then has no sign."""
+    return round(x, digits) + 0.0
+
+
+def _upsilon(model: Model, rest: Equilibria | None) -> float | None:
+    """Return upsilon at the equilibrium at 0; None where there is none, or no sum with an equation of its own."""
+    if rest is None or not any(not any(point.position.values()) for point in rest.points):
+        return None
+    try:
+        return upsilon(model)
+    except ModelError:
+        return None
+
+
+def _numbers(values: Complex) -> list[list[float]]:
+    return [[float(x.real), float(x.imag)] for x in values]
+
+
+def _point(point: Equilibrium, found: Modes) -> dict[str, Any]:
+    return {
+        "position": point.position,
+        "radius": point.radius,
+        "verdict": point.verdict,
+        "is_proved_unstable": point.is_unstable,
+        "eigenvalues": _numbers(found.eigenvalues),
+        "modes": [
+            {
+                "eigenvalue": [mode.eigenvalue.real, mode.eigenvalue.imag],
+                "frequency": mode.frequency,
+                "damping": mode.damping,
+                "shape": {name: [x.real, x.imag] for name, x in mode.shape.items()},
+            }
+            for mode in found.modes
+        ],
+    }

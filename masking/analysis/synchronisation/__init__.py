@@ -1,0 +1,48 @@
+"""Synchronisation of oscillators: measures, a verdict on a record, any functional, and a detector that runs along.
+
+All of it is mathematics on series: it knows neither rigs nor recordings. Numbers of sections, figures, definitions and
+formulas are those of Rijlaarsdam (2008).
+"""
+
+from __future__ import annotations
+
+from masking.analysis.synchronisation.detector import Detector, Watch
+from masking.analysis.synchronisation.functional import Held, held
+from masking.analysis.synchronisation.measures import (
+    AntiPhase,
+    about_drift,
+    analytic_signal,
+    anti_phase,
+    interpolate,
+    mean_phase,
+    peak_sum,
+    period,
+    phase_difference,
+    principal,
+    proportion,
+    running_peak,
+    synchronisation_time,
+)
+from masking.analysis.synchronisation.verdict import Synchronisation, synchronisation
+
+__all__ = [
+    "AntiPhase",
+    "Detector",
+    "Held",
+    "Synchronisation",
+    "Watch",
+    "about_drift",
+    "analytic_signal",
+    "anti_phase",
+    "held",
+    "interpolate",
+    "mean_phase",
+    "peak_sum",
+    "period",
+    "phase_difference",
+    "principal",
+    "proportion",
+    "running_peak",
+    "synchronisation",
+    "synchronisation_time",
+]

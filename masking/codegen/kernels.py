@@ -1,0 +1,158 @@
+"""The compiled functions of one generated module, with the checks that their callers want."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from masking.codegen.native import NativeFunction
+from masking.codegen.store import Generated
+from masking.errors import IntegrationError, SingularityError, nearest
+from masking.numerics.arrays import Array
+from masking.numerics.stop_codes import MESSAGES, REACHED, SINGULAR
+
+# The classical Runge-Kutta method errs by 1e-9 per radian when a radian takes this many steps.
+STEPS_PER_RADIAN = 50.0
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States over time.
+
+    Args:
+        times: (m,).
+        states: (m, 2 n + k), coordinates, velocities, internal states.
+        coordinates: names of the n coordinates.
+        steps: integration steps taken.
+        internal: names of the k internal states.
+    """
+
+    times: Array
+    states: Array
+    coordinates: tuple[str, ...]
+    steps: int
+    internal: tuple[str, ...] = ()
+
+    @property
+    def positions(self) -> Array:
+        """Return the coordinates (m, n)."""
+        return self.states[:, : len(self.coordinates)]
+
+    @property
+    def velocities(self) -> Array:
+        """Return the velocities (m, n)."""
+        n = len(self.coordinates)
+        return self.states[:, n : 2 * n]
+
+    def __getitem__(self, name: str) -> Array:
+        """Return one coordinate (`x1`), velocity (`x1'`) or internal state over time (m,)."""
+        if name in self.internal:
+            return self.states[:, 2 * len(self.coordinates) + self.internal.index(name)]
+        index = self.coordinates.index(name.rstrip("'"))
+        return self.states[:, index + (len(self.coordinates) if name.endswith("'") else 0)]
+
+
+@dataclass(frozen=True)
+class Kernels:
+    """The functions of a generated module, by the names they have in it, and what it says of itself."""
+
+    generated: Generated
+    _functions: dict[str, NativeFunction] = field(default_factory=dict, repr=False)
+
+    @property
+    def meta(self) -> Mapping[str, Any]:
+        """Return the names of coordinates, states, inputs and parameters, in the order of the arrays, and the units."""
+        return self.generated.meta
+
+    def __getattr__(self, name: str) -> NativeFunction:
+        """Return a function of the module; it is compiled when it is first called."""
+        if name.startswith("_") or name not in self.meta["functions"]:
+            raise AttributeError(f"there is no compiled function '{name}'; {nearest(name, self.meta['functions'])}")
+        if name not in self._functions:
+            self._functions[name] = self.generated.function(name)
+        return self._functions[name]
+
+    def integrate(
+        self,
+        times: Array,
+        state: Array,
+        inputs: Array,
+        parameters: Array,
+        *,
+        tolerance: float,
+        method: str | None = None,
+        fixed_step: float = 0.0,
+        progress: Callable[[float], None] | None = None,
+        pieces: int = 1,
+    ) -> Trajectory:
+        """Integrate the module's dynamics over given times.
+
+        Args:
+            times: monotone (m,); the state is that at the first.
+            state: (2 n + k,) at `times[0]`; left as it is.
+            inputs: (k,), held constant.
+            parameters: array in the module's order.
+            tolerance: local relative error of a step.
+            method: `taylor` or `runge_kutta`; by default Taylor series where the dynamics have them.
+            fixed_step: length of every step; 0 to control it.
+            progress: called with the part done after each piece.
+            pieces: number of pieces that the times are cut into.
+
+        Raises:
+            SingularityError: a matrix that must be inverted became singular; holds the state.
+            IntegrationError: the integrator could not go on; says when and why.
+        """
+        times = np.ascontiguousarray(times, dtype=float)
+        steps_between = np.diff(times)
+        if times.ndim != 1 or len(times) == 0 or not (np.all(steps_between >= 0.0) or np.all(steps_between <= 0.0)):
+            raise IntegrationError(f"times must be one row of at least one time, in order; got shape {times.shape}")
+        solve = getattr(self, f"solve_{method or self.meta['method']}")
+        y = np.array(state, dtype=float)
+        out = np.empty((len(times), len(y)))
+        t, steps = float(times[0]), 0
+        for piece in np.array_split(np.arange(len(times)), max(1, min(pieces, len(times)))):
+            rows = slice(piece[0], piece[-1] + 1)
+            status, t, taken = solve(t, y, times[rows], inputs, parameters, tolerance, fixed_step, out[rows])
+            steps += taken
+            if status != REACHED:
+                self.stop(status, t, y)
+            if progress is not None:
+                progress((piece[-1] + 1) / len(times))
+        return Trajectory(times, out, tuple(self.meta["coordinates"]), steps, tuple(self.meta.get("states", ())))
+
+    def stop(self, status: int, time: float, state: Sequence[float] | Array, mend: str = "") -> None:
+        """Raise the error that a kernel's status stands for; `mend` says what to do about a singular matrix."""
+        names = self.meta["coordinates"]
+        internal = self.meta.get("states", ())
+        at = dict(zip([*names, *(f"{n}'" for n in names), *internal], map(float, state), strict=True))
+        if status == SINGULAR:
+            raise SingularityError(MESSAGES[status], time, at, mend)
+        where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
+        raise IntegrationError(f"{MESSAGES[status]}, at t = {time:.6g} ({where})")
+
+
+def steps_between(slope: Callable[[Array, Array], None], state: Array, lengths: Array, rate: float) -> int:
+    """Return the steps of the classical Runge-Kutta method between samples that resolve the fastest motion at a state.
+
+    Args:
+        slope: writes dy/dt of a state into its second argument.
+        state: y (n,).
+        lengths: a size of each state (n,), for differences.
+        rate: samples per second.
+    """
+    size = len(state)
+    if not size:
+        return 1
+    jacobian, ahead, behind = np.empty((size, size)), np.empty(size), np.empty(size)
+    for i, step in enumerate(1e-6 * lengths):
+        change = step * np.eye(size)[i]
+        slope(state + change, ahead)
+        slope(state - change, behind)
+        jacobian[:, i] = (ahead - behind) / (2.0 * step)
+    if not np.all(np.isfinite(jacobian)):
+        return 1
+    fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian))))
+    return max(1, int(np.ceil(STEPS_PER_RADIAN * fastest / rate)))

@@ -1,0 +1,234 @@
+"""Compiled functions kept on disk as machine code, and called without numba.
+
+The first call of a function compiles it: numba turns it into LLVM code behind a C interface, whose machine code is
+written beside the generated module. Every later call, in this process or another, only loads that: starting takes
+a tenth of the time that importing numba does.
+
+Arguments are told apart by their names in the generated code; `ARGUMENTS` is the one table of them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.codegen.files import write_once
+
+if TYPE_CHECKING:
+    import llvmlite.binding as llvm
+    import numba
+else:
+    llvm = lazy.load("llvmlite.binding", suppress_warning=True)
+    numba = lazy.load("numba")
+
+# float64, int64, vector and matrix of float64
+ARGUMENTS: dict[str, str] = {
+    **dict.fromkeys(("t", "tolerance", "fixed_step", "dt", "first", "since"), "d"),
+    **dict.fromkeys(("begin", "count", "substeps", "every", "straight", "kind", "state"), "i"),
+    **dict.fromkeys(("y", "q", "v", "u", "p", "out", "dy", "times"), "v"),
+    **dict.fromkeys(("s", "x", "d", "r", "g", "noise", "control_p", "demanded", "applied", "command"), "v"),
+    **dict.fromkeys(("c", "states", "virtual", "inputs", "out_y", "out_u", "work"), "m"),
+    **dict.fromkeys(("jy", "jp", "sens", "basis", "matrix", "simulated"), "m"),
+    **dict.fromkeys(("weights", "gradient", "squares", "theta", "rate"), "v"),
+    **dict.fromkeys(("gain", "table", "queue", "noises", "estimates", "readings", "demands", "commands"), "m"),
+    **dict.fromkeys(("slots", "columns", "features"), "m"),
+}
+C_TYPES: dict[str, tuple[Any, ...]] = {
+    "d": (ctypes.c_double,),
+    "i": (ctypes.c_int64,),
+    "v": (ctypes.c_void_p, ctypes.c_int64),
+    "m": (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64),
+}
+NUMBA_TYPES = {"d": "f8", "i": "i8", "v": "CPointer(f8), i8", "m": "CPointer(f8), i8, i8"}
+DIMENSIONS = {"v": 1, "m": 2}
+ENTRY = "masking_entry"
+RESULTS = 4  # room for the results of a function
+
+
+@dataclass
+class NativeFunction:
+    """A function of a generated module, called with numpy arrays.
+
+    Args:
+        name: its name in the module.
+        arguments: the names of its arguments.
+        results: the kinds of its results: '' for none, 'd' for a number, 'idi' for several.
+        work: the shape of its work space, which callers need not give; None where it has none.
+        source: imports the generated module.
+        stem: path of the generated module without its ending.
+    """
+
+    name: str
+    arguments: Sequence[str]
+    results: str
+    work: tuple[int, int] | None
+    source: Callable[[], ModuleType]
+    stem: Path
+    _call: Callable[..., None] | None = field(default=None, repr=False)
+
+    def __call__(self, *given: Any) -> Any:  # noqa: ANN401
+        """Call the machine code; arrays are read and written in place.
+
+        Raises:
+            TypeError: an array is not C-contiguous float64 of the right dimension, or one is missing.
+        """
+        call = self.prepare()
+        values = list(given) if self.work is None else [*given, np.empty(self.work)]
+        if len(values) != len(self.arguments):
+            raise TypeError(f"{self.name} takes {', '.join(self.arguments)}: got {len(given)} arguments")
+        passed: list[object] = []
+        for name, value in zip(self.arguments, values, strict=True):
+            kind = ARGUMENTS[name]
+            if kind in DIMENSIONS:
+                if not isinstance(value, np.ndarray):
+                    raise TypeError(f"{self.name}: {name} must be an array, not {type(value).__name__}")
+                if value.ndim != DIMENSIONS[kind] or value.dtype != np.float64 or not value.flags.c_contiguous:
+                    raise TypeError(
+                        f"{self.name}: {name} must be a C-contiguous float64 array of dimension {DIMENSIONS[kind]}, "
+                        f"not {value.dtype} of shape {value.shape}"
+                    )
+                passed += [value.ctypes.data, *value.shape]
+            else:
+                passed.append(value)
+        found = (ctypes.c_double * RESULTS)()
+        call(*passed, found)
+        read = [int(x) if kind == "i" else x for kind, x in zip(self.results, found, strict=False)]
+        return None if not read else read[0] if len(read) == 1 else tuple(read)
+
+    def prepare(self) -> Callable[..., None]:
+        """Compile or load the function now; return its C interface."""
+        if self._call is None:
+            self._call = self._load()
+        return self._call
+
+    def _load(self) -> Callable[..., None]:
+        path = self.stem.with_name(f"{self.stem.name}.{self.name}.{_processor()}.o")
+        if not path.exists():
+            write_once(path, self._compile())
+        types = [c_type for name in self.arguments for c_type in C_TYPES[ARGUMENTS[name]]]
+        return ctypes.CFUNCTYPE(None, *types, ctypes.c_void_p)(_engine_address(path))
+
+    def _compile(self) -> bytes:
+        """Return the machine code of the function behind a C interface."""
+        types = [NUMBA_TYPES[ARGUMENTS[name]] for name in self.arguments]
+        signature = f"void({', '.join(types)}, CPointer(f8))"
+        interface = getattr(self.source(), f"{self.name}_c")
+        made = numba.cfunc(signature, error_model="numpy")(interface)
+        module = llvm.parse_assembly(_without_aliases(made.inspect_llvm()))
+        # Names are kept inside: numba gives functions of different processes the same ones.
+        for value in (*module.functions, *module.global_variables):
+            if not value.is_declaration and not value.name.startswith("llvm."):
+                value.linkage = "internal"
+        entry = module.get_function(made.native_name)
+        entry.linkage, entry.name = "external", ENTRY
+        _optimise(module)
+        code: bytes = _machine().emit_object(module)
+        return code
+
+
+def interface(name: str, arguments: Sequence[str], results: str) -> str:
+    """Return the source of a function's C interface: pointers and sizes in, results through a pointer."""
+    parameters, passed = [], []
+    for argument in arguments:
+        axes = [f"{argument}_{axis}" for axis in range(DIMENSIONS.get(ARGUMENTS[argument], 0))]
+        parameters += [argument, *axes]
+        passed.append(f"carray({argument}, ({', '.join(axes)},))" if axes else argument)
+    call = f"{name}({', '.join(passed)})"
+    lines = [f"def {name}_c({', '.join([*parameters, 'found'])}):"]
+    if not results:
+        lines.append(f"    {call}")
+    elif len(results) == 1:
+        lines.append(f"    carray(found, ({RESULTS},))[0] = {call}")
+    else:
+        names = ", ".join(f"r{i}" for i in range(len(results)))
+        lines += [f"    {names} = {call}", f"    results = carray(found, ({RESULTS},))"]
+        lines += [f"    results[{i}] = r{i}" for i in range(len(results))]
+    return "\n".join(lines)
+
+
+def _without_aliases(text: str) -> str:
+    """Return LLVM code in which the arrays that a function is given do not overlap; numba cannot be told so.
+
+    No kernel is given overlapping arrays. measured: parameters then stay in registers through a loop.
+    """
+
+    def mark(head: re.Match[str]) -> str:
+        return re.sub(r"\bptr (?!noalias|@)(?=[^,]*%)", "ptr noalias ", head[0])
+
+    return re.sub(r"^define (?!.*@NRT_)[^\n]*$", mark, text, flags=re.MULTILINE)
+
+
+def _optimise(module: Any) -> None:  # noqa: ANN401
+    """Optimise LLVM code once more, now that all of it is known to be one function."""
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    builder = llvm.create_pass_builder(_machine(), options)
+    builder.getModulePassManager().run(module, builder)
+
+
+def _machine() -> Any:  # noqa: ANN401  (llvmlite has no types)
+    """Return a new description of this processor that machine code is made for; an engine takes it over."""
+    _initialise()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        opt=3,
+        reloc="pic",
+        codemodel="jitdefault",
+    )
+
+
+@cache
+def _initialise() -> None:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+
+
+@cache
+def _processor() -> str:
+    """Return a short name of this processor and its features; machine code of another is not used."""
+    features = f"{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}"
+    return hashlib.sha256(features.encode()).hexdigest()[:8]
+
+
+_engines: list[Any] = []  # an engine owns the machine code that it has loaded
+
+
+def _engine_address(path: Path) -> int:
+    """Load an object file into this process; return the address of its entry."""
+    _initialise()
+    _provide_error_symbols()
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_path(str(path)))
+    engine.finalize_object()
+    _engines.append(engine)
+    return int(engine.get_function_address(ENTRY))
+
+
+@cache
+def _provide_error_symbols() -> None:
+    """Give numba's error handlers an address where numba is not loaded; generated code raises nothing."""
+    stop = ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value
+    for name in ERROR_SYMBOLS:
+        if llvm.address_of_symbol(name) is None:
+            llvm.add_symbol(name, stop)
+
+
+ERROR_SYMBOLS = (
+    "numba_gil_ensure",
+    "numba_gil_release",
+    "numba_unpickle",
+    "numba_do_raise",
+    "numba_runtime_build_excinfo_struct",
+    "NRT_Free",
+    "NRT_MemInfo_call_dtor",
+)

@@ -1,0 +1,264 @@
+"""The four blocks of masking: T maps coordinates, D computes wanted accelerations, L cancels, G scales.
+
+Each block lowers itself into a graph, from which `controller` prints one control law. Rig coordinates enter
+measured in the rig's scales where both systems are dimensionless, in SI units otherwise.
+
+Source: Rijlaarsdam (2008), chapter 6, (6.1)-(6.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.codegen.graph import Graph, Node
+from masking.codegen.linear import solve
+from masking.errors import ActuationError, ModelError
+from masking.modelling.lowering import LoweredEquations
+from masking.modelling.model import Model
+
+if TYPE_CHECKING:
+    import sympy as sp
+
+    from masking.declaration import schema
+else:
+    sp = lazy.load("sympy")
+
+
+@dataclass(frozen=True)
+class Transform:
+    """T: virtual coordinates as smooth functions of rig coordinates.
+
+    Args:
+        rig: the model of the rig.
+        virtual: the model whose coordinates are computed.
+        declaration: identity, a matrix, or one expression for each virtual coordinate.
+    """
+
+    rig: Model
+    virtual: Model
+    declaration: schema.Transform
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Return the names of the transform's own parameters."""
+        return tuple(self.declaration.parameters)
+
+    @cached_property
+    def parameter_symbols(self) -> tuple[sp.Symbol, ...]:
+        """Return the symbols of the transform's own parameters."""
+        return tuple(sp.Symbol(name, real=True) for name in self.parameters)
+
+    @cached_property
+    def expressions(self) -> sp.ImmutableMatrix:
+        """Return eta = T(q) as a column (k, 1) in the rig's coordinate symbols."""
+        q = self.rig.equations.symbols.q
+        matrix, expressions = self.declaration.matrix, self.declaration.expressions
+        if matrix is None and expressions is None:
+            if len(q) != len(self.virtual.coordinates):
+                raise ModelError(
+                    "transform: identity needs as many virtual coordinates as rig coordinates; "
+                    f"{self.virtual.name} has {len(self.virtual.coordinates)}, {self.rig.name} has {len(q)}; "
+                    "declare a matrix or expressions"
+                )
+            return sp.ImmutableMatrix(q)
+        known = {s.name: s for s in (*q, *self.parameter_symbols)}
+        if expressions is not None:
+            return sp.ImmutableMatrix([expressions[c].to_sympy(known) for c in self.virtual.coordinates])
+        rows = [[e.to_sympy(known) for e in row] for row in matrix or ()]
+        return sp.ImmutableMatrix(sp.Matrix(rows) * sp.Matrix(q))
+
+    @cached_property
+    def jacobian(self) -> sp.ImmutableMatrix:
+        """Return J = dT/dq (k, n)."""
+        return sp.ImmutableMatrix(self.expressions.jacobian(self.rig.equations.symbols.q))
+
+    @cached_property
+    def bias(self) -> sp.ImmutableMatrix:
+        """Return (dJ/dt) v (k, 1), the virtual acceleration at zero rig acceleration."""
+        s = self.rig.equations.symbols
+        rows = []
+        for row in self.jacobian.tolist():
+            rows.append(
+                sum(
+                    sp.diff(j, q) * vq * v
+                    for j, v in zip(row, s.v, strict=True)
+                    for q, vq in zip(s.q, s.v, strict=True)
+                )
+            )
+        return sp.ImmutableMatrix(rows)
+
+    def lower(self, graph: Graph, q: Sequence[Node], v: Sequence[Node], p: Sequence[Node]) -> MappedCoordinates:
+        """Lower eta, its rate, J and (dJ/dt) v for given nodes of rig coordinates, velocities and parameters."""
+        s = self.rig.equations.symbols
+        known = dict(zip((*s.q, *s.v, *self.parameter_symbols), (*q, *v, *p), strict=True))
+        jacobian = [[graph.lower(e, known) for e in row] for row in self.jacobian.tolist()]
+        return MappedCoordinates(
+            eta=[graph.lower(e, known) for e in self.expressions],
+            rate=[dot(graph, row, v) for row in jacobian],
+            jacobian=jacobian,
+            bias=[graph.lower(e, known) for e in self.bias],
+        )
+
+
+@dataclass(frozen=True)
+class MappedCoordinates:
+    """Nodes of T at one state: eta (k,), d eta/dt (k,), J (k, n) and (dJ/dt) v (k,)."""
+
+    eta: list[Node]
+    rate: list[Node]
+    jacobian: list[list[Node]]
+    bias: list[Node]
+
+
+@dataclass(frozen=True)
+class DesiredDynamics:
+    """D: the accelerations that the virtual system has at given virtual coordinates and velocities (6.2).
+
+    Args:
+        virtual: the virtual system.
+        regulation: what is held besides its dynamics, if anything.
+    """
+
+    virtual: Model
+    regulation: schema.Regulation | None = None
+
+    def values(self) -> list[float]:
+        """Return the parameters of the regulation: energy, rate, coupling; 0 for an energy that is not held."""
+        wanted = self.regulation
+        return [] if wanted is None else [wanted.energy or 0.0, wanted.rate, wanted.coupling]
+
+    def lower(
+        self,
+        graph: Graph,
+        time: Node,
+        eta: Sequence[Node],
+        rate: Sequence[Node],
+        p: Sequence[Node],
+        *,
+        regulation: Sequence[Node] = (),
+    ) -> list[Node]:
+        """Lower eta'' = F(tau, eta, eta'), with the virtual system's inputs at zero, and its regulation."""
+        s = self.virtual.equations.symbols
+        u = [graph.number(0.0)] * len(s.u)
+        known = dict(zip((s.t, *s.q, *s.v, *s.u, *s.p), (time, *eta, *rate, *u, *p), strict=True))
+        lowered = LoweredEquations.of(self.virtual.equations, graph, known=known)
+        wanted = list(lowered.accelerations)
+        if self.regulation is None:
+            return wanted
+        energy, speed, coupling = regulation
+        moving = [self.virtual.coordinates.index(name) for name in self.virtual.oscillators]
+        if self.regulation.energy is not None:
+            # Oscillators are damped where the energy is above the wanted one, and driven where it is below.
+            held = self.virtual.equations.energy
+            if held is None:
+                raise ModelError(f"{self.virtual.name} has no energy to regulate: declare energy, or a lagrangian")
+            excess = graph.sub(graph.div(lowered.lower(held), energy), graph.number(1.0))
+            for i in moving:
+                wanted[i] = graph.sub(wanted[i], graph.mul(graph.mul(speed, excess), rate[i]))
+        if self.regulation.phase is not None:
+            mean = graph.div(graph.total([rate[i] for i in moving]), graph.number(float(len(moving))))
+            for i in moving:
+                # In-phase motion is the mean, anti-phase motion of two what differs from it: the other is damped.
+                unwanted = mean if self.regulation.phase == "anti" else graph.sub(rate[i], mean)
+                wanted[i] = graph.sub(wanted[i], graph.mul(coupling, unwanted))
+        return wanted
+
+
+@dataclass(frozen=True)
+class Cancellation:
+    """L and G from one model of the rig: the input that cancels its dynamics, and that which accelerates it.
+
+    The rig is a = a0(t, q, v) + B(t, q) u. L solves B L = -a0 (6.1), and G is the inverse of B (6.3).
+    """
+
+    model: Model
+
+    def lower(
+        self, graph: Graph, time: Node, q: Sequence[Node], v: Sequence[Node], p: Sequence[Node]
+    ) -> tuple[list[Node], list[list[Node]], Node]:
+        """Lower a0 (n,), B (n, k) and the determinant of the mass matrix; `v` holds the internal states at its end.
+
+        Raises:
+            ModelError: an acceleration is not affine in the inputs.
+        """
+        s = self.model.equations.symbols
+        known = dict(zip((s.t, *s.q, *s.v, *s.s, *s.p), (time, *q, *v, *p), strict=True))
+        mass = [[graph.lower(e, known) for e in row] for row in self.model.equations.mass.tolist()]
+        free = self.model.equations.force.subs(dict.fromkeys(s.u, 0))
+        right = [
+            [graph.lower(f, known), *(graph.lower(e, known) for e in row)]
+            for f, row in zip(free, self.model.equations.input_force.tolist(), strict=True)
+        ]
+        solution, health = solve(graph, mass, right)
+        return [row[0] for row in solution], [row[1:] for row in solution], health
+
+
+def decouple(
+    graph: Graph, matrix: list[list[Node]], cancel: Sequence[Node], drive: Sequence[Node]
+) -> tuple[list[Node], list[Node], Node]:
+    """Return the inputs that give two virtual accelerations, and the determinant of what had to be inverted.
+
+    Solves W u = r for r = `cancel` and r = `drive`; where there are more inputs than coordinates, u is the
+    solution of least norm, u = W^T (W W^T)^-1 r.
+    """
+    right = [[c, d] for c, d in zip(cancel, drive, strict=True)]
+    inputs = len(matrix[0])
+    if inputs == len(matrix):
+        solution, determinant = solve(graph, matrix, right)
+    else:
+        square = [[dot(graph, a, b) for b in matrix] for a in matrix]
+        part, determinant = solve(graph, square, right)
+        solution = [
+            [dot(graph, [row[i] for row in matrix], [z[k] for z in part]) for k in (0, 1)] for i in range(inputs)
+        ]
+    return [x[0] for x in solution], [x[1] for x in solution], determinant
+
+
+def check_actuation(model: Model, transform: Transform) -> None:
+    """Refuse a rig whose inputs cannot accelerate each virtual coordinate independently of the others.
+
+    The rank of W = J B is taken at random states and parameters, where it is as large as it can be.
+
+    Raises:
+        ActuationError: names the virtual coordinates that cannot be masked.
+        ModelError: the transform is not invertible.
+    """
+    s = model.equations.symbols
+    generator = np.random.default_rng(0)
+    symbols = (s.t, *s.q, *s.v, *s.s, *s.p, *transform.parameter_symbols)
+    point = dict(zip(symbols, generator.uniform(0.5, 1.5, len(symbols)), strict=True))
+
+    def number(matrix: sp.Matrix) -> np.ndarray:
+        return np.array(matrix.subs(point).evalf().tolist(), dtype=float).reshape(matrix.shape)
+
+    jacobian = number(transform.jacobian)
+    if np.linalg.matrix_rank(jacobian) < len(jacobian):
+        unused = [c for c, column in zip(model.coordinates, jacobian.T, strict=True) if not column.any()]
+        why = f"none depends on {', '.join(unused)}" if unused else "they depend on each other"
+        raise ModelError(
+            f"transform: not invertible: {', '.join(transform.virtual.coordinates)} do not move independently of each "
+            f"other with the rig's coordinates; {why}"
+        )
+    decoupling = jacobian @ np.linalg.solve(number(model.equations.mass), number(model.equations.input_force))
+    reachable = decoupling @ np.linalg.pinv(decoupling) if decoupling.size else np.zeros((len(decoupling),) * 2)
+    names = transform.virtual.coordinates
+    missed = [name for i, name in enumerate(names) if abs(reachable[i, i] - 1.0) > 1e-8]
+    if missed:
+        have = ", ".join(model.inputs) or "none"
+        raise ActuationError(
+            f"{model.name} cannot be masked as {transform.virtual.name}: its inputs ({have}) cannot accelerate "
+            f"{', '.join(missed)} independently of the other coordinates; add actuators, or declare a virtual system "
+            f"that leaves {missed[0]} as it is",
+            missed,
+        )
+
+
+def dot(graph: Graph, a: Sequence[Node], b: Sequence[Node]) -> Node:
+    """Return the node of the scalar product of two rows of nodes."""
+    return graph.total([graph.mul(x, y) for x, y in zip(a, b, strict=True)])

@@ -1,0 +1,236 @@
+"""A controller and the model of the plant that it drives, compiled together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.codegen import store
+from masking.codegen.graph import Graph, Node
+from masking.codegen.kernels import Kernels
+from masking.codegen.source import Module
+from masking.control.blocks import check_actuation
+from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols
+from masking.errors import ModelError
+from masking.modelling.lowering import SOLVE_RUNGE_KUTTA, LoweredEquations
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array
+
+if TYPE_CHECKING:
+    import control
+else:
+    control = lazy.load("control")
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """What the blocks of a control law give at one state.
+
+    Args:
+        T: virtual coordinates (k,), in the virtual system's units.
+        rate: their rates (k,), per unit of virtual time.
+        D: the virtual accelerations that are wanted there (k,) (6.2).
+        L: inputs that cancel the rig's own dynamics (m,), in the inputs' units (6.1).
+        drive: G T^-1[D], inputs that drive the wanted dynamics (m,).
+        G: inputs per rig acceleration (m, n) (6.3).
+    """
+
+    T: Array
+    rate: Array
+    D: Array
+    L: Array
+    drive: Array
+    G: Array
+
+    @property
+    def u(self) -> Array:
+        """Return the inputs (m,): L + G T^-1[D]."""
+        return self.L + self.drive
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """A controller and the model of the plant that it drives, compiled together.
+
+    Args:
+        controller: the control law.
+        plant: what the rig really is, in SI units; its coordinates and inputs are those of the controller's model.
+    """
+
+    controller: Controller
+    plant: Model
+
+    def __post_init__(self) -> None:
+        believed = self.controller.model
+        for what in ("coordinates", "inputs"):
+            ours, theirs = getattr(believed, what), getattr(self.plant, what)
+            if ours != theirs:
+                raise ModelError(
+                    f"the controller's model {believed.name} has the {what} {', '.join(ours)}, the plant "
+                    f"{self.plant.name} has {', '.join(theirs)}; both must have the same, in the same order"
+                )
+        unknown = [name for name in believed.declaration.states if name not in self.plant.declaration.states]
+        if unknown:
+            raise ModelError(
+                f"the controller's model {believed.name} has the internal states {', '.join(unknown)}, which the plant "
+                f"{self.plant.name} does not have: a controller that knows the true state needs them there; let it "
+                "estimate them with an observer, or take another controller.model"
+            )
+
+    def values(self) -> Array:
+        """Return the parameter array: the controller's, then the plant's."""
+        return np.concatenate([self.controller.values(), self.plant.values()])
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """Return the compiled loop; from the cache on disk where it has been made before.
+
+        Raises:
+            ActuationError: the inputs cannot accelerate every virtual coordinate.
+        """
+        return Kernels(store.load(self._key, self._build))
+
+    @property
+    def is_compiled(self) -> bool:
+        """Tell whether the loop is in the cache on disk."""
+        return store.exists(self._key)
+
+    @property
+    def _key(self) -> str:
+        return store.key({"controller": self.controller.structure(), "plant": self.plant.structure()})
+
+    def evaluate(self, t: float, q: Array, v: Array) -> Blocks:
+        """Return what each block gives at one state of the rig.
+
+        Args:
+            t: time of the rig, s.
+            q: rig coordinates (n,), SI units.
+            v: rig velocities (n,), SI units.
+        """
+        k, n, m = len(self.controller.virtual.coordinates), len(self.plant.coordinates), len(self.plant.inputs)
+        p, kernels = self.values(), self.kernels
+
+        def block(name: str, size: int) -> Array:
+            out = np.empty(size)
+            getattr(kernels, name)(float(t), np.asarray(q, float), np.asarray(v, float), p, out)
+            return out
+
+        mapped = block("transform", 2 * k)
+        return Blocks(
+            T=mapped[:k],
+            rate=mapped[k:],
+            D=block("desired", k),
+            L=block("cancel", m),
+            drive=block("drive", m),
+            G=np.asarray(np.linalg.pinv(block("input_matrix", n * m).reshape(n, m)), dtype=np.float64),
+        )
+
+    def to_control(self) -> control.NonlinearIOSystem:
+        """Return the closed loop as a nonlinear input/output system of python-control.
+
+        It has no inputs; its states are the rig's coordinates and velocities in SI units, its outputs the virtual
+        coordinates, in the virtual system's units, and the rig's inputs.
+        """
+        kernels, p = self.kernels, self.values()
+        k, m = len(self.controller.virtual.coordinates), len(self.plant.inputs)
+
+        def update(t: float, x: Array, u: Array, params: Mapping[str, float]) -> Array:
+            rate = np.empty(len(x))
+            kernels.derivative(float(t), np.array(x, float), np.zeros(m), p, rate)
+            return rate
+
+        def output(t: float, x: Array, u: Array, params: Mapping[str, float]) -> Array:
+            state, virtual, inputs = np.array([x], float), np.empty((1, 2 * k)), np.empty((1, m))
+            kernels.along(np.array([t], float), state, p, virtual, inputs)
+            return np.concatenate([virtual[0, :k], inputs[0]])
+
+        names = self.plant.coordinates
+        internal = self.plant.declaration.states
+        return control.nlsys(
+            update,
+            output,
+            inputs=0,
+            states=[*names, *(f"{c}'" for c in names), *internal],
+            outputs=[*self.controller.virtual.coordinates, *self.plant.inputs],
+            name=f"{self.plant.name} as {self.controller.virtual.name}",
+        )
+
+    def _build(self) -> Module:
+        check_actuation(self.controller.model, self.controller.transform)
+        return _module(self)
+
+
+def _module(loop: ClosedLoop) -> Module:
+    """Return the generated module of a closed loop."""
+    controller, n = loop.controller, len(loop.plant.coordinates)
+    graph = Graph()
+    s = loop.plant.equations.symbols
+    internal = {name: graph.symbol(f"s_{name}", varying=True) for name in loop.plant.declaration.states}
+    rig = RigSymbols(
+        graph.symbol("t", varying=True),
+        [graph.symbol(f"q_{c}", varying=True) for c in loop.plant.coordinates],
+        [graph.symbol(f"v_{c}", varying=True) for c in loop.plant.coordinates],
+        [internal[name] for name in controller.model.declaration.states],
+    )
+    law = ControlLaw.of(controller, graph, rig)
+    known = dict(zip((s.t, *s.q, *s.v, *s.s), (rig.t, *rig.q, *rig.v, *internal.values()), strict=True))
+    driven = LoweredEquations.of(
+        loop.plant.equations, graph, known={**known, **dict(zip(s.u, law.inputs, strict=True))}
+    )
+    plant = LoweredEquations.of(loop.plant.equations, graph, known=known)
+
+    p = ControllerParameters.of(controller, graph)
+    split = {**p.loads(graph), **plant.loads("q[{i}]", "v[{i}]", offset=p.count)}
+    joined = {**p.loads(graph), **plant.joined(offset=p.count)}
+    size = 2 * n + len(internal)
+    derivatives = [*rig.v, *driven.accelerations, *driven.rates]
+    health = graph.mul(law.health, driven.health)
+    meta = {
+        "kind": "closed loop",
+        "coordinates": list(loop.plant.coordinates),
+        "inputs": list(loop.plant.inputs),
+        "virtual": list(controller.virtual.coordinates),
+        # The virtual system by itself is integrated by Taylor series: two methods that agree check each other.
+        "method": "runge_kutta",
+    }
+    title = f"{loop.plant.name}, masked as {controller.virtual.name}"
+    module = Module(title, meta)
+
+    def add(signature: str, target: str, nodes: list[Node], returns: Node | None = None) -> None:
+        reads = joined if ", y," in signature else split
+        module.add(signature, graph, [(f"{target}[{i}]", x) for i, x in enumerate(nodes)], reads, returns)
+
+    add("transform(t, q, v, p, out)", "out", [*law.eta, *law.rate])
+    add("desired(t, q, v, p, out)", "out", law.desired)
+    add("cancel(t, q, v, p, out)", "out", law.cancel)
+    add("drive(t, q, v, p, out)", "out", law.drive)
+    add("input_matrix(t, q, v, p, out)", "out", [x for row in law.input_matrix for x in row])
+    add("step(t, q, v, u, p)", "u", law.inputs, law.health)
+    add("plant_derivative(t, y, u, p, dy)", "dy", [*rig.v, *plant.accelerations, *plant.rates], plant.health)
+    add("derivative(t, y, u, p, dy)", "dy", derivatives, health)
+    module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=size), "idi", (24, size))
+    module.add_kernel(RUN_SAMPLED.format(size=size, count=n), "iid", (5, size))
+    module.add_kernel(ALONG.format(count=n), "")
+    return module
+
+
+RUN_SAMPLED = """
+_sampled = integrators.sampled(step, plant_derivative, {size}, {count})
+
+
+@compiled
+def run_sampled(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work):
+    return _sampled(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work)
+"""
+ALONG = """
+@compiled
+def along(times, states, p, virtual, inputs):
+    for i in range(times.size):
+        transform(times[i], states[i, :{count}], states[i, {count}:], p, virtual[i])
+        step(times[i], states[i, :{count}], states[i, {count}:], inputs[i], p)
+"""

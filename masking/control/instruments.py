@@ -1,0 +1,186 @@
+"""Instruments: what a controller knows of a rig's sensors, actuators and limits, and of how late its commands act."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from masking.control.observer import Plan, check_rate, check_sensing
+from masking.declaration import schema
+from masking.errors import ActuationError, ModelError
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array
+from masking.numerics.sampled_loop import HEATING, LARGEST, POWER, TIME
+from masking.rig.allocation import wiring
+
+# Step of a difference quotient, relative to the size of what varies.
+_STEP = 1e-5
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """Sensors, actuators and limits of a rig, as its plant file declares them to the controller.
+
+    Args:
+        plant: the content of the plant file.
+        model: what the controller believes the rig to be, in SI units.
+        factors: size in SI units of each unit that the plant file uses.
+        noise: standard deviation of a reading of each sensor for which it is known, in the sensor's unit.
+        delay: samples between a reading and the first effect of the command that answers it.
+    """
+
+    plant: schema.PlantDeclaration
+    model: Model
+    factors: Mapping[str, float]
+    noise: Mapping[str, float]
+    delay: int
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """Return the channels that are commanded; the model's inputs where none are declared."""
+        return tuple(self.plant.actuators or self.model.inputs)
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Return the names of the sensors."""
+        return tuple(self.plant.sensors)
+
+    @cached_property
+    def wiring(self) -> Array:
+        """Return what each input gets of each actuator (inputs, actuators)."""
+        return wiring(self.plant, self.model.declaration, self.model.parameter_values())
+
+    @cached_property
+    def allocation(self) -> Array:
+        """Return the commands of least norm for each input (actuators, inputs).
+
+        Raises:
+            ActuationError: the actuators cannot give each input independently of the others.
+        """
+        found = np.asarray(np.linalg.pinv(self.wiring), dtype=np.float64)
+        missed = np.abs(np.diag(self.wiring @ found) - 1.0) > 1e-8
+        if missed.any():
+            names = [name for name, is_missed in zip(self.model.inputs, missed, strict=True) if is_missed]
+            raise ActuationError(
+                f"{self.plant.name}: the actuators ({', '.join(self.actuators)}) cannot give {', '.join(names)} "
+                "independently of the other inputs; change the wiring, or add an actuator",
+                names,
+            )
+        return found
+
+    def gains(self) -> Array:
+        """Return the readings per SI unit of what each sensor measures (sensors,)."""
+        declared = self.plant.sensors.values()
+        return np.array([s.gain.value * self.factors[s.gain.unit] / self.factors[s.unit] for s in declared])
+
+    def limits(self) -> Array:
+        """Return the table of limits of the actuators (actuators, 4), as `masking.numerics.sampled_loop` reads it.
+
+        Raises:
+            ModelError: an actuator has no largest command.
+        """
+        declared = self.plant.limits
+        missing = [name for name in self.actuators if name not in declared.inputs]
+        if missing:
+            raise ModelError(
+                f"{self.plant.name}: no largest command of {', '.join(missing)}: write it under limits.inputs, such as "
+                f"'{missing[0]}: {{max: 0.42, unit: V}}'"
+            )
+        table = np.zeros((len(self.actuators), 4))
+        for i, name in enumerate(self.actuators):
+            size = self.factors[self.unit(name)]
+            table[i, LARGEST] = declared.inputs[name].max * self.factors[declared.inputs[name].unit] / size
+            table[i, TIME] = 1.0
+            if declared.power is not None and declared.power.heating is not None:
+                power, heating = declared.power, declared.power.heating
+                table[i, POWER] = power.value * self.factors[power.unit]
+                table[i, HEATING] = heating.value * self.factors[heating.unit] * size**2
+                table[i, TIME] = power.time
+        return table
+
+    def unit(self, actuator: str) -> str:
+        """Return the unit of an actuator."""
+        known = self.plant.actuators or self.model.declaration.inputs
+        return known[actuator].unit
+
+    def plan(self, rate: float, noise: float | None) -> Plan:
+        """Return what an observer is designed for: the model linearised at rest, the sensors and their noise.
+
+        Args:
+            rate: samples per second.
+            noise: standard deviation of every reading; that of the plant file where it is None.
+
+        Raises:
+            ModelError: the sensors do not tell every coordinate, their noise is not known, or the rate is too low.
+        """
+        n = len(self.model.coordinates)
+        dynamics, driven = self._linear()
+        check_rate(rate, dynamics)
+        sensing = self._sensing()
+        check_sensing(sensing[:, :n], self.model.coordinates, self.sensors)
+        unknown = [name for name in self.sensors if noise is None and name not in self.noise]
+        if unknown:
+            raise ModelError(
+                f"{self.plant.name}: the noise of {', '.join(unknown)} is not known: declare an effect noise there in "
+                "the plant file, or write controller.observer.noise, in the sensors' units"
+            )
+        levels = np.array([self.noise[name] if noise is None else noise for name in self.sensors])
+        command = self.allocation @ np.linalg.pinv(driven) / self.limits()[:, [LARGEST]]
+        return Plan(dynamics, sensing, command, levels, 1.0 / rate, self.delay)
+
+    def _linear(self) -> tuple[Array, Array]:
+        """Return d [q, v]/dt per [q, v] (2 n, 2 n), and accelerations per input (n, inputs), of the model at rest."""
+        model, n = self.model, len(self.model.coordinates)
+        p, kernels = model.values(), model.kernels
+        size, inputs = 2 * n + len(model.declaration.states), len(model.inputs)
+        lengths = self.lengths
+
+        def slope(y: Array, u: Array) -> Array:
+            out = np.empty(size)
+            kernels.derivative(0.0, y, u, p, out)
+            return out[: 2 * n]
+
+        dynamics, driven = np.empty((2 * n, 2 * n)), np.empty((n, inputs))
+        for i in range(2 * n):
+            step = np.zeros(size)
+            step[i] = _STEP * lengths[i % n]
+            dynamics[:, i] = (slope(step, np.zeros(inputs)) - slope(-step, np.zeros(inputs))) / (2.0 * step[i])
+        for i in range(inputs):
+            u = np.zeros(inputs)
+            u[i] = 1.0
+            driven[:, i] = 0.5 * (slope(np.zeros(size), u) - slope(np.zeros(size), -u))[n:]
+        return dynamics, driven
+
+    def _sensing(self) -> Array:
+        """Return the readings per unit of [q, v] (sensors, 2 n) at rest."""
+        names = [*self.model.coordinates, *(f"{c}'" for c in self.model.coordinates)]
+        steps = _STEP * np.concatenate([self.lengths, self.lengths])
+        found = np.empty((len(self.sensors), len(names)))
+        values = self.model.parameter_values() | dict.fromkeys(names, 0.0)
+        for k, (sensor, gain) in enumerate(zip(self.plant.sensors.values(), self.gains(), strict=True)):
+            for i, (name, step) in enumerate(zip(names, steps, strict=True)):
+                up = sensor.measures.evaluate(values | {name: step})
+                down = sensor.measures.evaluate(values | {name: -step})
+                found[k, i] = gain * (up - down) / (2.0 * step)
+        return found
+
+    @property
+    def lengths(self) -> Array:
+        """Return a size of each coordinate, in SI units (n,): that of the model's scales, else 1."""
+        units = [c.unit for c in self.model.declaration.coordinates.values()]
+        return np.array([self.model.units.size(unit, self.model.overrides) for unit in units])
+
+    def positions(self, readings: Array) -> Array:
+        """Return the coordinates (n,) at which a rig at rest would give readings (sensors,), by Newton's method."""
+        names, gains = self.model.coordinates, self.gains()
+        values = self.model.parameter_values() | {f"{c}'": 0.0 for c in names}
+        inverse = np.linalg.pinv(self._sensing()[:, : len(names)])
+        q = np.zeros(len(names))
+        for _ in range(20):
+            at = values | dict(zip(names, q, strict=True))
+            expected = [g * s.measures.evaluate(at) for g, s in zip(gains, self.plant.sensors.values(), strict=True)]
+            q = q + inverse @ (readings - np.array(expected))
+        return q

@@ -1,0 +1,233 @@
+"""Controller: the whole control law in one visible order.
+
+The law is u = L + G T^-1[D]. With rig accelerations a = a0 + B u and virtual coordinates eta = T(q), so that
+eta'' = J a + J' v, it solves
+
+    (J B) u = -J a0                                L cancels the rig's own dynamics
+    (J B) u = D / time_scale^2 - J' v              G T^-1[D] drives the wanted ones
+
+and adds the two. Source: Rijlaarsdam (2008), chapter 6, (6.1)-(6.3), for any model affine in its inputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from masking.codegen.graph import Graph, Node
+from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot
+from masking.declaration import schema
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array
+
+
+@dataclass(frozen=True)
+class Controller:
+    """A control law that makes a rig move as a virtual system.
+
+    Args:
+        model: what the controller believes the rig to be, in SI units.
+        virtual: what the rig shall move as.
+        transform: how virtual coordinates follow from rig coordinates.
+        time_scale: seconds of the rig per unit of the virtual system's time.
+        transform_parameters: values of the transform's own parameters.
+        regulation: what is held besides the wanted dynamics, if anything.
+    """
+
+    model: Model
+    virtual: Model
+    transform: Transform
+    time_scale: float
+    transform_parameters: Mapping[str, float]
+    regulation: schema.Regulation | None = None
+
+    @property
+    def desired(self) -> DesiredDynamics:
+        """Return block D."""
+        return DesiredDynamics(self.virtual, self.regulation)
+
+    @cached_property
+    def lengths(self) -> Array:
+        """Return the size in SI units of one unit of each rig coordinate as the transform sees it (n,)."""
+        units = [c.unit for c in self.model.declaration.coordinates.values()]
+        if not (self.virtual.is_dimensionless or self.virtual.units.is_plain):
+            return np.ones(len(units))
+        return np.array([self.model.units.size(unit, self.model.overrides) for unit in units])
+
+    def values(self) -> Array:
+        """Return the parameter array of the control law: model, virtual system, transform, lengths, time scale."""
+        own = [self.transform_parameters[name] for name in self.transform.parameters]
+        held = self.desired.values()
+        return np.concatenate([self.model.values(), self.virtual.values(), own, self.lengths, [self.time_scale], held])
+
+    def structure(self) -> dict[str, object]:
+        """Return all that the compiled control law depends on, apart from values."""
+        return {
+            "model": self.model.structure(),
+            "virtual": self.virtual.structure(),
+            "transform": self.transform.declaration.model_dump(mode="json", exclude={"parameters"}),
+            "transform_parameters": list(self.transform.parameters),
+            "regulation": self.regulation and [self.regulation.energy is not None, self.regulation.phase],
+        }
+
+
+@dataclass(frozen=True)
+class ControlLaw:
+    """The control law as nodes of a graph; L and G T^-1[D] are kept apart so that each can be looked at.
+
+    `given` are the rig accelerations under the inputs, `driven` the part of them that is due to the inputs.
+    """
+
+    eta: list[Node]
+    rate: list[Node]
+    desired: list[Node]
+    cancel: list[Node]
+    drive: list[Node]
+    inputs: list[Node]
+    input_matrix: list[list[Node]]
+    health: Node
+    given: list[Node]
+    driven: list[Node]
+
+    @classmethod
+    def of(cls, controller: Controller, graph: Graph, rig: RigSymbols, approach: Approach | None = None) -> ControlLaw:
+        """Lower the control law into a graph, for given nodes of time and rig state.
+
+        Args:
+            controller: the controller.
+            graph: the graph to add to.
+            rig: nodes of time, rig state and of the accelerations that the model lacks.
+            approach: how the rig is brought to its initial state before the release, if it is.
+        """
+        p = ControllerParameters.of(controller, graph)
+        time = graph.div(rig.t, p.time_scale)
+        xi = [graph.div(q, length) for q, length in zip(rig.q, p.lengths, strict=True)]
+        xi_rate = [graph.div(v, length) for v, length in zip(rig.v, p.lengths, strict=True)]
+
+        mapped = controller.transform.lower(graph, xi, xi_rate, p.transform)  # T
+        rate = [graph.mul(r, p.time_scale) for r in mapped.rate]
+        desired = controller.desired.lower(graph, time, mapped.eta, rate, p.virtual, regulation=p.regulation)  # D
+        state = [*rig.v, *rig.s]
+        free, gain, health = Cancellation(controller.model).lower(graph, rig.t, rig.q, state, p.model)  # L, G
+        if rig.lacking:
+            free = [graph.add(a, d) for a, d in zip(free, rig.lacking, strict=True)]
+        jacobian = [[graph.div(j, length) for j, length in zip(row, p.lengths, strict=True)] for row in mapped.jacobian]
+        squared = graph.mul(p.time_scale, p.time_scale)
+        wanted = [graph.sub(graph.div(d, squared), b) for d, b in zip(desired, mapped.bias, strict=True)]
+        if approach is not None:
+            wanted = approach.lower(graph, rig, jacobian, wanted)
+        unwanted = [graph.apply("neg", dot(graph, row, free)) for row in jacobian]
+        matrix = [[dot(graph, row, [g[i] for g in gain]) for i in range(len(gain[0]))] for row in jacobian]
+        cancel, drive, determinant = decouple(graph, matrix, unwanted, wanted)
+
+        inputs = [graph.add(a, b) for a, b in zip(cancel, drive, strict=True)]  # L + G T^-1[D]
+        driven = [dot(graph, row, inputs) for row in gain]
+        given = [graph.add(a, b) for a, b in zip(free, driven, strict=True)]
+        return cls(
+            mapped.eta, rate, desired, cancel, drive, inputs, gain, graph.mul(health, determinant), given, driven
+        )
+
+
+@dataclass(frozen=True)
+class RigSymbols:
+    """Nodes of the rig: time, coordinates, velocities, internal states, and accelerations that the model lacks."""
+
+    t: Node
+    q: list[Node]
+    v: list[Node]
+    s: list[Node] = field(default_factory=list)
+    lacking: list[Node] = field(default_factory=list)
+
+
+# The reference reaches its end at this part of the approach; the rest is for settling.
+MOVING_PART = 0.7
+# Decay of a deviation from the reference over the whole approach, as an exponent.
+SETTLING = 60.0
+
+
+@dataclass(frozen=True)
+class Approach:
+    """How the rig is brought from where it stands to its initial state: along a smooth reference, critically damped.
+
+    Before the release, at `since` < 0, the rig's accelerations are those of q'' = r'' - 2 a (q' - r') - a^2 (q - r)
+    for a reference r that moves by a polynomial of order five (smoothstep) and then stands still.
+
+    Args:
+        since: node of the time since the release.
+        start: nodes of the coordinates (n,) where the rig stands.
+        end: nodes of the coordinates (n,) of its initial state.
+        time: node of the length of the approach, s.
+    """
+
+    since: Node
+    start: list[Node]
+    end: list[Node]
+    time: Node
+
+    def lower(self, graph: Graph, rig: RigSymbols, jacobian: list[list[Node]], wanted: list[Node]) -> list[Node]:
+        """Return the wanted virtual accelerations, replaced before the release by those of the approach."""
+        number, mul = graph.number, graph.mul
+        one = number(1.0)
+        moving = mul(number(MOVING_PART), self.time)
+        part = graph.apply("max", number(0.0), graph.div(graph.add(rig.t, self.time), moving))
+        x = graph.apply("min", one, part)
+        rest = graph.sub(one, x)  # all derivatives of the smoothstep vanish with x and with 1 - x
+        path = mul(mul(x, mul(x, x)), graph.add(number(10.0), mul(x, graph.sub(mul(number(6.0), x), number(15.0)))))
+        speed = graph.div(mul(number(30.0), mul(mul(x, x), mul(rest, rest))), moving)
+        bend = mul(number(60.0), mul(mul(x, rest), graph.sub(rest, x)))
+        bend = graph.div(bend, mul(moving, moving))
+        a = graph.div(number(SETTLING), self.time)
+        accelerations = []
+        for q, v, start, end in zip(rig.q, rig.v, self.start, self.end, strict=True):
+            way = graph.sub(end, start)
+            behind = graph.sub(graph.add(start, mul(way, path)), q)
+            slower = graph.sub(mul(way, speed), v)
+            pull = graph.add(mul(mul(a, a), behind), mul(mul(number(2.0), a), slower))
+            accelerations.append(graph.add(mul(way, bend), pull))
+        is_before = graph.apply("lt", self.since, number(0.0))
+        return [
+            graph.apply("where", is_before, dot(graph, row, accelerations), w)
+            for row, w in zip(jacobian, wanted, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class ControllerParameters:
+    """Nodes of the control law's parameter array, in the order of `Controller.values`."""
+
+    model: list[Node]
+    virtual: list[Node]
+    transform: list[Node]
+    lengths: list[Node]
+    time_scale: Node
+    regulation: list[Node]
+
+    @classmethod
+    def of(cls, controller: Controller, graph: Graph) -> ControllerParameters:
+        """Make a node of every parameter of a controller."""
+
+        def make(kind: str, names: tuple[str, ...]) -> list[Node]:
+            return [graph.symbol(f"{kind}_{name}", varying=False) for name in names]
+
+        return cls(
+            make("m", controller.model.parameters),
+            make("d", controller.virtual.parameters),
+            make("t", controller.transform.parameters),
+            make("l", controller.model.coordinates),
+            graph.symbol("time_scale", varying=False),
+            make("r", ("energy", "rate", "coupling")) if controller.regulation else [],
+        )
+
+    def loads(self, graph: Graph) -> dict[str, str]:
+        """Return for each parameter's text how it is read from the array `p`."""
+        nodes = [*self.model, *self.virtual, *self.transform, *self.lengths, self.time_scale, *self.regulation]
+        return {str(graph.operations[n][1]): f"p[{i}]" for i, n in enumerate(nodes)}
+
+    @property
+    def count(self) -> int:
+        """Return the length of the array."""
+        parts = (self.model, self.virtual, self.transform, self.lengths, self.regulation)
+        return sum(map(len, parts)) + 1

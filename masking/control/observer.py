@@ -1,0 +1,324 @@
+"""Observers: how a sampled controller knows the rig's state from its sensors.
+
+Three siblings: `Differences` of the positions, the thesis' way; `Kalman`, which follows a model; `Disturbance`, which
+follows a model and estimates beside the state the accelerations that the model lacks.
+
+The gain of the last two is that of the steady Kalman filter of the model, linearised at rest, in which the last
+derivative that is estimated (the velocity, or that of the disturbance) is driven by white noise. A coordinate that is
+measured with variance R, and whose k-th derivative is driven by white noise of density Q, is followed with the
+bandwidth w = (Q / R)^(1 / 2k): the filter's poles lie on a circle of this radius. So a bandwidth is chosen, and Q
+follows.
+Source: Gelb (ed.), Applied Optimal Estimation (1974), chapter 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.errors import ModelError
+from masking.numerics.arrays import Array
+
+if TYPE_CHECKING:
+    from scipy import linalg
+else:
+    linalg = lazy.load("scipy.linalg", suppress_warning=True)
+
+# A command that is late by a sample for each of delay and hold turns the phase of a signal at the bandwidth by 0.7
+# radian (40 degrees) where the bandwidth is this part of the rate over the samples of lateness.
+FASTEST_PART = 0.7
+# Beyond this part, an observer is refused: it would estimate faster than it is told.
+REFUSED_PART = 1.0
+# The noise of a command that the observer's noise makes, as a part of the actuator's largest command.
+NOISE_PART = 0.02
+# A bandwidth that makes too much noise is lowered by this factor until it does not.
+LOWERED = 0.9
+SLOWEST = 1e-3  # of the fastest bandwidth
+# Rounds that double the samples which are covered, and the part that the last of them may still add.
+MOST_DOUBLINGS = 60
+SETTLED = 1e-15
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What an observer is designed for.
+
+    Args:
+        dynamics: (2 n, 2 n), d [q, v] / dt = dynamics [q, v] of the model at rest.
+        sensing: (sensors, 2 n), readings per unit of [q, v].
+        command: (actuators, n), commands per unit of acceleration, in parts of their largest value.
+        noise: standard deviation of each reading (sensors,).
+        period: time between samples, s.
+        delay: samples between a reading and the first effect of the command that answers it.
+    """
+
+    dynamics: Array
+    sensing: Array
+    command: Array
+    noise: Array
+    period: float
+    delay: int
+
+    @property
+    def coordinates(self) -> int:
+        """Return the number n of coordinates."""
+        return len(self.dynamics) // 2
+
+    @property
+    def fastest(self) -> float:
+        """Return the largest bandwidth that the rule chooses, rad/s: 0.7 of the rate over (1 + delay) samples."""
+        return FASTEST_PART / self.late
+
+    @property
+    def late(self) -> float:
+        """Return the samples of delay and hold, s."""
+        return self.period * (1 + self.delay)
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Positions as the sensors tell them, velocities as their differences; nothing is predicted."""
+
+    order = 0
+
+    def gain(self, plan: Plan, offset: int) -> Array:
+        """Return the coordinates per unit of reading (n, sensors)."""
+        del offset
+        return np.asarray(np.linalg.pinv(plan.sensing[:, : plan.coordinates]), dtype=np.float64)
+
+    def bandwidths(self, plan: Plan) -> Array:
+        """Return infinite bandwidths (n,): nothing is filtered."""
+        return np.full(plan.coordinates, np.inf)
+
+
+@dataclass(frozen=True)
+class Kalman:
+    """State of a model corrected by what the sensors tell; order 0 of `Disturbance`.
+
+    Args:
+        bandwidth: rad/s, one or one for each coordinate; chosen by the rule of `bandwidths` where it is None.
+    """
+
+    bandwidth: float | tuple[float, ...] | None = None
+    order = 0
+
+    def gain(self, plan: Plan, offset: int) -> Array:
+        """Return the correction of the estimate per unit of reading; see `gain`."""
+        return gain(plan, self.order, self.bandwidths(plan), offset)
+
+    def bandwidths(self, plan: Plan) -> Array:
+        """Return the bandwidth for each coordinate; see `bandwidths`."""
+        return bandwidths(plan, self.order, self.bandwidth)
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """State of a model and what it lacks, both corrected by what the sensors tell.
+
+    Args:
+        order: how a disturbance is expected to go on: 1 as a constant, 2 as a straight line.
+        bandwidth: rad/s, one or one for each coordinate; chosen by the rule of `bandwidths` where it is None.
+    """
+
+    order: int = 2
+    bandwidth: float | tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.order not in {1, 2}:
+            raise ModelError(f"observer.order {self.order}: allowed are 1 (a constant disturbance) and 2 (a line)")
+
+    def gain(self, plan: Plan, offset: int) -> Array:
+        """Return the correction of the estimate per unit of reading; see `gain`."""
+        return gain(plan, self.order, self.bandwidths(plan), offset)
+
+    def bandwidths(self, plan: Plan) -> Array:
+        """Return the bandwidth for each coordinate; see `bandwidths`."""
+        return bandwidths(plan, self.order, self.bandwidth)
+
+
+Observer = Differences | Kalman | Disturbance
+
+
+def bandwidths(plan: Plan, order: int, chosen: float | tuple[float, ...] | None) -> Array:
+    """Return the bandwidth for each coordinate, rad/s (n,).
+
+    The rule: as fast as the sampling allows, 0.7 rate / (1 + delay), so that the phase that is lost at the
+    bandwidth stays within 40 degrees; then lower, coordinate by coordinate, until the noise of the readings makes no
+    more noise in a command than 2 % of its largest value. A chosen bandwidth overrides the rule.
+
+    Raises:
+        ModelError: the chosen bandwidth is faster than the sampling allows.
+    """
+    fastest = plan.fastest
+    if chosen is not None:
+        refused = REFUSED_PART / plan.late
+        fast = float(np.max(chosen))
+        if fast > refused:
+            raise ModelError(
+                f"observer.bandwidth {fast:g} rad/s is faster than the sampling allows: at {1.0 / plan.period:g} Hz "
+                f"and {plan.delay} sample{'s' * (plan.delay != 1)} of delay it is at most {refused:g} rad/s; lower it, "
+                "or raise controller.rate"
+            )
+        return np.broadcast_to(np.asarray(chosen, dtype=float), (plan.coordinates,)).copy()
+    found = np.full(plan.coordinates, fastest)
+    if not plan.noise.any():
+        return found
+    while found.min() > SLOWEST * fastest:
+        noisy = _command_noise(plan, order, found).max(axis=0) > NOISE_PART
+        if not noisy.any():
+            return found
+        found = np.where(noisy, LOWERED * found, found)
+    raise ModelError(
+        "the sensors are too noisy for an observer: their noise alone would use "
+        f"{NOISE_PART:.0%} of an actuator at any bandwidth; check the noise and the limits of the plant"
+    )
+
+
+def gain(plan: Plan, order: int, bandwidth: Array, offset: int) -> Array:
+    """Return the steady Kalman gain: correction of [q, v, s, d, ...] per unit of reading.
+
+    Args:
+        plan: what the observer is for.
+        order: derivatives of the disturbance that are estimated.
+        bandwidth: for each coordinate, rad/s (n,).
+        offset: number of internal states s, which are not corrected.
+
+    Returns:
+        (2 n + offset + order n, sensors).
+    """
+    found = _steady(plan, order, bandwidth)
+    steady = found.gain * found.unit[:, None] / found.deviation
+    n = plan.coordinates
+    return np.concatenate([steady[: 2 * n], np.zeros((offset, steady.shape[1])), steady[2 * n :]])
+
+
+@dataclass(frozen=True)
+class _Steady:
+    """A steady filter in units in which all is of order one: its gain, and how its error goes from sample to sample."""
+
+    gain: Array
+    error: Array
+    unit: Array
+    deviation: Array
+
+
+def _steady(plan: Plan, order: int, bandwidth: Array) -> _Steady:
+    """Return the steady Kalman filter for a bandwidth of each coordinate."""
+    n, h = plan.coordinates, plan.period
+    size = (2 + order) * n
+    flow = np.zeros((size, size))
+    flow[: 2 * n, : 2 * n] = plan.dynamics
+    flow[n : size - n, 2 * n :] = np.eye(order * n)
+    inverse = np.linalg.pinv(plan.sensing[:, :n])
+    smallest = 1e-3 * max(float(plan.noise.max()), 1e-9)  # a sensor without noise counts as nearly without
+    variance = np.maximum(plan.noise, smallest) ** 2
+    measured = np.diag(inverse @ np.diag(variance) @ inverse.T)
+    # A discrete measurement of variance R at each sample is a continuous one of density R h.
+    density = bandwidth ** (2 * (2 + order)) * measured * h
+    # Van Loan (1978): discrete noise of a continuous system, from one exponential.
+    driven = np.zeros((size, size))
+    driven[size - n :, size - n :] = np.diag(density)
+    block = np.zeros((2 * size, 2 * size))
+    block[:size, :size], block[:size, size:], block[size:, size:] = -flow, driven, flow.T
+    exponential = linalg.expm(block * h)
+    step = exponential[size:, size:].T
+    noise = step @ exponential[:size, size:]
+    reading = np.hstack([plan.sensing, np.zeros((len(plan.sensing), order * n))])
+    # In units in which readings and coordinates are of order one, so that the equation is well scaled.
+    unit = np.concatenate([bandwidth**k * np.sqrt(measured) for k in range(2 + order)])
+    scaled_step = step * unit / unit[:, None]
+    scaled_noise = noise / np.outer(unit, unit)
+    scaled_reading = reading * unit / np.sqrt(variance)[:, None]
+    covariance = _covariance(scaled_step, scaled_reading, 0.5 * (scaled_noise + scaled_noise.T))
+    innovation = scaled_reading @ covariance @ scaled_reading.T + np.eye(len(variance))
+    steady = np.linalg.solve(innovation, scaled_reading @ covariance).T
+    return _Steady(steady, (np.eye(size) - steady @ scaled_reading) @ scaled_step, unit, np.sqrt(variance))
+
+
+def _covariance(step: Array, reading: Array, noise: Array) -> Array:
+    """Return the steady covariance P = F (P^-1 + C^T C)^-1 F^T + Q of what is predicted, readings of unit variance.
+
+    Each round covers twice as many samples as the one before. The matrix pencil of the other methods has a multiple
+    eigenvalue near 1 where the bandwidth is far below the rate, so near that they cannot tell its halves apart.
+    Source: Chu, Fan, Lin and Wang, Int. J. Control 77 (2004), 767-788, structure-preserving doubling.
+    """
+    one = np.eye(len(step))
+    a, g, p = step.T, reading.T @ reading, noise
+    for _ in range(MOST_DOUBLINGS):
+        solved = np.linalg.solve(one + g @ p, np.hstack([a, g @ a.T]))
+        onward, more = solved[:, : len(a)], solved[:, len(a) :]
+        added = a.T @ p @ onward
+        p = p + 0.5 * (added + added.T)
+        more = a @ more
+        g, a = g + 0.5 * (more + more.T), a @ onward
+        if np.abs(added).max() <= SETTLED * np.abs(p).max():
+            break
+    return p
+
+
+def _sum(step: Array, noise: Array) -> Array:
+    """Return the steady covariance X = A X A^T + Q of a stable filter, each round covering twice as many samples."""
+    x, a = noise, step
+    for _ in range(MOST_DOUBLINGS):
+        added = a @ x @ a.T
+        x, a = x + added, a @ a
+        if np.abs(added).max() <= SETTLED * np.abs(x).max():
+            break
+    return x
+
+
+def _command_noise(plan: Plan, order: int, bandwidth: Array) -> Array:
+    """Return the noise in each command from each coordinate's estimate, in parts of its limit (actuators, n)."""
+    n = plan.coordinates
+    found = _steady(plan, order, bandwidth)
+    driven = found.gain @ np.diag((plan.noise / found.deviation) ** 2) @ found.gain.T
+    noise = _sum(found.error, driven) * np.outer(found.unit, found.unit)
+    late = (plan.delay + 0.5) * plan.period
+    # What is cancelled: the model's own accelerations, and the disturbance where it will be when the command acts.
+    cancelled = np.hstack([plan.dynamics[n:], *(late**k * np.eye(n) for k in range(order))])
+    spread = np.sqrt(np.maximum(np.diag(cancelled @ noise @ cancelled.T), 0.0))
+    return np.abs(plan.command) * spread
+
+
+def check_rate(rate: float, dynamics: Array) -> None:
+    """Refuse a rate at which the rig moves on by more than a radian from one sample to the next.
+
+    Args:
+        rate: samples per second.
+        dynamics: (2 n, 2 n), d [q, v] / dt = dynamics [q, v] of the model at rest.
+
+    Raises:
+        ModelError: says which rate would do.
+    """
+    fastest = float(np.abs(np.linalg.eigvals(dynamics)).max())
+    if rate < fastest:
+        raise ModelError(
+            f"controller.rate {rate:g} Hz is too low for this rig: its fastest free motion, {fastest:.3g} rad/s, would "
+            f"be sampled less than once in a radian; give at least {fastest:.3g} Hz, better ten times "
+            "as much"
+        )
+
+
+def check_sensing(sensing: Array, coordinates: Sequence[str], sensors: Sequence[str]) -> None:
+    """Refuse sensors that do not tell every coordinate.
+
+    Args:
+        sensing: readings per unit of each coordinate (sensors, n).
+        coordinates: names.
+        sensors: names.
+
+    Raises:
+        ModelError: names the coordinates that are not told.
+    """
+    told = np.linalg.pinv(sensing) @ sensing if len(sensing) else np.zeros((len(coordinates),) * 2)
+    missed = [name for i, name in enumerate(coordinates) if abs(told[i, i] - 1.0) > 1e-8]
+    if missed:
+        have = ", ".join(sensors) or "none"
+        raise ModelError(
+            f"the sensors ({have}) do not tell {', '.join(missed)} apart from the other coordinates; declare a sensor "
+            f"that measures {missed[0]}, or take 'observer: exact' in a simulation"
+        )

@@ -1,0 +1,255 @@
+"""Forces: what a record shows of a cause at one place: the lacking force there, before and after.
+
+Latent forces of all coordinates are brought to one place by least squares, weighted with their deviations. They are
+those of the model with the parameters that were found beside the causes: what a cause gives then lies on them, as in a
+plot of partial residuals. What is left after the causes is found the same way: they are taken out of the readings,
+which are smoothed again.
+Source: Larsen and McCleary (1972), Technometrics 14(3), 781-790, for partial residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from masking.declaration.dimensions import dimension_in, displacement_dimension, is_plain, symbol_dimensions
+from masking.declaration.expression import Expression
+from masking.declaration.units import Dimension, describe
+from masking.discovery import laws
+from masking.discovery.augmented_model import Slot
+from masking.discovery.discovery import Discovery
+from masking.discovery.memory import once
+from masking.discovery.places import is_of_one
+from masking.discovery.smoothing import Motion, smooth
+from masking.errors import IntegrationError
+from masking.numerics.arrays import Array
+
+BINS = 24  # of a range, with equally many samples each
+FEWEST = 30  # samples of a bin
+
+
+@dataclass(frozen=True)
+class Lack:
+    """What is lacking at a place along the record.
+
+    Args:
+        place: name of the element, coordinate, sensor or actuator.
+        where: 'element', 'actuator' or 'sensor'.
+        x: displacement of an element, command of an actuator, or simulated reading of a sensor (m,).
+        rate: of it (m,).
+        before: the lacking force, command or reading (m,).
+        after: what is left of it with the causes (m,); None where no cause is known or it cannot be told.
+        deviations: standard deviations of `before` and of `after`.
+        units: of `before`, `x` and `rate`.
+        known: whether displacement and rate are known.
+    """
+
+    place: str
+    where: str
+    x: Array
+    rate: Array
+    before: Array
+    after: Array | None
+    deviations: tuple[float, float]
+    units: tuple[str, str, str]
+    known: tuple[bool, bool] = (True, True)
+
+    @property
+    def seen(self) -> list[tuple[Array, str]]:
+        """Return displacement and rate, as far as they are known, with their units; the first where neither is."""
+        both = zip((self.x, self.rate), self.units[1:], self.known, strict=True)
+        return [(x, unit) for x, unit, is_known in both if is_known] or [(self.x, self.units[1])]
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """What the model lacks along the record, with the parameters that were found beside the causes.
+
+    Args:
+        before: the motion with the forces that are lacking without causes.
+        after: with the causes taken out of the readings; None where none is known or it cannot be told.
+        gap: readings less what is simulated without causes (m, sensors).
+    """
+
+    before: Motion
+    after: Motion | None
+    gap: Array
+
+
+def lack(found: Discovery, most: str) -> Lack:
+    """Return what is lacking at the place of the last cause.
+
+    Args:
+        found: the discovery.
+        most: the place where most is lacking, or is left: to look at where no cause explains what is lacking.
+    """
+    slots = found.explanation.hypothesis.slots
+    if not slots or found.verdict == "unknown":
+        return _force(found, "element", most)
+    name = slots[-1].at or _busiest(found)
+    return _sensor(found, name) if slots[-1].where == "sensor" else _force(found, slots[-1].where, name)
+
+
+def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Array]:
+    """Return centres, means of a force and numbers of samples (b,) of bins of x."""
+    low, high = np.quantile(x, [0.002, 0.998])
+    edges = np.linspace(low, high if high > low else low + 1.0, bins + 1)
+    at = np.clip(np.searchsorted(edges, x) - 1, 0, bins - 1)
+    counts = np.bincount(at, minlength=bins)
+    enough = counts >= min(FEWEST, max(1, len(x) // (4 * bins)))
+    sums, places = np.bincount(at, force, bins), np.bincount(at, x, bins)
+    return places[enough] / counts[enough], sums[enough] / counts[enough], counts[enough].astype(float)
+
+
+def energies(found: Discovery) -> dict[str, float]:
+    """Return the share of each sensor in what is beyond noise in the record, by name."""
+    m, sigma = len(found.record), found.evidence.sigma
+    beyond = np.maximum(found.found.base.hypothesis.squares / sigma**2 - m, 0.0)
+    whole = float(beyond.sum()) or 1.0
+    return dict(zip(found.twin.sensors, (float(part / whole) for part in beyond), strict=True))
+
+
+def _force(found: Discovery, where: str, name: str) -> Lack:
+    rig, seen, known = found.rig, smoothed(found), (True, True)
+    motion, left = seen.before, seen.after
+    if where == "actuator":
+        at = rig.twin.actuators.index(name)
+        x = found.record.acting[:, at]
+        rate = np.gradient(x) * found.record.rate
+        column = rig.columns[2][at]
+        unit = command_unit(found, name)
+        units = (unit, unit, _per_second(unit))
+    else:
+        at = [place.name for place in rig.places].index(name)
+        place = rig.places[at]
+        known = place.element.displacement is not None, place.has_rate
+        x, rate = motion.displacement[:, at], motion.rate[:, at]
+        column = rig.columns[1][at]
+        units = element_units(found, name)
+    by = directions(found, column)
+    before, deviation = projected(motion, by)
+    after, afterwards = (None, deviation) if left is None else projected(left, by)
+    return Lack(name, where, x, rate, before, after, (deviation, afterwards), units, known)
+
+
+def _sensor(found: Discovery, name: str) -> Lack:
+    at, base, after = found.twin.sensors.index(name), found.found.base.hypothesis, found.explanation.hypothesis
+    x = (found.record.readings - after.residuals)[:, at]
+    rate = np.gradient(x) * found.record.rate
+    unit, sigma = found.twin.declaration.sensors[name].unit, float(found.evidence.sigma[at])
+    units = unit, unit, _per_second(unit)
+    before, left = base.residuals[:, at], after.residuals[:, at]
+    return Lack(name, "sensor", x, rate, before, left, (sigma, sigma), units)
+
+
+def along(found: Discovery, slot: Slot, x: Array, rate: Array) -> Array:
+    """Return what an effect gives along a motion of its place (m,)."""
+    if slot.effect == laws.DELAY:
+        t = np.arange(len(x)) / found.record.rate
+        return np.asarray(np.interp(t - slot.values[0], t, x))
+    return np.asarray(found.rig.along(slot, x, rate, found.evidence.dt)[:, 0])
+
+
+@once
+def smoothed(found: Discovery) -> Smoothed:
+    """Return what the model lacks along the record, with the parameters found, before and after the causes."""
+    chosen, base = found.explanation.hypothesis, found.found.base.hypothesis
+    if chosen is base:
+        return Smoothed(found.found.motion, None, base.residuals)
+    record, evidence = found.record, found.evidence
+    try:
+        if evidence.horizon:  # readings without causes would jump from window to window
+            before = smooth(evidence, chosen.theta, chosen.start)
+            return Smoothed(before, _without(found, before), base.residuals)
+        without = evidence.equations(chosen.theta, chosen.start).simulated
+        cleaned = replace(record, readings=np.ascontiguousarray(chosen.residuals + without))
+        before, after = (smooth(replace(evidence, record=r), chosen.theta, chosen.start) for r in (record, cleaned))
+    except IntegrationError:
+        return Smoothed(found.found.motion, None, base.residuals)
+    return Smoothed(before, after, record.readings - without)
+
+
+def _without(found: Discovery, motion: Motion) -> Motion:
+    """Return a motion whose lacking forces are less by what the causes give along it."""
+    forces = motion.forces.copy()
+    for slot in found.explanation.hypothesis.slots:
+        if slot.where == "sensor":
+            continue
+        for i in [found.rig.index(slot)] if slot.at else range(len(found.twin.actuators)):
+            if slot.where == "actuator":
+                x = found.record.acting[:, i]
+                law, column = along(found, slot, x, np.zeros_like(x)) - x, found.rig.columns[2][i]
+            else:
+                law, column = along(found, slot, *motion.acted_on(slot.entry, i)), found.rig.columns[1][i]
+            forces -= np.outer(law, directions(found, column))
+    return replace(motion, forces=forces)
+
+
+def projected(motion: Motion, by: Array) -> tuple[Array, float]:
+    """Return the force at a place that is nearest to those on all coordinates (m,), and its standard deviation.
+
+    Args:
+        motion: with the forces on coordinates.
+        by: what a unit at the place is on each degree (degrees,); see `directions`.
+    """
+    weight = by / np.maximum(motion.deviation, 1e-300) ** 2
+    norm = max(float(by @ weight), 1e-300)
+    return motion.forces @ weight / norm, norm**-0.5
+
+
+def directions(found: Discovery, column: int) -> Array:
+    """Return what a unit in a column of the equations is as forces on each degree (degrees,)."""
+    rig, theta = found.rig, found.explanation.hypothesis.theta
+    n, count = len(rig.twin.state_names), len(rig.coordinates)
+    p, _ = rig.basis(theta)
+    y, u = rig.rest, np.zeros(len(rig.twin.actuators))
+    jy, jp, dy = np.zeros((n, n)), np.zeros((n, rig.affected)), np.zeros(n)
+    rig.kernels.slopes(0.0, y, u, p, dy, jy, jp)
+    moved = np.vstack([jp[count:], rig.direct(theta)]) if rig.twin.is_fed else jp[count:]
+    ports = moved[:, [rig.columns[1][i] for i in rig.degree_places]]
+    return np.asarray(np.linalg.lstsq(ports, moved[:, column], rcond=None)[0])
+
+
+def _busiest(found: Discovery) -> str:
+    """Return the actuator whose commands vary most."""
+    return found.twin.actuators[int(np.argmax(found.record.commands.std(axis=0)))]
+
+
+def command_unit(found: Discovery, name: str) -> str:
+    """Return the unit of the commands of an actuator."""
+    actuators = found.twin.declaration.actuators or found.twin.base.inputs
+    return actuators[name].unit
+
+
+def element_units(found: Discovery, name: str) -> tuple[str, str, str]:
+    """Return the units of force, displacement and rate of a place; '' in a model without units."""
+    base = found.twin.base
+    element = next(place.element for place in found.rig.places if place.name == name)
+    symbols = symbol_dimensions(base)
+    if is_plain(base) or symbols is None:
+        return "", "", ""
+    declared = {n: x.unit for section in (base.coordinates, base.states, base.inputs) for n, x in section.items()}
+    moved, rate = (_written(of, declared, symbols) for of in (element.displacement, element.rate))
+    if not moved and rate:
+        dimension = displacement_dimension(element, symbols)
+        moved = rate.removesuffix("/s") if rate.endswith("/s") else describe(dimension) if dimension else ""
+    return element.unit, moved, rate or _per_second(moved)
+
+
+def _written(
+    expression: Expression | None, declared: Mapping[str, str], symbols: Mapping[str, Dimension | None]
+) -> str:
+    """Return the unit of what an element follows, as it is declared where that is of one unit; '' of nothing."""
+    if expression is None:
+        return ""
+    known = {declared[name] for name in expression.names & declared.keys()}
+    if len(known) == 1 and is_of_one(expression, declared):
+        return known.pop()
+    dimension = dimension_in(expression, symbols)
+    return "" if dimension is None else describe(dimension)
+
+
+def _per_second(unit: str) -> str:
+    return f"{unit}/s" if unit not in {"", "1"} else "1/s"

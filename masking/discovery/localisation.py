@@ -1,0 +1,171 @@
+"""Where: in which coordinate and place, at which displacement, speed and time, and on which side of the rig it lacks.
+
+The forces that the model lacks are those that a Kalman smoother finds along the record, before and after the causes.
+Forces of different coordinates are compared in units of their deviations. A gap on the side of the actuators shows as a
+force that follows a command, one on the side of the sensors as a residual that follows the reading itself.
+Source: see `smoothing`, `portrait`, `harmonics` and `masking.estimation.whiteness`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from masking.discovery import latent_force
+from masking.discovery.discovery import Discovery, whiteness_of
+from masking.discovery.force_decomposition import SEEN, Portrait, followed, portrait
+from masking.discovery.harmonics import Harmonics, Periods
+from masking.discovery.memory import once
+from masking.discovery.smoothing import Motion
+from masking.estimation.whiteness import Whiteness
+from masking.numerics.arrays import Array
+
+BEYOND = 1.05  # of the noise's variance, from which a residual is looked at
+
+
+@dataclass(frozen=True)
+class Place:
+    """What is lacking at a place.
+
+    Args:
+        name: of the place.
+        share: of all that is lacking, what a force at this place alone would make.
+        portrait: of that force, in the place's units.
+        harmonics: of it; None where the commands are not periodic, or nothing is lacking.
+        units: of force, displacement and rate.
+    """
+
+    name: str
+    share: float
+    portrait: Portrait
+    harmonics: Harmonics | None
+    units: tuple[str, str, str]
+
+    @property
+    def explained(self) -> float:
+        """Return the share of all that is lacking that follows displacement and rate of this place."""
+        parts = self.portrait.parts
+        return 0.0 if parts is None else self.share * (1.0 - parts.neither)
+
+    @property
+    def strength(self) -> float:
+        """Return the root mean square of the force, in its deviations."""
+        return self.portrait.size / max(self.portrait.deviation, 1e-300)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the place as JSON can hold it."""
+        return {
+            "share": self.share,
+            "explained": self.explained,
+            **self.portrait.as_dict(),
+            "harmonics": self.harmonics and self.harmonics.as_dict(),
+            "units": dict(zip(("force", "displacement", "rate"), self.units, strict=True)),
+        }
+
+
+@dataclass(frozen=True)
+class Lacking:
+    """What is lacking along the record, and where.
+
+    Args:
+        coordinates: share of each coordinate, or state or output that forces act on, in the energy of the lacking
+            forces beyond their deviations; sum 1, or all 0 where nothing is lacking.
+        places: each place; a force between two coordinates is nearly one on either of them, so that shares overlap.
+        actuators: share of all that is lacking that a function of the command of each would make.
+        sensors: part of the residual of each sensor beyond noise that is a function of what it should read.
+    """
+
+    coordinates: Mapping[str, float]
+    places: tuple[Place, ...]
+    actuators: Mapping[str, float]
+    sensors: Mapping[str, float]
+
+    @property
+    def best(self) -> Place:
+        """Return the place whose displacement and rate explain most of what is lacking, or where most of it is."""
+        return max(self.places, key=lambda place: (round(place.explained, 2), place.share, place.strength))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what is lacking as JSON can hold it."""
+        return {
+            "coordinates": dict(self.coordinates),
+            "places": {place.name: place.as_dict() for place in self.places},
+            "actuators": dict(self.actuators),
+            "sensors": dict(self.sensors),
+        }
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where a model lacks something.
+
+    Args:
+        lacking: with the parameters that were found beside the causes, but without these.
+        left: with the causes; None where none is known.
+        whiteness: of the residuals of each sensor on the record that judges: with parameters adjusted alone, and with
+            the causes, which is None where none is known.
+    """
+
+    lacking: Lacking
+    left: Lacking | None
+    whiteness: Mapping[str, tuple[Whiteness, Whiteness | None]]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON can hold it."""
+        return {
+            "lacking": self.lacking.as_dict(),
+            "left": self.left and self.left.as_dict(),
+            "whiteness": {
+                name: {"before": before.as_dict(), "after": after and after.as_dict()}
+                for name, (before, after) in self.whiteness.items()
+            },
+        }
+
+
+@once
+def where(found: Discovery) -> Where:
+    """Return where the model of a discovery lacks something; it is looked at once."""
+    seen, periods = latent_force.smoothed(found), Periods.of(found.record.commands, found.record.rate)
+    lacking = _lacking(found, seen.before, seen.gap, periods)
+    residuals = found.explanation.hypothesis.residuals
+    left = None if seen.after is None else _lacking(found, seen.after, residuals, periods)
+    before, after = whiteness_of(found.judged, found.adjusted.residuals), found.whiteness
+    told = {name: (before[name], after[name] if found.effects else None) for name in found.twin.sensors}
+    return Where(lacking, left, told)
+
+
+def _lacking(found: Discovery, motion: Motion, gap: Array, periods: Periods | None) -> Lacking:
+    """Return what is lacking along a motion whose readings differ by a gap (m, sensors) from what is simulated."""
+    rig, cycle = found.rig, None if periods is None else periods.length
+    ratios = (motion.forces**2).mean(axis=0) / np.maximum(motion.deviation, 1e-300) ** 2
+    energies = np.where(ratios > SEEN, ratios - 1.0, 0.0)
+    whole = float(energies.sum())
+
+    def share(force: Array, deviation: float) -> float:
+        return min(max(float((force**2).mean()) / deviation**2 - 1.0, 0.0) / whole, 1.0) if whole else 0.0
+
+    at = [latent_force.projected(motion, latent_force.directions(found, column)) for column in rig.columns[1]]
+    places = []
+    for place, x, rate, (force, deviation) in zip(rig.places, motion.displacement.T, motion.rate.T, at, strict=True):
+        drawn = portrait(x, rate, force, deviation, cycle)
+        harmonics = None if periods is None or drawn.parts is None else periods.harmonics(force)
+        units = latent_force.element_units(found, place.name)
+        places.append(Place(place.name, share(force, deviation), drawn, harmonics, units))
+    actuators = {}
+    for name, command, column in zip(found.twin.actuators, found.record.acting.T, rig.columns[2], strict=True):
+        force, deviation = latent_force.projected(motion, latent_force.directions(found, column))
+        energy = float((force**2).mean()) - deviation**2
+        part = min(followed(command, force, cycle) / energy, 1.0) if energy > 0.0 else 0.0
+        actuators[name] = share(force, deviation) * part
+    sensors = {}
+    for name, reading, rest, sigma in zip(
+        found.twin.sensors, (found.record.readings - gap).T, gap.T, found.evidence.sigma, strict=True
+    ):
+        square = float((rest**2).mean())
+        is_seen = square > BEYOND * sigma**2
+        sensors[name] = min(followed(reading, rest, cycle) / (square - float(sigma) ** 2), 1.0) if is_seen else 0.0
+    shares = (float(energy / whole) if whole else 0.0 for energy in energies)
+    return Lacking(dict(zip(rig.degrees, shares, strict=True)), tuple(places), actuators, sensors)

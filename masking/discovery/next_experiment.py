@@ -1,0 +1,181 @@
+"""Experiment: the excitation that tells two explanations apart best, found by simulation.
+
+The rig with the one explanation is simulated under excitations within its limits; the other is fitted to what its
+sensors would read. What is left, in standard deviations of the noise, is how well the excitation tells them apart.
+Source: Hunter and Reiner (1965), Technometrics 7(3), 307-323: designs for discriminating between two rival models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from masking import signals
+from masking.discovery import fitting
+from masking.discovery.augmented_model import OpenRig
+from masking.discovery.fitting import Hypothesis
+from masking.discovery.problem import Evidence
+from masking.errors import IntegrationError
+from masking.estimation.data import Data
+from masking.estimation.sensitivity import Between
+from masking.numerics.arrays import Array
+
+SECONDS = 30.0
+TELLING = 40.0  # of the cost: from here on two explanations are told apart
+FACTORS = (1.0, 3.0)  # of the record's own size, as far as limits allow
+BANDS = ((0.05, 0.5), (0.5, 3.0), (3.0, 12.0))  # Hz
+PERIOD = 10.0  # s
+STEPS = "row of growing steps"
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """An excitation that tells two explanations apart.
+
+    Args:
+        excitation: what it is, such as "ramp".
+        settings: peak of each actuator in its unit, and what else it takes.
+        separation: of the two explanations, as a difference of -2 log likelihood; the smaller of both ways.
+        between: their names.
+        commands: of the actuators (m, actuators).
+    """
+
+    excitation: str
+    settings: dict[str, Any]
+    separation: float
+    between: tuple[str, str]
+    commands: Array
+
+    @property
+    def separates(self) -> bool:
+        """Return whether it tells them apart."""
+        return self.separation > TELLING
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the experiment as JSON can hold it."""
+        return {
+            "excitation": self.excitation, "settings": self.settings, "separation": self.separation,
+            "separates": self.separates, "between": list(self.between),
+        }  # fmt: skip
+
+    @property
+    def peaks(self) -> dict[str, float]:
+        """Return the peak of each actuator in its unit."""
+        return dict(self.settings["peak"])
+
+    @property
+    def pace(self) -> str:
+        """Say how fast and how long it is: '3 to 12 Hz, 30 s long'."""
+        length = f"{self.settings['seconds']:g} s long"
+        if "lowest" not in self.settings:
+            return length
+        return f"{self.settings['lowest'].removesuffix(' Hz')} to {self.settings['highest']}, {length}"
+
+    def __str__(self) -> str:
+        one, other = (name.replace("_", " ") for name in self.between)
+        if not self.separates:
+            return f"no excitation of the actuators that was tried tells {one} from {other}"
+        peaks = " and ".join(f"{name} up to {peak:g}" for name, peak in self.peaks.items())
+        return f"a {self.excitation} of {peaks}, {self.pace}, would tell {one} from {other}"
+
+
+def next_experiment(
+    evidence: Evidence, first: Hypothesis, second: Hypothesis, names: tuple[str, str], limits: Array | None = None
+) -> NextExperiment | None:
+    """Return the excitation, of those that are tried, that tells two explanations apart best.
+
+    A component is moved as far, and its rate is that of this displacement; None where it is not known which measured
+    input is the rate of which.
+
+    Args:
+        evidence: the record that leaves them open.
+        first: one explanation.
+        second: the other.
+        names: of the two.
+        limits: largest command of each actuator (actuators,); three times the record's where none are given.
+    """
+    best: NextExperiment | None = None
+    rates = _rates(evidence.rig)
+    if rates is None:
+        return None
+    size = np.abs(evidence.record.commands).max(axis=0)
+    most = np.maximum(FACTORS[-1] * size, 1e-12) if limits is None else limits
+    for name, settings, commands in _possible(evidence, size, most, rates):
+        separation = min(
+            _left(evidence, commands, first, second), _left(evidence, commands, second, first)
+        )  # fmt: skip
+        found = NextExperiment(name, settings, separation, names, commands)
+        if best is None or found.separation > best.separation:
+            best = found
+    assert best is not None  # noqa: S101  # there are always excitations
+    return best
+
+
+def _left(evidence: Evidence, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
+    """Return what one explanation leaves of what the other would read, as -2 log likelihood."""
+    between: Between = "straight" if evidence.rig.twin.measured_actuators else "held"
+    nothing = np.zeros((len(commands), len(evidence.sigma)))
+    record = Data("simulated", evidence.record.rate, commands, nothing, between=between)
+    state = evidence.rig.rest[None]
+    free = replace(evidence, record=record, horizon=0)
+    try:
+        made = free.equations(truth.theta, state, truth.slots, truth.added)
+        told = replace(free, record=replace(record, readings=made.simulated))
+        return fitting.fit(told, other.slots, theta=other.theta, start=state, rounds=12).cost
+    except IntegrationError:
+        return 0.0
+
+
+def _rates(rig: OpenRig) -> dict[int, int] | None:
+    """Return which measured input is the rate of which other, by their numbers; None where that is not known of all."""
+    twin, found = rig.twin, dict[int, int]()
+    names = {name: i for i, name in enumerate(twin.actuators)}
+    for element in twin.base.elements.values():
+        x, rate = (None if one is None else one.text.strip() for one in (element.displacement, element.rate))
+        if x in names and rate in names:
+            found[names[rate]] = names[x]
+    told = {*found, *found.values()}
+    return found if all(names[name] in told for name in twin.measured_actuators) else None
+
+
+def _possible(
+    evidence: Evidence, size: Array, most: Array, rates: Mapping[int, int]
+) -> Iterator[tuple[str, dict[str, Any], Array]]:
+    """Give the excitations in which each rate is that of its displacement; a step would have none."""
+    for name, settings, commands in _excitations(evidence, size, most):
+        if rates and name == STEPS:
+            continue
+        made, told = commands.copy(), dict(settings)
+        for rate, x in rates.items():
+            made[:, rate] = np.gradient(commands[:, x]) * evidence.record.rate
+        if rates:
+            peaks = zip(evidence.rig.twin.actuators, np.abs(made).max(axis=0), strict=True)
+            told["peak"] = {actuator: float(f"{peak:.3g}") for actuator, peak in peaks}
+        yield name, told, made
+
+
+def _excitations(evidence: Evidence, size: Array, most: Array) -> Iterator[tuple[str, dict[str, Any], Array]]:
+    rate, actuators = evidence.record.rate, evidence.rig.twin.actuators
+    t = np.arange(round(SECONDS * rate)) / rate
+    for factor in FACTORS:
+        peaks = np.minimum(factor * size, most)
+        told = {name: float(f"{peak:.3g}") for name, peak in zip(actuators, peaks, strict=True)}
+        for low, high in BANDS:
+            lines = np.arange(max(1, round(low * PERIOD)), round(high * PERIOD) + 1)
+            columns = []
+            for i in range(len(actuators)):
+                own = lines[i :: len(actuators)] if len(lines) >= len(actuators) else lines
+                phases = signals.schroeder_phases(np.ones(len(own)))
+                wave = signals.Multisine.harmonic(own, PERIOD, phases=phases).sample(t)
+                columns.append(wave / np.abs(wave).max())
+            settings = {"peak": told, "lowest": f"{low:g} Hz", "highest": f"{high:g} Hz", "seconds": SECONDS}
+            yield "multisine", settings, np.array(columns).T * peaks
+        shape = np.interp(t / SECONDS, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
+        shifted = [np.roll(shape, i * len(t) // len(actuators)) for i in range(len(actuators))]
+        yield "ramp", {"peak": told, "seconds": SECONDS}, np.array(shifted).T * peaks
+        turns = np.outer(t / SECONDS, 6.0 + 2.0 * np.arange(len(actuators)))
+        steps = np.sign(np.sin(2.0 * np.pi * turns)) * (t / SECONDS)[:, None]
+        yield STEPS, {"peak": told, "seconds": SECONDS}, steps * peaks

@@ -1,0 +1,144 @@
+"""Evidence: a record, the rig that it is held against, and what is believed of both before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from masking.discovery.augmented_model import NEARLY_ZERO, Equations, OpenRig, Slot
+from masking.errors import IntegrationError
+from masking.estimation.data import Data
+from masking.estimation.sensitivity import is_straight
+from masking.numerics.arrays import Array
+
+BLOCK = 32  # samples: what is left is averaged over these to see whether it changes slowly
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is believed of the rig's parameters before the record.
+
+    Args:
+        mean: (k,).
+        deviation: standard deviations (k,).
+        low, high: what they cannot be below and above (k,).
+    """
+
+    mean: Array
+    deviation: Array
+    low: Array
+    high: Array
+
+    def released(self, index: int) -> Belief:
+        """Return the belief with one parameter free."""
+        deviation = self.deviation.copy()
+        deviation[index] *= 1e3
+        return replace(self, deviation=deviation)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A record and the rig that it is held against.
+
+    Args:
+        rig: the rig.
+        record: commands and readings.
+        belief: of the rig's parameters.
+        sigma: standard deviation of the noise of each reading (sensors,).
+        substeps: integration steps between samples.
+        horizon: samples after which the motion begins anew, from a state of its own; 0 for none.
+    """
+
+    rig: OpenRig
+    record: Data
+    belief: Belief
+    sigma: Array
+    substeps: int
+    horizon: int = 0
+
+    @property
+    def begin(self) -> int:
+        """Return the samples of a window in which the rig moves from one initial state."""
+        return self.horizon or len(self.record)
+
+    @property
+    def windows(self) -> int:
+        """Return the number of these windows."""
+        return -(-len(self.record) // self.begin)
+
+    @property
+    def weights(self) -> Array:
+        """Return the weights of squared residuals (sensors,)."""
+        return np.asarray(self.sigma**-2.0)
+
+    @property
+    def dt(self) -> float:
+        """Return the time between samples in s."""
+        return 1.0 / self.record.rate
+
+    def equations(
+        self,
+        theta: Array,
+        start: Array,
+        slots: Sequence[Slot] = (),
+        added: Array | None = None,
+        *,
+        inner: Array | None = None,
+    ) -> Equations:
+        """Return the normal equations of the record at values of the parameters.
+
+        Args:
+            theta: parameters of the rig (k,), in declared units.
+            start: state at the first sample of each window (windows, states).
+            slots: effects, one after the other.
+            added: their free parameters (f,).
+            inner: where their states begin (s,); at 0 where this is not given.
+
+        Raises:
+            IntegrationError: the motion is no longer finite.
+        """
+        rig, record = self.rig, self.record
+        added = np.empty(0) if added is None else added
+        table, columns, values, states = rig.slots(slots, added)
+        p, basis = rig.basis(theta, len(added) + states)
+        k, moving, windows = basis.shape[1], rig.begins, self.windows
+        n, width = len(rig.twin.state_names), k + moving
+        y, sens = np.full(n + states, NEARLY_ZERO), np.zeros((n + states, width))
+        y[n:] += 0.0 if inner is None else inner
+        sens[n:, k - states : k] = np.eye(states)
+        of_windows, gradients = np.zeros((windows * width, width)), np.zeros(windows * width)
+        squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
+        status = rig.kernels.run(
+            len(record), self.dt, self.substeps, self.begin, is_straight(record.between),
+            np.ascontiguousarray(start), y, sens, p, basis, table, columns, values,
+            np.ascontiguousarray(record.acting), record.readings, self.weights, of_windows, gradients, squares,
+            simulated,
+        )  # fmt: skip
+        if status or not np.isfinite(squares).all() or not np.isfinite(of_windows).all():
+            raise IntegrationError("the simulated motion is no longer finite")
+        matrix, gradient = np.zeros((k + windows * moving,) * 2), np.zeros(k + windows * moving)
+        for i in range(windows):
+            own = np.concatenate([np.arange(k), np.arange(k + i * moving, k + (i + 1) * moving)])
+            matrix[np.ix_(own, own)] += of_windows[i * width : (i + 1) * width]
+            gradient[own] += gradients[i * width : (i + 1) * width]
+        matrix += np.tril(matrix, -1).T
+        return Equations(matrix, gradient, squares, simulated)
+
+    def temperature(self, residuals: Array) -> float:
+        """Return by how much more is left than white noise, and how much more slowly it changes; at least 1.
+
+        Costs are divided by it: what is left is so many times the noise, or so many readings tell the same.
+
+        Args:
+            residuals: of the readings (m, sensors).
+        """
+        found = 1.0
+        for column, sigma in zip(residuals.T, self.sigma, strict=True):
+            found = max(found, float((column**2).mean() / sigma**2))
+            for length in {BLOCK, self.horizon or BLOCK}:
+                blocks = column[: len(column) // length * length].reshape(-1, length).mean(axis=1)
+                slow = float((blocks**2).mean() * length / sigma**2)
+                found = max(found, slow if slow > 1.3 else 1.0)
+        return found

@@ -1,0 +1,196 @@
+"""Data: a record as an identification wants it, commands and readings at one steady rate; refused where it is not."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from masking.errors import ModelError, RecordError, nearest
+from masking.estimation.sensitivity import Between, is_straight
+from masking.numerics.arrays import Array
+from masking.records import clock, readers
+from masking.records.noise import white_noise
+from masking.records.recording import Recording
+from masking.rig.twin import Twin
+
+# How inputs of a record may go from each sample to the next. Smooth ones become straight lines that act alike, so that
+# all that simulates knows two ways.
+Assumption = Literal[Between, "smooth"]
+
+_STILL = 4.0  # deviations of the noise: readings that vary by less do not move
+_LINES = (1.0 / 12.0, 1.0 / 90.0, 1.0 / 560.0)  # (asin(x/2)/(x/2))**2 = 1 + x**2/12 + x**4/90 + x**6/560 + ...
+
+
+@dataclass(frozen=True)
+class Data:
+    """Commands and readings of one record.
+
+    Args:
+        name: of the record, for messages.
+        rate: samples per second.
+        commands: of the actuators, in their units (m, actuators).
+        readings: of the sensors, in their units (m, sensors).
+        delay: samples after which a command acts.
+        between: how commands go from each sample to the next. 'held': each acts until the next, as the output of a
+            converter does (zero-order hold). 'straight': in straight lines (first-order hold), for inputs that were
+            measured, not commanded. Those that were also filtered before, `band_limited` makes straight lines of.
+
+    Raises:
+        ModelError: `between` is neither.
+
+    Source: Pintelon and Schoukens, System Identification (2012), section 13.2, for the two assumptions.
+    """
+
+    name: str
+    rate: float
+    commands: Array
+    readings: Array
+    delay: int = 0
+    between: Between = "held"
+
+    def __post_init__(self) -> None:
+        is_straight(self.between)
+
+    @classmethod
+    def of(cls, recording: Recording, twin: Twin, name: str = "the record", between: Assumption | None = None) -> Data:
+        """Return what a recording holds of a plant's actuators and sensors.
+
+        An actuator V1 is read from the column `input.V1`, or else `V1`; a sensor s1 from `sensor.s1`, or else `s1`.
+        Commands that are held act after the delay of the plant. Inputs that were measured act when they are measured:
+        in straight lines, or smoothly where they were measured behind an anti-alias filter, see `band_limited`. Where
+        nothing is said, commands are held, and inputs that elements of the model follow go in straight lines.
+
+        Raises:
+            ModelError: `between` is not known.
+            RecordError: a column is missing or not finite, time is not steady, nothing moves, or the record is too
+                short.
+        """
+        if between is None:
+            between = "straight" if twin.measured_actuators else "held"
+        if between not in get_args(Assumption):
+            raise ModelError(
+                f"between is '{between}': give 'held' for commands that act until the next sample, 'straight' for "
+                "inputs that were measured, which go in straight lines between samples, or 'smooth' for inputs that "
+                "were measured behind an anti-alias filter"
+            )
+        commands = _columns(recording, "input", twin.actuators, name)
+        readings = _columns(recording, "sensor", twin.sensors, name)
+        rate = clock.rate(np.asarray(recording.t, dtype=float), name)
+        if between == "held":
+            found = cls(name, rate, commands, readings, twin.delay)
+        else:
+            found = cls(name, rate, commands, readings, between="straight")
+        found.check(twin)
+        return found.band_limited() if between == "smooth" else found
+
+    @classmethod
+    def read(
+        cls,
+        path: str | Path,
+        twin: Twin,
+        between: Assumption | None = None,
+        columns: Mapping[str, str] | None = None,
+        dt: float | None = None,
+    ) -> Data:
+        """Read what a file, or a part of one, holds of a plant's actuators and sensors; see `formats.read` and `of`.
+
+        Args:
+            path: of the record, such as `record.csv` or `record.csv@10:20`.
+            twin: the plant.
+            between: how inputs go from each sample to the next.
+            columns: of the file, by the names that they get.
+            dt: time between samples in s, for a file without a clock.
+
+        Raises:
+            ModelError: `between` is not known.
+            RecordError: the record cannot be read, or tells nothing of the plant.
+        """
+        needed = (*twin.actuators, *twin.sensors)
+        return cls.of(readers.read(path, columns, dt, needed), twin, str(path), between)
+
+    def check(self, twin: Twin) -> None:
+        """Refuse a record that tells nothing of a plant."""
+        for names, table in ((twin.actuators, self.commands), (twin.sensors, self.readings)):
+            for column, values in zip(names, table.T, strict=True):
+                wrong = np.flatnonzero(~np.isfinite(values))
+                if len(wrong):
+                    raise RecordError(
+                        f"{self.name}: {column} is {values[wrong[0]]} at sample {wrong[0]}, and not finite at "
+                        f"{len(wrong)} samples in all; cut these out, and give what is left as records of their own"
+                    )
+        if not np.ptp(self.commands, axis=0).any() and not self._moves:
+            raise RecordError(
+                f"{self.name}: nothing moves: the commands are constant, and the readings vary no more than their "
+                "noise; excite the rig, or let it go from somewhere else than rest"
+            )
+
+    @property
+    def _moves(self) -> bool:
+        noise = self.noise
+        return bool(np.any(np.ptp(self.readings, axis=0) > 2.0 * _STILL * np.maximum(noise, 1e-300)))
+
+    @property
+    def noise(self) -> Array:
+        """Return the standard deviation of white noise in each reading (sensors,)."""
+        return white_noise(self.readings)
+
+    @property
+    def acting(self) -> Array:
+        """Return the commands that act at each sample (m, actuators); the first acts before the record, too."""
+        if not self.delay:
+            return self.commands
+        first = np.repeat(self.commands[:1], self.delay, axis=0)
+        return np.concatenate([first, self.commands[: -self.delay]])
+
+    def __len__(self) -> int:
+        return len(self.readings)
+
+    def first(self, seconds: float) -> Data:
+        """Return the first part of the record."""
+        count = round(seconds * self.rate)
+        return replace(self, commands=self.commands[:count], readings=self.readings[:count])
+
+    def band_limited(self) -> Data:
+        """Return the record with inputs in straight lines that act as smooth inputs through its samples would.
+
+        Straight lines between samples of a sine of frequency f weaken it by (sin(pi f/rate)/(pi f/rate))^2. Inputs that
+        were filtered before they were sampled have nothing above half the rate: what they lose is given back by their
+        differences of order 2, 4 and 6, within 1e-5 below a tenth of the rate and within 1 % below a quarter of it.
+
+        Source: Pintelon and Schoukens, System Identification (2012), section 13.2, for band-limited inputs; Gradshteyn
+        and Ryzhik, Table of Integrals, Series, and Products (2007), 1.645.2, for the series.
+        """
+        order = len(_LINES)
+        differences = np.concatenate([self.commands[:1]] * order + [self.commands] + [self.commands[-1:]] * order)
+        whole = self.commands.copy()
+        for number, part in enumerate(_LINES, 1):
+            differences = -np.diff(differences, n=2, axis=0)
+            whole += part * differences[order - number : len(differences) - (order - number)]
+        return replace(self, commands=whole, between="straight")
+
+    def windows(self, seconds: float) -> list[Data]:
+        """Return the record in pieces of about so many seconds, each long enough to begin a piece by itself."""
+        count = max(1, round(len(self) / (seconds * self.rate)))
+        bounds = [len(self) * i // count for i in range(count + 1)]
+        acting = self.acting
+        return [
+            replace(self, commands=acting[a:b], readings=self.readings[a:b], delay=0)
+            for a, b in itertools.pairwise(bounds)
+        ]
+
+
+def _columns(recording: Recording, prefix: str, names: Sequence[str], where: str) -> Array:
+    found = []
+    for name in names:
+        column = next((c for c in (f"{prefix}.{name}", name) if c in recording.columns), None)
+        if column is None:
+            raise RecordError(
+                f"{where}: there is no column {prefix}.{name} or {name}; {nearest(name, list(recording.columns))}"
+            )
+        found.append(np.asarray(recording[column], dtype=float))
+    return np.ascontiguousarray(np.array(found).T)

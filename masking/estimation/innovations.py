@@ -1,0 +1,116 @@
+"""Innovations: what an extended Kalman filter found, and whether what it did not expect is as white as it assumed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.estimation import estimates
+from masking.estimation.whiteness import ljung_box
+from masking.numerics.arrays import Array
+from masking.rig.twin import Twin
+
+if TYPE_CHECKING:
+    from scipy import stats
+else:
+    stats = lazy.load("scipy.stats", suppress_warning=True)
+
+LAGS = 20  # of the autocorrelation of the innovations
+
+
+@dataclass(frozen=True)
+class KalmanFit:
+    """Parameters that a filter found, how sure it is of them, and whether its assumptions hold.
+
+    Args:
+        twin: the plant with the final values.
+        names: of the parameters.
+        values: final values, in the units in which they are declared (k,).
+        covariance: of the values, if the noise is what the filter was told (k, k).
+        times: of the samples, s (m,).
+        trajectory: values after each sample (m, k).
+        deviations: standard deviations after each sample (m, k).
+        states: the twin's state after each sample (m, states), in SI units.
+        innovations: readings less what was expected of them, in their units (m, sensors).
+        normalised: innovations made independent with deviation 1, if the filter's assumptions hold (m, sensors).
+        final: covariance of state and parameters after the last sample (states + k, states + k).
+        chi: relative error (4.12) of each sensor, simulated with the final values from the best initial state, by name;
+            not a number where that motion is not finite.
+        floor: chi that the noise of the record alone makes, by name.
+        notes: what must be known to trust the values.
+        validation: relative error of each sensor in a record that was not filtered, by name; empty where there is none.
+    """
+
+    twin: Twin
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    times: Array
+    trajectory: Array
+    deviations: Array
+    states: Array
+    innovations: Array
+    normalised: Array
+    final: Array
+    chi: dict[str, float]
+    floor: dict[str, float]
+    notes: tuple[str, ...] = ()
+    validation: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def std(self) -> Array:
+        """Return the standard deviation of each final value (k,), if the noise is what the filter was told."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def nis(self) -> Array:
+        """Return the normalised innovation squared e^T S^-1 e of each sample (m,).
+
+        Chi-squared with as many degrees of freedom as there are sensors, if the filter's assumptions hold.
+        Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), 5.4.2.
+        """
+        return np.asarray((self.normalised**2).sum(axis=1))
+
+    @property
+    def consistency(self) -> tuple[float, float, float]:
+        """Return the mean of the normalised innovation squared, and the 95 % interval that it should be in."""
+        m, sensors = self.normalised.shape
+        low, high = stats.chi2.ppf([0.025, 0.975], m * sensors) / m
+        return float(self.nis.mean()), float(low), float(high)
+
+    @property
+    def autocorrelation(self) -> Array:
+        """Return the correlation of each normalised innovation with itself 1, 2, ... samples later (lags, sensors).
+
+        About 1 / sqrt(m) and no more where innovations are white. The mean is not taken off: it should be 0.
+        """
+        e = self.normalised
+        power = np.maximum((e**2).sum(axis=0), 1e-300)
+        return np.array([(e[lag:] * e[:-lag]).sum(axis=0) / power for lag in range(1, min(LAGS, len(e) - 1) + 1)])
+
+    @property
+    def whiteness(self) -> dict[str, float]:
+        """Return the probability of innovations at least as correlated as these if they were white, by sensor."""
+        chances = ljung_box(self.autocorrelation, len(self.normalised))
+        return dict(zip(self.twin.sensors, map(float, chances), strict=True))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fit as JSON can hold it; what is over time is left out."""
+        mean, low, high = self.consistency
+        train = {name: value if np.isfinite(value) else None for name, value in self.chi.items()}
+        return {
+            "parameters": estimates.parameters(self),
+            "chi": {"train": train, "validation": self.validation},
+            "floor": self.floor,
+            "nis": {"mean": mean, "low": low, "high": high},
+            "whiteness": self.whiteness,
+            "notes": list(self.notes),
+        }
+
+    def __str__(self) -> str:
+        mean, low, high = self.consistency
+        told = f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}"
+        return "\n".join([*estimates.lines(self), told, *self.notes])

@@ -1,1 +1,0 @@
-"""Identification: from recordings of a rig to what its parts are."""

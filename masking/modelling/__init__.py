@@ -1,0 +1,1 @@
+"""Modelling: a declared model, its equations, its scales and its compiled functions."""

@@ -1,0 +1,244 @@
+"""Equations of motion M(t, q, v, p) a = f(t, q, v, u, p), derived symbolically from a declaration.
+
+A declaration states them explicitly, implicitly (accelerations on both sides) or by a Lagrangian with Rayleigh's
+dissipation and generalised forces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+
+from masking.codegen.linear import solve
+from masking.declaration import schema
+from masking.declaration.expression import Expression
+from masking.errors import ModelError
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+
+@dataclass(frozen=True)
+class Symbols:
+    """The symbols of a model: time, per coordinate its value, velocity and acceleration, inputs, parameters, states.
+
+    The state vector is y = [q, v, s]: coordinates, velocities, internal states. Every function that takes q and v
+    apart keeps the arguments (t, q, v, u, p): its `v` holds the n velocities and then the internal states, s[i] at
+    v[n + i].
+    """
+
+    t: sp.Symbol
+    q: tuple[sp.Symbol, ...]
+    v: tuple[sp.Symbol, ...]
+    a: tuple[sp.Symbol, ...]
+    u: tuple[sp.Symbol, ...]
+    p: tuple[sp.Symbol, ...]
+    s: tuple[sp.Symbol, ...] = ()
+
+    @property
+    def by_name(self) -> dict[str, sp.Symbol]:
+        """Return every symbol by the name that declarations use, such as x1, x1' and x1''."""
+        return {s.name: s for s in (self.t, *self.q, *self.v, *self.a, *self.u, *self.p, *self.s)}
+
+
+@dataclass(frozen=True)
+class Equations:
+    """The equations of a declared model in sympy; each part is derived when first asked for."""
+
+    declaration: schema.ModelDeclaration
+
+    @property
+    def name(self) -> str:
+        """Return the model's name, for messages."""
+        return self.declaration.name
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Return the names of the coordinates."""
+        return tuple(self.declaration.coordinates)
+
+    @cached_property
+    def symbols(self) -> Symbols:
+        """Return the sympy symbols; all are real."""
+
+        def make(names: Sequence[str], primes: str = "") -> tuple[sp.Symbol, ...]:
+            return tuple(sp.Symbol(name + primes, real=True) for name in names)
+
+        return Symbols(
+            sp.Symbol("t", real=True),
+            make(self.coordinates),
+            make(self.coordinates, "'"),
+            make(self.coordinates, "''"),
+            make(tuple(self.declaration.inputs)),
+            make(tuple(self.declaration.parameters)),
+            make(tuple(self.declaration.states)),
+        )
+
+    @cached_property
+    def definitions(self) -> dict[str, sp.Expr]:
+        """Return the named sub-expressions, each in symbols of the model."""
+        found: dict[str, sp.Expr] = {}
+        pending = dict(self.declaration.definitions)
+        while pending:  # the declaration has been checked for cycles
+            for name, expression in list(pending.items()):
+                if not expression.names & pending.keys():
+                    found[name] = expression.to_sympy(self.symbols.by_name | found)
+                    del pending[name]
+        return found
+
+    def symbolic(self, expression: Expression) -> sp.Expr:
+        """Return a declared expression in symbols of the model."""
+        return expression.to_sympy(self.symbols.by_name | self.definitions)
+
+    def measured(self, expression: Expression) -> sp.Expr:
+        """Return what a sensor measures in symbols of the model: outputs may stand in it by their names."""
+        named = self.symbols.by_name | self.definitions
+        outputs = {
+            name: self.symbolic(output.expression)
+            for name, output in self.declaration.outputs.items()
+            if name in expression.names and name not in named
+        }
+        return expression.to_sympy(named | outputs)
+
+    @cached_property
+    def _system(self) -> tuple[sp.ImmutableMatrix, sp.ImmutableMatrix]:
+        if self.declaration.lagrangian is not None:
+            return self._euler_lagrange(self.symbolic(self.declaration.lagrangian))
+        return self._collect_accelerations()
+
+    @property
+    def mass(self) -> sp.ImmutableMatrix:
+        """Return M (n, n) of M a = f."""
+        return self._system[0]
+
+    @property
+    def force(self) -> sp.ImmutableMatrix:
+        """Return f (n, 1) of M a = f."""
+        return self._system[1]
+
+    @cached_property
+    def accelerations(self) -> tuple[sp.Expr, ...]:
+        """Return the accelerations as explicit expressions of time, state, inputs and parameters."""
+        if not self.coordinates:
+            return ()
+        algebra = _Symbolic(frozenset((self.symbols.t, *self.symbols.q, *self.symbols.v, *self.symbols.s)))
+        solution, _ = solve(algebra, self.mass.tolist(), self.force.tolist())
+        return tuple(row[0] for row in solution)
+
+    @cached_property
+    def rates(self) -> tuple[sp.Expr, ...]:
+        """Return the rates of the internal states as expressions of time, state, inputs and parameters."""
+        return tuple(self.symbolic(right) for right in self.declaration.rates.values())
+
+    @cached_property
+    def energy(self) -> sp.Expr | None:
+        """Return the energy: as declared, or v dL/dv - L of a Lagrangian; None where neither is given."""
+        if self.declaration.energy is not None:
+            return self.symbolic(self.declaration.energy)
+        if self.declaration.lagrangian is None:
+            return None
+        lagrangian = self.symbolic(self.declaration.lagrangian)
+        return sum(v * sp.diff(lagrangian, v) for v in self.symbols.v) - lagrangian
+
+    @property
+    def input_force(self) -> sp.ImmutableMatrix:
+        """Return df/du (n, k).
+
+        Raises:
+            ModelError: an acceleration is not affine in the inputs.
+        """
+        jacobian = self.force.jacobian(self.symbols.u) if self.symbols.u else sp.zeros(len(self.coordinates), 0)
+        for i, coordinate in enumerate(self.coordinates):
+            bad = jacobian[i, :].free_symbols & set(self.symbols.u)
+            if bad:
+                names = ", ".join(sorted(s.name for s in bad))
+                raise ModelError(
+                    f"{self.name}: the acceleration of {coordinate} is not affine in {names}; masking needs "
+                    "equations in which each input appears to the first power, times anything but an input"
+                )
+        return jacobian
+
+    def _collect_accelerations(self) -> tuple[sp.ImmutableMatrix, sp.ImmutableMatrix]:
+        residuals: list[sp.Expr] = []
+        pure: dict[int, int] = {}
+        for left, right in self.declaration.motion.items():
+            side = self.symbolic(left)
+            if side in self.symbols.a:
+                pure[self.symbols.a.index(side)] = len(residuals)
+            residuals.append(side - self.symbolic(right))
+        others = [i for i in range(len(residuals)) if i not in pure.values()]
+        order = [pure[i] if i in pure else others.pop(0) for i in range(len(self.coordinates))]
+        residual = sp.Matrix([residuals[i] for i in order])
+        zero = dict.fromkeys(self.symbols.a, 0)
+        mass = residual.jacobian(self.symbols.a) if self.coordinates else sp.zeros(0, 0)
+        self._check_linear(mass)
+        return sp.ImmutableMatrix(mass), sp.ImmutableMatrix(-residual.subs(zero))
+
+    def _check_linear(self, mass: sp.Matrix) -> None:
+        """Refuse equations that are not linear in the accelerations."""
+        if mass.free_symbols & set(self.symbols.a):
+            names = ", ".join(sorted(s.name for s in mass.free_symbols & set(self.symbols.a)))
+            raise ModelError(
+                f"{self.name}: the equations are not linear in {names}; accelerations may appear on both sides, "
+                "but only to the first power"
+            )
+
+    def _euler_lagrange(self, lagrangian: sp.Expr) -> tuple[sp.ImmutableMatrix, sp.ImmutableMatrix]:
+        """Return M and f of d/dt dL/dv - dL/dq = Q - dR/dv, with Rayleigh's dissipation R and forces Q.
+
+        Forces may hold accelerations to the first power, as those of an added mass do.
+        """
+        s, declaration = self.symbols, self.declaration
+        dissipation = self.symbolic(declaration.dissipation) if declaration.dissipation is not None else sp.Integer(0)
+        mass, force, inertia = sp.zeros(len(s.q), len(s.q)), sp.zeros(len(s.q), 1), sp.zeros(len(s.q), len(s.q))
+        for i, name in enumerate(self.coordinates):
+            momentum = sp.diff(lagrangian, s.v[i])
+            for j in range(len(s.q)):
+                mass[i, j] = sp.diff(momentum, s.v[j])
+            applied = self.symbolic(declaration.forces[name]) if name in declaration.forces else sp.Integer(0)
+            inertia[i, :] = sp.Matrix([[-sp.diff(applied, a) for a in s.a]])
+            applied = applied.subs(dict.fromkeys(s.a, 0))
+            gyroscopic = sum(sp.diff(momentum, q) * v for q, v in zip(s.q, s.v, strict=True)) + sp.diff(momentum, s.t)
+            gyroscopic += sum(sp.diff(momentum, z) * rate for z, rate in zip(s.s, self.rates, strict=True))
+            force[i] = applied - sp.diff(dissipation, s.v[i]) + sp.diff(lagrangian, s.q[i]) - gyroscopic
+        if any(mass[i, i] == 0 for i in range(len(s.q))):
+            massless = self.coordinates[[mass[i, i] for i in range(len(s.q))].index(0)]
+            raise ModelError(
+                f"{self.name}: the Lagrangian has no kinetic energy in {massless}'; give {massless} a mass"
+            )
+        self._check_linear(inertia)
+        return sp.ImmutableMatrix(mass + inertia), sp.ImmutableMatrix(force)
+
+
+class _Symbolic:
+    """Sympy expressions as an algebra for solving linear systems."""
+
+    def __init__(self, varying: frozenset[sp.Symbol]) -> None:
+        self.varying = varying
+
+    def number(self, value: float) -> sp.Expr:
+        return sp.nsimplify(value)
+
+    def is_number(self, x: sp.Expr, value: float | None = None) -> bool:
+        return bool(x.is_number and (value is None or x == sp.nsimplify(value)))  # sympy holds 0 and 0.0 apart
+
+    def varies(self, x: sp.Expr) -> bool:
+        return bool(x.free_symbols & self.varying)
+
+    def add(self, a: sp.Expr, b: sp.Expr) -> sp.Expr:
+        return a + b
+
+    def sub(self, a: sp.Expr, b: sp.Expr) -> sp.Expr:
+        return a - b
+
+    def mul(self, a: sp.Expr, b: sp.Expr) -> sp.Expr:
+        return a * b
+
+    def div(self, a: sp.Expr, b: sp.Expr) -> sp.Expr:
+        return a / b

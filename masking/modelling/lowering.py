@@ -1,0 +1,166 @@
+"""A model's equations lowered into a graph, and printed as a module of compiled functions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from masking.codegen.graph import Graph, Node
+from masking.codegen.linear import solve
+from masking.codegen.source import LARGEST_TAYLOR_COST, Module, taylor_order
+from masking.codegen.taylor import cost, degree, hides_a_switch, is_analytic
+from masking.modelling.equations import Equations
+from masking.modelling.scales import Units
+
+if TYPE_CHECKING:
+    import sympy as sp
+
+
+@dataclass
+class LoweredEquations:
+    """The symbols of a model as nodes, and its accelerations and the rates of its internal states.
+
+    `loads` and `joined` tell for each symbol's text how a function reads it from its arguments: q and v apart, where
+    the internal states follow the velocities in v, or one state vector y = [q, v, s].
+    """
+
+    equations: Equations
+    graph: Graph
+    symbols: dict[sp.Symbol, Node]
+    accelerations: list[Node]
+    health: Node
+    rates: list[Node] = field(default_factory=list)
+
+    @classmethod
+    def of(
+        cls,
+        equations: Equations,
+        graph: Graph,
+        prefix: str = "",
+        known: Mapping[sp.Symbol, Node] | None = None,
+    ) -> LoweredEquations:
+        """Lower a model's equations into a graph.
+
+        Args:
+            equations: the equations.
+            graph: the graph to add to.
+            prefix: put before the text of each new symbol, so that several models share a graph.
+            known: nodes that stand for symbols of the model; the others become new symbols.
+        """
+        s = equations.symbols
+        nodes = dict(known or {})
+        kinds = [("", (s.t,), True), ("q_", s.q, True), ("v_", s.v, True), ("u_", s.u, False), ("p_", s.p, False)]
+        kinds.append(("s_", s.s, True))
+        for kind, symbols, varying in kinds:
+            for symbol in symbols:
+                if symbol not in nodes:
+                    text = kind + prefix + symbol.name.rstrip("'")
+                    nodes[symbol] = graph.symbol(text, varying=varying)
+        if equations.coordinates:
+            mass = [[graph.lower(e, nodes) for e in row] for row in equations.mass.tolist()]
+            force = [[graph.lower(e, nodes) for e in row] for row in equations.force.tolist()]
+            solution, health = solve(graph, mass, force)
+        else:
+            solution, health = [], graph.number(1.0)
+        accelerations = [row[0] for row in solution]
+        nodes.update(zip(s.a, accelerations, strict=True))
+        rates = [graph.lower(rate, nodes) for rate in equations.rates]
+        return cls(equations, graph, nodes, accelerations, health, rates)
+
+    def lower(self, expression: sp.Expr) -> Node:
+        """Return the node of an expression in symbols of the model, accelerations included."""
+        return self.graph.lower(expression, self.symbols)
+
+    def loads(self, q: str, v: str, u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
+        """Return how each symbol is read: `q` and `v` are texts with `{i}` for the index into each."""
+        s = self.equations.symbols
+        parts = ((s.q, q, 0), (s.v, v, 0), (s.s, v, len(s.v)), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
+        return self._read(parts)
+
+    def joined(self, y: str = "y", u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
+        """Return how each symbol is read where `y` names the whole state vector [q, v, s]."""
+        s, n, y = self.equations.symbols, len(self.equations.symbols.q), y + "[{i}]"
+        parts = ((s.q, y, 0), (s.v, y, n), (s.s, y, 2 * n), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
+        return self._read(parts)
+
+    def _read(self, parts: Iterable[tuple[Sequence[sp.Symbol], str, int]]) -> dict[str, str]:
+        texts = {}
+        for symbols, pattern, first in parts:
+            for i, symbol in enumerate(symbols, first):
+                operation = self.graph.operations[self.symbols[symbol]]
+                if operation[0] == "symbol":
+                    texts[str(operation[1])] = pattern.format(i=i)
+        return texts
+
+
+def module(equations: Equations) -> Module:
+    """Return the generated module of a model."""
+    lowered = LoweredEquations.of(equations, Graph())
+    graph, n = lowered.graph, len(equations.coordinates)
+    s = equations.symbols
+    time = lowered.symbols[s.t]
+    states = [lowered.symbols[x] for x in (*s.q, *s.v, *s.s)]
+    derivatives = [*states[n : 2 * n], *lowered.accelerations, *lowered.rates]
+    size = len(states)
+    products = cost(graph, derivatives)
+    order = taylor_order(products)
+    use_taylor = (
+        size > 0
+        and is_analytic(graph, [*derivatives, lowered.health])
+        and not hides_a_switch(graph, derivatives)
+        and products <= LARGEST_TAYLOR_COST
+        and degree(graph, derivatives) < order
+    )
+    energy = equations.energy
+    outputs = {name: equations.symbolic(output.expression) for name, output in equations.declaration.outputs.items()}
+    meta = {
+        "kind": "model",
+        "coordinates": list(equations.coordinates),
+        "states": list(equations.declaration.states),
+        "inputs": list(equations.declaration.inputs),
+        "parameters": list(equations.declaration.parameters),
+        "outputs": list(outputs),
+        "method": "taylor" if use_taylor else "runge_kutta",
+        "has_energy": energy is not None,
+        "units": Units.of(equations.declaration).to_meta(),
+    }
+    module = Module(equations.name, meta)
+    split = lowered.loads("q[{i}]", "v[{i}]")
+    joined = lowered.joined()
+    results = [(f"out[{i}]", a) for i, a in enumerate(lowered.accelerations)]
+    module.add("accelerations(t, q, v, u, p, out)", graph, results, split, returns=lowered.health)
+    module.add(
+        "derivative(t, y, u, p, dy)",
+        graph,
+        [(f"dy[{i}]", d) for i, d in enumerate(derivatives)],
+        joined,
+        returns=lowered.health,
+    )
+    lowered_outputs = [(f"out[{i}]", lowered.lower(e)) for i, e in enumerate(outputs.values())]
+    module.add("outputs(t, q, v, u, p, out)", graph, lowered_outputs, split)
+    if energy is not None:
+        module.add("energy(t, q, v, p)", graph, [], split, returns=lowered.lower(energy))
+    if use_taylor:
+        module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined, order=order)
+        module.add_kernel(SOLVE_TAYLOR.format(order=order, size=size), "idi", (order + 1, size))
+    module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=size), "idi", (24, size))
+    return module
+
+
+SOLVE_TAYLOR = """
+_taylor = integrators.taylor(coefficients, {order}, {size})
+
+
+@compiled
+def solve_taylor(t, y, times, u, p, tolerance, fixed_step, states, work):
+    return _taylor(t, y, times, u, p, tolerance, fixed_step, states, work)
+"""
+SOLVE_RUNGE_KUTTA = """
+_runge_kutta = integrators.runge_kutta(derivative, {size})
+
+
+@compiled
+def solve_runge_kutta(t, y, times, u, p, tolerance, fixed_step, states, work):
+    return _runge_kutta(t, y, times, u, p, tolerance, fixed_step, states, work)
+"""

@@ -1,0 +1,391 @@
+"""Model: equations of motion, symbolic when looked at and compiled when run.
+
+A model is M(t, q, v, s, p) a = f(t, q, v, s, u, p) for coordinates q, velocities v, accelerations a, inputs u and
+parameters p. It is declared by its equations, explicit or implicit in the accelerations, or by a Lagrangian. Internal
+states s, such as that of a friction, have equations ds/dt = g(t, q, v, s, u, p) of their own; most models have none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.codegen import store
+from masking.codegen.kernels import Kernels, Trajectory
+from masking.codegen.source import Module
+from masking.declaration import registry, schema
+from masking.declaration.dimensions import check_dimensions, check_scales
+from masking.declaration.expression import Expression
+from masking.effects import Effect, Setting, attach
+from masking.errors import DeclarationError, ModelError
+from masking.modelling.equations import Equations
+from masking.modelling.lowering import module
+from masking.modelling.scales import Units
+
+if TYPE_CHECKING:
+    import control
+    import sympy as sp
+else:
+    control = lazy.load("control")
+    sp = lazy.load("sympy")
+
+
+def load_model(name_or_path: str | Path) -> Model:
+    """Return a declared model.
+
+    Args:
+        name_or_path: a name that `masking list` shows, or a YAML file.
+
+    Raises:
+        DeclarationError: there is no such model, or its declaration is wrong; lists every problem with its place.
+    """
+    return Model(registry.load_model(name_or_path))
+
+
+@dataclass(frozen=True)
+class Model:
+    """A declared system: what moves, by which equations, with which values.
+
+    Args:
+        declaration: the content of a model file.
+        overrides: parameter values that replace the declared ones, in the declared units.
+        is_dimensionless: whether values are measured in the declared scales instead of SI units. The equations
+            are the same in both, since they are dimensionally homogeneous.
+    """
+
+    declaration: schema.ModelDeclaration
+    overrides: Mapping[str, float] = field(default_factory=dict)
+    is_dimensionless: bool = False
+
+    @property
+    def name(self) -> str:
+        """Return the name for people."""
+        return self.declaration.name
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Return the names of the coordinates, in declared order."""
+        return tuple(self.declaration.coordinates)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Return the names of the internal states, which follow coordinates and velocities in the state vector."""
+        return tuple(self.declaration.states)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Return the names of the inputs."""
+        return tuple(self.declaration.inputs)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Return the names of the parameters; the order of every parameter array."""
+        return tuple(self.declaration.parameters)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Return the names of the outputs."""
+        return tuple(self.declaration.outputs)
+
+    @property
+    def oscillators(self) -> tuple[str, ...]:
+        """Return the coordinates whose oscillations are compared with each other."""
+        return tuple(self.declaration.oscillators or self.declaration.coordinates)
+
+    @property
+    def is_autonomous(self) -> bool:
+        """Return whether its equations are without the time."""
+        e = self.equations
+        return not any(e.symbols.t in x.free_symbols for x in (*e.mass, *e.force, *e.rates))
+
+    def with_parameters(self, **values: float) -> Model:
+        """Return the model with other parameter values, in the declared units; nothing is recompiled."""
+        changed = replace(self, overrides={**self.overrides, **values})
+        changed.values()
+        return changed
+
+    def attach(self, effect: str | Effect, at: str, *, label: str | None = None, **parameters: Setting) -> Model:
+        """Return the model with a physical effect in one of its elements.
+
+        Args:
+            effect: a name of `effects.EFFECTS`, such as `dry_friction`, or an own effect of `effects.load`.
+            at: the element that it sits in.
+            label: stands before the names of its parameters and states; by default `<at>_<effect>`. The parameter
+                `<label>_on` switches it.
+            parameters: its values: numbers in coherent SI units, expressions over the model's parameters, or either
+                with a unit, `{"value": 5.8, "unit": "mm"}`.
+
+        Raises:
+            DeclarationError: there is no such effect, element or parameter, or a value is missing.
+        """
+        return replace(self, declaration=attach(self.declaration, effect, at, label, parameters))
+
+    def dimensionless(self) -> Model:
+        """Return the model with every value measured in the declared scales.
+
+        Raises:
+            ModelError: the model declares no scales, or they cannot express a unit that it uses.
+        """
+        if self.declaration.scales:
+            return replace(self, is_dimensionless=True)
+        if self.units.is_plain:
+            return self
+        raise ModelError(
+            f"{self.name} has units but no scales: declare scales, such as "
+            "'scales: {time: {value: 1/w1, unit: s}, length: {value: l, unit: m}}'"
+        )
+
+    def values(self) -> np.ndarray:
+        """Return the parameter array (len(parameters),) in SI units, or in the declared scales."""
+        return np.array(list(self.parameter_values().values()), dtype=float)
+
+    def parameter_values(self) -> dict[str, float]:
+        """Return the parameters by name, in SI units, or in the declared scales."""
+        return self.units.parameter_values(self.overrides, dimensionless=self.is_dimensionless)
+
+    def value(self, parameter: str) -> float:
+        """Return one parameter, in SI units, or in the declared scales.
+
+        Raises:
+            DeclarationError: there is no such parameter.
+        """
+        self.units.check_names([parameter])
+        return self.parameter_values()[parameter]
+
+    @cached_property
+    def units(self) -> Units:
+        """Return how the quantities of the model convert to SI units and to its scales."""
+        return Units.from_meta(self.declaration, self.kernels.meta["units"])
+
+    def structure(self) -> dict[str, object]:
+        """Return all that the compiled functions depend on: the equations, but no values."""
+        d = self.declaration
+        return {
+            **{
+                kind: {n: x.unit for n, x in getattr(d, kind).items()}
+                for kind in ("coordinates", "states", "inputs", "parameters")
+            },
+            "definitions": _texts(d.definitions),
+            "equations": [[left.text, right.text] for left, right in d.equations.items()],
+            "lagrangian": _text(d.lagrangian),
+            "dissipation": _text(d.dissipation),
+            "forces": _texts(d.forces),
+            "outputs": {n: o.expression.text for n, o in d.outputs.items()},
+            "energy": _text(d.energy),
+            "scales": {n: s.unit for n, s in d.scales.items()},
+        }
+
+    @cached_property
+    def equations(self) -> Equations:
+        """Return the equations of motion in sympy."""
+        return Equations(self.declaration)
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """Return the compiled functions; from the cache on disk where they have been made before."""
+        name = store.key({"model": self.structure()})
+        return Kernels(store.load(name, self._build))
+
+    def simulate(
+        self,
+        times: np.ndarray,
+        initial: Mapping[str, float] | None = None,
+        inputs: Sequence[float] | None = None,
+        tolerance: float = 1e-10,
+    ) -> Trajectory:
+        """Integrate the model by itself, with constant inputs.
+
+        Args:
+            times: monotone times (m,), in seconds, or in units of the time scale.
+            initial: values of coordinates (`x1`), velocities (`x1'`) and internal states at the first time, in the
+                declared units; what is not given is taken from the declaration.
+            inputs: constant inputs (k,); zero where not given.
+            tolerance: local relative error.
+
+        Returns:
+            states (m, 2 n + k), the k internal states last, and their times.
+        """
+        times = np.atleast_1d(np.asarray(times, dtype=float))
+        if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
+            raise ModelError(
+                f"times must be finite, in one row, such as np.linspace(0, 10, 101); got shape {times.shape}"
+            )
+        state = self.initial_state(initial or {})
+        u = np.zeros(len(self.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
+        return self.kernels.integrate(np.atleast_1d(times), state, u, self.values(), tolerance=tolerance)
+
+    def initial_state(self, given: Mapping[str, float]) -> np.ndarray:
+        """Return the state (2 n + k,) of given and declared initial values, in SI units or in the declared scales.
+
+        Args:
+            given: values by the name of a coordinate (`x1`), velocity (`x1'`) or internal state, in the declared
+                units.
+
+        Raises:
+            ModelError: a coordinate has no initial value, or a name is no state.
+        """
+        names = self._state_names
+        unknown = [name for name in given if name not in names]
+        if unknown:
+            raise ModelError(f"initial value of '{unknown[0]}': {self.name} has the states {', '.join(names)}")
+        overrides, units = self.overrides, self.units
+        second = units.size("s", overrides) if self.is_dimensionless and not units.is_plain else 1.0
+        positions, velocities = [], []
+        for name, coordinate in self.declaration.coordinates.items():
+            value = given.get(name, coordinate.initial)
+            if value is None:
+                raise ModelError(f"no initial value of {name}: give one, such as 'initial: {{{name}: 0}}'")
+            size = self._size(coordinate.unit)
+            positions.append(value * size)
+            velocities.append(given.get(f"{name}'", coordinate.initial_velocity) * size * second)
+        internal = [given.get(n, z.initial) * self._size(z.unit) for n, z in self.declaration.states.items()]
+        return np.array([*positions, *velocities, *internal], dtype=float)
+
+    def _size(self, unit: str) -> float:
+        """Return the size of a declared unit in SI units, or in the declared scales."""
+        size = self.units.conversions[unit].factor
+        return size / self.units.size(unit, self.overrides) if self.is_dimensionless else size
+
+    def validate(self) -> None:
+        """Refuse what can be refused without running: units, equations that cannot be made explicit, values.
+
+        Raises:
+            DeclarationError: a declared unit or value is wrong.
+            ModelError: the equations cannot be made explicit, or the scales cannot express a unit.
+        """
+        self._build()
+        self.check_mass()
+        if self.declaration.scales:
+            self.dimensionless().values()
+
+    def check_mass(self) -> None:
+        """Refuse a mass matrix that is singular, or not positive definite where energy says that it must be.
+
+        Raises:
+            ModelError: it is, at the declared values and initial coordinates.
+        """
+        if not self.coordinates:
+            return
+        values = self.values()
+        e, s = self.equations, self.equations.symbols
+        rest = {c: d.initial or 0.0 for c, d in self.declaration.coordinates.items()}
+        point = {q: rest[q.name] for q in s.q} | dict.fromkeys((s.t, *s.v), 0.0) | dict(zip(s.p, values, strict=True))
+        point |= {z: self.declaration.states[z.name].initial for z in s.s}
+        matrix = np.array(e.mass.subs(point).evalf().tolist(), dtype=float)
+        if np.linalg.matrix_rank(matrix) < len(matrix):
+            zero = [p.name for p in s.p if p in e.mass.free_symbols and point[p] == 0.0]
+            told = f" ({', '.join(f'{name} = 0' for name in zero)})" if zero else ""
+            raise ModelError(
+                f"{self.name}: the matrix of the accelerations is singular at the declared values; look for a mass "
+                f"that is 0{told}, and give it a value above 0 and bounds such as [1e-6, null]"
+            )
+        if self.declaration.lagrangian is not None and np.min(np.linalg.eigvalsh(matrix)) <= 0.0:
+            raise ModelError(
+                f"{self.name}: the kinetic energy is not positive at the declared values: the mass matrix has the "
+                f"eigenvalues {', '.join(f'{x:.3g}' for x in np.linalg.eigvalsh(matrix))}; look for a negative mass"
+            )
+
+    def linearise(
+        self, at: Mapping[str, float] | None = None, inputs: Mapping[str, float] | None = None
+    ) -> control.StateSpace:
+        """Return the linear time-invariant system around a state, by symbolic differentiation.
+
+        The states are the coordinates, the velocities, then the internal states; the outputs are the declared
+        outputs, or the coordinates where none are declared. Derivatives are exact; away from an equilibrium the
+        constant part is left out.
+
+        Args:
+            at: values of coordinates, velocities and internal states, in SI units or in the declared scales; 0
+                where not given.
+            inputs: values of inputs; 0 where not given.
+
+        Raises:
+            ModelError: the model has one output and no inputs, which python-control cannot hold.
+        """
+        e, s = self.equations, self.equations.symbols
+        if not s.u and len(self.outputs or self.coordinates) == 1:
+            raise ModelError(
+                f"{self.name} has no inputs and one output, which python-control cannot hold; declare 'inputs:', or "
+                "take masking.analysis.stability.modes.state_matrix"
+            )
+        states = (*s.q, *s.v, *s.s)
+        point = {symbol: (at or {}).get(symbol.name, 0.0) for symbol in states}
+        point |= {symbol: (inputs or {}).get(symbol.name, 0.0) for symbol in s.u}
+        point |= dict(zip(s.p, self.values(), strict=True)) | {s.t: 0.0}
+        explicit = dict(zip(s.a, e.accelerations, strict=True))
+        rates = sp.Matrix([*s.v, *e.accelerations, *e.rates])
+        seen = [e.symbolic(o.expression).subs(explicit) for o in self.declaration.outputs.values()] or list(s.q)
+
+        def number(expressions: sp.Matrix, symbols: Sequence[sp.Symbol]) -> np.ndarray:
+            jacobian = expressions.jacobian(symbols) if symbols else sp.zeros(len(expressions), 0)
+            for unevaluated in jacobian.atoms(sp.Derivative):  # of floor, which is flat between its steps
+                jacobian = jacobian.subs(unevaluated, 0).doit()
+            values = jacobian.subs(point).evalf().tolist()
+            return np.array(values, dtype=float).reshape(len(expressions), len(symbols))
+
+        matrices = [number(m, w) for m in (rates, sp.Matrix(seen)) for w in (states, s.u)]
+        names = {
+            "states": self._state_names,
+            "inputs": [*self.inputs],
+            "outputs": [*(self.outputs or self.coordinates)],
+        }
+        return control.ss(*matrices, **names, remove_useless_states=False)
+
+    def to_control(self) -> control.NonlinearIOSystem:
+        """Return the model as a nonlinear input/output system of python-control.
+
+        States, inputs and outputs are those of `linearise`; parameters are the model's, by name.
+        """
+        kernels, n, values = self.kernels, len(self.coordinates), self.parameter_values()
+        outputs = [*(self.outputs or self.coordinates)]
+
+        def array(params: Mapping[str, float]) -> np.ndarray:
+            return np.array([params.get(name, value) for name, value in values.items()], dtype=float)
+
+        def update(t: float, x: np.ndarray, u: np.ndarray, params: Mapping[str, float]) -> np.ndarray:
+            rate = np.empty(len(x))
+            kernels.derivative(float(t), np.array(x, float), np.array(u, float), array(params), rate)
+            return rate
+
+        def output(t: float, x: np.ndarray, u: np.ndarray, params: Mapping[str, float]) -> np.ndarray:
+            if not self.outputs:
+                return np.array(x[:n], float)
+            found = np.empty(len(outputs))
+            kernels.outputs(
+                float(t), np.array(x[:n], float), np.array(x[n:], float), np.array(u, float), array(params), found
+            )
+            return found
+
+        return control.nlsys(
+            update,
+            output,
+            states=self._state_names,
+            inputs=[*self.inputs],
+            outputs=outputs,
+            params=values,
+            name=self.name,
+        )
+
+    @property
+    def _state_names(self) -> list[str]:
+        return [*self.coordinates, *(f"{c}'" for c in self.coordinates), *self.states]
+
+    def _build(self) -> Module:
+        problems = [*check_dimensions(self.declaration), *check_scales(self.declaration)]
+        if problems:
+            raise DeclarationError(problems)
+        return module(self.equations)
+
+
+def _text(expression: Expression | None) -> str | None:
+    return None if expression is None else expression.text
+
+
+def _texts(expressions: Mapping[str, Expression]) -> dict[str, str]:
+    return {name: expression.text for name, expression in expressions.items()}

@@ -1,0 +1,1 @@
+"""Numerics: kernels of integrators and of the sampled loop, and the codes with which they stop."""

@@ -1,0 +1,7 @@
+"""Array types that annotations name; shapes stand in the docstrings, with the letters of `docs/vocabulary.md`."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]

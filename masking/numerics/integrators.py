@@ -1,0 +1,373 @@
+"""Integrators of ordinary differential equations, made to measure for a compiled model.
+
+Each function here takes a model's compiled functions and returns a kernel, which numba compiles together with
+them into one piece of machine code. Functions of a model, with state `y` = coordinates then velocities:
+
+* `derivative(t, y, u, p, dy) -> health` writes the derivatives;
+* `coefficients(t, y, u, p, c) -> health` writes Taylor coefficients, `c[k, i]` of order k of state i;
+* `step(t, q, v, u, p) -> health` reads coordinates and velocities and writes the inputs u.
+
+`health` is the determinant of what had to be inverted: a run stops where it vanishes or changes sign.
+"""
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0911, PLR0912, PLR0915, PLR0917
+# The types are numba's to infer, and a kernel is one long function with several ways out.
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numba
+
+from masking.numerics.dop853 import E3, E5, STAGES, A, C, D
+from masking.numerics.stop_codes import NOT_FINITE, REACHED, SINGULAR, TOO_MANY_STEPS, TOO_SMALL_STEP
+
+Kernel = Callable[..., Any]
+
+# A matrix counts as singular where its determinant has fallen to this part of its first value.
+SINGULAR_PART = 1e-9
+# Where the determinant vanishes like the root of the time left, steps vanish before it has fallen that far.
+NEARLY_SINGULAR_PART = 1e-6
+SMALLEST_STEP = 1e-14
+MOST_STEPS = 100_000_000
+
+compiled = numba.njit(error_model="numpy", nogil=True)
+
+
+@compiled
+def is_singular(health, first):
+    """Tell whether a determinant has vanished or changed sign since the start."""
+    return not (health * first > SINGULAR_PART * first * first)
+
+
+@compiled
+def fault(health, first):
+    """Return why a kernel must stop at a determinant, or REACHED where it need not."""
+    if not math.isfinite(health):
+        return NOT_FINITE
+    return SINGULAR if is_singular(health, first) else REACHED
+
+
+@compiled
+def copy(source, target, size):
+    """Copy an array element by element; measured: an array assignment takes numba ten times as long to compile."""
+    for i in range(size):
+        target[i] = source[i]
+
+
+def taylor(coefficients: Kernel, order: int, size: int) -> Kernel:
+    """Make the integrator by Taylor series, with step size control and dense output.
+
+    The step is that of Jorba and Zou (2005), eq. (10): the smaller of the two lengths at which the last two terms
+    of the series equal the tolerance times the size of the state. It is shortened where an earlier term shows a
+    smaller radius of convergence: x'' = -x^7 from x = 0 has no terms between order 9 and order 17.
+
+    Args:
+        coefficients: writes Taylor coefficients.
+        order: their highest order.
+        size: number n of states.
+
+    Returns:
+        `solve(t, y, times, u, p, tolerance, fixed_step, states, work) -> (status, time reached, steps)`, where `t` is
+        the initial time; `y` the state (n,), which is the last state afterwards; `times` monotone (m,), the last of
+        which ends the integration; `u` the inputs, held constant; `tolerance` the local error of a step relative
+        to the largest state; `fixed_step` the length of every step, 0 to control it; `states` (m, n) gets the
+        states; `work` (order + 1, n) is work space.
+    """
+
+    @compiled
+    def evaluate(c, x, state):
+        for i in range(size):
+            state[i] = c[order, i]
+        for k in range(order - 1, -1, -1):
+            for i in range(size):
+                state[i] = state[i] * x + c[k, i]
+
+    @compiled
+    def step_length(c, tolerance, part):
+        total, largest, last, before = 0.0, SMALLEST_STEP, 0.0, 0.0
+        for i in range(size):
+            total += abs(c[order, i]) + abs(c[order - 1, i])
+            largest = max(largest, abs(c[0, i]))
+            last = max(last, abs(c[order, i]))
+            before = max(before, abs(c[order - 1, i]))
+        if not math.isfinite(total):
+            return math.nan
+        # In logarithms, which measured 8 % faster than two powers; exp(inf) stands where the series ends.
+        h = math.inf
+        if last > 0.0:
+            h = math.log(tolerance * largest / last) * (1.0 / order)
+        if before > 0.0:
+            h = min(h, math.log(tolerance * largest / before) * (1.0 / (order - 1)))
+        h = math.exp(h)
+        # With part = tolerance^(1/order), no term may be larger at the radius h / part than the state is. Order k
+        # of a coordinate and k - 1 of its velocity vanish together: every second order shows all gaps.
+        radius = h / part
+        for k in range(order // 2 + 2, order - 1, 2):
+            term = 0.0
+            for i in range(size):
+                term = max(term, abs(c[k, i]))
+            if term > 0.0 and term * radius**k > largest:
+                radius = (largest / term) ** (1.0 / k)
+        return part * radius
+
+    @compiled
+    def solve(t, y, times, u, p, tolerance, fixed_step, states, work):
+        m = times.size
+        if m == 0:
+            return REACHED, t, 0
+        c = work
+        end = times[m - 1]
+        direction = 1.0 if end >= t else -1.0
+        part = tolerance ** (1.0 / order)
+        j, steps, first = 0, 0, 0.0
+        while j < m and times[j] == t:
+            copy(y, states[j], size)
+            j += 1
+        while j < m:
+            health = coefficients(t, y, u, p, c)
+            first = health if steps == 0 else first
+            status = fault(health, first)
+            if status != REACHED:
+                return status, t, steps
+            h = step_length(c, tolerance, part)
+            if math.isnan(h):
+                return NOT_FINITE, t, steps
+            if fixed_step > 0.0:
+                h = fixed_step
+            remaining = abs(end - t)
+            is_last = h >= remaining * (1.0 - 1e-12)
+            if not is_last and h <= SMALLEST_STEP * max(abs(t), 1e-3 * remaining):
+                is_near = abs(health) <= NEARLY_SINGULAR_PART * abs(first)
+                return (SINGULAR if is_near else TOO_SMALL_STEP), t, steps
+            if steps >= MOST_STEPS:
+                return TOO_MANY_STEPS, t, steps
+            steps += 1
+            reached = end if is_last else t + direction * h
+            while j < m and (times[j] - reached) * direction <= 0.0:
+                evaluate(c, times[j] - t, states[j])
+                j += 1
+            evaluate(c, reached - t, y)
+            t = reached
+        return REACHED, t, steps
+
+    return solve
+
+
+def runge_kutta(derivative: Kernel, size: int) -> Kernel:
+    """Make the Runge-Kutta integrator of order 8(5, 3), with step size control and dense output of order 7.
+
+    For dynamics that have no Taylor series: friction, stops, backlash. The local error is measured relative to
+    each state plus a thousandth of the largest.
+
+    Source: Hairer, Norsett and Wanner (1993), Solving Ordinary Differential Equations I, section II.10, DOP853.
+
+    Args:
+        derivative: writes the derivatives.
+        size: number n of states.
+
+    Returns:
+        `solve`, with arguments and results as those of `taylor`, and `work` (24, n).
+    """
+
+    @compiled
+    def stage(row, y, h, k, state):
+        for i in range(size):
+            state[i] = 0.0
+        for q in range(row):
+            a = A[row, q]
+            if a != 0.0:
+                for i in range(size):
+                    state[i] += a * k[q, i]
+        for i in range(size):
+            state[i] = y[i] + h * state[i]
+
+    @compiled
+    def is_finite(state):
+        total = 0.0
+        for i in range(size):
+            total += abs(state[i])
+        return math.isfinite(total)
+
+    @compiled
+    def first_step(y, dy, length, tolerance):
+        largest, rate = SMALLEST_STEP, SMALLEST_STEP
+        for i in range(size):
+            largest = max(largest, abs(y[i]))
+            rate = max(rate, abs(dy[i]))
+        return min(length, 0.1 * largest / rate * tolerance**0.125 + 1e-6 * length)
+
+    @compiled
+    def local_error(y, new, k, h, tolerance):
+        largest = 0.0
+        for i in range(size):
+            largest = max(largest, abs(y[i]), abs(new[i]))
+        e3, e5 = 0.0, 0.0
+        for i in range(size):
+            scale = tolerance * (max(abs(y[i]), abs(new[i])) + 1e-3 * largest + SMALLEST_STEP)
+            a3, a5 = 0.0, 0.0
+            for q in range(STAGES + 1):
+                a3 += E3[q] * k[q, i]
+                a5 += E5[q] * k[q, i]
+            e3 += (a3 / scale) ** 2
+            e5 += (a5 / scale) ** 2
+        total = e5 + 0.01 * e3
+        return 0.0 if total == 0.0 else h * e5 / math.sqrt(total * size)
+
+    @compiled
+    def interpolant(t, y, new, u, p, h, k, f):
+        for s in range(STAGES + 1, 16):
+            stage(s, y, h, k, f[0])
+            derivative(t + C[s] * h, f[0], u, p, k[s])
+        for i in range(size):
+            change = new[i] - y[i]
+            f[0, i] = change
+            f[1, i] = h * k[0, i] - change
+            f[2, i] = 2.0 * change - h * (k[STAGES, i] + k[0, i])
+            for r in range(4):
+                value = 0.0
+                for q in range(16):
+                    value += D[r, q] * k[q, i]
+                f[3 + r, i] = h * value
+
+    @compiled
+    def interpolate(y, f, x, state):
+        for i in range(size):
+            value = f[6, i]
+            for r in range(5, -1, -1):
+                value = f[r, i] + (1.0 - x if r % 2 == 0 else x) * value
+            state[i] = y[i] + x * value
+
+    @compiled
+    def solve(t, y, times, u, p, tolerance, fixed_step, states, work):
+        m = times.size
+        if m == 0:
+            return REACHED, t, 0
+        k, new, f = work[:16], work[16], work[17:]
+        end = times[m - 1]
+        direction = 1.0 if end >= t else -1.0
+        j, steps, met = 0, 0, REACHED
+        while j < m and times[j] == t:
+            copy(y, states[j], size)
+            j += 1
+        first = derivative(t, y, u, p, k[0])
+        h = fixed_step if fixed_step > 0.0 else first_step(y, k[0], abs(end - t), tolerance)
+        while j < m:
+            remaining = abs(end - t)
+            is_last = h >= remaining * (1.0 - 1e-12)
+            length = direction * (remaining if is_last else h)
+            if not is_last and h <= SMALLEST_STEP * max(abs(t), 1e-3 * remaining):
+                return (SINGULAR if met == SINGULAR else TOO_SMALL_STEP), t, steps
+            if steps >= MOST_STEPS:
+                return TOO_MANY_STEPS, t, steps
+            met = fault(first, first)
+            for s in range(1, STAGES + 1):
+                stage(s, y, length, k, new)
+                health = derivative(t + C[s] * length, new, u, p, k[s])
+                if met != SINGULAR:
+                    met = fault(health, first)
+            steps += 1
+            if fixed_step <= 0.0:
+                error = local_error(y, new, k, abs(length), tolerance)
+                if not error <= 1.0:  # also where it is not a number
+                    if not math.isfinite(error) and abs(length) <= 1e-10 * (abs(t) + remaining):
+                        return (SINGULAR if met == SINGULAR else NOT_FINITE), t, steps
+                    h = abs(length) * (max(0.2, 0.9 / error**0.125) if math.isfinite(error) else 0.2)
+                    continue
+                h = abs(length) * (min(6.0, 0.9 / error**0.125) if error > 0.0 else 6.0)
+            elif not is_finite(new):
+                return NOT_FINITE, t, steps
+            met = fault(health, first)
+            if met != REACHED:
+                if fixed_step > 0.0 or abs(length) <= 1e-10 * (abs(t) + remaining):
+                    return met, t, steps
+                h = 0.5 * abs(length)  # come as close to it as time resolves
+                continue
+            reached = end if is_last else t + length
+            if (times[j] - reached) * direction <= 0.0:
+                interpolant(t, y, new, u, p, length, k, f)
+                while j < m and (times[j] - reached) * direction <= 0.0:
+                    interpolate(y, f, (times[j] - t) / length, states[j])
+                    j += 1
+            t = reached
+            for i in range(size):
+                y[i] = new[i]
+                k[0, i] = k[STAGES, i]
+        return REACHED, t, steps
+
+    return solve
+
+
+def runge_kutta_4(derivative: Kernel, size: int) -> Kernel:
+    """Make one step of the classical Runge-Kutta method.
+
+    Source: Hairer, Norsett and Wanner (1993), Table II.1.2.
+
+    Returns:
+        `advance(t, y, u, p, h, k, state)`, which moves y over h; `k` (4, n) and `state` (n,) are work space.
+    """
+
+    @compiled
+    def advance(t, y, u, p, h, k, state):
+        derivative(t, y, u, p, k[0])
+        for i in range(size):
+            state[i] = y[i] + 0.5 * h * k[0, i]
+        derivative(t + 0.5 * h, state, u, p, k[1])
+        for i in range(size):
+            state[i] = y[i] + 0.5 * h * k[1, i]
+        derivative(t + 0.5 * h, state, u, p, k[2])
+        for i in range(size):
+            state[i] = y[i] + h * k[2, i]
+        derivative(t + h, state, u, p, k[3])
+        for i in range(size):
+            y[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
+
+    return advance
+
+
+def sampled(step: Kernel, derivative: Kernel, size: int, coordinates: int) -> Kernel:
+    """Make the loop of a controller at a fixed rate, its outputs held between samples, and a plant.
+
+    At sample k, at time k dt, the controller reads the state and writes u; the plant then moves for dt under that
+    u, in Runge-Kutta steps of order 4. Samples 0, every, 2 every ... are recorded.
+
+    Args:
+        step: the controller; returns the determinant of what it had to invert.
+        derivative: the plant.
+        size: number n of the plant's states.
+        coordinates: how many of them are coordinates.
+
+    Returns:
+        `run(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work) -> (status, samples done, first)`,
+        where `begin` is the index of the first sample; `count` the number of samples; `dt` the time between them;
+        `substeps` the integration steps between them; `y` the state (n,), which is the last state afterwards; `u`
+        (k,) work space; `first` the determinant at the start of the run, 0 where this is the start; `out_y` and
+        `out_u` get the recorded states and inputs; `work` (5, n) is work space.
+    """
+    advance = runge_kutta_4(derivative, size)
+
+    @compiled
+    def run(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work):
+        k, state = work[:4], work[4]
+        h = dt / substeps
+        row = 0
+        for index in range(begin, begin + count):
+            t = index * dt
+            health = step(t, y[:coordinates], y[coordinates:], u, p)
+            first = health if first == 0.0 else first
+            status = fault(health, first)
+            if status != REACHED:
+                return status, index - begin, first
+            for i in range(u.size):
+                if not math.isfinite(u[i]):
+                    return NOT_FINITE, index - begin, first
+            if index % every == 0:
+                copy(y, out_y[row], size)
+                copy(u, out_u[row], u.size)
+                row += 1
+            for i in range(substeps):
+                advance(t + i * h, y, u, p, h, k, state)
+        return REACHED, count, first
+
+    return run

@@ -1,0 +1,374 @@
+"""Kernels of a controller that runs at a fixed rate: it observes, predicts, holds its output, and stays in its limits.
+
+Each function here takes compiled functions of a rig and a control law and returns a kernel, which numba compiles
+together with them. Their arguments, with y = [q, v, s] the rig's state (coordinates, velocities, internal states):
+
+* `law(t, since, y, d, p, u, r, g) -> health` writes the inputs u, the accelerations r (n,) that they give, and the part
+  g (n,) of r that is due to the inputs; `since` is the time since the release at which the inputs begin to act, and d
+  (n,) the accelerations that the model lacks;
+* `rate(t, y, u, p, dy)` writes dy/dt of the model that the controller believes in;
+* `measure(t, y, p, s)` writes what the sensors would read;
+* `allocate(u, p, out)` writes the actuators' commands that give inputs u, and `wire(out, p, u)` the reverse.
+"""
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0917
+# The types are numba's to infer.
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from masking.numerics.integrators import compiled, copy, fault
+from masking.numerics.stop_codes import NOT_FINITE, REACHED
+
+Kernel = Callable[..., Any]
+
+# Columns of the table of limits, one row for each actuator.
+LARGEST, HEATING, POWER, TIME = range(4)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of a sampled controller.
+
+    Args:
+        coordinates: n.
+        states: length of [q, v, s].
+        inputs: of the rig's model.
+        actuators: channels that are commanded.
+        order: derivatives of a disturbance that are estimated: 0 for none, 1 for a constant one, 2 for a straight line.
+    """
+
+    coordinates: int
+    states: int
+    inputs: int
+    actuators: int
+    order: int
+
+    @property
+    def estimate(self) -> int:
+        """Return the length of the estimate z = [q, v, s, d, d', ...]."""
+        return self.states + self.order * self.coordinates
+
+    @property
+    def power(self) -> slice:
+        """Return where the mean powers of the actuators are in the memory.
+
+        The memory holds the estimate at the last sample, these, the estimate for the next sample, and the inputs under
+        way, oldest first: as many as there are samples of delay, which its length tells.
+        """
+        return slice(self.estimate, self.estimate + self.actuators)
+
+    @property
+    def fixed(self) -> int:
+        """Return the length of the memory without inputs under way."""
+        return 2 * self.estimate + self.actuators
+
+    @property
+    def work(self) -> tuple[int, int]:
+        """Return the shape of the work space, whose rows must also hold the readings and the rig's states."""
+        return 22, max(self.estimate, self.inputs, self.actuators)
+
+
+def predict(rate: Kernel, sizes: Sizes) -> Kernel:
+    """Make the step of the believed model, with the disturbance that was estimated.
+
+    Returns:
+        `predict(t, z, u, p, h, k, y)`, which moves the estimate z over h under held inputs by the classical
+        Runge-Kutta method; the disturbance is taken where it will be in the middle of the step. `k` (4, .) and `y`
+        are work space.
+    """
+    n, size, order = sizes.coordinates, sizes.states, sizes.order
+
+    @compiled
+    def slope(t, y, u, z, p, h, dy):
+        rate(t, y, u, p, dy)
+        if order > 0:
+            for i in range(n):
+                dy[n + i] += z[size + i]
+        if order > 1:
+            for i in range(n):
+                dy[n + i] += 0.5 * h * z[size + n + i]
+
+    @compiled
+    def step(t, z, u, p, h, k, y):
+        slope(t, z, u, z, p, h, k[0])
+        for i in range(size):
+            y[i] = z[i] + 0.5 * h * k[0, i]
+        slope(t + 0.5 * h, y, u, z, p, h, k[1])
+        for i in range(size):
+            y[i] = z[i] + 0.5 * h * k[1, i]
+        slope(t + 0.5 * h, y, u, z, p, h, k[2])
+        for i in range(size):
+            y[i] = z[i] + h * k[2, i]
+        slope(t + h, y, u, z, p, h, k[3])
+        for i in range(size):
+            z[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
+        if order > 1:
+            for i in range(n):
+                z[size + i] += h * z[size + n + i]
+
+    return step
+
+
+def hold(law: Kernel, sizes: Sizes) -> Kernel:
+    """Make the control law for an output that is held over a sample.
+
+    An output that is held from t to t + h should act as one that follows the law g(t) continuously does. To fourth
+    order in h it does, at the instants of the samples, if its value is
+
+        g(t + h/2) - h^2/24 g''(t + h/2) = 4/3 g(t + h/2) - (g(t) + g(t + h)) / 6,
+
+    with g taken along the motion that is wanted. This motion passes the samples with velocities that differ from those
+    of the rig by h^2/12 g', since the rig's own velocity runs ahead of and behind it within each sample.
+
+    Returns:
+        `hold(t, since, z, p, h, u, work) -> health`, which writes the inputs u for an estimate z at time t.
+    """
+    n, size, m, order = sizes.coordinates, sizes.states, sizes.inputs, sizes.order
+
+    @compiled
+    def disturbance(z, ahead, d):
+        for i in range(n):
+            d[i] = z[size + i] if order > 0 else 0.0
+        if order > 1:
+            for i in range(n):
+                d[i] += ahead * z[size + n + i]
+
+    @compiled
+    def held(t, since, z, p, h, u, work):
+        y, d, u0, u1, u2 = work[0], work[1][:n], work[2][:m], work[3][:m], work[4][:m]
+        r0, r1, r2, g0, g2, v = work[5][:n], work[6][:n], work[7][:n], work[8][:n], work[9][:n], work[10][:n]
+        copy(z, y, size)
+        disturbance(z, 0.0, d)
+        health = law(t, since, y, d, p, u0, r0, g0)
+        for i in range(n):
+            y[i] = z[i] + h * (z[n + i] + 0.5 * h * r0[i])
+            y[n + i] = z[n + i] + h * r0[i]
+        disturbance(z, h, d)
+        law(t + h, since, y, d, p, u2, r2, g2)
+        for i in range(n):
+            v[i] = z[n + i] + h / 12.0 * (g2[i] - g0[i])
+            y[i] = z[i]
+            y[n + i] = v[i]
+        disturbance(z, 0.0, d)
+        law(t, since, y, d, p, u0, r0, g0)
+        for i in range(n):
+            y[i] = z[i] + 0.5 * h * v[i] + h * h / 48.0 * (5.0 * r0[i] + r2[i])
+            y[n + i] = v[i] + h / 8.0 * (3.0 * r0[i] + r2[i])
+        disturbance(z, 0.5 * h, d)
+        law(t + 0.5 * h, since, y, d, p, u1, r1, g0)
+        for i in range(n):
+            y[i] = z[i] + h * v[i] + h * h / 6.0 * (2.0 * r0[i] + r2[i])
+            y[n + i] = v[i] + 0.5 * h * (r0[i] + r2[i])
+        disturbance(z, h, d)
+        law(t + h, since, y, d, p, u2, r2, g2)
+        for i in range(m):
+            u[i] = 4.0 / 3.0 * u1[i] - (u0[i] + u2[i]) / 6.0
+        return health
+
+    return held
+
+
+def limiter(sizes: Sizes) -> Kernel:
+    """Make the last step before the actuators: largest command, then largest mean power.
+
+    The mean power P of an actuator whose power is `heating` times its squared command c follows
+    P' = (heating c^2 - P) / time, solved exactly over a sample in which c is held; a command is made so small that P
+    stays within its limit at the next sample.
+
+    Returns:
+        `limit(demanded, table, power, h, applied)`, with `table` (actuators, 4) and the mean powers `power`, which
+        are brought to the next sample.
+    """
+    count, warm = sizes.actuators, heat(sizes)
+
+    @compiled
+    def limit(demanded, table, power, h, applied):
+        for i in range(count):
+            most = table[i, LARGEST]
+            heating, part = table[i, HEATING], -math.expm1(-h / table[i, TIME])
+            if heating > 0.0:
+                free = max(0.0, (table[i, POWER] - (1.0 - part) * power[i]) / (part * heating))
+                most = min(most, math.sqrt(free))
+            applied[i] = min(max(demanded[i], -most), most)
+        warm(applied, table, h, power)
+
+    return limit
+
+
+def heat(sizes: Sizes) -> Kernel:
+    """Make the step of the mean powers: `heat(command, table, h, power)`, for a command (actuators,) held over h."""
+    count = sizes.actuators
+
+    @compiled
+    def warm(command, table, h, power):
+        for i in range(count):
+            part = -math.expm1(-h / table[i, TIME])
+            power[i] += part * (table[i, HEATING] * command[i] * command[i] - power[i])
+
+    return warm
+
+
+@compiled
+def advance_queue(queue, u, m):
+    """Take the oldest inputs (m,) from those under way, and add the newest."""
+    last = queue.size - m
+    for j in range(last):
+        queue[j] = queue[j + m]
+    if last >= 0:
+        copy(u, queue[last:], m)
+
+
+def control_with_model(
+    law: Kernel, rate: Kernel, measure: Kernel, allocate: Kernel, wire: Kernel, sizes: Sizes
+) -> Kernel:
+    """Make the step of a controller that follows the rig with a model: observe, predict, T, D, L, G, hold, limit.
+
+    What was applied, not what was demanded, moves the model: in saturation nothing winds up.
+
+    Returns:
+        `control(t, h, s, x, p, gain, table, demanded, applied, work) -> health` for the readings `s` at time t; x is
+        the memory, as `Sizes.power` says, and `gain` (estimate, sensors) the observer's.
+    """
+    m, length, next_one, fixed = sizes.inputs, sizes.estimate, sizes.estimate + sizes.actuators, sizes.fixed
+    step, held, limit = predict(rate, sizes), hold(law, sizes), limiter(sizes)
+
+    @compiled
+    def control(t, h, s, x, p, gain, table, demanded, applied, work):
+        now, power, z, queue = x[:length], x[length:next_one], x[next_one:fixed], x[fixed:]
+        delay = queue.size // m
+        ahead, u, k, y, expected = work[11], work[12][:m], work[13:17], work[17], work[18]
+        measure(t, z, p, expected)
+        for i in range(length):
+            for j in range(s.size):
+                z[i] += gain[i, j] * (s[j] - expected[j])
+        copy(z, now, length)
+        copy(z, ahead, length)
+        for j in range(delay):
+            step(t + j * h, ahead, queue[j * m : (j + 1) * m], p, h, k, y)
+            if j == 0:
+                copy(ahead, z, length)
+        acts = t + delay * h
+        health = held(acts, acts, ahead, p, h, u, work)
+        allocate(u, p, demanded)
+        limit(demanded, table, power, h, applied)
+        wire(applied, p, u)
+        if delay == 0:
+            step(t, z, u, p, h, k, y)
+        advance_queue(queue, u, m)
+        return health
+
+    return control
+
+
+def skip_with_differences(sizes: Sizes) -> Kernel:
+    """Make the step of a sample that was missed: the rig is taken to move on at its last velocity.
+
+    Returns:
+        `skip(t, h, x, p, table, command, work)` for a missed sample at time t; `command` (actuators,) is the last.
+    """
+    n, length, fixed = sizes.coordinates, sizes.estimate, sizes.fixed
+    next_one, warm = length + sizes.actuators, heat(sizes)
+
+    @compiled
+    def skip(t, h, x, p, table, command, work):
+        now, power, z = x[:length], x[length:next_one], x[next_one:fixed]
+        for i in range(n):
+            z[i] += h * z[n + i]
+        copy(z, now, length)
+        warm(command, table, h, power)
+
+    return skip
+
+
+def control_with_differences(law: Kernel, allocate: Kernel, sizes: Sizes) -> Kernel:
+    """Make the step of a controller that differences the positions and applies the law at once.
+
+    Source: Rijlaarsdam (2008), chapter 6; its velocities are late by half a sample, its output by half a sample more.
+
+    Returns:
+        `control` with the arguments of `control_with_model`; here `gain` (n, sensors) gives the coordinates of
+        readings, and the memory holds the last coordinates where `control_with_model` has its estimate.
+    """
+    n, m, length, fixed = sizes.coordinates, sizes.inputs, sizes.estimate, sizes.fixed
+    next_one = length + sizes.actuators
+    limit = limiter(sizes)
+
+    @compiled
+    def control(t, h, s, x, p, gain, table, demanded, applied, work):
+        now, power, z = x[:length], x[length:next_one], x[next_one:fixed]
+        d, u, r, g = work[1][:n], work[2][:m], work[5][:n], work[8][:n]
+        for i in range(n):
+            position = 0.0
+            for j in range(s.size):
+                position += gain[i, j] * s[j]
+            z[n + i] = (position - z[i]) / h
+            z[i] = position
+            d[i] = 0.0
+        copy(z, now, length)
+        acts = t + (x.size - fixed) // m * h
+        health = law(t, acts, z, d, p, u, r, g)
+        allocate(u, p, demanded)
+        limit(demanded, table, power, h, applied)
+        return health
+
+    return control
+
+
+def run(sense: Kernel, control: Kernel, advance: Kernel, size: int) -> Kernel:
+    """Make the loop of a sampled controller and a simulated rig.
+
+    At sample k, at time k h, the sensors are read, the controller answers, and its command joins those under way; the
+    rig then moves for h under the oldest of them.
+
+    Args:
+        sense: `sense(t, y, p, noise, s)` writes the readings s of a state y for unit normal samples `noise`.
+        control: the controller.
+        advance: `advance(t, y, u, p, h, k, state)` moves the rig.
+        size: number of the rig's states.
+
+    Returns:
+        `run(begin, count, h, substeps, every, y, x, p, c, gain, table, queue, noise, first, states, estimates,
+        sensed, demanded, applied, work) -> (status, samples done, first)`, where `p` are the parameters of the
+        rig and `c` those of the controller; `queue` (delay + 1, actuators) holds the commands under way; `noise`
+        (count, sensors); row k // every of the tables gets what happened at sample k, from sample 0 on; `first` as
+        for `integrators.sampled`.
+    """
+
+    @compiled
+    def loop(
+        begin, count, h, substeps, every, y, x, p, c, gain, table, queue, noise, first, states, estimates, sensed,
+        demanded, applied, work,
+    ):  # fmt: skip
+        sensors, channels, under_way = noise.shape[1], queue.shape[1], queue.shape[0] - 1
+        s, wanted, given = work[19][:sensors], work[20][:channels], work[21][:channels]
+        row = 0
+        for index in range(begin, begin + count):
+            t = index * h
+            sense(t, y, p, noise[index - begin], s)
+            health = control(t, h, s, x, c, gain, table, wanted, given, work)
+            first = health if first == 0.0 else first
+            status = fault(health, first)
+            if status != REACHED:
+                return status, index - begin, first
+            for i in range(channels):
+                if not math.isfinite(given[i]):
+                    return NOT_FINITE, index - begin, first
+            if index >= 0 and index % every == 0:
+                copy(y, states[row], size)
+                copy(x, estimates[row], estimates.shape[1])
+                copy(s, sensed[row], sensors)
+                copy(wanted, demanded[row], channels)
+                copy(given, applied[row], channels)
+                row += 1
+            copy(given, queue[under_way], channels)
+            for i in range(substeps):
+                advance(t + i * (h / substeps), y, queue[0], p, h / substeps, work[13:17], work[17])
+            for j in range(under_way):
+                copy(queue[j + 1], queue[j], channels)
+        return REACHED, count, first
+
+    return loop

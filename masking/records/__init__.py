@@ -1,0 +1,1 @@
+"""Records: recordings and measured tables on disk, their clocks and their noise."""

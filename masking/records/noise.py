@@ -1,0 +1,50 @@
+"""Noise: how much white noise there is in readings of something that moves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from masking.numerics.arrays import Array
+
+# Readings fewer than these are too few for bands.
+FEWEST = 256
+# Bands that a spectrum is cut into, and lines in each, at least as far as there are lines.
+FEWEST_BANDS, MOST_BANDS, LINES = 4, 32, 64
+# A band is louder than others where it is so many deviations above their mean.
+LOUDER = 4.0
+# Variance of the mean over lines of a spectrum by the window sin^4, in parts of that of independent lines.
+ALIKE = 2.63
+# Records are cut to a multiple of this, which has a fast transform.
+MULTIPLE = 128
+
+
+def white_noise(readings: Array) -> Array:
+    """Return the standard deviation of white noise in each column (columns,).
+
+    White noise is as strong at all frequencies, and motion is not. The spectrum is cut into bands, and the noise is the
+    mean of those that differ by chance only, the quietest first: all of them where there is nothing but noise. So
+    neither ten samples in a period nor a line near half the rate count as noise. Of noise with a colour, it is what
+    the quietest bands hold. Fewer than 256 readings have their noise found from third differences.
+
+    Args:
+        readings: in equal steps of time (samples, columns).
+
+    Source: Stoica and Moses, Spectral Analysis of Signals (2005), section 2.7, for smoothed periodograms; von Neumann
+    et al., Annals of Mathematical Statistics 12 (1941), 153-162, for differences.
+    """
+    if len(readings) < FEWEST:
+        thirds = np.diff(readings, n=3, axis=0)
+        return np.asarray(np.sqrt((thirds**2).mean(axis=0) / 20.0)) if len(thirds) else np.zeros(readings.shape[1])
+    count = len(readings) - len(readings) % MULTIPLE
+    window = np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 4  # side lobes fall by 30 dB in an octave
+    window /= np.sqrt((window**2).mean())
+    part = readings[:count]
+    power = np.abs(np.fft.rfft((window[:, None] * (part - part.mean(axis=0))).T)[:, 1:]) ** 2 / count
+    lines = power.shape[1]
+    bands = min(max(lines // LINES, FEWEST_BANDS), MOST_BANDS)
+    starts = np.arange(bands) * lines // bands
+    levels = np.sort(np.add.reduceat(power, starts, axis=1) / np.diff(np.append(starts, lines)), axis=1)
+    means = np.cumsum(levels, axis=1) / np.arange(1, bands + 1)
+    louder = levels[:, 1:] > means[:, :-1] * (1.0 + LOUDER * np.sqrt(ALIKE * bands / lines))
+    quiet = np.where(louder.any(axis=1), louder.argmax(axis=1), bands - 1)
+    return np.asarray(np.sqrt(means[np.arange(len(means)), quiet]))

@@ -1,0 +1,276 @@
+"""Formats: records that other programs wrote, as recordings: parquet, csv, mat and HDF5 beside our own folders.
+
+A table needs numbers in columns and a clock in seconds under the name `t`; columns may be renamed, and a clock that is
+missing is made of the time between samples. A part of a long record is a record, too: `record.csv@10:20`.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.errors import RecordError, nearest
+from masking.records.recording import MANIFEST, TABLE, Recording
+from masking.records.time_slice import Part
+
+if TYPE_CHECKING:
+    from scipy import io as scipy_io
+
+    from masking.records import hdf5, parquet
+else:
+    hdf5 = lazy.load("masking.records.hdf5", suppress_warning=True)
+    parquet = lazy.load("masking.records.parquet", suppress_warning=True)
+    scipy_io = lazy.load("scipy.io", suppress_warning=True)
+
+Column = NDArray[np.float64]
+CLOCK = "t"
+PREFIXES = ("input", "sensor")
+_TEXT = {".csv", ".txt", ".tsv", ".dat"}
+_HDF5 = {".h5", ".hdf5"}
+_KNOWN = "a folder of a recording, or a .parquet, .csv, .mat or .h5 file"
+
+
+def read(
+    path: str | Path,
+    names: Mapping[str, str] | None = None,
+    dt: float | None = None,
+    needed: Collection[str] = (),
+) -> Recording:
+    """Read a record, or a part of one.
+
+    Args:
+        path: a folder of a recording, or a .parquet, .csv, .txt, .tsv, .dat, .mat, .h5 or .hdf5 file; behind it,
+            `@10:20` takes what lies from 10 s to 20 s of its clock, `@10:` the rest of it; times stay as they are.
+        names: the columns of the file by the names that they get, such as `{"t": "time", "u1": "V1"}`; vectors in
+            groups of an HDF5 file have their path, such as `{"u1": "multisine/V1"}`.
+        dt: time between samples in s, for a table without a clock.
+        needed: channels that must be finite, such as `u1`, which is read from `input.u1` or `u1`; other columns that
+            are not finite, or of another length than these, are left out.
+
+    Raises:
+        RecordError: there is no such file or column, it holds no table of numbers, it has no clock, columns that are
+            needed differ in length, or the part is none of the record.
+    """
+    part = Part.of(path)
+    file = part.file
+    if file.is_dir():
+        file /= TABLE
+    if not file.exists():
+        raise RecordError(f"{file}: no such record; give {_KNOWN}")
+    if dt is not None and not (np.isfinite(dt) and dt > 0.0):
+        raise RecordError(f"{file}: the time between samples is {dt:g} s; give a positive number of seconds")
+    columns, text = _columns(file)
+    names = names or {}
+    columns = _renamed(file, columns, names)
+    if dt is not None:
+        columns.pop(CLOCK, None)
+    wanted = {CLOCK, *needed, *names, *(f"{prefix}.{name}" for prefix in PREFIXES for name in needed)}
+    columns = _of_one_length(file, columns, wanted, names)
+    if dt is not None:
+        length = max((len(c) for c in columns.values()), default=0)
+        columns[CLOCK] = np.arange(length, dtype=np.float64) * np.float64(dt)
+    if CLOCK not in columns:
+        raise RecordError(
+            f"{file}: there is no column t; name the clock, such as --map t={_clock(columns)}, or give the time "
+            "between samples, such as --dt 0.001"
+        )
+    chosen = part.samples(columns[CLOCK])
+    if file.suffix.lower() in _TEXT:
+        _check_cells(part, {names.get(n, n): c for n, c in columns.items() if n in wanted}, chosen, columns[CLOCK])
+    columns = columns if chosen.all() else {n: c[chosen] for n, c in columns.items()}
+    columns = {n: c for n, c in columns.items() if n in wanted or np.isfinite(c).all()}
+    try:
+        return Recording(columns, {"name": file.stem}) if text is None else _own(file, columns)
+    except RecordError as error:
+        raise RecordError(f"{part.name}: {error}") from error
+
+
+def digest(path: str | Path) -> str:
+    """Return the SHA-256 of a record's file, in hexadecimal digits; of the whole file where the record is a part."""
+    file = Part.of(path).file
+    return hashlib.sha256((file / TABLE if file.is_dir() else file).read_bytes()).hexdigest()
+
+
+def mapping(text: str) -> dict[str, str]:
+    """Read `t=time,u1=V1` as the columns of a file by the names that they get.
+
+    Raises:
+        RecordError: a part has no equals sign, or a name is given twice.
+    """
+    found: dict[str, str] = {}
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        name, equals, column = (word.strip() for word in part.partition("="))
+        if not (name and equals and column):
+            raise RecordError(f"'{part}' does not rename a column; write it as in --map t=time,u1=V1,y1=V2")
+        if name in found:
+            raise RecordError(f"--map gives the name {name} twice, to {found[name]} and {column}")
+        found[name] = column
+    return found
+
+
+def _columns(file: Path) -> tuple[dict[str, Column], bytes | None]:
+    """Return the columns of a file, and the manifest of one of our own."""
+    kind = file.suffix.lower()
+    if kind == ".parquet":
+        return parquet.read(file)
+    if kind in _TEXT:
+        return _text(file), None
+    if kind == ".mat":
+        return _mat(file), None
+    if kind in _HDF5:
+        return hdf5.read(file), None
+    raise RecordError(f"{file}: '{kind}' files are not read; give {_KNOWN}")
+
+
+def _own(file: Path, columns: dict[str, Column]) -> Recording:
+    """Return one of our own recordings with columns that may have been renamed."""
+    kept = Recording.load(file.parent if (file.parent / MANIFEST).exists() and file.name == TABLE else file)
+    return Recording(columns, kept.manifest, kept.notes)
+
+
+def _text(file: Path) -> dict[str, Column]:
+    """Read a table whose first line names its columns, between commas, semicolons, tabs or blanks."""
+    names, separator, lines = _lines(file)
+    body = "\n".join(line for _, line in lines)
+    if separator == ";" and "," in body:  # decimal commas
+        body = body.replace(",", ".")
+    used = [i for i, name in enumerate(names) if name]
+    try:
+        table = np.genfromtxt(io.StringIO(body), delimiter=separator, usecols=used, ndmin=2)
+    except ValueError as error:
+        told = str(error).strip().splitlines()[-1].strip()
+        raise RecordError(
+            f"{file}: the lines do not hold one number for each of {len(names)} columns: {told}"
+        ) from None
+    repeated = sorted({names[i] for i in used if names.count(names[i]) > 1})
+    if repeated:
+        raise RecordError(f"{file}: column '{repeated[0]}' appears more than once")
+    return {names[i]: np.ascontiguousarray(table[:, j]) for j, i in enumerate(used)}
+
+
+def _lines(file: Path) -> tuple[list[str], str | None, list[tuple[int, str]]]:
+    """Return the names of columns, what is between them, None for blanks, and the lines below with their numbers."""
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordError(f"{file}: the table cannot be read ({error})") from error
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.lstrip().startswith(("%", "//"))
+    ]
+    if not lines:
+        raise RecordError(f"{file}: the table is empty")
+    head = lines[0][1].lstrip("# ")
+    separator = next((s for s in ("\t", ";", ",") if s in head), None)
+    names = [n.strip() for n in (next(csv.reader([head], delimiter=separator)) if separator else head.split())]
+    if all(_is_number(name) for name in names if name):
+        raise RecordError(f"{file}: the first line holds numbers; let it name the columns, such as t,u1,y1")
+    return names, separator, [(n, line) for n, line in lines[1:] if line.partition("#")[0].strip()]
+
+
+def _check_cells(part: Part, columns: Mapping[str, Column], chosen: NDArray[np.bool_], clock: Column) -> None:
+    """Refuse a text where a number must be, with its line in the file.
+
+    Args:
+        part: the record.
+        columns: that must be finite, by their names in the file.
+        chosen: whether a sample is in the part (samples,).
+        clock: in s (samples,).
+
+    Raises:
+        RecordError: a sample of the part is not finite.
+    """
+    wrong = {name: np.flatnonzero(chosen & ~np.isfinite(values)) for name, values in columns.items()}
+    first = min(((int(rows[0]), name) for name, rows in wrong.items() if len(rows)), default=None)
+    if first is None:
+        return
+    row, name = first[0], next(n for n, rows in wrong.items() if len(rows) and rows[0] == first[0])
+    names, separator, lines = _lines(part.file)
+    number, line = lines[row]
+    cell = line.partition("#")[0].split(separator)[names.index(name)].strip()
+    count = len(np.unique(np.concatenate([*wrong.values()])))
+    at = f" (t = {clock[row]:.9g} s)" if np.isfinite(clock[row]) else ""
+    rest = f", and {count - 1} more line{'s' * (count > 2)} so" if count > 1 else ""
+    mend = (
+        "take the line out, such as one of units, or put numbers there"
+        if row == 0
+        else f"put numbers there, or use a part without, such as {part.file}@:{clock[row]:.9g}"
+        if at
+        else "take the line out, or put numbers there"
+    )
+    what = f"'{cell}'" if cell else "nothing"
+    raise RecordError(f"{part.name}: line {number} holds {what} in column '{name}'{at}, not a number{rest}; {mend}")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _mat(file: Path) -> dict[str, Column]:
+    """Read the vectors of a MATLAB file; one of version 7.3, and some of other programs, are HDF5."""
+    try:
+        held = scipy_io.loadmat(file)
+    except NotImplementedError:
+        return hdf5.read(file)
+    except (OSError, ValueError) as error:
+        if hdf5.is_hdf5(file):
+            return hdf5.read(file)
+        raise RecordError(f"{file}: the MATLAB file cannot be read ({error})") from error
+    found = {}
+    for name, value in held.items():
+        array = np.asarray(value)
+        if name.startswith("__") or array.dtype.kind not in "fiu" or array.size < 2 or array.size != max(array.shape):
+            continue
+        found[name] = np.ascontiguousarray(array.ravel(), dtype=np.float64)
+    if not found:
+        raise RecordError(f"{file}: it holds no vectors of numbers")
+    return found
+
+
+def _renamed(file: Path, columns: Mapping[str, Column], names: Mapping[str, str]) -> dict[str, Column]:
+    for column in names.values():
+        if column not in columns:
+            raise RecordError(f"{file}: there is no column {column}; {nearest(column, list(columns))}")
+    taken = {*names.values(), *names}
+    rest = {name: column for name, column in columns.items() if name not in taken}
+    return {name: columns[column] for name, column in names.items()} | rest
+
+
+def _of_one_length(
+    file: Path, columns: Mapping[str, Column], wanted: Collection[str], names: Mapping[str, str]
+) -> dict[str, Column]:
+    """Leave out columns of another length than those that are wanted, such as settings, or other groups of a file.
+
+    Where none is wanted, the longest are kept.
+    """
+    lengths = {name: len(column) for name, column in columns.items() if name in wanted}
+    if len({*lengths.values()}) > 1:
+        told = ", ".join(
+            f"{name} ({names[name]}) has {count}" if name in names else f"{name} has {count}"
+            for name, count in lengths.items()
+        )
+        raise RecordError(f"{file}: columns of different lengths: {told} samples; give those of one run, with --map")
+    length = max(lengths.values() or map(len, columns.values()), default=0)
+    return {name: column for name, column in columns.items() if len(column) == length}
+
+
+def _clock(columns: Mapping[str, Column]) -> str:
+    """Return the column that is probably the clock."""
+    rising = [n for n, c in columns.items() if len(c) > 1 and bool((np.diff(c) > 0.0).all())]
+    return next((n for n in ("time", "Time", "t_s", *rising) if n in columns), "time")
+
+
+__all__ = ["CLOCK", "digest", "mapping", "read"]

@@ -1,0 +1,220 @@
+"""Recording: the series of one run and the manifest that says what they are; one folder on disk.
+
+    recording.parquet   the columns, zstd-compressed, with the manifest inside
+    manifest.json       the same manifest as text, for people and other programs
+
+Column names: `t` (time of the plant), `rig.<coord>` and `rig.<coord>'` (the plant's coordinates and velocities),
+`virtual.<coord>` and `virtual.<coord>'` (the same motion seen through the transform T), `ideal.<coord>` and
+`ideal.<coord>'` (the virtual system integrated by itself), `input.<name>`; further columns are kept as they are.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import lazy_loader as lazy
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.errors import RecordError, nearest
+
+if TYPE_CHECKING:
+    from masking.records import parquet
+else:
+    parquet = lazy.load("masking.records.parquet", suppress_warning=True)
+
+FORMAT: Final = "masking recording 1"
+TABLE: Final = "recording.parquet"
+MANIFEST: Final = "manifest.json"
+_MEND = f"give a folder that holds {TABLE}, such as results/duffing"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording:
+    """The series of one run and its manifest.
+
+    `columns` are 1-D, equally long, finite and kept as read-only float64; `t` is one of them and strictly increasing.
+    Anything else is a `RecordError` that names the column and the first bad row (rows count from 0).
+    `manifest` holds whatever JSON can hold; numpy scalars and arrays become numbers and lists when it is saved, and
+    numbers that JSON lacks become the texts "inf", "-inf" and "nan", which `float()` reads back.
+    `notes` are sentences about how it was read, which the report repeats; they are not saved.
+    """
+
+    columns: Mapping[str, NDArray[np.float64]]
+    manifest: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", {name: _column(name, values) for name, values in self.columns.items()})
+        _check(self.columns)
+
+    def __getitem__(self, column: str) -> NDArray[np.float64]:
+        """Give one column, shape (samples,)."""
+        try:
+            return self.columns[column]
+        except KeyError:
+            message = f"the recording has no column '{column}'; {nearest(column, self.columns)}"
+            raise RecordError(message) from None
+
+    def __len__(self) -> int:
+        return len(self.columns["t"])
+
+    def __repr__(self) -> str:
+        name = self.manifest.get("name", "without a name")
+        size = f"{len(self)} samples of {len(self.columns)} columns"
+        return f"<Recording {name}: {size}, t = {self.t[0]:g} to {self.t[-1]:g}>"
+
+    @property
+    def t(self) -> NDArray[np.float64]:
+        """Time of the plant, shape (samples,)."""
+        return self.columns["t"]
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the virtual system's coordinates, in the order of the columns."""
+        return self.names("virtual")
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the plant's inputs, in the order of the columns."""
+        return self.names("input")
+
+    def names(self, prefix: str) -> tuple[str, ...]:
+        """Names behind `prefix.` ("rig", "virtual", "ideal", "input"), derivatives left out."""
+        start = f"{prefix}."
+        return tuple(c.removeprefix(start) for c in self.columns if c.startswith(start) and not c.endswith("'"))
+
+    def array(self, prefix: str, derivative: int = 0) -> NDArray[np.float64]:
+        """Stack the columns of one prefix side by side.
+
+        prefix: "rig", "virtual", "ideal" or "input"; derivative: 0 for the coordinates, 1 for their velocities.
+        Returns shape (samples, channels), channels in the order of `names(prefix)`.
+        """
+        names = self.names(prefix)
+        if not names:
+            prefixes = dict.fromkeys(c.split(".")[0] for c in self.columns if "." in c)
+            raise RecordError(f"the recording has no columns '{prefix}.*'; {nearest(prefix, prefixes)}")
+        primes = "'" * derivative
+        return np.column_stack([self[f"{prefix}.{name}{primes}"] for name in names])
+
+    def save(self, folder: str | Path) -> Path:
+        """Write both files into `folder`, made if need be, and return it; after an error the folder is as it was."""
+        folder = Path(folder)
+        text = _manifest_text({"format": FORMAT, **self.manifest})
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with parquet.replacing(folder / MANIFEST) as manifest, parquet.replacing(folder / TABLE) as table:
+                manifest.write(text.encode())
+                parquet.write(table, self.columns, text.encode())
+        except OSError as error:
+            raise RecordError(f"{folder}: the recording cannot be written: {error.strerror or error}") from error
+        return folder
+
+    @classmethod
+    def load(cls, path: str | Path) -> Recording:
+        """Read a recording from its folder or its parquet file.
+
+        The manifest inside the table is what counts; a `manifest.json` beside it that is lacking, broken or different
+        is told in `notes`.
+        """
+        path = Path(path)
+        if path.is_dir():
+            path /= TABLE
+        if not path.is_file():
+            mend = "" if path.parent.is_dir() else f"; the folder {path.parent} does not exist"
+            raise RecordError(f"{path}: no such recording{mend}; {_MEND}")
+        columns, text = parquet.read(path)
+        if text is None:
+            raise RecordError(f"{path}: not a recording: the table carries no manifest")
+        try:
+            manifest = json.loads(text)
+        except ValueError as error:
+            raise RecordError(f"{path}: the manifest inside the table is not JSON ({error})") from error
+        if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+            found = manifest.get("format") if isinstance(manifest, dict) else None
+            message = f"{path}: its format is '{found}'; this program reads '{FORMAT}'"
+            raise RecordError(message)
+        try:
+            return cls(columns, manifest, _notes(path, manifest))
+        except RecordError as error:
+            raise RecordError(f"{path}: {error}") from error
+
+
+def _notes(table: Path, manifest: Mapping[str, Any]) -> tuple[str, ...]:
+    """Tell how the manifest beside a table differs from the one inside it; nothing for a table that lies alone."""
+    if table.name != TABLE:
+        return ()
+    try:
+        if json.loads(table.with_name(MANIFEST).read_bytes()) == manifest:
+            return ()
+        what = "says something else"
+    except FileNotFoundError:
+        what = "is missing"
+    except (OSError, ValueError, RecursionError):
+        what = "cannot be read"
+    return (f"{MANIFEST} {what}: the copy inside {TABLE} was used.",)
+
+
+def _column(name: str, values: Any) -> NDArray[np.float64]:  # noqa: ANN401  # whatever numpy can make an array of
+    if not isinstance(name, str) or not name:
+        raise RecordError(f"a column's name must be a text, not {name!r}")
+    try:
+        column = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordError(f"column '{name}' does not hold real numbers ({error})") from error
+    if np.ndim(values) != 1:
+        raise RecordError(f"column '{name}' has shape {np.shape(values)}; a column is 1-D")
+    column = column.view()
+    column.flags.writeable = False
+    return column
+
+
+def _check(columns: Mapping[str, NDArray[np.float64]]) -> None:
+    if "t" not in columns:
+        raise RecordError(f"the recording has no column 't'; {nearest('t', columns)}")
+    t = columns["t"]
+    if not len(t):
+        raise RecordError("the recording has no samples")
+    for name, column in columns.items():
+        if len(column) != len(t):
+            raise RecordError(f"column '{name}' has {len(column)} samples, 't' has {len(t)}")
+        finite = np.isfinite(column)
+        if not finite.all():
+            row = int(np.argmin(finite))
+            at = f" (t = {t[row]:.9g})" if name != "t" else ""
+            count = len(column) - int(np.count_nonzero(finite))
+            rest = f"; {count} such rows in all" if count > 1 else ""
+            raise RecordError(f"column '{name}' is {column[row]} in row {row}{at}{rest}")
+    rising = np.diff(t) > 0
+    if not rising.all():
+        row = int(np.argmin(rising)) + 1
+        message = f"column 't' must increase strictly: row {row} is {t[row]:.9g} after {t[row - 1]:.9g}"
+        raise RecordError(message)
+
+
+def _manifest_text(manifest: Mapping[str, Any]) -> str:
+    return json.dumps(_plain(manifest, ()), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _plain(value: Any, path: Iterable[str]) -> Any:  # noqa: ANN401  # a tree of JSON values
+    """Turn numpy values, tuples and the numbers that JSON lacks into what JSON can hold."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    match value:
+        case None | bool() | int() | str():
+            return value
+        case float():
+            return value if math.isfinite(value) else str(value)
+        case Mapping():
+            return {str(key): _plain(item, (*path, str(key))) for key, item in value.items()}
+        case list() | tuple():
+            return [_plain(item, (*path, str(index))) for index, item in enumerate(value)]
+        case Path():
+            return str(value)
+    kind = type(value).__name__
+    raise RecordError(f"the manifest's '{'.'.join(path)}' is a {kind}, which JSON cannot hold")

@@ -1,0 +1,1 @@
+"""Reports: facts, sentences, tables, figures, pages and files of each result."""

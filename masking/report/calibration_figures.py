@@ -1,0 +1,309 @@
+"""Figures of a calibration: the unseen record, what each model leaves of it, springs, and what was excited."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from numpy.typing import NDArray
+
+from masking.procedures.calibration_findings import Calibration, Curve, Excited
+from masking.procedures.calibration_records import HIGHEST
+from masking.procedures.measurement import percent
+from masking.report.style import (
+    BARE,
+    COLOURS,
+    GRID,
+    INK,
+    LIMIT,
+    MUTED,
+    NOTE,
+    RIGHT,
+    SIZE,
+    WIDTH,
+    Plate,
+    Series,
+    panels,
+    sheet,
+    symbol,
+    thin,
+    with_unit,
+)
+
+_MOST_ROWS = len(COLOURS)
+_SHOWN = 10.0  # s of the unseen record in which single swings can be told apart
+_WINDOW = 0.5  # s over which a residual's rms is taken
+_BINS_PER_DECADE = 14  # of a spectrum
+_WORDS = 1.72  # inches at the right for the names of lines
+_LETTERS = 32  # of such a name
+_APART = 0.16  # inches between these names
+_FLOOR = 0.45  # times the noise: where an axis of residuals ends
+_NOISE: Final = "#c9ced6"
+_DASHED: Final = (0, (4, 3))
+_MILLI = 1e3
+
+
+def plates(found: Calibration) -> list[Plate]:
+    """Draw every figure of the report, in its order."""
+    return [_unseen(found), _residuals(found), _spectra(found), _springs(found), _excitation(found)]
+
+
+def _unseen(found: Calibration) -> Plate:
+    record, best = found.records.unseen, found.best
+    names = found.twin.sensors[:_MOST_ROWS]
+    t = np.arange(len(record)) / record.rate
+    end = len(record) / record.rate
+    part = t >= end - _SHOWN
+    model = record.readings - found.residuals[best.name]
+    figure, rows = sheet([1.25] * len(names))
+    for i, (name, axes) in enumerate(zip(names, rows, strict=True)):
+        axes.plot(*thin(t[part], record.readings[part, i]), color=COLOURS[i], lw=2.6, alpha=0.45)
+        axes.plot(*thin(t[part], model[part, i]), color=INK, lw=0.9, ls=_DASHED)
+        reach = 1.12 * float(np.abs(record.readings[part, i]).max())
+        axes.set(xlim=(max(0.0, end - _SHOWN), end), ylim=(-reach, reach), ylabel=_reading(found, name))
+        _note(axes, f"error {percent(best.fit.validation[name])}, noise alone {percent(found.unseen_floor[name])}")
+    rows[-1].set_xlabel("time (s)")
+    handles = [
+        Line2D([], [], color=MUTED, lw=2.6, alpha=0.6, label="measured"),
+        Line2D([], [], color=INK, lw=0.9, ls=_DASHED, label="simulated, fitted to another record"),
+    ]
+    _legend(figure, handles)
+    span = f"the last {_SHOWN:g} s of {end:g} s" if end > _SHOWN else "all of it"
+    caption = (
+        f"The record that was not fitted, {span}, and its simulation. "
+        f"{_meanings(found, names)} The error is (4.12) of the source document, over the whole record."
+    )
+    return Plate("unseen", "Measured and simulated", caption, figure)
+
+
+def _residuals(found: Calibration) -> Plate:
+    record, names = found.records.unseen, found.twin.sensors[:_MOST_ROWS]
+    count = max(1, round(_WINDOW * record.rate))
+    figure, rows = sheet([1.45] * len(names), top=BARE)
+    _narrow(rows)
+    for i, (name, axes) in enumerate(zip(names, rows, strict=True)):
+        noise = record.noise[i]
+        ends, highest = [], noise
+        for colour, (stage, left) in zip(COLOURS, found.residuals.items(), strict=False):
+            rms = _running_rms(left[:, i], count)
+            t = np.linspace(0.5 * count, 0.5 * count + len(rms) - 1.0, len(rms)) / record.rate
+            axes.plot(*thin(t, rms), color=colour, lw=1.4)
+            ends.append((float(np.sqrt((left[:, i] ** 2).mean())), stage, colour))
+            highest = max(highest, float(rms.max()))
+        _logarithmic(axes, _FLOOR * noise, 1.6 * highest)
+        axes.axhspan(_FLOOR * noise, noise, color=_NOISE, lw=0, zorder=0)
+        axes.set(xlim=(0.0, len(record) / record.rate), ylabel=f"rms left of {_reading(found, name)}")
+        _beside(axes, [*ends, (0.67 * noise, f"noise {_si(noise, _unit(found, name))}", MUTED)])
+    rows[-1].set_xlabel("time (s)")
+    caption = (
+        f"What each model leaves of the unseen record: the rms of measured less simulated over {_WINDOW:g} s. The grey "
+        "band is white noise in the readings, found where their spectra are quietest; a line at its edge leaves "
+        "nothing."
+    )
+    return Plate("residuals", "What each model leaves", caption, figure)
+
+
+def _spectra(found: Calibration) -> Plate:
+    record, names = found.records.unseen, found.twin.sensors[:_MOST_ROWS]
+    figure, rows = sheet([1.6] * len(names), top=NOTE)
+    _narrow(rows)
+    for i, (name, axes) in enumerate(zip(names, rows, strict=True)):
+        level = float(record.noise[i] * np.sqrt(2.0 / record.rate))
+        f, whole = _density(record.readings[:, i], record.rate)
+        axes.plot(f, whole, color=MUTED, lw=1.0, alpha=0.75)
+        top = float(whole.max())
+        ends = [(float(whole[np.searchsorted(f, HIGHEST) - 1]), "measured", MUTED)]
+        for colour, (stage, left) in zip(COLOURS, found.residuals.items(), strict=False):
+            f, density = _density(left[:, i], record.rate)
+            axes.plot(f, density, color=colour, lw=1.4)
+            ends.append((float(np.sqrt((density[f <= HIGHEST] ** 2).mean())), stage, colour))
+        axes.axvspan(f[0], HIGHEST, color=GRID, alpha=0.45, lw=0, zorder=0)
+        axes.axhline(level, color=INK, lw=0.9, ls=_DASHED, zorder=3)
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(numticks=8))
+        _logarithmic(axes, 0.3 * level, 2.0 * top)
+        axes.set(xlim=(f[0], f[-1]), ylabel=f"{symbol(name)} ({_unit(found, name)}/√Hz)")
+        _beside(axes, [*ends, (level, "white noise", INK)])
+    for axes in rows[:-1]:
+        axes.tick_params(labelbottom=False)
+    _note(rows[0], f"excited up to {HIGHEST:g} Hz", side="left")
+    rows[-1].set_xlabel("frequency (Hz)")
+    caption = (
+        "Amplitude density of the unseen record (grey line) and of what each model leaves of it. The dashed line is "
+        "the density of white noise as large as that of the readings; the band is where the rig was excited. What "
+        "stands above the line there is what the model lacks."
+    )
+    return Plate("spectra", "Where in the spectrum it is left", caption, figure)
+
+
+def _springs(found: Calibration) -> Plate:
+    curves, title = found.curves[:_MOST_ROWS], "Springs"
+    if not curves:
+        return Plate("springs", title, "Not shown: every spring of the best model is straight.", None)
+    figure, rows = panels(len(curves), 1.75, (3.35, 3.6))
+    for colour, curve, (left, right) in zip(COLOURS, curves, rows, strict=False):
+        by, x_unit = (_MILLI, "mm") if curve.measured == "m" else (1.0, curve.measured)
+        x, unit = by * curve.displacement, curve.unit.replace("**2", "²")
+        straight = np.asarray(np.polyval(np.polyfit(curve.displacement, curve.linear, 1), curve.displacement))
+        for axes, of in ((left, np.zeros(len(x))), (right, straight)):
+            axes.axvspan(by * curve.low, by * curve.high, color=GRID, alpha=0.45, lw=0, zorder=0)
+            low, high = curve.force - of - 2.0 * curve.std, curve.force - of + 2.0 * curve.std
+            axes.fill_between(x, low, high, color=colour, alpha=0.25, lw=0)
+            axes.plot(x, curve.force - of, color=colour, lw=1.8)
+            axes.plot(x, curve.declared - of, color=INK, lw=0.9, ls=_DASHED)
+            axes.plot(x, curve.linear - of, color=MUTED, lw=0.9)
+            axes.set(xlim=(x[0], x[-1]))
+        for axes in (left, right) if curve is curves[-1] else ():
+            axes.set_xlabel(with_unit("displacement", x_unit))
+        left.set_ylabel(f"{symbol(curve.element)} ({unit})")
+        right.set_ylabel(f"less the line ({unit})")
+        inside = (curve.displacement >= curve.low) & (curve.displacement <= curve.high)
+        _range(right, curve, straight, inside)
+        _note(left, curve.meaning, side="left")
+    handles: list[Line2D | Patch] = [
+        Patch(color=MUTED, alpha=0.4, lw=0, label="fitted, with 95 % band"),
+        Line2D([], [], color=INK, lw=0.9, ls=_DASHED, label="the plant file said"),
+        Line2D([], [], color=MUTED, lw=0.9, label=found.stages[0].name),
+        Patch(color=GRID, alpha=0.6, lw=0, label="displacements in the record"),
+    ]
+    _legend(figure, handles)
+    caption = (
+        "Force of each spring of the best model at rest, per moving mass, over its displacement: left the whole, right "
+        "less the straight line of the simplest model. The band is twice the standard deviation that follows from the "
+        "covariance of the parameters; outside of the displacements in the record it is an extrapolation."
+    )
+    return Plate("springs", title, caption, figure)
+
+
+def _excitation(found: Calibration) -> Plate:
+    shown = found.excited[:_MOST_ROWS]
+    figure, rows = panels(len(shown), 1.15, (4.4, 2.6), top=0.34)
+    reach = 1.25 * max(each.peak for each in shown)
+    for colour, each, (left, right) in zip(COLOURS, shown, rows, strict=False):
+        left.plot(*thin(each.times, each.values), color=colour, lw=0.8)
+        left.set(xlim=(0.0, each.times[-1]), ylim=(-reach, reach), ylabel=with_unit(symbol(each.name), each.unit))
+        if each.limit < reach:
+            for level in (-each.limit, each.limit):
+                left.axhline(level, color=LIMIT, lw=1.1, ls=(0, (6, 2)))
+        _note(left, _use(each))
+        at = each.amplitudes > 1e-3 * each.amplitudes.max()
+        right.vlines(each.frequencies[at], 0.0, _MILLI * each.amplitudes[at], color=colour, lw=1.6)
+        right.set(xlim=(0.0, 1.08 * HIGHEST), ylabel=f"amplitude (m{each.unit})")
+        right.yaxis.set_major_locator(MaxNLocator(3))
+        right.set_ylim(0.0, 1.25 * _MILLI * float(each.amplitudes.max()))
+        _note(right, f"{len(each.lines)} lines")
+    for axes, label in zip(rows[-1], ("time (s)", "frequency (Hz)"), strict=True):
+        axes.set_xlabel(label)
+    caption = (
+        "One period of the multisine of each actuator in the record that was fitted, with phases for the least crest "
+        "factor, and its lines, which no other actuator has; in the unseen record the lines are others."
+    )
+    return Plate("excitation", "What was excited", caption, figure)
+
+
+# ---- parts
+
+
+def _use(each: Excited) -> str:
+    part = percent(each.peak / each.limit)
+    return f"peak {each.peak:.3g} {each.unit}, {part} of the limit; crest factor {each.peak / each.rms:.2f}"
+
+
+def _running_rms(values: Series, count: int) -> Series:
+    sums = np.concatenate([[0.0], np.cumsum(values**2)])
+    found: Series = np.sqrt((sums[count:] - sums[:-count]) / count)
+    return found
+
+
+def _density(values: Series, rate: float) -> tuple[Series, Series]:
+    """Return frequencies in Hz and the one-sided amplitude density per root Hz, averaged over equal ratios."""
+    window = np.hanning(len(values))
+    power = 2.0 * np.abs(np.fft.rfft(window * (values - values.mean()))) ** 2 / (rate * (window**2).sum())
+    f = np.fft.rfftfreq(len(values), 1.0 / rate)[2:]  # the window spreads the mean over two lines
+    power = power[2:]
+    edges = np.geomspace(f[0], f[-1], max(2, round(_BINS_PER_DECADE * np.log10(f[-1] / f[0]))))
+    starts = np.unique(np.searchsorted(f, edges[:-1]))
+    sizes = np.diff(np.append(starts, len(f)))
+    return np.add.reduceat(f, starts) / sizes, np.sqrt(np.add.reduceat(power, starts) / sizes)
+
+
+def _narrow(rows: Sequence[Axes]) -> None:
+    """Leave room for words at the right."""
+    for axes in rows:
+        box = axes.get_position()
+        axes.set_position((box.x0, box.y0, box.width - (_WORDS - RIGHT) / WIDTH, box.height))
+
+
+def _logarithmic(axes: Axes, low: float, high: float) -> None:
+    axes.set_yscale("log")
+    axes.set_ylim(low, high)
+    axes.yaxis.set_major_locator(LogLocator(numticks=6))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _beside(axes: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
+    """Write names at the right of a logarithmic axis, each near its level, none on another."""
+    figure = axes.figure
+    assert isinstance(figure, Figure)  # noqa: S101  # for the type checker: these axes lie in no sub-figure
+    height = float(figure.get_size_inches()[1] * axes.get_position().height)
+    low, high = np.log(axes.get_ylim())
+    order = sorted(ends)
+    y = np.array([height * (np.log(max(level, 1e-300)) - low) / (high - low) for level, _, _ in order])
+    y = np.clip(y, 0.0, height)
+    for _ in range(50):  # push neighbours apart until none touch
+        gap = np.diff(y)
+        close = np.flatnonzero(gap < _APART - 1e-9)
+        if not len(close):
+            break
+        for i in close:
+            lift = 0.5 * (_APART - (y[i + 1] - y[i]))
+            y[i], y[i + 1] = y[i] - lift, y[i + 1] + lift
+    for place, (_, text, colour) in zip(y, order, strict=True):
+        axes.annotate(_short(text), (1.0, place / height), (6, 0), "axes fraction", "offset points", va="center",
+                      fontsize=SIZE - 1.5, color=colour)  # fmt: skip
+
+
+def _short(text: str) -> str:
+    text = text.replace("_", " ")
+    return text if len(text) <= _LETTERS else f"{text[: _LETTERS - 1].rstrip(' ,')}…"
+
+
+def _range(axes: Axes, curve: Curve, straight: Series, inside: NDArray[np.bool_]) -> None:
+    """Set the range of y by the curves where the record has been."""
+    drawn = np.concatenate([(c - straight)[inside] for c in (curve.force, curve.declared, curve.linear)])
+    drawn = drawn[np.isfinite(drawn)]
+    pad = 0.25 * float(np.ptp(drawn))
+    axes.set_ylim(float(drawn.min()) - pad, float(drawn.max()) + pad)
+
+
+def _note(axes: Axes, text: str, *, side: str = "right") -> None:
+    axes.set_title(text, loc="right" if side == "right" else "left", fontsize=SIZE - 1, color=MUTED, pad=3)
+
+
+def _legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
+    height = figure.get_size_inches()[1]
+    figure.legend(handles=list(handles), loc="upper right", bbox_to_anchor=(1 - RIGHT / WIDTH, 1 - 0.08 / height),
+                  ncols=len(handles), frameon=False, fontsize=SIZE - 0.5, labelcolor=INK, borderaxespad=0)  # fmt: skip
+
+
+def _unit(found: Calibration, sensor: str) -> str:
+    return found.twin.declaration.sensors[sensor].unit
+
+
+def _reading(found: Calibration, sensor: str) -> str:
+    return with_unit(symbol(sensor), _unit(found, sensor))
+
+
+def _meanings(found: Calibration, names: Sequence[str]) -> str:
+    told = [f"{name}: {meaning}" for name in names if (meaning := found.twin.declaration.sensors[name].meaning)]
+    return f"{'; '.join(told)}." if told else ""
+
+
+def _si(value: float, unit: str) -> str:
+    return f"{_MILLI * value:.2g} m{unit}" if value < 0.1 and unit.isalpha() else f"{value:.2g} {unit}"

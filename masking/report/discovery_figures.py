@@ -1,0 +1,332 @@
+"""Plates: the figures of a discovery: the gap, the lacking force, what is left, and what was tried."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+
+from masking.discovery import latent_force
+from masking.discovery.discovery import CLOSED, Discovery
+from masking.discovery.screening import Promise
+from masking.discovery.search import SIGN
+from masking.numerics.arrays import Array
+from masking.report import discovery_text, force_map, quantities
+from masking.report.force_map import AFTER, BEFORE, CLOUD, POINTS, scale
+from masking.report.procedure_figures import DASHED, heading, legend, shown, ticks, top
+from masking.report.style import COLOURS, GRID, INK, MUTED, SIZE, WIDTH, Plate, panels, symbol, thin, with_unit
+
+if TYPE_CHECKING:
+    from scipy import signal
+else:
+    signal = lazy.load("scipy.signal", suppress_warning=True)
+
+MOST_SENSORS = 6
+MOST_TRIED = 12
+LETTER = 0.082  # inches of a letter of a label, with some room
+MOST_PAID = 1000.0  # %, of what would count: more is told as more than this
+NEAR = 0.9  # of the best candidate's gain: those that are told together
+WIDE = 200.0  # highest over lowest frequency from which powers of ten are enough of a scale
+FAINT = 1e-3  # of the strongest line: weaker ones are rounded off by the smoother, and not drawn
+SEGMENTS = 8  # that a record is cut into for a spectrum
+BINS_PER_DECADE = 24
+
+
+def plates(found: Discovery) -> list[Plate]:
+    """Draw the figures of a discovery."""
+    lacking = latent_force.lack(found, discovery_text.rest(found).best.name)
+    course = [_course(found, lacking)] if lacking.where != "sensor" and found.twin.actuators else []
+    return [_gap(found), force_map.plate(found, lacking), *course, _residual(found), _candidates(found)]
+
+
+def _gap(found: Discovery) -> Plate:
+    """Draw the error of each sensor before and after, in the record and in the one that judges, beside the noise."""
+    names = found.twin.sensors
+    said = discovery_text.capital(discovery_text.left(found)) if found.verdict == "none" else discovery_text.gap(found)
+    figure, (row,) = panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), top(said) + 0.28)
+    gap = found.gap
+    own = own_gap(found)
+    sides = (
+        ((gap.train[0], own, gap.train[1], gap.floor), "record"),
+        ((gap.validation[0], found.adjusted_gap, gap.validation[1], gap.validation_floor), "data that were not used"),
+    )
+    every = [v for parts, _ in sides for part in parts for v in part.values() if 0.0 < v < np.inf]
+    low, high = 100.0 * min(every) / 1.6, 100.0 * max(every) * 1.6
+    for axes, (parts, title) in zip(row, sides, strict=True):
+        for i, name in enumerate(names):
+            declared, adjusted, after, noise = (100.0 * part[name] for part in parts)
+            axes.plot([max(declared, adjusted), after], [i, i], color=GRID, lw=4, solid_capstyle="round", zorder=1)
+            axes.plot([noise, noise], [i - 0.32, i + 0.32], color=INK, lw=1.4, zorder=5)
+            axes.plot(declared, i, "o", color="white", mec=MUTED, mew=1.4, ms=6.5, zorder=2)
+            axes.plot(adjusted, i, "o", color=BEFORE, ms=7, zorder=3)
+            if found.effects:
+                axes.plot(after, i, "o", color=AFTER, ms=7, zorder=4)
+        axes.set_xscale("log")
+        axes.set(xlim=(low, high), ylim=(len(names) - 0.5, -0.5))
+        _percents(axes, low, high)
+        axes.yaxis.set_major_locator(FixedLocator([float(i) for i in range(len(names))]))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: symbol(names[round(y)])))
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel("error, part of the reading")
+        axes.set_title(title, loc="left", fontsize=SIZE, color=MUTED, pad=5)
+    heading(figure, said)
+    handles = [
+        Line2D([], [], color="white", mec=MUTED, mew=1.4, marker="o", ls="", ms=6, label="as declared"),
+        Line2D([], [], color=BEFORE, marker="o", ls="", ms=6, label="parameters adjusted alone"),
+    ]
+    if found.effects:
+        handles.append(Line2D([], [], color=AFTER, marker="o", ls="", ms=6, label="with what was found"))
+    handles.append(Line2D([], [], color=INK, marker="|", ls="", ms=11, mew=1.4, label="noise alone"))
+    legend(figure, row[-1], handles)
+    _lift_legend(figure, 0.24)
+    caption = (
+        "The error of the free simulation of each sensor, chi = ||measured - simulated|| / ||measured||, with the best "
+        "initial state: of the model as it is declared, with its parameters adjusted within what is believed of them, "
+        "and with what was found. What the noise makes alone is the least that can be left."
+    )
+    return Plate("gap", "The gap", caption, figure)
+
+
+def _course(found: Discovery, lacking: latent_force.Lack) -> Plate:
+    """Draw what is lacking over a command, time and frequency, before and after."""
+    what = {"element": "force", "actuator": "command"}[lacking.where]
+    seen = discovery_text.subject(found)
+    command = max(seen.actuators, key=lambda name: seen.actuators[name])
+    column = found.record.acting[:, found.twin.actuators.index(command)]
+    said = _coursed(found, lacking, command)
+    by, unit = scale(lacking.units[0], [lacking.before])
+    figure, ((over, time, spectrum),) = panels(1, 1.75, (2.05, 2.7, 1.6), top(said))
+    t, step = np.arange(len(lacking.before)) / found.record.rate, max(1, len(lacking.before) // POINTS)
+    pairs = [(lacking.before, BEFORE), *([(lacking.after, AFTER)] if found.effects else [])]
+    drawn = [(values, colour) for values, colour in pairs if values is not None]
+    times, name = scale(latent_force.command_unit(found, command), [column])
+    for values, colour in drawn:
+        over.plot(times * column[::step], by * values[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
+        time.plot(*thin(t, by * values, 500), color=colour, lw=0.7)
+        f, density = _density(values, found.record.rate)
+        spectrum.plot(f, density, color=colour, lw=1.2)
+        if colour == BEFORE:
+            strong = density > FAINT * density.max()
+            spectrum.set_xlim(f[0], f[strong][-1])
+            spectrum.set_ylim(0.03 * FAINT * density.max(), 2.0 * density.max())
+    for side in (-2.0, 2.0):
+        for axes in (over, time):
+            axes.axhline(side * by * lacking.deviations[0], color=INK, lw=0.9, ls=DASHED, zorder=4)
+    reach = 1.05 * by * max(2.0 * lacking.deviations[0], *(float(np.abs(values).max()) for values, _ in drawn))
+    over.set_ylim(-reach, reach)
+    time.set(xlim=(0.0, t[-1]), ylim=(-reach, reach))
+    time.tick_params(labelleft=False)
+    time.yaxis.get_offset_text().set_visible(False)
+    over.xaxis.set_major_locator(MaxNLocator(4))
+    over.set_ylabel(with_unit(f"lacking {what}", quantities.pretty(unit)))
+    over.set_xlabel(with_unit(f"command {symbol(command)}", quantities.pretty(name)))
+    time.set_xlabel("time (s)")
+    spectrum.set_xscale("log")
+    spectrum.set_yscale("log")
+    spectrum.set_xlabel("frequency (Hz)")
+    spectrum.set_ylabel(with_unit("density", f"{quantities.pretty(lacking.units[0])}/√Hz" if lacking.units[0] else ""))
+    low, high = spectrum.get_xlim()
+    steps = (1.0, 2.0, 5.0) if high < WIDE * low else (1.0,)
+    spectrum.xaxis.set_major_locator(LogLocator(subs=steps))
+    spectrum.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    spectrum.yaxis.set_major_locator(LogLocator(numticks=5))
+    for axis in (spectrum.xaxis, spectrum.yaxis):
+        axis.set_minor_formatter(NullFormatter())
+    heading(figure, said)
+    handles = [Line2D([], [], color=BEFORE, lw=2, label=f"{what} that the model lacks")]
+    if len(drawn) > 1:
+        handles.append(Line2D([], [], color=AFTER, lw=2, label="what is left"))
+    label = "± 2 deviations" + " of the first" * (len(drawn) > 1)
+    handles.append(Line2D([], [], color=INK, lw=1, ls=DASHED, label=label))
+    legend(figure, spectrum, handles)
+    caption = (
+        f"The {what} at {lacking.place} that the model lacks, over the command that it follows most, over time, and "
+        "the root of its power spectral density. What changes with time, or at a frequency of its own, shows here."
+    )
+    return Plate("course", "When, and under which command", caption, figure)
+
+
+def _coursed(found: Discovery, lacking: latent_force.Lack, command: str) -> str:
+    """Say how much of what is lacking follows a command, and how alike the thirds of the record are."""
+    seen = discovery_text.subject(found)
+    if not any(seen.coordinates.values()):
+        return f"What seems to be lacking at {lacking.place} is not beyond its deviation"
+    told = discovery_text.capital(discovery_text.follows_command(seen, command))
+    place = next((place for place in seen.places if place.name == lacking.place), None)
+    if place is None or not place.portrait.regions:
+        return told
+    thirds = [energy for energy, _ in place.portrait.regions["record"].values()]
+    parts = discovery_text.listed([quantities.percent(part) for part in thirds])
+    return f"{told}; the thirds of the record hold {parts} of the energy of the force at {lacking.place}"
+
+
+def _residual(found: Discovery) -> Plate:
+    """Draw what is left of the record that judges, over time and frequency, before and after."""
+    names = found.twin.sensors[:MOST_SENSORS]
+    sigma, record = found.judged.sigma, found.judge
+    more = [
+        n for i, n in enumerate(found.twin.sensors) if found.after.squares[i] > CLOSED**2 * len(record) * sigma[i] ** 2
+    ]
+    said = (
+        f"What is left of {discovery_text.listed(found.twin.sensors)} on data that were not used is noise"
+        if not more
+        else f"On data that were not used, more than noise is left of {discovery_text.listed(more)}"
+    )
+    figure, rows = panels(len(names), 1.35, (4.55, 2.55), top(said))
+    t = np.arange(len(record)) / record.rate
+    pairs = [(found.adjusted, BEFORE, 0.9), *([(found.after, AFTER, 1.0)] if found.effects else [])]
+    for i, (name, (time, spectrum)) in enumerate(zip(names, rows, strict=True)):
+        unit = found.twin.declaration.sensors[name].unit
+        by, y_unit = shown("" if unit == "1" else unit, *(h.residuals[:, i] for h, _, _ in pairs))
+        for hypothesis, colour, width in pairs:
+            time.plot(*thin(t, by * hypothesis.residuals[:, i], 500), color=colour, lw=0.6)
+            f, density = _density(hypothesis.residuals[:, i], record.rate)
+            spectrum.plot(f, density, color=colour, lw=width + 0.3)
+        for side in (-1.96, 1.96):
+            time.axhline(side * by * sigma[i], color=INK, lw=0.9, ls=DASHED, zorder=4)
+        spectrum.axhline(sigma[i] * np.sqrt(2.0 / record.rate), color=INK, lw=0.9, ls=DASHED, zorder=4)
+        reach = 1.05 * by * max(float(np.abs(h.residuals[:, i]).max()) for h, _, _ in pairs)
+        time.set(xlim=(0.0, t[-1]), ylim=(-reach, reach))
+        time.set_ylabel(with_unit(symbol(name), y_unit))
+        ticks(time, 4)
+        spectrum.set_xscale("log")
+        spectrum.set_yscale("log")
+        spectrum.set_xlim(f[0], f[-1])
+        level = sigma[i] * np.sqrt(2.0 / record.rate)
+        low, high = spectrum.get_ylim()
+        spectrum.set_ylim(min(low, level / 5.0), max(high, 5.0 * level))
+        for axis in (spectrum.xaxis, spectrum.yaxis):
+            axis.set_minor_formatter(NullFormatter())
+            axis.set_major_locator(LogLocator(numticks=5))
+        spectrum.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+        spectrum.set_ylabel(f"{unit}/√Hz" if unit != "1" else "1/√Hz")
+    rows[-1][0].set_xlabel("time (s)")
+    rows[-1][1].set_xlabel("frequency (Hz)")
+    heading(figure, said)
+    handles = [Line2D([], [], color=BEFORE, lw=2, label="parameters adjusted alone")]
+    if found.effects:
+        handles.append(Line2D([], [], color=AFTER, lw=2, label="with what was found"))
+    handles.append(Line2D([], [], color=INK, lw=1, ls=DASHED, label="noise: 95 % of it, and its spectrum"))
+    legend(figure, rows[0][1], handles)
+    caption = (
+        f"{record.name}: measured less simulated, over time and as the root of its power spectral density. A line "
+        "above the noise is something that the model does not say."
+    )
+    return Plate("residual", "What is left", caption, figure)
+
+
+def _candidates(found: Discovery) -> Plate:
+    """Draw what each candidate would have closed of the gap; where nothing is missing, of what would have counted."""
+    every, nothing = tried(found), found.verdict == "none"
+    chosen = {(one.name, one.on) for one in found.effects}
+    rows = [row for i, row in enumerate(every) if i < MOST_TRIED or (row[0], row[1]) in chosen]
+    if not rows:
+        return Plate("candidates", "What was tried", "No candidate would have closed any of the gap.", None)
+    names = [discovery_text.labelled(found, effect, at) for effect, at, _, _ in rows]
+    parts = [100.0 * (paid if nothing else part) for _, _, part, paid in rows]
+    fitted = {key for rival in found.rivals for key in rival.names}
+    near = [part for part in parts if part > NEAR * parts[0]]
+    count = len(found.found.tried)
+    if nothing and parts[0] > 100.0:
+        many = sum(part > 100.0 for part in parts)
+        said = f"The model leaves noise; of {count} candidates, {many} would gain more than it costs, to first order"
+    elif nothing:
+        said = f"None of {count} candidates would close enough to be worth its parameters"
+    elif not found.effects:
+        said = f"None of {count} candidates explains what is left"
+    elif len(near) == 1:
+        first = discovery_text.spoken(found, *rows[0][:2])
+        said = f"Of {count} candidates, {first} alone would close {near[0]:.3g} % of the gap"
+    else:
+        said = (
+            f"Of {count} candidates, {len(near)} would each close more than {min(near):.2g} % of the gap; full fits "
+            "tell them apart as far as they can be told"
+        )
+    figure, ((axes,),) = panels(1, 0.235 * len(rows) + 0.1, (5.6,), top(said))
+    box = axes.get_position()
+    right, room = box.x0 + 0.19 + box.width, LETTER * max(map(len, names)) / WIDTH
+    axes.set_position((max(box.x0, room), box.y0, right - max(box.x0, room), box.height))
+    colours = [_colour((effect, at), chosen, fitted) for effect, at, _, _ in rows]
+    axes.barh(range(len(rows)), parts, height=0.66, color=colours)
+    reach = 112.0 if nothing else 1.12 * max(parts)
+    for i, part in enumerate(parts):
+        label = f"{part:.3g} %" if part <= MOST_PAID else f"> {MOST_PAID:.0f} %"
+        axes.annotate(label, (min(part, reach), i), (4, 0), textcoords="offset points", va="center",
+                      fontsize=SIZE - 1.5, color=MUTED)  # fmt: skip
+    axes.set(ylim=(len(rows) - 0.4, -0.6), xlim=(0.0, reach))
+    axes.yaxis.set_major_locator(FixedLocator([float(i) for i in range(len(rows))]))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: names[round(y)]))
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+    if nothing:
+        axes.axvline(100.0, color=INK, lw=1.2, ls=DASHED)
+        axes.set_xlabel("gain in likelihood, as a part of what it would have to be to count (%)")
+    else:
+        axes.set_xlabel("part of what the model leaves beyond noise that the candidate alone would take (%)")
+    heading(figure, said)
+    kinds = {AFTER: "chosen", COLOURS[4]: "fitted in full", GRID: "looked at"}
+    legend(figure, axes, [Patch(color=colour, label=text) for colour, text in kinds.items() if colour in colours])
+    caption = (
+        "To first order along the measured motion, with what the model's own parameters could explain taken out first; "
+        "the best are then fitted in full, and their likelihoods decide."
+    )
+    return Plate("candidates", "What was tried", caption, figure)
+
+
+def _colour(key: tuple[str, str], chosen: set[tuple[str, str]], fitted: set[tuple[str, str]]) -> str:
+    return AFTER if key in chosen else COLOURS[4] if key in fitted else GRID
+
+
+def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
+    """Return each candidate once, the best first: effect, place, part of the gap, part of what would count."""
+    best: dict[str, Promise] = {}
+    for promise in found.found.tried:
+        told = discovery_text.spoken(found, *promise.candidate.key)
+        if promise.gain > 0.0 and promise.gain > getattr(best.get(told), "gain", 0.0):
+            best[told] = promise
+    size = found.record.readings.size
+    whole = max(found.found.base.hypothesis.cost - size, *(p.gain for p in best.values()), 1e-300)
+    price = float(np.log(size))
+    return [
+        (*p.candidate.key, p.gain / whole, p.gain / (price * len(p.candidate.free) + SIGN))
+        for p in sorted(best.values(), key=lambda promise: -promise.gain)
+    ]
+
+
+def own_gap(found: Discovery) -> dict[str, float]:
+    """Return the relative error of each sensor that adjusted parameters alone leave in the record."""
+    size = (found.record.readings**2).sum(axis=0)
+    parts = np.sqrt(found.found.base.hypothesis.squares / np.maximum(size, 1e-300))
+    return dict(zip(found.twin.sensors, map(float, parts), strict=True))
+
+
+def _density(values: Array, rate: float) -> tuple[Array, Array]:
+    """Return frequencies in Hz, evenly over their logarithm, and the root of the power spectral density there."""
+    length = min(max(2 * len(values) // (SEGMENTS + 1), 16), len(values))
+    f, power = signal.welch(values, rate, nperseg=length, detrend="constant")
+    bins = np.floor(BINS_PER_DECADE * np.log10(f[1:] / f[1])).astype(int)
+    first = np.flatnonzero(np.diff(bins, prepend=-1))
+    counts = np.diff(np.append(first, len(bins)))
+    mean = [np.add.reduceat(column, first) / counts for column in (f[1:], power[1:])]
+    return mean[0], np.sqrt(np.maximum(mean[1], 1e-300))
+
+
+def _percents(axes: Axes, low: float, high: float) -> None:
+    """Give a logarithmic axis in percent a few round numbers."""
+    steps = (1.0, 2.0, 5.0) if high / low < 60.0 else (1.0,)
+    every = [m * 10.0**e for e in range(-6, 4) for m in steps]
+    axes.xaxis.set_major_locator(FixedLocator([v for v in every if low <= v <= high]))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g} %"))
+
+
+def _lift_legend(figure: object, inches: float) -> None:
+    """Move the legend of a figure up, above the titles of its axes."""
+    box = figure.legends[0]  # type: ignore[attr-defined]
+    x, y = box.get_bbox_to_anchor().transformed(figure.transFigure.inverted()).p0  # type: ignore[attr-defined]
+    box.set_bbox_to_anchor((x, y + inches / figure.get_size_inches()[1]))  # type: ignore[attr-defined]

@@ -1,0 +1,364 @@
+"""Written: a discovery as files: the model with its causes, the plant that has this model, and all as JSON.
+
+Everything is written into a folder of its own, read again as `masking check` reads it, and only then moved.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from masking.declaration import catalogue, registry
+from masking.declaration.checks import equation_of
+from masking.declaration.schema import ModelDeclaration, Parameter
+from masking.declaration.units import dimension_of, factor_of
+from masking.discovery import laws
+from masking.discovery.augmented_model import Slot
+from masking.discovery.discovery import Discovery, Named
+from masking.discovery.localisation import where
+from masking.discovery.places import identifier, opened
+from masking.effects import attach
+from masking.errors import RecordError
+from masking.modelling.model import Model
+from masking.report import discovery_text
+from masking.rig.twin import Twin
+
+DIGITS = 10
+PLANT, NUMBERS, PAGE = "plant.yaml", "discovery.json", "discovery.html"
+WHOLE = 0.05  # of a sample: a delay so near to whole samples is written as these
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a discovery comes from: each record by what it is for, with its file and SHA-256."""
+
+    records: Mapping[str, tuple[str, str]]
+
+    def source(self, found: Discovery) -> str:
+        """Say in a line how a file was made."""
+        told = "; ".join(f"{what} {path} (SHA-256 {digest[:16]})" for what, (path, digest) in self.records.items())
+        sure = f", probability {found.effects[-1].probability:.4g}" if found.effects else ""
+        version = importlib.metadata.version("masking")
+        return f"masking discover {version}, {datetime.now(UTC):%Y-%m-%d}: {told}; verdict {found.verdict}{sure}"
+
+
+@dataclass(frozen=True)
+class Files:
+    """What was written; the model and the plant are None where nothing was added."""
+
+    numbers: Path
+    page: Path
+    model: Path | None
+    plant: Path | None
+    figures: tuple[Path, ...]
+
+
+def save(
+    found: Discovery,
+    folder: str | Path,
+    origin: Origin,
+    page: str,
+    images: Mapping[str, bytes],
+    *,
+    lies: Path | None = None,
+) -> Files:
+    """Write a discovery into a folder, made if need be; nothing is left half written.
+
+    Args:
+        found: the discovery.
+        folder: where to write.
+        origin: of the records.
+        page: the HTML page.
+        images: figures as PNG, by name.
+        lies: the folder to which all will be moved, where that is another.
+
+    Raises:
+        RecordError: the folder cannot be written.
+        DeclarationError: the model with its causes is not a sound one.
+    """
+    out = Path(folder)
+    files = paths(found, out, tuple(images))
+    contents = {files.page: page.encode(), **dict(zip(files.figures, images.values(), strict=True))}
+    if files.model is not None and files.plant is not None:
+        contents[files.model] = _yaml(model(found, files.model.parent, origin)).encode()
+        contents[files.plant] = _yaml(plant(found, files.model.relative_to(out), origin, out)).encode()
+    contents[files.numbers] = (
+        json.dumps(as_dict(found, lies or out, origin), indent=2, ensure_ascii=False) + "\n"
+    ).encode()
+    try:
+        out.absolute().parent.mkdir(parents=True, exist_ok=True)
+        # Beside the folder: paths from there to other files are the same.
+        made = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.absolute().parent))
+    except OSError as error:
+        raise RecordError(f"{out} cannot be written: {error.strerror or error}; name another folder") from error
+    try:
+        for path, content in contents.items():
+            there = made / path.relative_to(out)
+            there.parent.mkdir(parents=True, exist_ok=True)
+            there.write_bytes(content)
+        if files.model is not None:
+            Model(registry.load_model(made / files.model.relative_to(out))).validate()
+            registry.check_plant_file(made / PLANT)
+            Twin.load(made / PLANT).validate()
+        for path in contents:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            (made / path.relative_to(out)).replace(path)
+    except OSError as error:
+        raise RecordError(f"{out} cannot be written: {error.strerror or error}; name another folder") from error
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+    return files
+
+
+def paths(found: Discovery, out: Path, figures: tuple[str, ...] = ()) -> Files:
+    """Return where the files of a discovery lie."""
+    images = tuple(out / f"{name}.png" for name in figures)
+    if not found.effects:
+        return Files(out / NUMBERS, out / PAGE, None, None, images)
+    base = found.twin.declaration.model
+    stem = base if base in catalogue.names("model") else Path(base).stem
+    causes = "+".join(dict.fromkeys(cause.name for cause in found.effects))
+    return Files(out / NUMBERS, out / PAGE, out / "models" / f"{Path(stem).name}+{causes}.yaml", out / PLANT, images)
+
+
+def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
+    """Return a discovery and where its files lie, as JSON can hold it."""
+    files, told = paths(found, out), found.as_dict()
+    told.setdefault("next_experiment", None)
+    told["model"] = None if files.model is None else str(files.model)
+    told["plant"] = None if files.plant is None else str(files.plant)
+    told["parameters"] = {
+        name: {"value": value, "std": std, "declared": float(start)}
+        for (name, value, std), start in zip(refitted(found), found.rig.start, strict=True)
+    }
+    told["adjusted"] = list(discovery_text.adjusted(found))
+    told["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
+    told["page"] = str(files.page)
+    told["where"] = where(found).as_dict()
+    return told
+
+
+def refitted(found: Discovery) -> list[tuple[str, float, float]]:
+    """Return the parameters of the rig with their values and deviations, in declared units."""
+    count, theta = len(found.rig.names), found.explanation.hypothesis.theta
+    return [
+        (name, float(value), float(std))
+        for name, value, std in zip(found.rig.names, theta, found.deviations[:count], strict=True)
+    ]
+
+
+def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
+    """Return the content of a model file in a folder that extends the model by the causes in its equations."""
+    twin = found.twin
+    whole = twin.base
+    for slot, label in labels(found).items():
+        whole = _attached(found, whole, slot, label)
+    made: dict[str, Any] = {
+        "name": f"{twin.base.name} with {_causes(found)}",
+        "source": "; ".join(filter(None, (twin.base.source, origin.source(found)))),
+        "extends": _reference(twin, folder),
+    }
+    parameters: dict[str, Any] = {
+        name: {"value": _rounded(value)} | ({"std": _rounded(std, 3)} if std > 0.0 else {})
+        for name, value, std in refitted(found)
+    }
+    deviations, known = _deviations(found), _units(found)
+    for name, parameter in whole.parameters.items():
+        if name not in twin.base.parameters:
+            parameters[name] = _written(parameter, deviations.get(name, 0.0), known.get(name, ""))
+    made["parameters"] = parameters
+    new_states = {n: s for n, s in whole.states.items() if n not in twin.base.states}
+    if new_states:
+        made["states"] = {n: s.model_dump(mode="json", exclude_defaults=True) for n, s in new_states.items()}
+    for section in ("definitions", "elements"):
+        before = getattr(twin.base, section)
+        new = {n: x for n, x in getattr(whole, section).items() if n not in before}
+        if new:
+            made[section] = {
+                n: x.text if section == "definitions" else x.model_dump(mode="json", exclude_defaults=True)
+                for n, x in new.items()
+            }
+    rates = {left.text: right.text for left, right in whole.equations.items() if whole.state_of(left) in new_states}
+    if rates:
+        made["equations"] = rates
+    terms = _terms(found, whole)
+    return made | ({"terms": terms} if terms else {})
+
+
+def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> dict[str, Any]:
+    """Return the content of a plant file in a folder, with a model and with the causes outside of its equations."""
+    twin = found.twin
+    made = twin.declaration.canonical() | {"name": f"{twin.declaration.name} with {_causes(found)}"}
+    made |= {
+        "model": model_file.as_posix(),
+        "source": "; ".join(filter(None, (twin.declaration.source, origin.source(found)))),
+    }
+    left = {n: v for n, v in made.pop("parameters", {}).items() if n not in found.rig.names}
+    made |= {"parameters": left} if left else {}  # those that were fitted are the model's now
+    before = made.pop("effects", {})
+    made.pop("own_effects", None)
+    first: dict[str, Any] = {}
+    last: dict[str, Any] = {}
+    for slot in found.explanation.hypothesis.slots:
+        if slot.effect == laws.DELAY:
+            _add_delay(found, slot, first, {*before, *first, *last})
+        elif slot.where != "element":
+            values = dict(zip(slot.entry.parameters, map(_rounded, slot.values), strict=True))
+            # Commands pass what was found first; readings pass it last.
+            target = first if slot.where == "actuator" else last
+            name = _free(f"{slot.effect}_{slot.at}", {*before, *first, *last})
+            target[name] = {"effect": slot.effect, "at": slot.at, "parameters": values}
+    for cause in found.effects[len(found.explanation.hypothesis.slots) or found.explanation.kind == "parameter" :]:
+        name = _free(f"{cause.name}_{cause.on}", {*before, *first, *last})
+        values = {n: _rounded(value) for n, (value, _) in cause.parameters.items()}
+        last[name] = {"effect": cause.name, "at": cause.on, "parameters": values}
+    effects = {**first, **before, **last}
+    own = [
+        registry.name_from(one, folder)
+        for one in twin.declaration.dictionaries
+        if any(use["effect"] in one.dictionary for use in effects.values())
+    ]
+    return made | ({"own_effects": own} if own else {}) | ({"effects": effects} if effects else {})
+
+
+def labels(found: Discovery) -> dict[Slot, str]:
+    """Return the label of each cause in the equations."""
+    made: dict[Slot, str] = {}
+    base = found.twin.attached
+    for slot in found.explanation.hypothesis.slots:
+        if slot.where != "element":
+            continue
+        taken = {*made.values(), *(n.removesuffix("_on") for n in base.parameters if n.endswith("_on"))}
+        names = [*base.parameters, *base.definitions, *base.states, *base.coordinates, *base.inputs]
+        taken |= {slot.effect} if any(n.startswith(f"{slot.effect}_") for n in names) else set()
+        label = slot.effect if slot.effect not in taken else f"{slot.effect}_{_element(found, slot)}"
+        made[slot] = _free(label, taken)
+    return made
+
+
+def _attached(found: Discovery, whole: ModelDeclaration, slot: Slot, label: str) -> ModelDeclaration:
+    """Return a model with one more cause in its equations, at an element that is made where there is none."""
+    at = _element(found, slot)
+    if at not in whole.elements:
+        element = opened(found.twin.base)[0].elements[at]
+        whole = whole.model_copy(update={"elements": {**whole.elements, at: element}})
+    values = dict(zip(slot.entry.parameters, map(_rounded, slot.values), strict=True))
+    return attach(whole, slot.entry, at, label, values)
+
+
+def _element(found: Discovery, slot: Slot) -> str:
+    place = found.rig.places[found.rig.index(slot)]
+    return place.name if place.declared else identifier(place.name)
+
+
+def _terms(found: Discovery, whole: ModelDeclaration) -> dict[str, str]:
+    """Return what the causes add to each equation."""
+    terms: dict[str, str] = {}
+    for slot, label in labels(found).items():
+        for coordinate, factor in whole.elements[_element(found, slot)].acts.items():
+            left = equation_of(whole, coordinate)
+            key = coordinate if left is None else left.text  # a Lagrangian has forces instead
+            text = factor.text.strip()
+            by = text if text.isidentifier() else f"({text})"
+            sign = {"1": f"{label}_f", "-1": f"-{label}_f"}.get(text, f"{by}*{label}_f")
+            terms[key] = f"{terms[key]} + ({sign})" if key in terms else sign
+    return terms
+
+
+def _add_delay(found: Discovery, slot: Slot, effects: dict[str, Any], taken: set[str]) -> None:
+    """Add a delay in whole samples, and what is left of it, or one of a single actuator, as a lag of the same time."""
+    rate, seconds = found.record.rate, slot.values[0]
+    whole = 0 if slot.at else int(seconds * rate + WHOLE)
+    rest = seconds - whole / rate
+    if whole:
+        effects[_free("delay_found", taken)] = {"effect": laws.DELAY, "parameters": {"samples": whole}}
+    if rest * rate > WHOLE:
+        at = [slot.at] if slot.at else list(found.twin.actuators)
+        lag = {"effect": "actuator_lag", "at": at, "parameters": {"tau": _rounded(rest)}}
+        effects[_free("rest_of_delay", {*taken, *effects})] = lag
+
+
+def _deviations(found: Discovery) -> dict[str, float]:
+    """Return the standard deviations of the parameters of causes in the equations, by the names they have there."""
+    every = found.deviations[len(found.rig.names) :]
+    told, used, names = {}, 0, labels(found)
+    for slot in found.explanation.hypothesis.slots:
+        for name in slot.names:
+            if slot in names:
+                told[f"{names[slot]}_{name}"] = float(every[used])
+            used += 1
+    return told
+
+
+def _units(found: Discovery) -> dict[str, str]:
+    """Return the units of the parameters of causes in the equations, by the names they have there, as places say."""
+    told: dict[str, str] = {}
+    for slot, label in labels(found).items():
+        values = dict.fromkeys(slot.entry.parameters, (0.0, 0.0))
+        units = discovery_text.plain_units(found, Named(slot.effect, slot.at, values, 1.0))
+        told |= {f"{label}_{name}": unit for name, unit in units.items()}
+    return told
+
+
+def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:
+    """Return a parameter as a file has it: in a unit as its place says it, where that is the same unit."""
+    made = parameter.model_dump(mode="json", exclude_defaults=True)
+    if unit and (dimension_of(unit), factor_of(unit)) == (dimension_of(parameter.unit), factor_of(parameter.unit)):
+        made |= {"unit": unit} if unit != "1" else {}
+    return made | ({"std": _rounded(std, 3)} if std > 0.0 else {})
+
+
+def _causes(found: Discovery) -> str:
+    if found.explanation.kind == "parameter":
+        return f"another {found.effects[0].name}"
+    return " and ".join(discovery_text.spoken(found, cause.name, cause.on) for cause in found.effects)
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """Return a name that is not taken."""
+    name = "".join(c if c.isalnum() or c == "_" else "_" for c in name)
+    return next(n for n in (name, *(f"{name}_{i}" for i in range(2, 99))) if n not in taken)
+
+
+def _reference(twin: Twin, folder: Path) -> str:
+    """Return how a file in a folder names the model: by its packaged name, or by its path from there."""
+    name = twin.declaration.model
+    if name in catalogue.names("model"):
+        return name
+    (file, *_) = [*twin.base.files, name]
+    return os.path.relpath(Path(file).resolve(), folder.resolve())
+
+
+def _rounded(value: float, digits: int = DIGITS) -> float:
+    return float(f"{value:.{digits}g}")
+
+
+class _Entry(dict[str, Any]):
+    """A mapping that is written in one line."""
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes entries of sections in a line each."""
+
+
+_Dumper.add_representer(_Entry, lambda dumper, entry: dumper.represent_mapping("tag:yaml.org,2002:map", entry, True))
+
+
+def _yaml(content: Mapping[str, Any]) -> str:
+    made = {
+        section: {n: _Entry(e) if isinstance(e, dict) else e for n, e in entries.items()}
+        if isinstance(entries, dict)
+        else entries
+        for section, entries in content.items()
+    }
+    return str(yaml.dump(made, Dumper=_Dumper, sort_keys=False, width=118, allow_unicode=True))

@@ -1,0 +1,435 @@
+"""Words: what was discovered, in plain sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from masking.declaration.units import describe, dimension_of
+from masking.discovery import latent_force
+from masking.discovery.discovery import Discovery, Named
+from masking.discovery.localisation import Lacking, Place, where
+from masking.estimation.whiteness import Whiteness
+from masking.report.quantities import much, number, percent, power, pretty, put_together, quantity, with_deviation
+
+NOTABLE = 0.15  # part of a force's energy from which a dependence is told
+ALIKE = 0.9  # part of it that turns round with the motion, or does not, from which it is called so
+CONSTANT = 0.9  # part of its mean square that is its mean's, from which it hardly changes
+MOST = 0.5  # part of what is lacking from which a place or a side of the rig is told
+MUCH = 1.5  # times the part of the time: a part of the energy from which a region is told
+TAKEN = 0.2  # of the power that a force could take out of the motion, from which that is told
+SHOWN = 0.01  # probability from which an alternative is told
+SURE = 2.0  # deviations of a parameter from which it is told in a sentence
+MOVED = 3.0  # of its deviations by which a parameter moved that is told, and of those that are believed
+APART = 0.02  # of its declared value by which it moved then
+LOST = 0.9  # part of a reading that is left, from which the model is told not to follow it
+LARGER = 1.05  # times the record's own peak, from which that of an experiment is told
+SUMS = frozenset({"polynomial_spring", "periodic_force", "asymmetric_friction"})  # each parameter is a force of its own
+PEOPLE = {"bouc": "Bouc", "coulomb": "Coulomb", "dac": "DAC", "dahl": "Dahl", "lugre": "LuGre",
+          "stribeck": "Stribeck", "wen": "Wen"}  # fmt: skip
+CHECK = "check units, columns and signs of the record against the model"
+NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured input is the rate of which"
+
+
+def sentence(found: Discovery) -> str:
+    """Say what was found, in a few sentences without a full stop at the end."""
+    if found.verdict == "none":
+        first = f"Nothing is missing: with its parameters adjusted within what is believed of them, {left(found)}"
+        told = [first, moved(found)]
+    elif found.verdict == "parameter":
+        first = f"No effect is missing, but a parameter is off: {cause(found, found.effects[-1])}"
+        told = [first, gap(found), moved(found)]
+    elif found.verdict == "unknown":
+        known = [cause(found, one) for one in offered(found)]
+        do = "does" if len(known) == 1 else "do"
+        near = f"The nearest of it is {listed(known, '; ')}, which {do} not explain the rest" if known else ""
+        first = "Something is missing that is not in the dictionary"
+        if found.is_hidden:
+            first = "The record shows nothing that is missing, but data that were not used do: let these be the record"
+        told = [first, hardly(found), near, gap(found) if found.is_hidden else look(found)]
+    elif is_open(found):
+        before = [cause(found, one) for one in found.effects[:-1]]
+        known = [f"{listed(before, '; ')} {'is' if len(before) == 1 else 'are'} missing"] if before else []
+        first = ", and ".join([*known, alternatives(alike(found))])
+        first = f"{capital(first)} is missing, and this record cannot tell which"
+        told = [first, hardly(found), gap(found), moved(found), capital(experiment(found))]
+    else:
+        what = listed([cause(found, one) for one in found.effects], "; ")
+        pause = "," if ", " in what else ""
+        first = f"{capital(what)}{pause} {'is' if len(found.effects) == 1 else 'are'} missing"
+        told = [first, hardly(found), gap(found), moved(found)]
+    return ". ".join(filter(None, [*told, measured(found)]))
+
+
+def measured(found: Discovery) -> str:
+    """Say that commands seem to be measured ones; '' where they do not."""
+    if found.as_measured is None:
+        return ""
+    name = worst(found)
+    left = f"{percent(found.as_measured[name])} of {name}, against {percent(found.gap.train[1][name])}"
+    return (
+        "Commands are taken to act until the next sample; where they go in straight lines between samples instead, as "
+        f"measured ones do, the model alone leaves {left}: if they were measured, use --between straight"
+    )
+
+
+def is_open(found: Discovery) -> bool:
+    """Return whether the record leaves open what is missing, among what has names of its own."""
+    return found.verdict == "ambiguous" and len(alike(found)) > 1
+
+
+def alike(found: Discovery) -> list[str]:
+    """Name what the last cause may be; a delay of the only actuator is that of all of them."""
+    last = found.effects[-1]
+    others = [spoken(found, name, on) for name, on, probability in last.alternatives if probability > SHOWN]
+    return list(dict.fromkeys([spoken(found, last.name, last.on), *others]))
+
+
+def probability(found: Discovery, named: Named) -> float:
+    """Return the probability of a cause, with that of alternatives that are the same."""
+    told = spoken(found, named.name, named.on)
+    return named.probability + sum(p for name, on, p in named.alternatives if spoken(found, name, on) == told)
+
+
+def offered(found: Discovery) -> list[Named]:
+    """Return the causes that are told: where they do not explain all, those whose strength is surely not 0."""
+    if found.verdict != "unknown":
+        return list(found.effects)
+    kept = []
+    for one in found.effects:
+        values = list(one.parameters.values())
+        if any(abs(value) > SURE * std for value, std in (values if one.name in SUMS else values[:1])):
+            kept.append(one)
+    return kept
+
+
+def hardly(found: Discovery) -> str:
+    """Say which readings the model hardly follows at all; '' where there are none."""
+    remains = found.adjusted_gap if found.verdict == "unknown" else found.gap.validation[1]
+    floor = found.gap.validation_floor
+    lost = [f"{name} ({percent(part)} is left)" for name, part in remains.items() if part >= LOST > 2.0 * floor[name]]
+    if not lost:
+        return ""
+    return f"The model follows hardly anything of {listed(lost)}: {CHECK}"
+
+
+def adjusted(found: Discovery) -> dict[str, tuple[float, float, bool]]:
+    """Return the parameters that moved beside the causes: the value, what is declared, and whether it is believed."""
+    off = {one.name for one in found.effects if one.name not in found.twin.dictionary}
+    belief, theta = found.evidence.belief, found.explanation.hypothesis.theta
+    told = {}
+    for name, value, std, start, wide in zip(
+        found.rig.names, theta, found.deviations, found.rig.start, belief.deviation, strict=False
+    ):
+        by = abs(float(value - start))
+        if name not in off and by > MOVED * std and by > APART * abs(start):
+            told[name] = float(value), float(start), by <= MOVED * float(wide)
+    return told
+
+
+def moved(found: Discovery) -> str:
+    """Say which parameters moved far beside the causes; '' where none did."""
+    told, known = [], found.twin.base.parameters
+    for is_believed, how in ((True, "within"), (False, "beyond")):
+        those = [
+            f"{name} = {quantity(value, known[name].unit, 4)}, {beyond(value, start)}"
+            for name, (value, start, held) in adjusted(found).items()
+            if held is is_believed
+        ]
+        if those:
+            every = {1: f"{how} what is believed of it", 2: f"both {how} what is believed of them"}
+            told.append(f"{'; '.join(those)}, {every.get(len(those), f'all {how} what is believed of them')}")
+    far = any(not held and not 0.5 < value / start < 2.0 for value, start, held in adjusted(found).values() if start)
+    return f"Adjusted: {'; '.join(told)}{f': {CHECK}' if far else ''}" if told else ""
+
+
+def beyond(value: float, declared: float) -> str:
+    """Say how far a value is off what is declared."""
+    if not declared or not 0.1 < value / declared < 2.0:
+        return f"where {number(declared, 5)} is declared"
+    off = value / declared - 1.0
+    return f"{abs(off) * 100.0:.2g} % {'more' if off > 0.0 else 'less'} than declared"
+
+
+def experiment(found: Discovery) -> str:
+    """Say which experiment would tell apart what the record leaves open."""
+    coming = found.next_experiment
+    if coming is None:
+        return NO_EXPERIMENT
+    one, other = (spoken(found, *rival.names[-1]) for rival in found.rivals[:2])
+    if not coming.separates:
+        return f"no excitation of the actuators that was tried tells {one} from {other}"
+    most = np.abs(found.record.commands).max(axis=0)
+    peaks = dict(zip(found.twin.actuators, most, strict=True))
+    size = {
+        name: f"{name} up to {quantity(peak, latent_force.command_unit(found, name))}"
+        for name, peak in coming.peaks.items()
+    }
+    told = f"a {coming.excitation} of {listed(list(size.values()))}, {coming.pace}, would tell {one} from {other}"
+    times = max(peak / max(peaks[name], 1e-300) for name, peak in coming.peaks.items())
+    declared = found.twin.declaration.limits.inputs
+    if times < LARGER or all(name in declared for name in found.twin.actuators):
+        return told
+    return f"{told}. Its peak is {number(times, 2)} times the record's; a plant file may declare limits (limits.inputs)"
+
+
+def left(found: Discovery) -> str:
+    """Say what the model leaves, where nothing is missing."""
+    name = worst(found)
+    after, floor = found.gap.validation[1][name], found.gap.validation_floor[name]
+    return (
+        f"the model leaves of {listed(found.twin.sensors)} what noise makes (of {name}, on data that were not used, "
+        f"{percent(after)}; noise {percent(floor)})"
+    )
+
+
+def spoken(found: Discovery, name: str, on: str) -> str:
+    """Name a cause with its place: 'dry friction in spring1', 'an added mass on x1'."""
+    words, effect = titled(name), found.twin.dictionary.get(name)
+    if effect is None:
+        return f"another {name}"
+    if effect.is_inertia:
+        return f"an {words} on {on}"
+    if effect.where == "loop":
+        actuators = found.twin.actuators
+        return f"a {words} of {on or (actuators[0] if len(actuators) == 1 else 'all actuators')}"
+    return f"{words} {'in' if effect.where == 'element' else 'of'} {on}"
+
+
+def labelled(found: Discovery, name: str, on: str) -> str:
+    """Name a cause with its place as a label: 'Delay of V1'."""
+    return capital(spoken(found, name, on).removeprefix("an ").removeprefix("a "))
+
+
+def titled(name: str) -> str:
+    """Write the name of an effect as it is spoken, with names of people as these are written."""
+    return " ".join(PEOPLE.get(part, part) for part in name.split("_")).replace("Bouc Wen", "Bouc-Wen")
+
+
+def cause(found: Discovery, named: Named) -> str:
+    """Name a cause with its parameters: 'dry friction in spring1, fc = 0.00547 ± 0.00001 m/s²'.
+
+    That of an inertia is said as one says it: 'an added mass of 0.0312 ± 0.0005 kg on x1'.
+    """
+    values = []
+    sure = [n for n, (value, std) in named.parameters.items() if abs(value) > SURE * std]
+    for name in sure or named.parameters:
+        value, std = named.parameters[name]
+        told = f"{name} = {with_deviation(value, std, units(found, named).get(name, ''))}"
+        if named.name not in found.twin.dictionary:
+            told += f", {beyond(value, float(found.rig.start[found.rig.names.index(name)]))}"
+        values.append(told)
+    what = spoken(found, named.name, named.on) if named.name in found.twin.dictionary else ""
+    if what and found.twin.dictionary[named.name].is_inertia:
+        return what.replace(" on ", f" of {values[0].removeprefix('m = ')} on ", 1)
+    return ", ".join(filter(None, [what, *values]))
+
+
+def gap(found: Discovery) -> str:
+    """Say how far the gap closes on the record that judges, for the sensor in which it was largest."""
+    before, how = without(found)
+    after, floor = found.gap.validation[1], found.gap.validation_floor
+    name = worst(found)
+    if not found.effects:
+        before, how, what = found.gap.validation[0], "as declared", "with parameters adjusted alone"
+    else:
+        what = "with this"
+    return (
+        f"On data that were not used, the error in {name} is {percent(before[name])} {how} and {percent(after[name])} "
+        f"{what}; noise alone makes {percent(floor[name])}"
+    )
+
+
+def without(found: Discovery) -> tuple[dict[str, float], str]:
+    """Return the error of each sensor on the record that judges, without what was found, and how that is."""
+    if found.verdict == "parameter":
+        return found.gap.validation[0], "as declared"
+    return found.adjusted_gap, "with parameters adjusted alone"
+
+
+def worst(found: Discovery) -> str:
+    """Return the sensor in which most is left without what was found, beside its noise."""
+    floor, (before, _) = found.gap.validation_floor, without(found)
+    return max(floor, key=lambda name: before[name] / max(floor[name], 1e-300))
+
+
+def beside(found: Discovery) -> str:
+    """Say what is left beside the causes that are known, where more than noise is; '' where not, or it is said."""
+    if found.closed or not found.effects or found.verdict == "unknown":
+        return ""
+    little = ", or the noise is not white: little is left beyond it" if found.within else ""
+    return f"{'This does' if len(found.effects) == 1 else 'These do'} not explain all{little}. {look(found)}"
+
+
+def look(found: Discovery) -> str:
+    """Say what is lacking, or is left beside the causes, looks like."""
+    lacking = rest(found)
+    what = "It" if lacking is where(found).lacking else "What is left"
+    place = lacking.best
+    portrait, (unit, *_) = place.portrait, place.units
+    of_command = max(lacking.actuators, key=lambda name: lacking.actuators[name], default="")
+    if of_command and lacking.actuators[of_command] > max(MOST, place.explained):
+        return f"{what} looks like a force: {follows_command(lacking, of_command)}"
+    return f"{what} looks like a force of {quantity(portrait.size, unit, 2)} (rms) at {place.name}: {portrayed(place)}"
+
+
+def rest(found: Discovery) -> Lacking:
+    """Return what is lacking, or what is left where causes are told that do not explain it."""
+    seen = where(found)
+    return seen.lacking if seen.left is None or not offered(found) else seen.left
+
+
+def subject(found: Discovery) -> Lacking:
+    """Return what is lacking, or what is left where the causes that are known do not explain it."""
+    return rest(found) if found.verdict == "unknown" else where(found).lacking
+
+
+def whereabouts(found: Discovery) -> list[str]:
+    """Say where it is lacking, and whether what is left is white; nothing where neither says anything."""
+    seen, lacking = where(found), where(found).lacking
+    told = []
+    if found.verdict in {"named", "ambiguous"} and found.effects[-1].name in found.twin.dictionary:
+        on, side = found.effects[-1].on, found.twin.dictionary[found.effects[-1].name].where
+        if side == "element" and lacking.best.explained > MOST:
+            place = lacking.best
+            told.append(f"{capital(much(place.share))} of what is lacking sits at {place.name}: {portrayed(place)}")
+        elif side == "actuator" and lacking.actuators.get(on, 0.0) > MOST:
+            told.append(capital(follows_command(lacking, on)))
+        elif side == "sensor" and lacking.sensors.get(on, 0.0) > MOST:
+            told.append(f"{capital(much(lacking.sensors[on]))} of what is lacking of {on} follows its reading")
+    if found.verdict == "unknown":
+        return told
+    coloured = {
+        name: last for name, (first, after) in seen.whiteness.items() for last in (after or first,) if not last.white
+    }
+    if coloured:
+        told.append(
+            f"On data that were not used, what is left of {listed([f'{n} is {white(w)}' for n, w in coloured.items()])}"
+        )
+    return told
+
+
+def follows_command(lacking: Lacking, name: str) -> str:
+    """Say how much of what is lacking follows a command."""
+    return f"{much(lacking.actuators[name])} of what is lacking follows the command of {name}"
+
+
+def portrayed(place: Place) -> str:
+    """Say what a force at a place follows, how alike it is in both directions, where it sits and what it takes."""
+    parts = place.portrait.parts
+    if parts is None:
+        return "it is hardly beyond its deviation"
+    if place.portrait.mean**2 > CONSTANT * place.portrait.size**2:
+        return "it hardly changes"
+    follows = [
+        (much(part), what)
+        for part, what in (
+            (parts.displacement, "the displacement"),
+            (parts.rate, "the rate"),
+            (parts.both, "displacement and rate together"),
+        )
+        if part > NOTABLE
+    ]
+    told = []
+    if follows:
+        (first, what), *others = follows
+        said = listed([f"{first} of its energy follows {what}", *(f"{part} {what}" for part, what in others)])
+        told.append(said if parts.odd is None else f"{said}, {symmetry(parts.odd)}")
+    if parts.neither > NOTABLE:
+        told.append(
+            f"{much(parts.neither)} follows neither displacement nor rate: time, memory or another place matters"
+        )
+    told.extend(regions(place))
+    if abs(place.portrait.taken) > TAKEN:
+        way = ("takes", "out of") if place.portrait.loss > 0.0 else ("puts", "into")
+        told.append(f"it {way[0]} {power(abs(place.portrait.loss), place.units)} {way[1]} the motion")
+    return "; ".join(told)
+
+
+def symmetry(odd: float) -> str:
+    """Say how alike a force is in both directions, by the part of it that turns round with the motion."""
+    if odd > ALIKE:
+        return "alike in both directions"
+    return "the same way on both sides" if odd < 1.0 - ALIKE else "different in the two directions"
+
+
+def regions(place: Place) -> list[str]:
+    """Say in which part of travel, speed and record a force has much more of its energy than there is time."""
+    told, of = [], place.portrait.regions
+    ends = [of["displacement"][name] for name in ("low", "high")]
+    (energy, time), parts = np.sum(ends, axis=0), place.portrait.parts
+    if energy > MUCH * time and energy > MOST and min(part / max(spent, 1e-9) for part, spent in ends) > 1.0:
+        told.append("most of it is at the ends of the travel")
+    else:
+        told.extend(
+            f"{much(part)} of it is where the displacement is {name if name != 'middle' else 'in the middle'}"
+            for name, (part, spent) in of["displacement"].items()
+            if part > max(MUCH * spent, MOST)
+        )
+    if parts is not None and parts.rate < MOST:  # what follows the rate is larger where that is
+        told.extend(
+            f"{much(part)} of it is where the motion is {name}"
+            for name, (part, spent) in of["speed"].items()
+            if part > MUCH * spent
+        )
+    told.extend(
+        f"{much(part)} of it is in the {name} third of the record"
+        for name, (part, spent) in of["record"].items()
+        if part > MUCH * spent
+    )
+    return told
+
+
+def white(one: Whiteness) -> str:
+    """Say whether residuals are white, and if not, at which frequency they are not."""
+    if one.white:
+        return "white"
+    at = "an offset" if not one.frequency else f"{number(one.frequency, 2)} Hz"
+    return f"not white ({'slow, ' if one.slow and one.frequency else ''}{at})"
+
+
+def remedies(found: Discovery) -> list[tuple[str, str, str, str]]:
+    """Return what each named effect is, what causes it and what helps: (name, meaning, cause, remedy)."""
+    dictionary = found.twin.dictionary
+    seen = dict.fromkeys(n for e in offered(found) for n in (e.name, *(a[0] for a in e.alternatives if a[2] > 0.05)))
+    known = [(name, dictionary[name]) for name in seen if name in dictionary]
+    return [(titled(name), e.meaning, e.cause, e.remedy) for name, e in known]
+
+
+def units(found: Discovery, named: Named) -> dict[str, str]:
+    """Return the units of the parameters of a cause, as they are shown."""
+    return {name: pretty(unit) for name, unit in plain_units(found, named).items()}
+
+
+def plain_units(found: Discovery, named: Named) -> dict[str, str]:
+    """Return the units of the parameters of a cause, such as N/m**3."""
+    if named.name not in found.twin.dictionary:
+        return {n: found.twin.base.parameters[n].unit for n in named.parameters}
+    effect, twin = found.twin.dictionary[named.name], found.twin
+    if effect.where == "element":
+        force, displacement, _ = latent_force.element_units(found, named.on)
+        known = {"F": force or "1", "D": displacement or "1", "s": "s" if displacement else "1"}
+    elif effect.where == "sensor":
+        known = {"S": twin.declaration.sensors[named.on].unit}
+    else:
+        known = {"U": latent_force.command_unit(found, named.on)}
+    made = {n: put_together(effect.parameters[n].unit, known) for n in named.parameters}
+    if effect.is_inertia:  # kg, rather than N s²/m
+        made = {n: describe(dimension_of(unit)) for n, unit in made.items()}
+    return made
+
+
+def capital(text: str) -> str:
+    """Return a text that begins a sentence."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def alternatives(words: Sequence[str]) -> str:
+    """Write several words of which one holds."""
+    return words[0] if len(words) == 1 else f"either {', '.join(words[:-1])} or {words[-1]}"
+
+
+def listed(words: Sequence[str], between: str = ", ") -> str:
+    """Write several words as a list."""
+    return words[0] if len(words) == 1 else f"{between.join(words[:-1])} and {words[-1]}"

@@ -1,0 +1,202 @@
+"""Figures of a fit: records beside their simulation, what is left and its spectrum, and estimates over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import lazy_loader as lazy
+import numpy as np
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from masking.errors import IntegrationError
+from masking.estimation.data import Data
+from masking.estimation.innovations import KalmanFit
+from masking.estimation.simulation import Simulated, simulate
+from masking.numerics.arrays import Array
+from masking.procedures.measurement import percent
+from masking.report.procedure_figures import BAND, DASHED, heading, legend, shown, ticks, top
+from masking.report.style import COLOURS, INK, LIMIT, MUTED, SIZE, Plate, panels, symbol, thin, with_unit
+
+if TYPE_CHECKING:
+    from scipy import signal
+
+    from masking.estimation.fit import Fit
+else:
+    signal = lazy.load("scipy.signal", suppress_warning=True)
+
+
+_WIDTHS: Final = (3.1, 1.75, 1.75)  # inches: readings, what is left of them, its spectrum
+_PERIODS = 8  # of the strongest line that are shown
+_LEAST_SHOWN = 1.0  # s
+_SEGMENTS = 8  # that a record is cut into for a spectrum
+_BINS_PER_DECADE = 24
+_MORE = 1.2  # times the noise: from here on a residual is more than that
+_MOST_SENSORS = 6
+_MOST_PARAMETERS = 24
+_TITLE = 0.22  # inches above axes for the value of a parameter
+_SETTLED = 0.15  # of the record: after that, a band sets the range of its axis
+
+
+def plates(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]) -> tuple[list[Plate], str]:
+    """Return the figures of a fit and what they say; without a record whose simulation is not finite."""
+    drawn, sentence = [], "The simulation with the fitted values is not finite"
+    for record, was_fitted in ((train[0], True), *((record, False) for record in unseen[:1])):
+        try:
+            made = simulate(found.twin, record, found.names)
+        except IntegrationError:
+            continue
+        drawn.append(fit(made, was_fitted=was_fitted))
+        sentence = verdict(made, was_fitted=was_fitted)
+    if isinstance(found, KalmanFit) and found.names:
+        drawn.append(estimates(found))
+    return drawn, sentence
+
+
+def fit(made: Simulated, *, was_fitted: bool) -> Plate:
+    """Draw a record beside its simulation.
+
+    Args:
+        made: the record and its simulation with the fitted values.
+        was_fitted: False for a record that judges the fit.
+    """
+    names = made.sensors[:_MOST_SENSORS]
+    sentence = verdict(made, was_fitted=was_fitted)
+    figure, rows = panels(len(names), 1.35, _WIDTHS, top(sentence))
+    seconds = _span(made)
+    part = made.times <= seconds
+    for i, (name, (motion, rest, spectrum)) in enumerate(zip(names, rows, strict=True)):
+        unit = made.units[i]
+        t, measured = made.times[part], made.record.readings[part, i]
+        by, y_unit = shown(unit, measured)
+        motion.plot(*thin(t, by * measured), color=COLOURS[0], lw=1.8)
+        motion.plot(*thin(t, by * made.readings[part, i]), color=INK, lw=0.9, ls=DASHED)
+        motion.set_ylabel(with_unit(symbol(name), y_unit))
+        left = made.residual[part, i]
+        by, y_unit = shown(unit, left)
+        rest.plot(*thin(t, by * left, 300), color=COLOURS[1], lw=0.7)
+        for side in (-1.96, 1.96):
+            rest.axhline(side * by * made.record.noise[i], color=INK, lw=0.9, ls=DASHED)
+        rest.set_ylabel(with_unit("residual", y_unit))
+        for axes in (motion, rest):
+            axes.set_xlim(0.0, seconds)
+            axes.margins(y=0.08)
+            ticks(axes, 4)
+        for values, colour, width in (
+            (made.record.readings[:, i], COLOURS[0], 1.2),
+            (made.residual[:, i], COLOURS[1], 1.0),
+        ):
+            f, density = _density(values, made.record.rate)
+            spectrum.plot(f, density, color=colour, lw=width)
+        spectrum.axhline(made.record.noise[i] * np.sqrt(2.0 / made.record.rate), color=INK, lw=0.9, ls=DASHED)
+        spectrum.set_xscale("log")
+        spectrum.set_yscale("log")
+        spectrum.set_xlim(f[0], f[-1])
+        spectrum.yaxis.set_major_locator(LogLocator(numticks=5))
+        for axis in (spectrum.xaxis, spectrum.yaxis):
+            axis.set_minor_formatter(NullFormatter())
+        spectrum.xaxis.set_major_locator(LogLocator(numticks=5))
+        spectrum.set_ylabel(f"{unit or '1'}/√Hz")
+    rows[-1][0].set_xlabel("time (s)")
+    rows[-1][1].set_xlabel("time (s)")
+    rows[-1][2].set_xlabel("frequency (Hz)")
+    heading(figure, sentence)
+    legend(figure, rows[0][0], [
+        Line2D([], [], color=COLOURS[0], lw=2, label="measured"),
+        Line2D([], [], color=COLOURS[1], lw=1.4, label="what is left"),
+        Line2D([], [], color=INK, lw=1, ls=DASHED, label="simulated; of what is left, the noise alone"),
+    ])  # fmt: skip
+    caption = (
+        f"{made.record.name}: left, its first {seconds:.3g} s and the simulation; in the middle what is left, with "
+        "the lines that hold 95 % of the noise; right, spectra of the whole record. Where the residual is above the "
+        "noise, the model lacks something."
+    )
+    name = "fit" if was_fitted else "validation"
+    return Plate(name, "The fit" if was_fitted else "The fit on unseen data", caption, figure)
+
+
+def estimates(found: KalmanFit) -> Plate:
+    """Draw the estimates of a filter over time, with the band of two standard deviations."""
+    names = found.names[:_MOST_PARAMETERS]
+    columns = 1 if len(names) <= 3 else 2
+    widths = (7.83,) if columns == 1 else (3.45, 3.45)
+    count = -(-len(names) // columns)
+    last = " and ".join(names) if len(names) <= 2 else f"{len(found.names)} parameters"
+    chi = max(found.chi.values())
+    error = f"with an error of {percent(chi)} or less" if np.isfinite(chi) else "but the simulation is not finite"
+    sentence = f"One pass of {found.times[-1]:.3g} s estimates {last}; the final values reproduce the record {error}"
+    figure, rows = panels(max(count, 1), 1.15, widths, top(sentence) + _TITLE)
+    cells = [axes for row in rows for axes in row]
+    known = found.twin.model.declaration.parameters
+    for i, (name, axes) in enumerate(zip(names, cells, strict=False)):
+        t, value, half = found.times, found.trajectory[:, i], 2.0 * found.deviations[:, i]
+        axes.fill_between(*_both(t, value - half, value + half), color=COLOURS[0], alpha=BAND, lw=0)
+        axes.plot(*thin(t, value), color=COLOURS[0], lw=1.2)
+        axes.axhline(found.values[i], color=INK, lw=0.9, ls=DASHED)
+        late = t >= _SETTLED * t[-1]
+        low = min(float(value.min()), float((value - half)[late].min()))
+        high = max(float(value.max()), float((value + half)[late].max()))
+        pad = 0.08 * (high - low) or 1.0
+        axes.set(xlim=(t[0], t[-1]), ylim=(low - pad, high + pad))
+        ticks(axes, 4)
+        unit = known[name].unit if name in known else ""
+        axes.set_ylabel(with_unit(symbol(name), "" if unit == "1" else unit))
+        axes.set_title(f"{found.values[i]:.5g} ± {2.0 * found.std[i]:.2g}", loc="left", fontsize=SIZE - 1,
+                       color=LIMIT if not np.isfinite(found.values[i]) else MUTED, pad=2)  # fmt: skip
+    for axes in cells[len(names) :]:
+        axes.set_visible(False)
+    for axes in cells[max(len(names) - columns, 0) : len(names)]:
+        axes.set_xlabel("time (s)")
+    heading(figure, sentence)
+    legend(figure, cells[0], [
+        Line2D([], [], color=COLOURS[0], lw=2, label="estimate, ± 2 standard deviations"),
+        Line2D([], [], color=INK, lw=1, ls=DASHED, label="final value"),
+    ], _TITLE)  # fmt: skip
+    left = len(found.names) - len(names)
+    more = f" The first {len(names)} of {len(found.names)} parameters are shown." if left else ""
+    caption = (
+        "The estimate of each parameter after each sample, and two standard deviations of it, which hold if the noise "
+        f"is what the filter was told; above each, the final value.{more}"
+    )
+    return Plate("estimates", "Estimates over time", caption, figure)
+
+
+def _both(t: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
+    """Return fewer points of a band."""
+    step = max(1, len(t) // 1500)
+    return t[::step], low[::step], high[::step]
+
+
+def _span(made: Simulated) -> float:
+    """Return the seconds at the start that hold a few periods of the strongest line of any sensor."""
+    whole, strongest = made.times[-1], 0.0
+    for values in made.record.readings.T:
+        spectrum = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values))))[1:]
+        strongest = max(strongest, (1 + int(np.argmax(spectrum))) / (len(values) / made.record.rate))
+    return float(min(whole, max(_LEAST_SHOWN, _PERIODS / max(strongest, 1e-300))))
+
+
+def verdict(made: Simulated, *, was_fitted: bool) -> str:
+    """Say in a sentence whether a simulation leaves more than noise of a record that was fitted, or was not."""
+    chi, floor, which = made.chi, made.floor, "fitted" if was_fitted else "unseen"
+    more = [name for name in chi if chi[name] > _MORE * floor[name]]
+    if not more:
+        told = ", ".join(f"{name} {percent(chi[name])}" for name in chi)
+        return f"In the {which} record the model leaves hardly more than the noise: {told} of the readings"
+    told = ", ".join(f"{name} {percent(chi[name])} ({percent(floor[name])})" for name in more)
+    return f"In the {which} record the model leaves more of the readings than the noise (in brackets): {told}"
+
+
+def _density(values: Array, rate: float) -> tuple[Array, Array]:
+    """Return frequencies, evenly over their logarithm, and the root of the power spectral density there.
+
+    In Hz, and in units of the values per root of Hz.
+    """
+    length = max(2 * len(values) // (_SEGMENTS + 1), 16)
+    f, power = signal.welch(values, rate, nperseg=min(length, len(values)), detrend="constant")
+    bins = np.floor(_BINS_PER_DECADE * np.log10(f[1:] / f[1])).astype(int)
+    first = np.flatnonzero(np.diff(bins, prepend=-1))
+    counts = np.diff(np.append(first, len(bins)))
+    mean = [np.add.reduceat(column, first) / counts for column in (f[1:], power[1:])]
+    return mean[0], np.sqrt(np.maximum(mean[1], 1e-300))

@@ -1,0 +1,171 @@
+"""Map: the figure of what is lacking at a place over displacement and rate, with the laws that were found there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from masking.discovery import latent_force
+from masking.discovery.augmented_model import Slot
+from masking.discovery.discovery import Discovery
+from masking.discovery.force_decomposition import SEEN
+from masking.numerics.arrays import Array
+from masking.report import discovery_text, quantities
+from masking.report.procedure_figures import heading, legend, shown, top
+from masking.report.style import COLOURS, INK, MUTED, Plate, panels, with_unit
+
+BEFORE: Final = COLOURS[1]
+AFTER: Final = COLOURS[0]
+CLOUD: Final = 0.4  # opacity
+POINTS = 5000  # of a cloud
+ALSO = 0.02  # part that all takes beyond what the laws at the place take, from which that is told
+
+
+def plate(found: Discovery, lacking: latent_force.Lack) -> Plate:
+    """Draw the lacking force over displacement and rate, before and after, with the laws that were found there."""
+    has_after = lacking.after is not None and bool(found.explanation.hypothesis.slots)
+    what = {"element": "force", "actuator": "command", "sensor": "reading"}[lacking.where]
+    slots = laws_at(found, lacking)
+    law = along(found, lacking, slots) if slots else None
+    said = _seen(found, lacking, what, law)
+    values = [lacking.before, *([law] if law is not None else [])]
+    by, unit = scale(lacking.units[0], values)
+    reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
+    rows_of = [(lacking.before, BEFORE, "lacking"), *([(lacking.after, AFTER, "left")] if has_after else [])]
+    seen = lacking.seen
+    figure, rows = panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), top(said))
+    low = np.array([np.quantile(x, [0.0005, 0.9995]) for x, _ in seen])
+    step = max(1, len(lacking.x) // POINTS)
+    for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
+        assert values_of is not None  # noqa: S101  # those that are None have no row
+        for axes, (x, x_unit), (left, right) in zip(row, seen, low, strict=True):
+            times, name = scale(x_unit, [x])
+            axes.plot(times * x[::step], by * values_of[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
+            centres, means, _ = latent_force.binned(x, values_of)
+            half = 2.0 * lacking.deviations[row is not rows[0]]
+            axes.fill_between(times * centres, by * (means - half), by * (means + half), color=colour, alpha=0.16, lw=0)
+            axes.plot(times * centres, by * means, color=colour, lw=1.8)
+            if kind == "lacking" and law is not None:
+                _law(axes, times * x, by * law)
+            pad = 0.03 * (right - left)
+            axes.set(xlim=(times * (left - pad), times * (right + pad)), ylim=(-reach, reach))
+            axes.axhline(0.0, color=MUTED, lw=0.7)
+            label = {"element": "displacement", "actuator": "command", "sensor": "reading"}[lacking.where]
+            if row is rows[-1]:
+                axes.set_xlabel(with_unit(label if x is lacking.x else f"rate of {label}", quantities.pretty(name)))
+        label = f"lacking {what}" if kind == "lacking" else f"{what} that is left"
+        row[0].set_ylabel(with_unit(label, quantities.pretty(unit)))
+        for axes in row[1:]:
+            axes.tick_params(labelleft=False)
+            axes.yaxis.get_offset_text().set_visible(False)
+    heading(figure, said)
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=BEFORE, lw=2, label=f"{what} that the model lacks, its mean and ± 2 deviations")
+    ]
+    if law is not None:
+        label = "law that was fitted" if len(slots) == 1 else f"sum of the {len(slots)} laws that were fitted"
+        handles.append(Line2D([], [], color=INK, lw=1.6, label=label))
+    if has_after:
+        handles.append(Line2D([], [], color=AFTER, lw=2, label="what is left"))
+    legend(figure, rows[0][-1], handles)
+    caption = (
+        f"The {what} at {lacking.place} that the model lacks along the record, from its readings by a Kalman smoother "
+        "that adds a random walk to the equations. It takes no differences of readings, and rounds off what changes "
+        "faster than the noise lets it see. Points are samples; the line is their mean over equal ranges."
+    )
+    if lacking.where == "sensor":
+        caption = (
+            f"What the simulation leaves of the reading of {lacking.place} along the record, over what it should read."
+        )
+    return Plate("map", "What it looks like", caption, figure)
+
+
+def laws_at(found: Discovery, lacking: latent_force.Lack) -> list[Slot]:
+    """Return the causes that sit at the place that is looked at, and are told."""
+    told = {(one.name, one.on) for one in discovery_text.offered(found)}
+    return [
+        slot
+        for slot in found.explanation.hypothesis.slots
+        if slot.where == lacking.where and slot.at in {lacking.place, ""} and (slot.effect, slot.at) in told
+    ]
+
+
+def along(found: Discovery, lacking: latent_force.Lack, slots: Sequence[Slot]) -> Array:
+    """Return what causes at the place that is looked at give together (m,): force, command or reading."""
+    law = np.zeros_like(lacking.before)
+    motion, names = latent_force.smoothed(found).before, [place.name for place in found.rig.places]
+    for slot in slots:
+        if lacking.where == "element":
+            law += latent_force.along(found, slot, *motion.acted_on(slot.entry, names.index(lacking.place)))
+        else:
+            law += latent_force.along(found, slot, lacking.x, lacking.rate) - lacking.x
+    return law
+
+
+def share(lacking: latent_force.Lack, law: Array | None) -> float:
+    """Return which part of the mean square of what is lacking a law takes away; without one, all that was found."""
+    if law is None:
+        assert lacking.after is not None  # noqa: S101  # asked only where something was found
+        rest = lacking.after
+    else:
+        rest = lacking.before - law
+    noise = lacking.deviations[0] ** 2 if lacking.where == "sensor" else 0.0
+    after, before = (max(float((v**2).mean()) - noise, 0.0) for v in (rest, lacking.before))
+    return max(1.0 - after / max(before, 1e-300), 0.0)
+
+
+def _seen(found: Discovery, lacking: latent_force.Lack, what: str, law: Array | None) -> str:
+    """Say what the laws at the place take away there, and what all that was found does where that is more."""
+    square = float((lacking.before**2).mean())
+    is_small = lacking.where == "element" and square < SEEN * lacking.deviations[0] ** 2
+    if found.verdict == "none" or (found.verdict == "parameter" and is_small):
+        beside = "With the parameters that were found, the" if found.verdict == "parameter" else "The"
+        return f"{beside} record shows no {what} at {lacking.place} beyond its deviation that follows the motion"
+    if found.verdict == "unknown" or lacking.after is None or not found.effects:
+        return discovery_text.look(found)
+    whole = share(lacking, None)
+    of = f"of the mean square of the {what} that the model lacks at {lacking.place}"
+    if law is None:
+        return f"What was found takes away {_percent(whole)} {of}"
+    slots = laws_at(found, lacking)
+    name = discovery_text.listed([discovery_text.spoken(found, slot.effect, slot.at) for slot in slots])
+    takes = "takes" if len(slots) == 1 else "together take"
+    if len(slots) == len(found.explanation.hypothesis.slots) and lacking.where != "sensor":
+        return f"{discovery_text.capital(name)} {takes} away {_percent(whole)} {of}"
+    # Others act here, too: parameters of a sensor's simulation, or causes at other places.
+    alone = share(lacking, law)
+    told = f"{discovery_text.capital(name)} {takes} away {_percent(alone)} {of}"
+    return f"{told}; all that was found takes {_percent(whole)}" if whole > alone + ALSO else told
+
+
+def _percent(part: float) -> str:
+    return f"{100.0 * part:.3g} %"
+
+
+def _law(axes: Axes, x: Array, law: Array) -> None:
+    """Draw a law: as a line where it is a function of x, as a fine cloud where it is not."""
+    order = np.argsort(x)
+    steps = np.abs(np.diff(law[order]))
+    size = float(np.abs(law).max())
+    rough = float(np.ptp(law)) > 1e-9 * size and float(np.quantile(steps, 0.9)) > 2e-3 * float(np.ptp(law))
+    if not rough:
+        places = np.linspace(x[order[0]], x[order[-1]], 400)
+        axes.plot(places, np.interp(places, x[order], law[order]), color=INK, lw=1.6, zorder=5)
+        return
+    step = max(1, len(x) // 6000)
+    axes.plot(x[::step], law[::step], ".", color=INK, ms=1.4, alpha=0.6, mew=0, zorder=5)
+
+
+def scale(unit: str, values: Sequence[Array]) -> tuple[float, str]:
+    """Return the factor and unit in which values are drawn: metres, volts, newtons in thousandths where small."""
+    if unit in {"V", "m", "N"}:
+        return shown(unit, *(np.abs(v) for v in values))
+    largest = max(float(np.abs(v).max()) for v in values)
+    if unit.startswith(("m/", "V/", "N/")) and largest < 0.1:
+        return 1e3, f"m{unit}"
+    return 1.0, unit

@@ -1,0 +1,331 @@
+"""Wording: what a study shows, in sentences and short lines of plain text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from masking.records.recording import Recording
+from masking.report.run_facts import InputUse, Parameter, PhasePair, Study, parameters, percent
+
+_SUMMARY_LINES = 14
+_TRUE, _ROUGH = 0.01, 0.3  # chi up to which the rig moved as, or roughly as, the virtual system
+_OWNED = frozenset({"the", "a", "an", "my", "our", "your", "his", "her", "its", "their", "this", "that"})
+_AWAY = 0.02  # of the largest initial coordinate: what an approach may leave
+_MUCH = 1.1  # times its limit: from here on an input is told in multiples, below in percent
+_NEAR = 0.1  # of pi: how near to 0 or pi counts as in-phase or anti-phase
+_WITH_MODEL = frozenset({"kalman", "disturbance"})  # observers that predict what is late
+_NO_PHASE = "no fixed phase"
+STEADY = 0.7  # length of the mean unit vector below which a phase is not locked
+
+
+def warnings(recording: Recording, uses: Iterable[InputUse], chi: Mapping[str, float]) -> list[str]:
+    """Say in plain sentences what makes the result not hold as it stands; nothing where all is well."""
+    uses, manifest = tuple(uses), recording.manifest
+    found = [text for text in (exceeded(uses), cut(uses)) if text]
+    rate = float(manifest.get("rate") or 0.0)
+    compensates = (manifest.get("observer") or {}).get("kind") in _WITH_MODEL
+    is_late = manifest.get("mode") == "sampled" and rate > 0.0 and not compensates
+    if is_late and any(part > _TRUE for part in chi.values()):
+        late = 0.5 / rate
+        late_words = f"{number(late)} s" if late >= 1.0 else f"{number(1e3 * late)} ms"
+        found.append(
+            f"Sampled at {rate_words(rate)}, inputs act half a sample ({late_words}) late on average, which nothing "
+            "here predicts; 'observer: disturbance' does, and a higher controller.rate makes it less."
+        )
+    if missed(manifest):
+        found.append(missed(manifest))
+    return found
+
+
+def missed(manifest: Mapping[str, Any]) -> str:
+    """Say where the approach left the rig, if that is not where it should begin; nothing where it is."""
+    told = manifest.get("start") or {}
+    wanted, reached = told.get("wanted") or {}, told.get("reached") or {}
+    size = max((abs(value) for value in wanted.values()), default=0.0)
+    short = [name for name, value in wanted.items() if abs(reached.get(name, value) - value) > _AWAY * size]
+    if not short:
+        return ""
+    away = ", ".join(f"{name} = {number(reached[name])} instead of {number(wanted[name])}" for name in short)
+    return (
+        f"The approach did not reach the initial state: {away}; give it more time (controller.approach), or begin with "
+        "less (initial)."
+    )
+
+
+def exceeded(uses: Iterable[InputUse]) -> str:
+    """Say which inputs went beyond their limits; nothing where none did."""
+    told = []
+    for use in uses:
+        if use.is_exceeded and use.used is not None:
+            peak, limit = (f"{number(value)} {use.unit}".rstrip() for value in (use.peak, use.limit))
+            over = f"{number(use.used)} times" if use.used >= _MUCH else f"{percent(use.used - 1)} above"
+            told.append(f"{use.name} needs {peak}, {over} its limit of {limit}")
+    return f"Not possible on this rig: {'; '.join(told)}." if told else ""
+
+
+def cut(uses: Iterable[InputUse]) -> str:
+    """Say which inputs were held back by a limit, for how long; nothing where all that was demanded was applied."""
+    told = []
+    for use in uses:
+        if not use.is_cut:
+            continue
+        parts = [f"at its limit for {percent(use.saturated)} of the run"] if use.saturated else []
+        if use.throttled:
+            power = "" if use.most_power is None else f" of {use.most_power:g} W"
+            parts.append(f"held back by its mean power{power} for {percent(use.throttled)} of the run")
+        limit = f"{number(use.limit)} {use.unit}".rstrip()
+        demand = f"{percent(use.demand / use.limit)} of {limit}" if use.limit else f"{number(use.demand)} {use.unit}"
+        told.append(f"{use.name} was {' and '.join(parts)}: demanded up to {demand.rstrip()}")
+    return f"{'; '.join(told)}; the rig could not follow there." if told else ""
+
+
+def observer(facts: Study) -> str:
+    """Say how the controller knew the rig's state, "" where it knew the true one."""
+    told = facts.recording.manifest.get("observer") or {}
+    kind = str(told.get("kind") or "")
+    if not kind or kind == "exact":
+        return ""
+    delay = int(told.get("delay") or 0)
+    late = f"{delay} sample{'s' * (delay != 1)} of delay" if delay else "no delay"
+    if kind not in _WITH_MODEL:
+        return f"{kind} of the positions, {late}{' not predicted' * bool(delay)}"
+    words = f"{'Kalman filter' if kind == 'kalman' else f'{kind} observer'}"
+    if told.get("order"):
+        words += f", order {told['order']}"
+    speeds = (told.get("bandwidth") or {}).values()
+    if speeds:
+        words += f", bandwidth {'/'.join(number(speed) for speed in speeds)} rad/s"
+    return f"{words}, {late}{' predicted' * bool(delay)}"
+
+
+def _rig(name: str) -> str:
+    """Put an article before a plant's name, where the name does not bring its own."""
+    first = name.lower().partition(" ")[0]
+    name = name if first in _OWNED or first.endswith(("'s", "\u2019s")) else f"the {name}"
+    return name[0].upper() + name[1:]
+
+
+def headline(facts: Study) -> list[str]:
+    """Sentences that say what happened; what is beyond a limit would happen."""
+    manifest = facts.recording.manifest
+    plant = _rig(str(manifest.get("plant_name") or "").strip() or "rig")
+    possible = not exceeded(facts.inputs)
+    virtual = str(manifest.get("virtual_name") or "its virtual system")
+    length = f"over {_duration(facts)}"
+    worst = facts.worst
+    still = bool(facts.coordinates) and not any(np.any(facts.motion(name)) for name in facts.coordinates)
+    if still and not any(facts.chi.values()):
+        return [f"{plant} stood still {length}."]
+    if worst is None:
+        sentences = [f"{plant} was recorded {length}."]
+    else:
+        chi = facts.chi[worst]
+        size = f"= {number(chi, 2)}" if len(facts.chi) == 1 or chi == 0 else f"<= {number(chi, 2)} in each coordinate"
+        held = regulation(manifest)
+        how = "as" if chi <= _TRUE else "roughly as"
+        verb = f"moved {how}" if possible else f"would move {how}"
+        if not chi <= _ROUGH:
+            verb = "did not move as" if possible else "would not move as"
+        sentences = [f"{plant} {verb} {virtual}: fidelity chi {size} {length}."]
+        if held:
+            sentences = [f"{plant} {'moved' if possible else 'would move'} as {virtual} {held}, {length}."]
+    if still:
+        sentences.append("Nothing moved.")
+    sentences += [_phase_sentence(pair) for pair in facts.pairs[:1]]
+    if ended(manifest):
+        sentences.append(ended(manifest))
+    if len(facts.oscillators) > 2 and facts.sum_peak is not None:
+        start, end = facts.sum_ends
+        sentences.append(f"The peak of {sum_name(facts)} went from {number(start)} to {number(end)}.")
+    if facts.budget is not None:
+        sentences.append(facts.budget.sentence)
+    return sentences
+
+
+def ended(manifest: Mapping[str, Any]) -> str:
+    """Say what ended a run before its duration, or that what was to end it did not; nothing where nothing was to."""
+    told = manifest.get("stop") or {}
+    if not told:
+        return ""
+    what = f"{' and '.join(told['of'])} were {'in ' * (told['phase'] == 'anti')}{told['phase']}-phase"
+    eps = f"to {percent(told['eps'])} of the amplitude"
+    if told["met"]:
+        whole = number(told["duration"], 4)
+        return f"The run ended after {number(told['at'], 4)} of {whole} units of time, when {what} {eps}."
+    return f"Nothing ended the run early: {what} {eps} for {number(told['periods_needed'])} periods at no time."
+
+
+def regulation(manifest: Mapping[str, Any]) -> str:
+    """Say what the controller held besides the wanted dynamics; nothing where it held nothing."""
+    declared = (manifest.get("declarations") or {}).get("experiment") or {}
+    wanted = (declared.get("controller") or {}).get("regulate") or {}
+    parts = [f"an energy of {number(wanted['energy'])}"] if wanted.get("energy") is not None else []
+    parts += [f"{wanted['phase']}-phase motion"] if wanted.get("phase") else []
+    return f"regulated to {' and '.join(parts)}" if parts else ""
+
+
+def _phase_sentence(pair: PhasePair) -> str:
+    who = f"{pair.first} and {pair.second}"
+    start, end = _state(pair.start, pair.steady_start), _state(pair.end, pair.steady_end)
+    if pair.verdict is not None and (pair.verdict.kind in {"beating", "death"} or len(set(pair.verdict.ratio)) > 1):
+        return str(pair.verdict)
+    if start == end and "pi" in end:
+        return f"{who} stayed {end}."
+    if start == end == _NO_PHASE:
+        return f"{who} kept {_NO_PHASE}."
+    if start == end:
+        return f"{who} stayed {'in ' * (end == 'anti-phase')}{end} (from {pi(pair.start)} to {pi(pair.end)})."
+    where = {"in-phase", "anti-phase"}
+    told = [s if s not in where else f"{s} ({pi(p)})" for s, p in ((start, pair.start), (end, pair.end))]
+    return f"{who} went from {told[0]} to {told[1]}."
+
+
+def _since(facts: Study) -> str:
+    """Say from when on two oscillators are synchronised, by definition 8.1."""
+    found = facts.pairs[0].verdict if facts.pairs else None
+    if found is None or not math.isfinite(found.time):
+        return ""
+    return f"; within {percent(found.within)} of the amplitude from {number(found.time, 4)} on"
+
+
+def _state(phase: float, steady: float) -> str:
+    if steady < STEADY:
+        return _NO_PHASE
+    if phase <= _NEAR * math.pi:
+        return "in-phase"
+    return "anti-phase" if phase >= (1 - _NEAR) * math.pi else f"{pi(phase)} apart"
+
+
+def summary(facts: Study) -> str:
+    """Tell a study in at most fourteen lines of plain text."""
+    manifest = facts.recording.manifest
+    rows: list[tuple[str, str]] = []
+    changed = [change(p) for p in parameters(facts.recording) if p.is_changed]
+    if changed:
+        rows.append(("changed", ", ".join(changed)))
+    if facts.chi:
+        against = ", against the system without regulation" if regulation(manifest) else ""
+        rows.append(("fidelity", "  ".join(f"{name} {number(chi, 2)}" for name, chi in facts.chi.items()) + against))
+    if facts.anti_phase is not None and facts.anti_phase.alpha > 0:
+        fit = facts.anti_phase
+        words = f"alpha = {fit.alpha:.4f}, eps = {number(fit.eps)} over the last fifth{_since(facts)}"
+        rows.append(("anti-phase", words))
+    if facts.sum_peak is not None:
+        start, end = facts.sum_ends
+        rows.append(("peak sum", f"{sum_name(facts)} from {number(start)} to {number(end)}"))
+    elif len(facts.oscillators) > 1:
+        rows.append(("phase", f"not given: {facts.no_phase}"))
+    if facts.inputs:
+        rows.append(("inputs", "  ".join(use_words(use) for use in facts.inputs)))
+    if observer(facts):
+        rows.append(("observer", observer(facts)))
+    if manifest.get("rig"):
+        rows.append(("rig", ticks(manifest)))
+    energy = manifest.get("energy") or {}
+    if "virtual" in energy:
+        rows.append(("energy", f"drift of the virtual system {number(energy['virtual'])}"))
+    rows.append(("record", record_words(facts)))
+    if manifest.get("timing"):
+        rows.append(("time", "  ".join(timing(manifest))))
+    first, *more = headline(facts)
+    said = [first, *warnings(facts.recording, facts.inputs, facts.chi), *more]
+    lines = said + [f"  {name:<11}{_short(text)}" for name, text in rows]
+    return "\n".join(lines[:_SUMMARY_LINES])
+
+
+def timing(manifest: Mapping[str, Any]) -> list[str]:
+    """Say how long each stage took, compilation first."""
+    stages = dict(manifest.get("timing") or {})
+    ordered = sorted(stages, key=lambda stage: stage != "compilation")
+    return [f"{stage} {number(stages[stage])} s" for stage in ordered]
+
+
+def change(parameter: Parameter) -> str:
+    """Name a parameter with the value that ran."""
+    return f"{parameter.name} = {number(parameter.value, 7)} {parameter.unit}".rstrip()
+
+
+def declared(parameter: Parameter) -> str:
+    """Say in brackets what was declared, where that is not what the value shows."""
+    if parameter.is_changed:
+        return f" (declared {number(parameter.declared, 7)})"
+    is_computed = isinstance(parameter.declared, str) and isinstance(parameter.value, float)
+    return f" (= {parameter.declared})" if is_computed else ""
+
+
+def record_words(facts: Study) -> str:
+    """Say how long the record is, and how and how often it was taken."""
+    manifest, t = facts.recording.manifest, facts.recording.t
+    unit = facts.unit("t")
+    words = f"{len(t)} samples, {number(t[-1] - t[0])} {unit}".rstrip() + " of the rig"
+    if manifest.get("rate"):
+        words += f", {manifest.get('mode') or 'sampled'} at {rate_words(manifest['rate'])}"
+    elif manifest.get("mode"):
+        words += f", {manifest['mode']}"
+    if manifest.get("rig") or manifest.get("seed") is None:  # a rig makes its own noise
+        return words
+    return f"{words}, seed {manifest['seed']}"
+
+
+def ticks(manifest: Mapping[str, Any]) -> str:
+    """Say how well a run on a plant kept its time, and what its motion is known from."""
+    told = manifest["rig"]
+    counts = told.get("counters") or {}
+    parts = [f"{told.get('end')}"]
+    parts += [f"{counts[name]} samples {name}" for name in ("late", "missed", "clamped") if counts.get(name)]
+    if len(parts) == 1:
+        parts.append("every sample in time")
+    return f"{', '.join(parts)}; its motion is {manifest.get('states') or 'measured'}"
+
+
+def use_words(use: InputUse) -> str:
+    """Say how much of its limit an input used."""
+    if use.used is None:
+        return f"{use.name} peak {number(use.peak)} {use.unit}".rstrip()
+    return f"{use.name} {percent(use.used)} of {use.limit:g} {use.unit}".rstrip()
+
+
+def sum_name(facts: Study) -> str:
+    """Write the magnitude of the sum of the oscillators."""
+    names = facts.oscillators
+    return f"|{' + '.join(names if len(names) <= 3 else (names[0], '...', names[-1]))}|"
+
+
+def _duration(facts: Study) -> str:
+    return " ".join(length(facts))
+
+
+def length(facts: Study) -> tuple[str, str]:
+    """Give the length of the record and its unit."""
+    unit = "units of time" if facts.recording.manifest.get("time_scale") else facts.unit("t")
+    return number(facts.tau[-1] - facts.tau[0], 4), unit or "units of time"
+
+
+def rate_words(rate: Any) -> str:  # noqa: ANN401  # a number of the manifest
+    """Write a rate with its unit."""
+    return f"{number(float(rate) / 1e3)} kHz" if float(rate) >= 1e3 else f"{number(rate)} Hz"
+
+
+def number(value: Any, digits: int = 3) -> str:  # noqa: ANN401  # a number, or one that JSON keeps as text ("inf")
+    """Write a number with a few digits; large and small ones with a power of ten."""
+    try:
+        text = f"{float(value):.{digits}g}"
+    except (TypeError, ValueError):
+        return str(value)
+    mantissa, e, exponent = text.partition("e")
+    if e and 0 <= int(exponent) < 7:  # 2.5e+03 reads better as 2500
+        return f"{float(text):.0f}"
+    return f"{mantissa}e{int(exponent)}" if e else text
+
+
+def pi(phase: float) -> str:
+    """Write a phase in multiples of pi."""
+    return f"{phase / math.pi:.3f} pi"
+
+
+def _short(text: str, most: int = 100) -> str:
+    return text if len(text) <= most else text[: most - 3].rstrip() + "..."

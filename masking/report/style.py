@@ -1,0 +1,168 @@
+"""Drawing: the parts that every figure of a report is made of, in one style.
+
+Drawn through matplotlib's objects on the Agg canvas, without pyplot, so that nothing global is read or changed.
+Colours are Okabe and Ito's, distinguishable with any colour vision; what is ideal is always a thin dark dashed line.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
+from numpy.typing import NDArray
+
+from masking.report.html import GREEK
+
+Series = NDArray[np.float64]
+
+COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+INK: Final = "#1b1f24"
+MUTED: Final = "#5b6470"
+GRID: Final = "#dfe3e8"
+LIMIT: Final = "#B22222"
+DPI = 160
+WIDTH = 9.0  # inches, all figures
+LEFT, RIGHT, BOTTOM, GAP = 0.95, 0.22, 0.55, 0.24  # inches
+LEGEND, NOTE, BARE = 0.52, 0.32, 0.14  # inches above the first axes: for a legend, a line of text, nothing
+SIZE = 9.5  # points
+BINS: Final = 700  # across a whole record: about one for every two pixels
+
+
+@dataclass(frozen=True, slots=True)
+class Plate:
+    """One figure with its words; `figure` is None where there is nothing to draw, and `caption` then says why."""
+
+    name: str
+    title: str
+    caption: str
+    figure: Figure | None
+
+
+def png(plate: Plate) -> bytes:
+    """Give a figure as the content of a PNG file."""
+    stream = io.BytesIO()
+    if plate.figure is not None:
+        plate.figure.savefig(stream, format="png", metadata={"Title": plate.title})
+    return stream.getvalue()
+
+
+def symbol(name: str) -> str:
+    """Typeset a declared name for a figure: letters with a number become a symbol with an index."""
+    match = re.fullmatch(r"([A-Za-z]+)_?(\d*)", name)
+    letters, index = match.groups() if match else ("", "")
+    if letters in GREEK or len(letters) == 1:
+        letter = rf"\{letters}" if letters in GREEK else letters
+        return rf"${letter}_{{{index}}}$" if index else f"${letter}$"
+    return rf"$\mathit{{{letters}}}_{{{index}}}$" if index else name.replace("$", r"\$")
+
+
+def sheet(heights: Sequence[float], *, zooms: bool = False, top: float = LEGEND) -> tuple[Figure, list[Axes]]:
+    """Make a figure of stacked axes of given heights in inches; with `zooms` the last row is two axes side by side."""
+    gaps = [GAP] * (len(heights) - 1)
+    if zooms:
+        gaps[-1] = 0.85  # room for the tick labels above and the titles below
+    total = top + sum(heights) + sum(gaps) + BOTTOM
+    figure = Figure(figsize=(WIDTH, total), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    rows: list[Axes] = []
+    width, y = WIDTH - LEFT - RIGHT, total - top
+    for index, height in enumerate(heights):
+        y -= height
+        halves = 2 if zooms and index == len(heights) - 1 else 1
+        between = 0.6
+        each = (width - between * (halves - 1)) / halves
+        for half in range(halves):
+            box = (LEFT + half * (each + between), y, each, height)
+            rows.append(figure.add_axes((box[0] / WIDTH, box[1] / total, box[2] / WIDTH, box[3] / total)))
+        y -= gaps[index] if index < len(gaps) else 0
+    for axes in rows:
+        dress(axes)
+    stacked = rows[:-2] if zooms else rows
+    for axes in stacked[:-1]:
+        axes.tick_params(labelbottom=False)
+    figure.align_ylabels(rows[:-1] if zooms else rows)
+    return figure, rows
+
+
+def panels(count: int, height: float, widths: Sequence[float], top: float = LEGEND) -> tuple[Figure, list[list[Axes]]]:
+    """Make a figure of rows of axes side by side; heights and widths in inches, `top` is the room above.
+
+    Args:
+        count: rows.
+        height: of each.
+        widths: of the columns; what they leave of the width of a figure is shared out between them.
+        top: room above.
+
+    Returns:
+        the figure, and the axes of each row.
+    """
+    gap, between = 0.62, (WIDTH - LEFT - RIGHT - sum(widths)) / max(1, len(widths) - 1)
+    total = top + count * height + (count - 1) * gap + BOTTOM
+    figure = Figure(figsize=(WIDTH, total), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    rows: list[list[Axes]] = []
+    for row in range(count):
+        y = total - top - (row + 1) * height - row * gap
+        rows.append([])
+        for column, width in enumerate(widths):
+            x = LEFT + sum(widths[:column]) + column * between
+            rows[-1].append(figure.add_axes((x / WIDTH, y / total, width / WIDTH, height / total)))
+            dress(rows[-1][-1])
+    for column in range(len(widths)):
+        figure.align_ylabels([row[column] for row in rows])
+    return figure, rows
+
+
+def dress(axes: Axes) -> None:
+    """Give axes the style of the house: two thin spines, a light grid, few ticks."""
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(MUTED)
+        axes.spines[side].set_linewidth(0.8)
+    axes.tick_params(colors=INK, labelsize=SIZE - 1, width=0.8, length=3, color=MUTED)
+    axes.grid(visible=True, color=GRID, lw=0.6)
+    axes.set_axisbelow(True)
+    axes.xaxis.label.set(color=INK, fontsize=SIZE)
+    axes.yaxis.label.set(color=INK, fontsize=SIZE)
+    axes.xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
+    formatter = ScalarFormatter(useMathText=True)
+    formatter.set_powerlimits((-3, 4))
+    axes.yaxis.set_major_formatter(formatter)
+    axes.yaxis.get_offset_text().set(fontsize=SIZE - 1.5, color=MUTED)
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Return a label with its unit in brackets, where there is one."""
+    return f"{text} ({unit})" if unit else text
+
+
+def envelope(tau: Series, series: Series, bins: int) -> tuple[Series, Series, Series]:
+    """Give (middle, least, greatest) of each of at most `bins` stretches of equally many samples."""
+    starts = np.unique(np.linspace(0, len(tau), max(1, min(bins, len(tau))), endpoint=False).astype(int))
+    last = np.append(starts[1:], len(tau)) - 1
+    middle = (tau[starts] + tau[last]) / 2
+    middle[0], middle[-1] = tau[0], tau[-1]
+    return middle, np.minimum.reduceat(series, starts), np.maximum.reduceat(series, starts)
+
+
+def thin(tau: Series, series: Series, bins: int = BINS) -> tuple[Series, Series]:
+    """Keep the ends and, of each stretch, the least and the greatest sample in their order: a line looks the same."""
+    if len(tau) <= 4 * bins:
+        return tau, series
+    length = len(tau) // bins
+    body = series[: length * bins].reshape(bins, length)
+    offset = np.arange(bins) * length
+    extremes: Callable[..., NDArray[np.intp]] = np.concatenate
+    rest = np.arange(length * bins, len(tau))
+    keep = np.unique(extremes([[0], offset + body.argmin(1), offset + body.argmax(1), rest, [len(tau) - 1]]))
+    return tau[keep], series[keep]

@@ -1,0 +1,1 @@
+"""The simulated rig: dynamics, sensors, actuators, imperfections, and the allocation of commands."""

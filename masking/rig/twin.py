@@ -1,0 +1,487 @@
+"""Twin: a simulated rig with everything that it does wrong, each of which can be switched off.
+
+A plant file declares a model, effects in its elements, sensors and actuators, and how the actuators are wired. All of
+it becomes one system of ordinary differential equations with held commands, and what the sensors read of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.codegen import store
+from masking.codegen.graph import Graph, Node
+from masking.codegen.kernels import Kernels, steps_between
+from masking.codegen.source import Module
+from masking.declaration import couplings, registry, schema, units
+from masking.declaration.expression import Expression
+from masking.effects import Attachment, Effect, attach_all, dictionary, expressions
+from masking.errors import DeclarationError, Problem, nearest
+from masking.modelling.lowering import LoweredEquations
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array
+from masking.rig.allocation import wiring
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+
+# Between samples at least so many: contacts and friction are not seen from rest.
+FEWEST_STEPS = 2
+
+
+@dataclass(frozen=True)
+class PlacedEffect:
+    """One effect at one place: its label, its kind and what that is, where, how strong, and whether it is on."""
+
+    label: str
+    kind: str
+    entry: Effect
+    at: str
+    parameters: Mapping[str, float | Expression]
+    enabled: bool
+    path: str
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A simulated rig.
+
+    Args:
+        declaration: the content of a plant file.
+        base: the model that it names.
+        changes: what an experiment changes of its effects, by their names.
+        chosen: values of parameters of effects in sensors and actuators at one place, such as `offset_s1_e0`.
+    """
+
+    declaration: schema.PlantDeclaration
+    base: schema.ModelDeclaration
+    changes: Mapping[str, schema.EffectChange] = field(default_factory=dict)
+    chosen: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> Twin:
+        """Load a plant and the model that it names; a packaged name or a file."""
+        declaration = registry.load_plant(name_or_path)
+        return cls(declaration, registry.load_model(declaration.model, registry.refer(declaration, "model")))
+
+    def as_model(self, name_or_path: str | Path | None = None) -> Twin:
+        """Return the plant with a model, by default its own, and without the effects in its elements."""
+        gone = {effect.path.removeprefix("effects.") for effect in self._of("element")}
+        kept = {name: use for name, use in self.declaration.effects.items() if name not in gone}
+        changes = {name: change for name, change in self.changes.items() if name in kept}
+        if name_or_path is None:
+            own = {name: value for name, value in self.declaration.parameters.items() if name in self.base.parameters}
+            plant = self.declaration.model_copy(update={"effects": kept, "parameters": own})
+            return replace(self, declaration=plant, changes=changes)
+        changed = {"model": str(name_or_path), "effects": kept, "parameters": {}}
+        plant = self.declaration.model_copy(update=changed)
+        return replace(self, declaration=plant, base=registry.load_model(name_or_path), changes=changes)
+
+    def equation_parameters(self) -> tuple[str, ...]:
+        """Return the parameters of the model that its equations hold, without those of effects.
+
+        These are its equations of motion, those of internal states that may begin anywhere, and outputs with a force.
+        """
+        equations, d = self.model.equations, self.base
+        held = equations.mass.free_symbols | equations.force.free_symbols
+        held |= {x for z in couplings.free_states(d) for x in equations.symbolic(d.rates[z]).free_symbols}
+        held |= {
+            x for n in couplings.driven_outputs(d) for x in equations.symbolic(d.outputs[n].expression).free_symbols
+        }
+        own = self.base.parameters.keys() & self.parameter_names.keys()  # without the switches of effects
+        return tuple(s.name for s in equations.symbols.p if s in held and s.name in own)
+
+    def validate(self) -> None:
+        """Refuse effects and wiring that do not fit the model.
+
+        Raises:
+            DeclarationError: tells of all effects or of all wires that do not.
+        """
+        _ = self.dictionary, self.effects, self.wiring, self.attached
+
+    @cached_property
+    def dictionary(self) -> Mapping[str, Effect]:
+        """Return all effects that there are: those of the package, and of the dictionaries that the plant names."""
+        return dictionary(self.declaration.dictionaries)
+
+    @cached_property
+    def effects(self) -> tuple[PlacedEffect, ...]:
+        """Return every effect at every place, in declared order.
+
+        Raises:
+            DeclarationError: there is no such effect or place, or a parameter is unknown or missing.
+        """
+        problems: list[Problem] = []
+        for name in self.changes:
+            if name not in self.declaration.effects:
+                message = f"{self.declaration.name} has no effect '{name}'"
+                problems.append(Problem(None, f"effects.{name}", message, nearest(name, self.declaration.effects)))
+        found = [effect for name in self.declaration.effects for effect in self._at_each_place(name, problems)]
+        if problems:
+            raise DeclarationError(problems)
+        return tuple(found)
+
+    def _at_each_place(self, name: str, problems: list[Problem]) -> Iterator[PlacedEffect]:
+        use, change = self.declaration.effects[name], self.changes.get(name, schema.EffectChange())
+        path = f"effects.{name}"
+        known = self.dictionary.get(use.effect)
+        if known is None:
+            message, mend = f"there is no effect '{use.effect}'", nearest(use.effect, self.dictionary)
+            problems.append(Problem(self.declaration.place(f"{path}.effect"), f"{path}.effect", message, mend))
+            return
+        places = {"element": self.base.elements, "sensor": self.sensors, "actuator": self.actuators}
+        allowed = [str(place) for place in places.get(known.where, ())]
+        given = {**use.parameters, **change.parameters}
+        problems += self._check(path, known, use, given, allowed)
+        enabled = use.enabled if change.enabled is None else change.enabled
+        for at in use.at or ("",):
+            label = f"{name}_{at}" if len(use.at) > 1 else name
+            yield PlacedEffect(label, use.effect, known, at, given, enabled, path)
+
+    def _check(
+        self,
+        path: str,
+        known: Effect,
+        use: schema.EffectUse,
+        given: Mapping[str, float | Expression],
+        allowed: list[str],
+    ) -> Iterator[Problem]:
+        place = self.declaration.key_place(path)
+        if known.where == "loop" and use.at:
+            yield Problem(place, path, f"the effect {use.effect} sits in the loop, not at {', '.join(use.at)}")
+        if known.where != "loop" and not use.at:
+            message = f"the effect {use.effect} needs a place: which {known.where}"
+            yield Problem(place, path, message, f"write 'at: {allowed[0]}'" if allowed else f"declare {known.where}s")
+        for at in use.at if known.where != "loop" else ():
+            if at not in allowed:
+                message = f"'{at}' is no {known.where} of {self.declaration.name}"
+                yield Problem(self.declaration.place(f"{path}.at"), f"{path}.at", message, nearest(at, allowed))
+        for name in given.keys() - known.parameters.keys():
+            message = f"the effect {use.effect} has no parameter '{name}'"
+            yield Problem(place, f"{path}.parameters.{name}", message, nearest(name, known.parameters))
+        missing = [name for name, p in known.parameters.items() if p.value is None and name not in given]
+        if missing:
+            needed = ", ".join(f"{name} [{known.parameters[name].unit}]" for name in missing)
+            yield Problem(place, path, f"the effect {use.effect} needs {needed}")
+
+    @cached_property
+    def attached(self) -> schema.ModelDeclaration:
+        """Return the declaration of the rig's model with the effects of its elements."""
+        return attach_all(
+            self.base, [Attachment(e.entry, e.at, e.label, _as_text(e.parameters)) for e in self._of("element")]
+        )
+
+    @cached_property
+    def model(self) -> Model:
+        """Return the model of the rig with the effects of its elements, in SI units."""
+        switches = {f"{effect.label}_on": float(effect.enabled) for effect in self._of("element")}
+        return Model(self.attached, {**self.declaration.parameters, **switches})
+
+    def changed(self, changes: Mapping[str, schema.EffectChange]) -> Twin:
+        """Return the twin with other changes; elements whose parameters stay are not attached anew."""
+        made = replace(self, changes=changes)
+        if [e.parameters for e in made._of("element")] == [e.parameters for e in self._of("element")]:
+            vars(made)["attached"] = self.attached
+        return made
+
+    def unrounded(self) -> Twin:
+        """Return the twin with sensors that do not round.
+
+        What is simulated is compared with readings before it is rounded: rounding both would count it twice. Commands
+        are known, so that what rounds them in the actuators stays.
+        """
+        rounding = {e.path.removeprefix("effects.") for e in self.effects if e.kind == "quantisation"}
+        return self.changed({**self.changes, **dict.fromkeys(rounding, schema.EffectChange(enabled=False))})
+
+    def _of(self, where: str) -> list[PlacedEffect]:
+        return [effect for effect in self.effects if effect.entry.where == where]
+
+    def _on(self, where: str, at: str) -> list[PlacedEffect]:
+        return [effect for effect in self._of(where) if effect.at == at]
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """Return the channels that a controller commands; the model's inputs where none are declared."""
+        return tuple(self.declaration.actuators or self.base.inputs)
+
+    @property
+    def measured_actuators(self) -> tuple[str, ...]:
+        """Return the channels that no one commands: they hold a measured motion, which elements of the model follow."""
+        rows = [list(self.base.inputs).index(name) for name in couplings.measured_inputs(self.base)]
+        wired = (self.wiring[rows] != 0.0).any(axis=0)
+        return tuple(name for name, is_wired in zip(self.actuators, wired, strict=True) if is_wired)
+
+    @cached_property
+    def is_fed(self) -> bool:
+        """Tell whether a sensor reads what a command or a force changes at once, as the force of a component."""
+        return any(couplings.is_fed(self.base, sensor.measures) for sensor in self.declaration.sensors.values())
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Return the names of the sensors."""
+        return tuple(self.declaration.sensors)
+
+    @property
+    def delay(self) -> int:
+        """Return the samples between a reading and the first effect of the command that answers it."""
+        return sum(round(self._value(effect, "samples")) for effect in self._of("loop") if effect.enabled)
+
+    @cached_property
+    def chain_states(self) -> tuple[tuple[PlacedEffect, str], ...]:
+        """Return the internal states of effects in actuators and sensors, which follow those of the model in y."""
+        return tuple((effect, name) for effect in self._chain for name in effect.entry.states)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Return the names of y: coordinates, velocities, internal states of the model, of actuators and sensors."""
+        coordinates, internal = self.state_kinds.values()
+        return (*coordinates, *(f"{c}'" for c in coordinates), *internal)
+
+    @property
+    def state_kinds(self) -> dict[str, list[str]]:
+        """Return the names of the coordinates, and of the internal states as `states`."""
+        chain = [f"{effect.label}_{name}" for effect, name in self.chain_states]
+        return {"coordinates": [*self.model.coordinates], "states": [*self.model.declaration.states, *chain]}
+
+    @cached_property
+    def free(self) -> tuple[int, ...]:
+        """Return the indices in y of what a record may begin with: coordinates, velocities, free internal states."""
+        begins = {*self.state_names[: 2 * len(self.model.coordinates)], *couplings.free_states(self.base)}
+        return tuple(i for i, name in enumerate(self.state_names) if name in begins)
+
+    @cached_property
+    def wiring(self) -> Array:
+        """Return what each input of the model gets of each actuator (inputs, actuators)."""
+        return wiring(self.declaration, self.base, self.model.parameter_values())
+
+    def noise(self) -> dict[str, float]:
+        """Return the standard deviation of a reading of each sensor that declares any, in the sensor's unit.
+
+        A quantised reading counts with that of rounding, step / sqrt(12).
+        """
+        found = {}
+        for name in self.sensors:
+            parts = [
+                self._value(e, "sigma") if e.kind == "noise" else self._value(e, "step") / np.sqrt(12.0)
+                for e in self._on("sensor", name)
+                if e.enabled and e.kind in {"noise", "quantisation"}
+            ]
+            if parts:
+                found[name] = float(np.sqrt(sum(part**2 for part in parts)))
+        return found
+
+    def _value(self, effect: PlacedEffect, name: str) -> float:
+        if f"{effect.label}_{name}" in self.chosen:
+            return self.chosen[f"{effect.label}_{name}"]
+        value = effect.parameters.get(name, effect.entry.parameters[name].value)
+        if isinstance(value, Expression):
+            return value.evaluate(self.model.parameter_values())
+        return float(value)  # type: ignore[arg-type]  # checked in `effects`
+
+    def values(self) -> Array:
+        """Return the parameter array: the model's, the wiring, the sensors' gains, the parameters of their effects."""
+        rest = [self._value(effect, name) for effect in self._chain for name in effect.entry.parameters]
+        switches = [float(effect.enabled) for effect in self._chain]
+        gains = [self._gain(name) for name in self.sensors]
+        return np.concatenate([self.model.values(), self.wiring.ravel(), gains, rest, switches])
+
+    @cached_property
+    def parameter_names(self) -> dict[str, tuple[PlacedEffect, str] | None]:
+        """Return the parameters that may be changed by name: None for those of the model, else effect and parameter."""
+        model = {name: None for name in self.model.parameters if not name.endswith("_on")}
+        chain = {f"{e.label}_{name}": (e, name) for e in self._chain for name in e.entry.parameters}
+        return {**model, **chain}
+
+    def parameter_value(self, name: str) -> float:
+        """Return a parameter in its declared unit."""
+        found = self.parameter_names[name]
+        if found is not None:
+            return self._value(*found)
+        unit = self.model.declaration.parameters[name].unit
+        return self.model.value(name) / self.model.units.conversions[unit].factor
+
+    def parameter_bounds(self, name: str) -> tuple[float | None, float | None]:
+        """Return the bounds of a parameter, in its declared unit; None where there is none."""
+        found = self.parameter_names[name]
+        if found is not None:
+            effect, parameter = found
+            return effect.entry.parameters[parameter].bounds
+        return self.model.declaration.parameters[name].bounds
+
+    def with_parameters(self, values: Mapping[str, float]) -> Twin:
+        """Return the twin with other values of parameters, in their declared units; nothing is recompiled."""
+        model = {name: value for name, value in values.items() if self.parameter_names[name] is None}
+        chain = {name: value for name, value in values.items() if self.parameter_names[name] is not None}
+        plant = self.declaration.model_copy(update={"parameters": {**self.declaration.parameters, **model}})
+        made = replace(self, declaration=plant, chosen={**self.chosen, **chain})
+        vars(made).update(dictionary=self.dictionary, attached=self.attached, kernels=self.kernels)
+        return made
+
+    @property
+    def _chain(self) -> list[PlacedEffect]:
+        actuators = [e for a in self.actuators for e in self._on("actuator", a)]
+        return actuators + [e for s in self.sensors for e in self._on("sensor", s)]
+
+    def _gain(self, sensor: str) -> float:
+        declared = self.declaration.sensors[sensor]
+        factors = self.kernels.meta["factors"]
+        return float(declared.gain.value * factors[declared.gain.unit] / factors[declared.unit])
+
+    def substeps(self, rate: float) -> int:
+        """Return the integration steps between samples that resolve the fastest motion at rest."""
+        p, u, model = self.values(), np.zeros(len(self.actuators)), self.model
+        lengths = np.array([model.units.size(c.unit, {}) for c in model.declaration.coordinates.values()])
+        state = self.rest(np.zeros(len(lengths)))
+
+        def slope(y: Array, out: Array) -> None:
+            self.kernels.twin_derivative(0.0, y, u, p, out)
+
+        sizes = np.resize(lengths, len(state)) if len(lengths) else np.ones(len(state))
+        return max(FEWEST_STEPS, steps_between(slope, state, sizes, rate))
+
+    def size(self, unit: str) -> float:
+        """Return the size in SI units of a unit that the plant file uses."""
+        return float(self.kernels.meta["factors"][unit])
+
+    def rest(self, coordinates: Array) -> Array:
+        """Return the state (states,) at rest in given coordinates (n,), with internal states as declared."""
+        internal = [state.initial for state in self.model.declaration.states.values()]
+        zeros = np.zeros(len(coordinates) + len(self.chain_states))
+        n = len(coordinates)
+        return np.concatenate([coordinates, zeros[:n], internal, zeros[n:]])
+
+    def structure(self) -> dict[str, object]:
+        """Return all that the compiled functions depend on, apart from values."""
+        return {
+            "model": self.model.structure(),
+            "sensors": {n: [s.measures.text, s.gain.unit, s.unit] for n, s in self.declaration.sensors.items()},
+            "actuators": list(self.actuators),
+            "chain": [[effect.label, effect.entry.structure(), effect.at] for effect in self._chain],
+            "units": sorted(_units(self.declaration, self.base)),
+        }
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """Return the compiled functions `sense` and `advance`; from the cache on disk where they have been made."""
+        return Kernels(store.load(store.key({"twin": self.structure()}), self._build))
+
+    def _build(self) -> Module:
+        module = Module(self.declaration.name, {"kind": "twin", **self.state_kinds})
+        self.add_to(module)
+        return module
+
+    def add_to(self, module: Module) -> None:
+        """Add `sense(t, y, p, noise, s)`, `twin_derivative(t, y, u, p, dy)` and `advance` to a generated module.
+
+        What a command changes at once is read by `sense_under(t, y, u, p, noise, s)`, and `sense` is only there where
+        nothing is.
+        """
+        module.meta["factors"] = {unit: units.factor_of(unit) for unit in _units(self.declaration, self.base)}
+        lowered = LoweredTwin(self)
+        module.add("sense_under(t, y, u, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
+        if not self.is_fed:
+            module.add("sense(t, y, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
+        module.add("twin_derivative(t, y, u, p, dy)", lowered.graph, lowered.derivatives, lowered.loads, lowered.health)
+        size = len(self.state_names)
+        module.add_kernel(ADVANCE.format(size=size), "", (5, size))
+
+
+ADVANCE = """
+_advance = integrators.runge_kutta_4(twin_derivative, {size})
+
+
+@compiled
+def advance(t, y, u, p, dt, substeps, work):
+    for i in range(substeps):
+        _advance(t + i * (dt / substeps), y, u, p, dt / substeps, work[:4], work[4])
+"""
+
+
+class LoweredTwin:
+    """A twin as nodes of a graph: `readings` of the sensors and `derivatives` of the state, with their `loads`."""
+
+    def __init__(self, twin: Twin) -> None:
+        graph, self.twin = Graph(), twin
+        self.graph = graph
+        equations = twin.model.equations
+        count, channels = len(equations.declaration.parameters), len(twin.actuators)
+        inputs = len(equations.declaration.inputs)
+        self.loads: dict[str, str] = {}
+        self._next = count
+
+        wires = [[self._parameter(f"w_{i}_{j}") for j in range(channels)] for i in range(inputs)]
+        gains = [self._parameter(f"gain_{name}") for name in twin.sensors]
+        self.parameters = {
+            effect.label: {name: self._parameter(f"e_{effect.label}_{name}") for name in effect.entry.parameters}
+            for effect in twin._chain
+        }
+        self.switches = {effect.label: self._parameter(f"on_{effect.label}") for effect in twin._chain}
+
+        commands = [self._read(f"c_{name}", f"u[{j}]", varying=False) for j, name in enumerate(twin.actuators)]
+        first = len(twin.state_names) - len(twin.chain_states)
+        self.states = {
+            (effect.label, name): self._read(f"a_{effect.label}_{name}", f"y[{first + i}]", varying=True)
+            for i, (effect, name) in enumerate(twin.chain_states)
+        }
+        self.rates: list[Node] = []
+        channel = [self._through("actuator", name, x) for name, x in zip(twin.actuators, commands, strict=True)]
+        driven = [graph.total([graph.mul(w, x) for w, x in zip(row, channel, strict=True)]) for row in wires]
+        model = LoweredEquations.of(equations, graph, known=dict(zip(equations.symbols.u, driven, strict=True)))
+        self.equations = model
+        self.loads |= model.joined()
+        self.health = model.health
+        s = equations.symbols
+        self.readings = []
+        for i, (name, gain) in enumerate(zip(twin.sensors, gains, strict=True)):
+            measured = model.lower(equations.measured(twin.declaration.sensors[name].measures))
+            noise = self._read(f"xi_{i}", f"noise[{i}]", varying=True)
+            self.readings.append((f"s[{i}]", self._through("sensor", name, graph.mul(gain, measured), noise)))
+        moving = [*(model.symbols[v] for v in s.v), *model.accelerations, *model.rates, *self.rates]
+        self.derivatives = [(f"dy[{i}]", x) for i, x in enumerate(moving)]
+
+    def _parameter(self, name: str) -> Node:
+        self._next += 1
+        return self._read(name, f"p[{self._next - 1}]", varying=False)
+
+    def _read(self, name: str, text: str, *, varying: bool) -> Node:
+        self.loads[name] = text
+        return self.graph.symbol(name, varying=varying)
+
+    def _through(self, where: str, at: str, x: Node, noise: Node | None = None) -> Node:
+        """Return what the effects at one sensor or actuator make of a value, one after the other."""
+        for effect in self.twin._on(where, at):
+            result, rates = expressions(effect.entry)
+            nodes = {name: self.states[effect.label, name] for name in rates}
+            nodes |= {"on": self.switches[effect.label], "u" if where == "actuator" else "s": x}
+            nodes |= self.parameters[effect.label]
+            if noise is not None:
+                nodes["xi"] = noise
+            symbols = {name: sp.Symbol(name, real=True) for name in nodes}
+            known = {symbols[name]: node for name, node in nodes.items()}
+            self.rates += [self.graph.lower(rate.to_sympy(symbols), known) for rate in rates.values()]
+            x = self.graph.lower(result.to_sympy(symbols), known)
+        return x
+
+
+def _as_text(parameters: Mapping[str, float | Expression]) -> dict[str, float | str]:
+    return {name: p.text if isinstance(p, Expression) else p for name, p in parameters.items()}
+
+
+def _units(plant: schema.PlantDeclaration, model: schema.ModelDeclaration) -> set[str]:
+    """Return the text of every unit in a plant file, and of the inputs of its model."""
+    limits = plant.limits
+    found = {"1", *(a.unit for a in plant.actuators.values()), *(x.unit for x in limits.inputs.values())}
+    found |= {x.unit for s in plant.sensors.values() for x in (s, s.gain)}
+    found |= {x.unit for x in limits.coordinates.values()} | {x.unit for x in model.inputs.values()}
+    if limits.power is not None:
+        found |= {limits.power.unit, limits.power.heating.unit if limits.power.heating else "1"}
+    return found

@@ -1,0 +1,495 @@
+"""Experiment: a declaration brought to life, run, and recorded."""
+
+from __future__ import annotations
+
+import datetime
+import platform
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from masking.analysis.masking_error import fidelity
+from masking.control.blocks import Transform, check_actuation
+from masking.control.closed_loop import ClosedLoop
+from masking.control.instruments import Instruments
+from masking.control.law import Controller
+from masking.control.observer import Differences, Disturbance, Kalman, Observer
+from masking.control.sampled import SampledController, SampledLoop
+from masking.declaration import cross_checks, registry, schema
+from masking.errors import DeclarationError, ModelError, Problem
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array
+from masking.records.recording import Recording
+from masking.rig.twin import PlacedEffect, Twin
+from masking.run.offline import TwinRun, rig_state, run_continuous, run_sampled, run_twin
+from masking.run.stopping import SYNCHRONISED, Ending, cut
+
+# A continuous run is recorded so many times per unit of virtual time, where nothing else is asked for.
+ROWS_PER_UNIT = 10
+LIBRARIES = ("masking", "numpy", "numba", "sympy")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Which plant moves as which virtual system, from where, for how long, under which controller."""
+
+    assembly: registry.Assembly
+
+    @classmethod
+    def load(
+        cls, name_or_path: str | Path, *, plant: str | None = None, changes: Mapping[str, float] | None = None
+    ) -> Experiment:
+        """Load an experiment and all it refers to.
+
+        Args:
+            name_or_path: an experiment file, or the name of a packaged one.
+            plant: replaces the experiment's plant.
+            changes: parameters of the virtual system that replace the declared ones, in the declared units.
+
+        Raises:
+            DeclarationError: a declaration is wrong; lists every problem with its place.
+        """
+        declaration = registry.load_experiment(name_or_path)
+        if changes:
+            wrong = [name for name, value in changes.items() if not isinstance(value, int | float)]
+            if wrong:
+                raise DeclarationError(Problem(None, wrong[0], f"must be a number, not {changes[wrong[0]]!r}"))
+            declaration = declaration.model_copy(update={"parameters": {**declaration.parameters, **changes}})
+        return cls(registry.assemble(declaration, plant))
+
+    def changed(self, **sections: object) -> Experiment:
+        """Return the experiment with sections of its file replaced, each as YAML would give it.
+
+            experiment.changed(controller={"rate": "1 kHz", "observer": "differences"}, duration=100)
+
+        Raises:
+            DeclarationError: as for a file.
+        """
+        declaration = registry.changed_experiment(self.declaration, sections)
+        here = None if "plant" in sections else next(iter(self.assembly.plant.files), None)
+        return Experiment(registry.assemble(declaration, here))
+
+    @property
+    def declaration(self) -> schema.ExperimentDeclaration:
+        """Return the content of the experiment file."""
+        return self.assembly.experiment
+
+    @cached_property
+    def twin(self) -> Twin:
+        """Return the plant: its model with the effects it has, its actuators and sensors."""
+        return Twin(self.assembly.plant, self.assembly.plant_model, self.declaration.effects)
+
+    @property
+    def plant(self) -> Model:
+        """Return the model of the plant with the effects of its elements, in SI units."""
+        return self.twin.model
+
+    @cached_property
+    def virtual(self) -> Model:
+        """Return the virtual system, in its scales where it declares any."""
+        model = Model(self.assembly.virtual_model, self.declaration.parameters)
+        return model.dimensionless() if model.declaration.scales else model
+
+    @cached_property
+    def controller(self) -> Controller:
+        """Return the controller."""
+        settings = self.declaration.controller
+        overrides = {} if settings.model else self.assembly.plant.parameters
+        believed = Model(self.assembly.believed_model, {**overrides, **settings.parameters})
+        transform = Transform(believed, self.virtual, self.declaration.transform)
+        own = self.declaration.transform.parameters
+        return Controller(believed, self.virtual, transform, self.time_scale, own, settings.regulate)
+
+    @property
+    def time_scale(self) -> float:
+        """Return the seconds of the rig per unit of virtual time."""
+        if self.declaration.time_scale is not None:
+            return self.declaration.time_scale
+        if self.plant.units.is_plain or not self.virtual.declaration.scales:
+            return 1.0
+        return self.virtual.units.size("s", self.virtual.overrides)
+
+    @cached_property
+    def loop(self) -> ClosedLoop:
+        """Return controller and plant, compiled together, for a controller that knows the true state."""
+        return ClosedLoop(self.controller, self.plant)
+
+    @property
+    def has_observer(self) -> bool:
+        """Tell whether the controller runs at a rate and reads sensors."""
+        settings = self.declaration.controller
+        return settings.rate is not None and self.observer_settings.kind != "exact"
+
+    @property
+    def observer_settings(self) -> schema.ObserverSettings:
+        """Return how the rig's state is known; a sampled controller estimates disturbances where nothing is said."""
+        return self.declaration.controller.observer or schema.ObserverSettings()
+
+    @cached_property
+    def observer(self) -> Observer:
+        """Return the observer of a sampled controller."""
+        settings = self.observer_settings
+        if settings.kind == "differences":
+            return Differences()
+        if settings.kind == "kalman":
+            return Kalman(settings.bandwidth)
+        return Disturbance(settings.order, settings.bandwidth)
+
+    @cached_property
+    def instruments(self) -> Instruments:
+        """Return what the controller knows of sensors, actuators and limits."""
+        twin, factors = self.twin, self.twin.kernels.meta["factors"]
+        return Instruments(self.assembly.plant, self.controller.model, factors, twin.noise(), twin.delay)
+
+    @cached_property
+    def sampled(self) -> SampledController:
+        """Return the sampled controller, with the initial state to which it brings the rig."""
+        settings = self.declaration.controller
+        made = SampledController(
+            self.controller,
+            self.instruments,
+            self.observer,
+            settings.rate or 0.0,
+            self.observer_settings.noise,
+            settings.approach or 0.0,
+            np.zeros(len(self.controller.model.coordinates)),
+        )
+        state = rig_state(made, self.virtual.initial_state(self.declaration.initial))
+        n = len(made.end)
+        if made.approach and np.any(np.abs(state[n:]) > 1e-12 * np.abs(state[:n]).max()):
+            raise ModelError(
+                "controller.approach brings the rig to rest, but the initial state moves: give no initial velocities, "
+                "or leave approach out, so that a simulated rig starts in that state"
+            )
+        return replace(made, end=state[:n])
+
+    @cached_property
+    def sampled_loop(self) -> SampledLoop:
+        """Return sampled controller and twin, compiled together."""
+        return SampledLoop(self.sampled, self.twin)
+
+    @cached_property
+    def ending(self) -> Ending | None:
+        """Return what ends a run before its duration; None where nothing does."""
+        declaration, rate = self.declaration, self.declaration.controller.rate
+        if declaration.stop is None:
+            return None
+        rows = declaration.record.rate * self.time_scale if declaration.record else float(ROWS_PER_UNIT)
+        step = 1.0 / rows if rate is None else self.every / (rate * self.time_scale)
+        initial = self.virtual.initial_state(declaration.initial)
+        return Ending.of(declaration.stop, self.virtual, initial, step=step, duration=declaration.duration)
+
+    @property
+    def stem(self) -> str:
+        """Return the name of the experiment's file, without its ending."""
+        return Path(next(iter(self.declaration.files), self.declaration.name)).stem
+
+    @property
+    def is_compiled(self) -> bool:
+        """Tell whether the closed loop has been compiled before and is kept on disk."""
+        return (self.sampled_loop if self.has_observer else self.loop).is_compiled
+
+    def validate(self) -> None:
+        """Refuse what can be refused without running.
+
+        Raises:
+            MaskingError: a model is wrong, the rig's inputs cannot accelerate every virtual coordinate, or no rig
+                position gives the initial state.
+        """
+        for model in (self.plant, self.controller.model, self.virtual):
+            model.validate()
+        self.twin.validate()
+        problems = [*registry.check_units(self.assembly), *self._check_size()]
+        if problems:
+            raise DeclarationError(problems)
+        check_actuation(self.controller.model, self.controller.transform)
+        self.virtual.initial_state(self.declaration.initial)
+        if self.has_observer:
+            _ = self.sampled.gain
+        _ = self.ending
+
+    def _check_size(self) -> list[Problem]:
+        rows = cross_checks.recorded_rows(self.declaration, self.time_scale, ROWS_PER_UNIT)
+        columns = cross_checks.count_columns(self.assembly.plant_model, self.assembly.virtual_model)
+        if self.has_observer:
+            columns += len(self.twin.state_names) + 3 * len(self.twin.actuators) + len(self.twin.sensors)
+        return cross_checks.check_size(self.declaration, rows, columns)
+
+    def run(self, progress: Callable[[float], None] | None = None) -> Recording:
+        """Run the closed loop, integrate the virtual system by itself, and compare.
+
+        Args:
+            progress: called with the part done.
+
+        Raises:
+            DeclarationError: a unit of the plant does not fit, or the recording would not fit into memory.
+            ActuationError: the rig's inputs cannot accelerate every virtual coordinate.
+            SingularityError: the decoupling matrix became singular on the way.
+            IntegrationError: the run could not go on.
+        """
+        clock = time.perf_counter()
+        problems = (
+            self._check_size() if self.is_compiled else [*self._check_size(), *registry.check_units(self.assembly)]
+        )
+        if problems:
+            raise DeclarationError(problems)
+        if self.has_observer:
+            return self._run_sampled(clock, progress)
+        declaration, time_scale = self.declaration, self.time_scale
+        rate = declaration.controller.rate
+        for name in ("transform", "along", "solve_runge_kutta" if rate is None else "run_sampled"):
+            getattr(self.loop.kernels, name).prepare()
+        getattr(self.virtual.kernels, f"solve_{self.virtual.kernels.meta['method']}").prepare()
+        compiled = time.perf_counter()
+        initial = self.virtual.initial_state(declaration.initial)
+        internal = [state.initial for state in self.plant.declaration.states.values()]
+        state = np.concatenate([rig_state(self.loop, initial), internal])
+        duration = declaration.duration * time_scale
+        prepared = time.perf_counter()
+        if rate is None:
+            times = np.linspace(0.0, duration, max(2, round(ROWS_PER_UNIT * declaration.duration) + 1))
+            if declaration.record:
+                times = np.arange(int(duration * declaration.record.rate * (1.0 + 1e-12)) + 1) / declaration.record.rate
+            run = run_continuous(self.loop, state, times, tolerance=declaration.tolerance, progress=progress)
+        else:
+            run = run_sampled(self.loop, state, rate=rate, duration=duration, every=self.every, progress=progress)
+        row = self.ending.row(run.virtual) if self.ending else None
+        run = run if row is None else cut(run, row + 1)
+        ran = time.perf_counter()
+        ideal = self._ideal(run.times)
+        commands = run.inputs @ self.instruments.allocation.T
+        columns = Columns(self).add_motion(run.times, run.rig, run.virtual, ideal).add_actuators("input", commands)
+        timing = {
+            "compilation": compiled - clock,
+            "preparation": prepared - compiled,
+            "run": ran - prepared,
+            "ideal": time.perf_counter() - ran,
+        }
+        return self._record(columns, timing, is_stopped=row is not None)
+
+    def _run_sampled(self, clock: float, progress: Callable[[float], None] | None) -> Recording:
+        declaration, sampled = self.declaration, self.sampled
+        self.sampled_loop.kernels.run.prepare()
+        for name in ("transform", "transforms", "still"):
+            getattr(sampled.kernels, name).prepare()
+        for name in ("sense", "twin_derivative"):
+            getattr(self.twin.kernels, name).prepare()
+        getattr(self.virtual.kernels, f"solve_{self.virtual.kernels.meta['method']}").prepare()
+        compiled = time.perf_counter()
+        start = np.zeros(len(sampled.end)) if sampled.approach else sampled.end
+        _ = sampled.gain
+        prepared = time.perf_counter()
+        duration = declaration.duration * self.time_scale
+        run = run_twin(
+            self.sampled_loop, start, duration=duration, seed=declaration.seed, every=self.every, progress=progress
+        )
+        # What ends it is what the controller takes for the motion, as on a rig.
+        row = self.ending.row(self._virtual(run.times, run.estimates)) if self.ending else None
+        run = run if row is None else cut(run, row + 1)
+        ran = time.perf_counter()
+        columns = self.sampled_columns(run)
+        timing = {
+            "compilation": compiled - clock,
+            "preparation": prepared - compiled,
+            "run": ran - prepared,
+            "ideal": time.perf_counter() - ran,
+        }
+        return self._record(columns, timing, is_stopped=row is not None)
+
+    def _virtual(self, times: Array, states: Array) -> Array:
+        """Return the virtual coordinates and velocities (m, 2 k) of the rig's states (m, .)."""
+        virtual = np.empty((len(times), 2 * len(self.virtual.coordinates)))
+        self.sampled.kernels.transforms(times, np.ascontiguousarray(states), self.sampled.values(), virtual)
+        return virtual
+
+    def sampled_columns(self, run: TwinRun) -> Columns:
+        """Return the columns of a sampled run; where a rig's true states are not known, `states` are estimates."""
+        times, states = run.times, run.states
+        columns = Columns(self).add_motion(times, states, self._virtual(times, states), self._ideal(times))
+        columns.add_sensors(run.readings)
+        columns.add_actuators("input", run.applied).add_actuators("demanded", run.demanded)
+        if self.assembly.plant.limits.power is not None:
+            columns.add_power(run.power)
+        return columns
+
+    @property
+    def every(self) -> int:
+        """Return of how many samples one is recorded."""
+        rate, record = self.declaration.controller.rate, self.declaration.record
+        return max(1, round(rate / record.rate)) if rate is not None and record else 1
+
+    def _ideal(self, times: Array) -> Array:
+        """Return the virtual system integrated by itself from time 0, at times of the rig (m,), as states (m, 2 k)."""
+        found = self.virtual.kernels.integrate(
+            np.concatenate([[0.0], times]) / self.time_scale,
+            self.virtual.initial_state(self.declaration.initial),
+            np.zeros(len(self.virtual.inputs)),
+            self.virtual.values(),
+            tolerance=min(self.declaration.tolerance, 1e-12),
+        )
+        return found.states[1:]
+
+    def record_rig(self, run: TwinRun, *, lockstep: bool, told: Mapping[str, object]) -> Recording:
+        """Return the recording of a run on a plant that runs by itself.
+
+        Args:
+            run: what happened since the release; `states` are estimates.
+            lockstep: whether controller and plant waited for each other.
+            told: how the run ended and what was counted, for the manifest.
+        """
+        made = self._record(self.sampled_columns(run), {}, is_stopped=told["end"] == SYNCHRONISED)
+        made.manifest.update(mode="lockstep" if lockstep else "real time", states="estimated", rig=dict(told))
+        return made
+
+    def _record(self, made: Columns, timing: Mapping[str, float], *, is_stopped: bool) -> Recording:
+        columns = made.columns
+        at = float(columns["t"][-1]) / self.time_scale if is_stopped else None
+        stop = {"stop": self.ending.told(at)} if self.ending else {}
+        chi = {c: fidelity(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in self.virtual.coordinates}
+        return Recording(columns, {**self._manifest(made.units, chi, timing), **self._start_told(columns), **stop})
+
+    def _start_told(self, columns: Mapping[str, Array]) -> dict[str, Any]:
+        """Return where an approach should have brought the rig, and where it did, for the manifest."""
+        if self.declaration.controller.approach is None:
+            return {}
+        wanted = self.virtual.initial_state(self.declaration.initial)
+        names = self.virtual.coordinates
+        reached = {name: float(columns[f"virtual.{name}"][0]) for name in names}
+        return {"start": {"wanted": dict(zip(names, map(float, wanted), strict=False)), "reached": reached}}
+
+    def _observer_told(self) -> dict[str, Any]:
+        """Return what the observer is, for the manifest."""
+        sampled, settings = self.sampled, self.observer_settings
+        told: dict[str, Any] = {"kind": settings.kind, "delay": sampled.delay}
+        if sampled.has_model:
+            plan = self.instruments.plan(sampled.rate, sampled.noise)
+            speeds = self.observer.bandwidths(plan)
+            told |= {"order": self.observer.order, "fastest": plan.fastest}
+            told["noise"] = dict(zip(self.instruments.sensors, plan.noise, strict=True))
+            told["bandwidth"] = dict(zip(self.plant.coordinates, speeds, strict=True))
+        return told
+
+    def _limit_told(self, name: str, limit: schema.Limit) -> dict[str, Any]:
+        """Return a limit of an actuator in the unit of its commands, for the manifest."""
+        instruments = self.instruments
+        unit = instruments.unit(name) if name in instruments.actuators else limit.unit
+        return {"max": limit.max * instruments.factors[limit.unit] / instruments.factors[unit], "unit": unit}
+
+    def _acts(self, effect: PlacedEffect) -> bool:
+        """Tell whether an effect acts in a run: one outside the rig does not, where the true state is known."""
+        return self.has_observer or effect.entry.where == "element"
+
+    def _manifest(
+        self, columns: Mapping[str, Mapping[str, str]], chi: Mapping[str, float], timing: Mapping[str, float]
+    ) -> dict[str, Any]:
+        declaration, assembly = self.declaration, self.assembly
+        rate = declaration.controller.rate
+        limits = assembly.plant.limits.inputs
+        files = {**declaration.files, **assembly.plant.files}
+        for model in (assembly.plant_model, assembly.virtual_model, assembly.believed_model):
+            files |= model.files
+        return {
+            "format": "masking recording 1",
+            "name": declaration.name,
+            "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "seed": declaration.seed,
+            "versions": {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
+            "commit": _commit(files),
+            "files": {Path(path).name: digest for path, digest in files.items()},
+            "declarations": {
+                "experiment": declaration.canonical(),
+                "plant": assembly.plant.canonical(),
+                "plant_model": assembly.plant_model.canonical(),
+                "virtual": assembly.virtual_model.canonical(),
+                "controller_model": assembly.believed_model.canonical(),
+            },
+            "parameters": self.virtual.parameter_values(),
+            "columns": dict(columns),
+            "time_scale": self.time_scale,
+            "virtual_name": self.virtual.name,
+            "plant_name": assembly.plant.name,
+            "oscillators": list(self.virtual.oscillators),
+            "mode": "continuous" if rate is None else "sampled",
+            "rate": rate,
+            "limits": {name: self._limit_told(name, limit) for name, limit in limits.items()},
+            "effects": {effect.label: effect.enabled and self._acts(effect) for effect in self.twin.effects},
+            "observer": self._observer_told() if self.has_observer else None,
+            "fidelity": dict(chi),
+            "timing": dict(timing),
+        }
+
+
+@dataclass
+class Columns:
+    """The columns of a recording, each with its unit and meaning, while they are gathered."""
+
+    experiment: Experiment
+    columns: dict[str, Array] = field(default_factory=dict)
+    units: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    def add(self, name: str, values: Array, unit: str, meaning: str) -> None:
+        """Add one column (m,)."""
+        self.columns[name] = np.ascontiguousarray(values)
+        self.units[name] = {"unit": unit, "meaning": meaning}
+
+    def add_motion(self, times: Array, rig: Array, virtual: Array, ideal: Array) -> Columns:
+        """Add time, and coordinates and velocities of the rig, the virtual system and the ideal."""
+        self.add("t", times, "s", "time")
+        experiment = self.experiment
+        for prefix, model, states in (
+            ("rig", experiment.plant, rig),
+            ("virtual", experiment.virtual, virtual),
+            ("ideal", experiment.virtual, ideal),
+        ):
+            n = len(model.coordinates)
+            for i, (name, coordinate) in enumerate(model.declaration.coordinates.items()):
+                unit = "1" if model.is_dimensionless else model.units.conversions[coordinate.unit].si
+                rate = unit if model.is_dimensionless else f"{unit}/s"
+                self.add(f"{prefix}.{name}", states[:, i], unit, coordinate.meaning)
+                self.add(f"{prefix}.{name}'", states[:, n + i], rate, f"rate of {name}")
+        return self
+
+    def add_sensors(self, readings: Array) -> Columns:
+        """Add the readings (m, sensors)."""
+        for i, (name, sensor) in enumerate(self.experiment.assembly.plant.sensors.items()):
+            self.add(f"sensor.{name}", readings[:, i], sensor.unit, sensor.meaning)
+        return self
+
+    def add_actuators(self, prefix: str, commands: Array) -> Columns:
+        """Add commands (m, actuators) as `input`, what was applied, or as `demanded`, before limits."""
+        assembly = self.experiment.assembly
+        ports: Mapping[str, schema.Actuator | schema.Input] = assembly.plant.actuators or assembly.plant_model.inputs
+        for i, (name, port) in enumerate(ports.items()):
+            meaning = port.meaning if prefix == "input" else f"demanded of {name}"
+            self.add(f"{prefix}.{name}", commands[:, i], port.unit, meaning)
+        return self
+
+    def add_power(self, power: Array) -> Columns:
+        """Add the mean power of each actuator (m, actuators), W."""
+        for i, name in enumerate(self.experiment.twin.actuators):
+            self.add(f"power.{name}", power[:, i], "W", f"mean power of {name}")
+        return self
+
+
+def _commit(files: Mapping[str, str]) -> str | None:
+    """Return the git commit of the folder that the experiment was read from, if it is in a repository."""
+    folder = Path(next(iter(files))).resolve().parent if files else Path.cwd()
+    try:
+        found = subprocess.run(  # the user's own git, wherever it is
+            ["git", "rev-parse", "HEAD"],  # noqa: S607
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=5,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return found.stdout.strip() or None

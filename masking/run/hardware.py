@@ -1,0 +1,295 @@
+"""Rig: an experiment on a plant that runs by itself, and a twin that stands in for such a plant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.analysis.synchronisation import Watch
+from masking.control.sampled import Memory, SampledController
+from masking.errors import MaskingError, ModelError
+from masking.numerics.arrays import Array
+from masking.numerics.sampled_loop import LARGEST
+from masking.plants import serve as serving
+from masking.plants.interface import Plant, Settings, Stop
+from masking.plants.simulated import SimulatedPlant
+from masking.plants.udp import UdpPlant
+from masking.records.recording import Recording
+from masking.rig.twin import Twin
+from masking.run.experiment import Experiment
+from masking.run.offline import TwinRun
+from masking.run.realtime import FAILED, FINISHED, LOST, REFUSED, STOPPED, RigRun, check_channels, every, run_rig
+from masking.run.stopping import SYNCHRONISED
+
+WATCHDOG = 0.02
+_MEND = "run it on that plant, or write the plant that is there into it"
+
+
+def connect(address: str) -> UdpPlant:
+    """Return the plant at an address such as `udp://127.0.0.1:5005`."""
+    return UdpPlant(address)
+
+
+def serve(
+    plant: str | Path,
+    address: str,
+    *,
+    lockstep: bool = False,
+    record: str | Path | None = None,
+    seed: int = 0,
+    sessions: int | None = None,
+    ready: Callable[[str], None] | None = None,
+    stop: Stop | None = None,
+) -> tuple[Path, ...]:
+    """Serve the twin of a plant to a controller in another process, until told to stop.
+
+    Args:
+        plant: a packaged plant, or a plant file.
+        address: `udp://host:port`; port 0 takes a free one.
+        lockstep: wait for each command, instead of a clock of its own.
+        record: folder for the twin's own record of each session.
+        seed: of the sensors' noise.
+        sessions: how many to serve; None for any number.
+        ready: called with the address once the twin can be reached.
+        stop: looked at in each tick.
+
+    Returns:
+        the folders of the records.
+    """
+    served = SimulatedPlant(Twin.load(plant), seed)
+    served.configure(Settings(rate=1000.0))  # compiles what a controller would not wait for; any rate does
+    served.deactivate()
+    return serving.serve(
+        served,
+        address,
+        clock="lockstep" if lockstep else "real",
+        record=record,
+        stop_after=sessions,
+        ready=ready,
+        stop=stop,
+    )
+
+
+def run(
+    experiment: Experiment,
+    plant: Plant,
+    *,
+    lockstep: bool = False,
+    watchdog: float = WATCHDOG,
+    progress: Callable[[float], None] | None = None,
+    stop: Stop | None = None,
+    keep: Callable[[Recording], None] | None = None,
+) -> Recording:
+    """Run an experiment on a plant, from rest through the approach to the end.
+
+    SIGINT, SIGTERM and SIGHUP end the run in order; what there is since the release is returned. The manifest's
+    `rig.end` says why the run ended: "finished", "synchronised", "interrupted", "stopped", "plant lost", "command
+    refused" or "failed".
+
+    Args:
+        experiment: with a sampled controller, an observer and an approach.
+        plant: any that is not active; its outputs are at zero on every way out.
+        lockstep: run as fast as both sides can, each waiting for the other.
+        watchdog: seconds without a command after which the plant goes to zero by itself.
+        progress: called with the part done.
+        stop: looked at before each tick.
+        keep: called with what there is since the release where the run ends in an error, before it is raised.
+
+    Returns:
+        what the controller saw and did since the release; the rig's states are estimates.
+
+    Raises:
+        ModelError: the experiment does not run on sensors, or has no approach.
+        PlantError: the plant is lost, refuses, or has other channels.
+        MaskingError: the run was stopped before the release.
+    """
+    _check(experiment)
+    sampled = experiment.sampled
+    before = round(sampled.approach * sampled.rate) + sampled.delay
+    after = int(np.floor(experiment.declaration.duration * experiment.time_scale * sampled.rate * (1.0 + 1e-12))) + 1
+    _prepare(sampled)
+    ending = experiment.ending
+    watched = _Watched(ending.detector.begin(), ending.columns, experiment.every) if ending else None
+    keeper = _Keeper(sampled, before, after, watched)
+    declared, instruments = experiment.assembly.plant, experiment.instruments
+    wanted = Path(next(iter(declared.files), declared.name)).stem
+
+    def is_over() -> bool:
+        return keeper.is_over or (stop is not None and stop())
+
+    def made(ran: RigRun) -> Recording:
+        reason = keeper.reason if ran.reason in {STOPPED, FINISHED} and keeper.is_over else ran.reason
+        return experiment.record_rig(keeper.rows(ran, experiment.every), lockstep=lockstep, told=_told(ran, reason))
+
+    def on_end(ran: RigRun) -> None:
+        if ran.reason in {LOST, REFUSED, FAILED} and keep is not None and keeper.is_released:
+            keep(made(ran))
+
+    ran = run_rig(
+        keeper.step,
+        plant,
+        rate=sampled.rate,
+        samples=before + after,
+        limits=sampled.limits[:, LARGEST],
+        watchdog=watchdog,
+        lockstep=lockstep,
+        accept=lambda found: check_channels(
+            found, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND
+        ),
+        on_tick=None if progress is None else every(progress, before + after),
+        stop=is_over,
+        on_end=on_end,
+    )
+    if not keeper.is_released:
+        raise MaskingError(f"the run was {ran.reason} in the approach, before the release; nothing was recorded")
+    return made(ran)
+
+
+def _check(experiment: Experiment) -> None:
+    settings = experiment.declaration.controller
+    if not experiment.has_observer:
+        raise ModelError(
+            "a rig is known by its sensors only: give controller.rate and controller.observer, such as "
+            "'controller: {rate: 1 kHz, observer: disturbance, approach: 3}'"
+        )
+    if settings.approach is None:
+        raise ModelError(
+            "a rig cannot be placed in its initial state: write controller.approach, the seconds in which the "
+            "controller brings it there, such as 'approach: 3'"
+        )
+    experiment.validate()
+
+
+def _prepare(sampled: SampledController) -> None:
+    """Compile and load everything before the plant is touched."""
+    for name in ("control", "still", "transform", "transforms", *([] if sampled.has_model else ["skip"])):
+        getattr(sampled.kernels, name).prepare()
+    _ = sampled.gain
+
+
+def _told(ran: RigRun, reason: str) -> dict[str, object]:
+    """Return what the manifest tells of a run on a plant, and why it ended."""
+    told: dict[str, object] = {"end": reason, "counters": dict(ran.counters)}
+    if ran.note:
+        told["note"] = ran.note
+    return told
+
+
+@dataclass
+class _Watched:
+    """What watches a run for synchronisation.
+
+    Args:
+        watch: what has been seen of it.
+        columns: where the two are among the virtual coordinates.
+        every: of how many samples one is looked at: those that are recorded, as offline.
+    """
+
+    watch: Watch
+    columns: tuple[int, int]
+    every: int
+
+    def follow(self, memory: Memory) -> None:
+        """Watch a controller that has begun."""
+        n = memory.controller.sizes.coordinates
+        self._transform, self._p = memory.controller.kernels.transform, memory.p
+        self._q, self._v = memory.estimate[:n], memory.estimate[n:]
+        self._virtual = np.empty(2 * len(memory.controller.controller.virtual.coordinates))
+
+    def step(self, index: int, t: float) -> None:
+        """Look at a sample at time t, which the controller has answered."""
+        if index < 0 or index % self.every:
+            return
+        self._transform(t, self._q, self._v, self._p, self._virtual)
+        first, second = self.columns
+        self.watch.step(float(self._virtual[first]), float(self._virtual[second]))
+
+
+@dataclass
+class _Keeper:
+    """A sampled controller with a row for each of its steps.
+
+    Args:
+        sampled: the controller.
+        before: samples before the release.
+        after: samples from the release on.
+        watched: what ends the run before that.
+    """
+
+    sampled: SampledController
+    before: int
+    after: int
+    watched: _Watched | None = None
+    memory: Memory | None = None
+    first: int = 0
+    row: int = 0
+    estimates: Array = field(init=False)
+    demanded: Array = field(init=False)
+    power: Array = field(init=False)
+    index: NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        sizes, samples = self.sampled.sizes, self.before + self.after
+        self.estimates = np.zeros((samples, sizes.states))
+        self.demanded = np.zeros((samples, sizes.actuators))
+        self.power = np.zeros((samples, sizes.actuators))
+        self.index = np.zeros(samples, dtype=np.int64)
+
+    @property
+    def last(self) -> int:
+        """The last sample that was answered; 0 is the release."""
+        return int(self.index[self.row - 1]) if self.row else -self.before - 1
+
+    @property
+    def is_released(self) -> bool:
+        """Tell whether there is a sample since the release."""
+        return self.last >= 0
+
+    @property
+    def is_over(self) -> bool:
+        """Tell whether the run has ended as planned.
+
+        The time has passed, which it may have with fewer rows where samples were missed, or what ends it was found.
+        """
+        return self.last >= self.after - 1 or self.reason == SYNCHRONISED
+
+    @property
+    def reason(self) -> str:
+        """Return why a run that has ended as planned has."""
+        return SYNCHRONISED if self.watched is not None and self.watched.watch.is_synchronised else FINISHED
+
+    def step(self, tick: int, readings: Array) -> Array:
+        """Return the commands (actuators,) that answer the readings (sensors,) of a tick of the plant."""
+        if self.memory is None:
+            self.memory, self.first = self.sampled.begin(readings), tick
+            if self.watched is not None:
+                self.watched.follow(self.memory)
+        index = tick - self.first - self.before
+        applied = self.memory.step(index, readings)
+        row = self.row
+        self.row += 1
+        self.index[row] = index
+        self.estimates[row] = self.memory.estimate
+        self.demanded[row] = self.memory.demanded
+        self.power[row] = self.memory.x[self.sampled.sizes.power]
+        if self.watched is not None:
+            self.watched.step(index, index / self.sampled.rate)
+        return applied
+
+    def rows(self, ran: RigRun, every: int) -> TwinRun:
+        """Return what happened from the release to the planned end, of `every` so many samples one."""
+        index = self.index[: self.row]
+        kept = np.flatnonzero((index >= 0) & (index < self.after) & (index % every == 0))
+        return TwinRun(
+            index[kept] / self.sampled.rate,
+            self.estimates[kept],
+            self.estimates[kept],
+            ran.sensors[kept],
+            self.demanded[kept],
+            ran.applied[kept],
+            self.power[kept],
+        )

@@ -1,0 +1,295 @@
+"""Loop: a closed loop run from an initial state, in continuous time, at a controller's rate, or around a twin."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from masking.codegen.kernels import Kernels, steps_between
+from masking.control.closed_loop import ClosedLoop
+from masking.control.law import Controller
+from masking.control.sampled import SampledLoop
+from masking.errors import IntegrationError, ModelError
+from masking.numerics.arrays import Array
+from masking.numerics.stop_codes import NOT_FINITE, REACHED
+
+Progress = Callable[[float], None]
+
+PIECES = 100
+INVERTIBLE = "choose a transform that is invertible, and that the actuators can follow, over the whole motion"
+
+
+@dataclass(frozen=True)
+class Run:
+    """What happened in a run, at the recorded instants.
+
+    Args:
+        times: (m,), seconds of the rig.
+        rig: rig coordinates then velocities (m, 2 n), SI units.
+        virtual: virtual coordinates then velocities (m, 2 k), in the virtual system's units.
+        inputs: (m, inputs).
+    """
+
+    times: Array
+    rig: Array
+    virtual: Array
+    inputs: Array
+
+
+@dataclass(frozen=True)
+class TwinRun:
+    """What happened in a run around a twin, at the recorded samples.
+
+    Args:
+        times: (m,), seconds since the release.
+        states: states of the twin (m, states), as `Twin.state_names` says, SI units.
+        estimates: what the controller took for coordinates, velocities and internal states (m, .), SI units.
+        readings: of the sensors (m, sensors), in their units.
+        demanded: commands before limits (m, actuators), in the actuators' units.
+        applied: commands after limits (m, actuators).
+        power: mean power of each actuator as the controller reckons it (m, actuators), W; 0 where it is not limited.
+    """
+
+    times: Array
+    states: Array
+    estimates: Array
+    readings: Array
+    demanded: Array
+    applied: Array
+    power: Array
+
+
+def run_continuous(
+    loop: ClosedLoop, state: Array, times: Array, *, tolerance: float, progress: Progress | None = None
+) -> Run:
+    """Run a closed loop whose controller acts in continuous time.
+
+    Args:
+        loop: controller and plant.
+        state: rig coordinates then velocities (2 n,) at the first time.
+        times: instants to record (m,), increasing.
+        tolerance: local relative error of the integrator.
+        progress: called with the part done.
+
+    Raises:
+        SingularityError: the decoupling matrix became singular; holds the state.
+        IntegrationError: the integrator could not go on.
+    """
+    p = loop.values()
+    inputs = np.zeros(len(loop.plant.inputs))
+    found = loop.kernels.integrate(times, state, inputs, p, tolerance=tolerance, progress=progress, pieces=PIECES)
+    return _complete(loop, times, found.states, p)
+
+
+def run_sampled(
+    loop: ClosedLoop,
+    state: Array,
+    *,
+    rate: float,
+    duration: float,
+    every: int = 1,
+    substeps: int | None = None,
+    progress: Progress | None = None,
+) -> Run:
+    """Run a closed loop whose controller reads the state at a fixed rate and holds its outputs between samples.
+
+    Args:
+        loop: controller and plant.
+        state: rig coordinates then velocities (2 n,) at time 0.
+        rate: samples per second.
+        duration: seconds.
+        every: record one sample of so many.
+        substeps: integration steps of the plant between samples; by default as many as its motion about the initial
+            state asks for.
+        progress: called with the part done.
+
+    Raises:
+        SingularityError: the decoupling matrix became singular; holds the state.
+        IntegrationError: the state or the inputs are no longer finite.
+    """
+    if not (rate > 0.0 and duration > 0.0 and every >= 1 and (substeps is None or substeps >= 1)):
+        raise ModelError(
+            f"rate {rate:g}, duration {duration:g}, every {every}, substeps {substeps}: all must be positive"
+        )
+    substeps = substeps or _substeps(loop, state, rate)
+    samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
+    rows = np.arange(0, samples, every)
+    out_y, out_u = np.empty((len(rows), len(state))), np.empty((len(rows), len(loop.plant.inputs)))
+    y, u, p, first = np.array(state, dtype=float), np.zeros(out_u.shape[1]), loop.values(), 0.0
+    bounds = [samples * piece // PIECES for piece in range(PIECES + 1)]
+    for begin, end in itertools.pairwise(bounds):
+        count = end - begin
+        row = -(-begin // every)
+        status, done, first = loop.kernels.run_sampled(
+            begin, count, 1.0 / rate, substeps, every, y, u, p, first, out_y[row:], out_u[row:]
+        )
+        if status == NOT_FINITE:
+            raise IntegrationError(
+                f"the masked rig became unstable and grew without bound by t = {(begin + done) / rate:.6g} s: sampled "
+                f"at {rate:g} Hz, inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
+            )
+        if status != REACHED:
+            loop.kernels.stop(status, (begin + done) / rate, y, INVERTIBLE)
+        if progress is not None:
+            progress((begin + count) / samples)
+    found = _complete(loop, rows / rate, out_y, p)
+    return Run(found.times, found.rig, found.virtual, out_u)
+
+
+def run_twin(
+    loop: SampledLoop,
+    start: Array,
+    *,
+    duration: float,
+    seed: int,
+    every: int = 1,
+    progress: Progress | None = None,
+) -> TwinRun:
+    """Run a sampled controller around a twin.
+
+    With an approach, the twin starts at rest and unpowered, and the record begins at the release. Without one, the twin
+    is held at `start` by the controller's own commands until the first command that was made for the release acts.
+
+    Args:
+        loop: controller and twin.
+        start: the twin's coordinates (n,) at the start, SI units.
+        duration: seconds after the release.
+        seed: of the sensors' noise.
+        every: record one sample of so many.
+        progress: called with the part done.
+
+    Raises:
+        SingularityError: the decoupling matrix became singular; holds the state.
+        IntegrationError: the state or the commands are no longer finite.
+    """
+    sampled, twin, kernels = loop.sampled, loop.twin, loop.kernels
+    rate, sizes, p = sampled.rate, sampled.sizes, twin.values()
+    generator = np.random.default_rng(seed)
+    before = round(sampled.approach * rate) + sampled.delay
+    samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
+    rows = np.arange(0, samples, every)
+    y, first, substeps = twin.rest(start), 0.0, twin.substeps(rate)
+    noise = generator.standard_normal((1, len(twin.sensors)))
+    reading = np.empty(len(twin.sensors))
+    twin.kernels.sense(-before / rate, y, p, noise[0], reading)
+    memory = sampled.begin(reading)
+    queue = np.tile(memory.holding, (twin.delay + 1, 1))
+    widths = (len(y), len(memory.x), len(twin.sensors), sizes.actuators, sizes.actuators)
+    out = [np.empty((len(rows), width)) for width in widths]
+    bounds = [-before + (samples + before) * piece // PIECES for piece in range(PIECES + 1)]
+    for begin, end in itertools.pairwise(bounds):
+        count = end - begin
+        if count == 0:
+            continue
+        more = generator.standard_normal((count - len(noise), len(twin.sensors)))
+        noise = np.concatenate([noise, more]) if len(noise) else more
+        row = max(0, -(-begin // every))
+        status, done, first = kernels.run(
+            begin, count, 1.0 / rate, substeps, every, y, memory.x, p, memory.p, sampled.gain, sampled.limits, queue,
+            noise, first, *(table[row:] for table in out),
+        )  # fmt: skip
+        if status == NOT_FINITE:
+            raise IntegrationError(
+                f"the masked rig became unstable and grew without bound by t = {(begin + done) / rate:.6g} s: lower "
+                "controller.observer.bandwidth, correct controller.model, or raise controller.rate"
+            )
+        if status != REACHED:
+            kernels.stop(status, (begin + done) / rate, y, INVERTIBLE)
+        noise = noise[:0]
+        if progress is not None:
+            progress((end + before) / (samples + before))
+    states, memories, readings, demanded, applied = out
+    estimates, power = memories[:, : sizes.states], memories[:, sizes.power]
+    return TwinRun(rows / rate, states, estimates, readings, demanded, applied, power)
+
+
+def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:
+    """Return the integration steps between samples that resolve the plant's fastest motion near a state."""
+    p, u = loop.values(), np.zeros(len(loop.plant.inputs))
+
+    def slope(y: Array, out: Array) -> None:
+        loop.kernels.plant_derivative(0.0, y, u, p, out)
+
+    return steps_between(slope, state, np.resize(loop.controller.lengths, len(state)), rate)
+
+
+class Mapped(Protocol):
+    """A control law with a compiled transform."""
+
+    @property
+    def controller(self) -> Controller:
+        """Return the control law."""
+
+    @property
+    def kernels(self) -> Kernels:
+        """Return compiled functions with `transform(t, q, v, p, out)`."""
+
+    def values(self) -> Array:
+        """Return the parameter array."""
+
+
+def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None) -> Array:
+    """Return the rig state (2 n,) that the transform maps to a virtual state, by Newton's method.
+
+    Args:
+        loop: controller and plant.
+        virtual_state: virtual coordinates then velocities (2 k,).
+        guess: rig coordinates (n,) to start from; by default several are tried.
+
+    Raises:
+        ModelError: no rig position is found that gives the virtual coordinates.
+    """
+    lengths = loop.controller.lengths
+    k = len(loop.controller.virtual.coordinates)
+    eta, rate = virtual_state[:k], virtual_state[k:]
+    generator = np.random.default_rng(0)
+    guesses = [np.zeros(len(lengths))] if guess is None else [guess]
+    guesses += [lengths * generator.uniform(-1.0, 1.0, len(lengths)) for _ in range(50)]
+    for start in guesses:
+        q = _newton(loop, start, eta, lengths)
+        if q is not None:
+            jacobian = _map(loop, q)[1]
+            return np.concatenate([q, np.linalg.lstsq(jacobian, rate / loop.controller.time_scale, rcond=None)[0]])
+    names = loop.controller.virtual.coordinates
+    wanted = ", ".join(f"{n} = {value:g}" for n, value in zip(names, eta, strict=True))
+    raise ModelError(
+        f"transform: no rig position gives the initial {wanted}; start elsewhere, or change the transform so that its "
+        "range includes this state"
+    )
+
+
+def _newton(loop: Mapped, q: Array, eta: Array, lengths: Array) -> Array | None:
+    q = np.array(q, dtype=float)
+    for _ in range(50):
+        value, jacobian = _map(loop, q)
+        error = eta - value
+        if not np.all(np.isfinite(error)) or not np.all(np.isfinite(jacobian)):
+            return None
+        if np.max(np.abs(error)) <= 1e-13 * (1.0 + np.max(np.abs(eta))):
+            return q
+        step = np.linalg.lstsq(jacobian, error, rcond=None)[0]
+        largest = float(np.max(np.abs(step) / lengths))
+        q = q + step * min(1.0, 2.0 / largest) if largest > 0.0 else q
+    return None
+
+
+def _map(loop: Mapped, q: Array) -> tuple[Array, Array]:
+    """Return eta (k,) and the Jacobian (k, n) of the virtual with respect to the rig coordinates, in SI units."""
+    n, k = len(q), len(loop.controller.virtual.coordinates)
+    p, out = loop.values(), np.empty(2 * k)
+    jacobian = np.empty((k, n))
+    for i in range(n):
+        loop.kernels.transform(0.0, q, np.eye(n)[i], p, out)
+        jacobian[:, i] = out[k:] / loop.controller.time_scale
+    return out[:k].copy(), jacobian
+
+
+def _complete(loop: ClosedLoop, times: Array, states: Array, p: Array) -> Run:
+    virtual = np.empty((len(times), 2 * len(loop.controller.virtual.coordinates)))
+    inputs = np.empty((len(times), len(loop.plant.inputs)))
+    loop.kernels.along(times, states, p, virtual, inputs)
+    return Run(times, states, virtual, inputs)

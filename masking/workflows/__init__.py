@@ -1,0 +1,1 @@
+"""Workflows: the verbs as functions, files in and files out."""

@@ -1,0 +1,209 @@
+"""Asked: the rig and the records that a discovery is asked about, read and checked before anything is searched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from masking.declaration import registry
+from masking.declaration.couplings import driven_outputs
+from masking.declaration.expression import Expression
+from masking.declaration.schema import ModelDeclaration, PlantDeclaration, Sensor
+from masking.errors import DeclarationError, Problem, RecordError, nearest
+from masking.estimation.data import Assumption, Data
+from masking.records import readers
+from masking.records.time_slice import Part
+from masking.report.discovery_files import Origin
+from masking.rig.twin import Twin
+
+FEWEST = 400  # samples of a record
+STILL = 1.2  # deviations of the noise: readings that vary by less do not move
+ALIKE = 1e-6  # relative difference of two rates that are the same
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The rig as it is believed to be, the record, another one to judge by, and where these come from."""
+
+    twin: Twin
+    record: Data
+    validation: Data | None
+    origin: Origin
+
+
+def asked(
+    record: str | Path,
+    model: str | Path | None,
+    plant: str | Path | None,
+    validation: str | Path | None = None,
+    *,
+    between: Assumption | None = None,
+    columns: Mapping[str, str] | None = None,
+    dt: float | None = None,
+    effects: str | Path | None = None,
+) -> Asked:
+    """Read and check what a discovery needs.
+
+    Args:
+        record: a folder of a recording, or a parquet, csv, mat or h5 file; or a part of one, see `formats.read`.
+        model: of the rig; in place of the plant's own where both are given.
+        plant: a plant file or a packaged plant; without one, the model's outputs or coordinates are read.
+        validation: another record to judge by.
+        between: how inputs go from sample to sample, see `Data`.
+        columns: of the files, by the names that they get.
+        dt: time between samples in s, for files without a clock.
+        effects: a dictionary of own effects, which are tried, too.
+
+    Raises:
+        DeclarationError: neither a model nor a plant is given, or one is wrong.
+        RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates or share
+            samples.
+    """
+    twin = with_effects(rig(model, plant), effects)
+    return read(twin, record, validation, between=between, columns=columns, dt=dt)
+
+
+def read(
+    twin: Twin,
+    record: str | Path,
+    validation: str | Path | None = None,
+    *,
+    between: Assumption | None = None,
+    columns: Mapping[str, str] | None = None,
+    dt: float | None = None,
+) -> Asked:
+    """Read and check the records of a rig; see `asked`.
+
+    Raises:
+        RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates or share
+            samples.
+    """
+
+    def one(path: str | Path) -> Data:
+        found = Data.read(path, twin, between, columns, dt)
+        if len(found) < FEWEST:
+            raise RecordError(
+                f"{path}: {len(found)} samples are too few to tell effects apart; give a record of at least {FEWEST}, "
+                "over several periods of the slowest motion"
+            )
+        if bool((found.readings.var(axis=0) < (STILL * found.noise) ** 2).all()):
+            raise RecordError(
+                f"{path}: nothing moves: the readings vary no more than their noise; excite the rig, or let it go from "
+                "somewhere else than rest"
+            )
+        return found
+
+    train = one(record)
+    judge = None if validation is None else one(validation)
+    if judge is not None and abs(judge.rate / train.rate - 1.0) > ALIKE:
+        raise RecordError(
+            f"{record} has {train.rate:g} samples in a second, {validation} {judge.rate:g}: two rates; resample one of "
+            "them, or judge by the last part of the record"
+        )
+    paths = {"record": record} | ({"judged by": validation} if validation is not None else {})
+    origin = Origin({what: (str(p), readers.digest(p)) for what, p in paths.items()})
+    if judge is not None:
+        _check_unseen(train, judge, origin)
+    return Asked(twin, train, judge, origin)
+
+
+def _check_unseen(train: Data, judge: Data, origin: Origin) -> None:
+    """Refuse to judge by what is searched: the same record, or parts of one file that overlap.
+
+    Raises:
+        RecordError: the two share samples.
+    """
+    (record, content), (validation, other) = origin.records["record"], origin.records["judged by"]
+    mend = "leave --validate out, and the last 30 % of the record judge, or give another record"
+    if np.array_equal(train.readings, judge.readings) and np.array_equal(train.commands, judge.commands):
+        raise RecordError(f"{validation}: it holds the same samples as {record}, which it is to judge; {mend}")
+    first, second = Part.of(record), Part.of(validation)
+    start, end = max(first.limits[0], second.limits[0]), min(first.limits[1], second.limits[1])
+    if content == other and start < end:
+        border = start if np.isfinite(start) else end
+        raise RecordError(
+            f"{validation}: its samples{_between(start, end)} are also in {record}, which it is to judge; give "
+            f"parts that share no time, such as {first.file}@:{border:.9g} and {first.file}@{border:.9g}:, or {mend}"
+        )
+
+
+def _between(start: float, end: float) -> str:
+    """Say from when until when, in s; nothing of a side that is infinite."""
+    if np.isinf(start):
+        return "" if np.isinf(end) else f" up to {end:.9g} s"
+    return f" from {start:.9g} s {'on' if np.isinf(end) else f'to {end:.9g} s'}"
+
+
+def rig(model: str | Path | None, plant: str | Path | None) -> Twin:
+    """Return the rig of a plant, or of a model alone: perfect sensors of its outputs, or else of its coordinates.
+
+    Raises:
+        DeclarationError: neither is given, or one is wrong.
+        ModelError: a mass is 0.
+    """
+    if plant is not None:
+        twin = Twin.load(plant) if model is None else Twin.load(plant).as_model(model)
+    elif model is None:
+        mend = "name a model, such as --model setup, or a plant with --plant"
+        raise DeclarationError(Problem(None, "model", "there is nothing to hold the record against", mend))
+    else:
+        base = registry.load_model(model)
+        twin = Twin(PlantDeclaration(name=base.name, model=str(model), sensors=_sensors(base)), base)
+    twin.validate()
+    twin.model.check_mass()
+    return twin
+
+
+def with_effects(twin: Twin, effects: str | Path | None) -> Twin:
+    """Return a rig that knows the effects of a dictionary, too; the rig itself where none is named.
+
+    Raises:
+        DeclarationError: there is no such dictionary, or it is wrong.
+    """
+    if effects is None:
+        return twin
+    made = replace(twin, declaration=registry.with_dictionary(twin.declaration, effects))
+    made.validate()
+    return made
+
+
+def check_tolerance(tolerance: float) -> None:
+    """Refuse a relative deviation of parameters that is none.
+
+    Raises:
+        DeclarationError: it is not between 0 and 1.
+    """
+    if not 0.0 < tolerance < 1.0:
+        message = f"the tolerance is {tolerance:g}"
+        raise DeclarationError(Problem(None, "tolerance", message, "give a part between 0 and 1, such as 0.01"))
+
+
+def parameters(twin: Twin, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the parameters that may be off: all of the equations where none are named.
+
+    Raises:
+        DeclarationError: there is no such parameter in the equations.
+    """
+    known = twin.equation_parameters()
+    for name in names:
+        if name not in known:
+            message = f"the equations of {twin.base.name} hold no parameter '{name}'"
+            raise DeclarationError(Problem(None, "parameters", message, nearest(name, known)))
+    return tuple(names) or known
+
+
+def _sensors(base: ModelDeclaration) -> dict[str, Sensor]:
+    if base.outputs:
+        by_name = driven_outputs(base)  # with the forces of effects in them
+        return {
+            name: Sensor(measures=Expression(name) if name in by_name else o.expression, unit=o.unit, meaning=o.meaning)
+            for name, o in base.outputs.items()
+        }
+    moving = base.coordinates or base.states
+    return {name: Sensor(measures=Expression(name), unit=c.unit, meaning=c.meaning) for name, c in moving.items()}
+
+
+__all__ = ["Asked", "asked", "check_tolerance", "parameters", "read", "rig", "with_effects"]

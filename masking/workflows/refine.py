@@ -1,0 +1,331 @@
+"""Refinement: what a controller's model is missing, found from a record of its plant, and put into the control law.
+
+The controller believes a model. A record of the plant tells what that model is missing; with it, the block L cancels
+what the rig really does, and the masked motion is truer. What sits in sensors and actuators is no part of that model.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
+import yaml
+
+from masking.declaration import registry
+from masking.discovery.discover import discover
+from masking.discovery.discovery import Discovery, Named
+from masking.discovery.settings import TOLERANCE
+from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, SingularityError
+from masking.estimation.data import Assumption
+from masking.records.recording import Recording
+from masking.report import discovery_files, discovery_text
+from masking.report.discovery_files import Files
+from masking.rig.twin import Twin
+from masking.run.error_budget import in_full
+from masking.run.experiment import Experiment
+from masking.workflows import inputs
+
+if TYPE_CHECKING:
+    from masking.report import discovery_page, run_report
+else:
+    discovery_page = lazy.load("masking.report.discovery_page", suppress_warning=True)
+    run_report = lazy.load("masking.report.run_report", suppress_warning=True)
+
+Tell = Callable[[str, float], None]
+
+EXPERIMENT, NUMBERS, BEFORE, AFTER = "experiment.yaml", "refine.json", "before", "after"
+TOLD = frozenset({"noise", "quantisation", "delay"})  # effects of the plant file that a controller knows
+WORTH = 0.9  # of chi: what it must come down to, to be called truer
+_BEGIN, _FOUND = 0.1, 0.9  # parts done when the discovery begins and ends
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of the experiment; None, and why, where it could not go on."""
+
+    recording: Recording | None
+    trouble: str = ""
+
+    @property
+    def chi(self) -> Mapping[str, float] | None:
+        """Return the fidelity of each virtual coordinate."""
+        return None if self.recording is None else self.recording.manifest["fidelity"]
+
+    @property
+    def worst(self) -> float:
+        """Return the largest chi; infinite where the run could not go on."""
+        return max(self.chi.values()) if self.chi else float("inf")
+
+    def as_dict(self, folder: Path | None) -> dict[str, Any]:
+        """Return the run as JSON can hold it; `folder` holds its recording and its report."""
+        kept = folder if self.recording is not None else None
+        return {
+            "fidelity": None if self.chi is None else dict(self.chi),
+            "trouble": self.trouble,
+            "recording": None if kept is None else str(kept),
+            "report": None if kept is None else str(kept / "report.html"),
+        }
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """An experiment before and after its controller was told what its model was missing.
+
+    Args:
+        before, after: the run with the model as it was, and with what was found.
+        discovery: what was found.
+        experiment: with the extended model in its controller.
+        folder: where all is saved, and there the `files` of the discovery; None where nothing is.
+    """
+
+    before: Run
+    after: Run
+    discovery: Discovery
+    experiment: Experiment
+    origin: discovery_files.Origin
+    folder: Path | None
+    files: Files | None
+
+    @property
+    def sentence(self) -> str:
+        """Say how much truer the masking became."""
+        found = self.discovery
+        causes = [discovery_text.spoken(found, c.name, c.on) for c in found.effects if _is_of_model(found, c)]
+        told = f"With {discovery_text.listed([*causes, 'adjusted parameters'])} in the controller's model, "
+        if self.after.recording is None:
+            return f"{told}the run could not go on: {self.after.trouble}"
+        after = _chi(self.after.worst)
+        if self.before.recording is None:
+            return f"{told}chi is at most {after}; without, the run could not go on: {self.before.trouble}."
+        told += f"masking fidelity chi went from {_chi(self.before.worst)} to {after} in the worst coordinate"
+        if self.after.worst <= WORTH * self.before.worst:
+            return f"{told}."
+        if self.experiment.observer_settings.kind == "differences":
+            return f"{told}: no truer; differences of positions are too rough for it, try 'observer: disturbance'."
+        return f"{told}: no truer, something else limits it; masking run --budget tells what."
+
+    @property
+    def uncompensated(self) -> tuple[str, ...]:
+        """Say of each finding in sensors, actuators and the loop that the control law does not make up for it."""
+        told = []
+        for cause in self.discovery.effects:
+            if _is_of_model(self.discovery, cause):
+                continue
+            effect = self.discovery.twin.dictionary[cause.name]
+            helps = "a controller predicts a delay of whole samples that the plant file declares"
+            helps = effect.remedy if effect.where != "loop" else helps
+            what = discovery_text.capital(discovery_text.spoken(self.discovery, cause.name, cause.on))
+            why = f"{what} is not compensated: it is no part of the controller's model"
+            told.append(f"{why}; what helps: {helps}." if helps else f"{why}.")
+        return tuple(told)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the refinement and where its files lie, as JSON can hold it."""
+        out = self.folder
+        told = self.discovery.as_dict() if out is None else discovery_files.as_dict(self.discovery, out, self.origin)
+        return {
+            "sentence": self.sentence,
+            "before": self.before.as_dict(None if out is None else out / BEFORE),
+            "after": self.after.as_dict(None if out is None else out / AFTER),
+            "uncompensated": [*self.uncompensated],
+            "experiment": None if out is None else str(out / EXPERIMENT),
+            "discovery": told,
+        }
+
+    def __str__(self) -> str:
+        names = [*(self.after.chi or self.before.chi or {})]
+        rows = [("masking fidelity chi", *names)]
+        for what, run in (("before", self.before), ("after", self.after)):
+            rows.append((what, *(_chi(run.chi[name]) if run.chi else "-" for name in names)))
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [discovery_page.summary(self.discovery, self.files), self.sentence, *self.uncompensated]
+        lines += ["  " + "  ".join(f"{c:{w}}" for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        if self.folder is not None:
+            lines.append(f"experiment: {self.folder / EXPERIMENT}")
+        return "\n".join(lines)
+
+
+def refine(
+    experiment: Experiment,
+    record: str | Path,
+    *,
+    validation: str | Path | None = None,
+    parameters: Sequence[str] = (),
+    tolerance: float = TOLERANCE,
+    horizon: float | None = None,
+    between: Assumption | None = None,
+    columns: Mapping[str, str] | None = None,
+    dt: float | None = None,
+    effects: str | Path | None = None,
+    out: str | Path | None = None,
+    tell: Tell | None = None,
+) -> Refinement:
+    """Find out from a record what the controller's model of an experiment is missing, and run it without and with that.
+
+    Args:
+        experiment: whose controller's model is refined.
+        record: a folder of a recording of the plant, or a parquet, csv, mat or h5 file; or a part of one, such as
+            `record.csv@10:20`.
+        validation: another record to judge by; the last part of the record where none is given.
+        parameters: of the controller's model that may be off; all that its equations hold where none are given.
+        tolerance: relative standard deviation of a parameter that declares none.
+        horizon: seconds after which the motion is simulated anew, as for `masking.discover`.
+        between: how inputs go from each sample to the next, as for `masking.identify`.
+        columns: of the files, by the names that they get.
+        dt: time between samples in s, for a table without a clock.
+        effects: a dictionary of own effects, which are tried, too.
+        out: folder to save in: the files of a discovery, both runs in `before/` and `after/`, each with its report,
+            `experiment.yaml` and `refine.json`; nothing is saved where none is given, and nothing half where it is
+            interrupted.
+        tell: told what is done, and the part done.
+
+    Raises:
+        MaskingError: a declaration, a name, a setting or a record is wrong, or the experiment cannot be run.
+    """
+    inputs.check_tolerance(tolerance)
+    say = tell or (lambda text, part: None)
+    twin = inputs.with_effects(believed(experiment), effects)
+    if not twin.sensors:
+        message, mend = f"{twin.declaration.name} declares no sensors", "declare what the record holds of the rig"
+        raise DeclarationError(Problem(None, "sensors", message, mend))
+    wanted = inputs.read(twin, record, validation, between=between, columns=columns, dt=dt)
+    names = inputs.parameters(twin, parameters)
+    say("running with the model as it is", 0.0)
+    before = _run(experiment, lambda part: say("running with the model as it is", _BEGIN * part))
+    found = discover(
+        twin,
+        wanted.record,
+        wanted.validation,
+        parameters=names,
+        tolerance=tolerance,
+        horizon=horizon,
+        tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part),
+    )
+    folder = None if out is None else Path(out)
+    made = _beside(folder)
+    try:
+        files = discovery_page.save(found, made, wanted.origin, lies=folder)
+        better = refined(experiment, found, files, folder or made)
+        after = _run(better, lambda part: say("running with what was found", _FOUND + (1.0 - _FOUND) * part))
+        kept = None if folder is None else discovery_files.paths(found, folder)
+        result = Refinement(before, after, found, better, wanted.origin, folder, kept)
+        if folder is not None:
+            _write(result, made, folder)
+            _move(made, folder)
+    except OSError as error:
+        raise RecordError(f"{out} cannot be written: {error.strerror or error}; name another folder") from error
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+    return result
+
+
+def believed(experiment: Experiment) -> Twin:
+    """Return the plant as the controller believes it: its own model, and of the plant's effects noise and delay."""
+    assembly, settings = experiment.assembly, experiment.declaration.controller
+    base = assembly.believed_model
+    known = {}
+    for name, use in assembly.plant.effects.items():
+        if use.effect in TOLD:
+            change = experiment.declaration.effects.get(name)
+            values: dict[str, Any] = {} if change is None else {"parameters": {**use.parameters, **change.parameters}}
+            if change is not None and change.enabled is not None:
+                values["enabled"] = change.enabled
+            known[name] = use.model_copy(update=values)
+    own = {} if settings.model else assembly.plant.parameters
+    parameters = {n: v for n, v in {**own, **settings.parameters}.items() if n in base.parameters}
+    changed = {"model": registry.name_from(base), "parameters": parameters, "effects": known}
+    return Twin(assembly.plant.model_copy(update=changed), base)
+
+
+def refined(experiment: Experiment, found: Discovery, files: Files, folder: Path) -> Experiment:
+    """Return an experiment whose controller believes what was found.
+
+    Args:
+        experiment: as it was.
+        found: the discovery.
+        files: of the discovery, where they lie now.
+        folder: where they will lie.
+    """
+    settings = experiment.declaration.controller
+    values = {name: value for name, value, _ in discovery_files.refitted(found)}
+    if files.model is None:  # all that was found are values
+        controller = settings.model_copy(update={"parameters": {**settings.parameters, **values}})
+        return experiment.changed(controller=controller.model_dump(mode="json", exclude_defaults=True))
+    left = {n: v for n, v in found.twin.declaration.parameters.items() if n not in values}
+    controller = settings.model_copy(update={"model": str(files.model), "parameters": left})
+    made = experiment.changed(controller=controller.model_dump(mode="json", exclude_defaults=True))
+    model = discovery_files.paths(found, folder).model
+    controller = made.declaration.controller.model_copy(update={"model": str(model)})
+    declaration = made.declaration.model_copy(update={"controller": controller})
+    return Experiment(replace(made.assembly, experiment=declaration))
+
+
+def _is_of_model(found: Discovery, cause: Named) -> bool:
+    """Tell whether a cause sits in the equations of the rig: an effect of an element, or a parameter."""
+    effect = found.twin.dictionary.get(cause.name)
+    return effect is None or effect.where == "element"
+
+
+def _run(experiment: Experiment, progress: Callable[[float], None]) -> Run:
+    try:
+        return Run(in_full(experiment).run(progress))  # else the two are of different lengths
+    except (IntegrationError, SingularityError) as error:
+        return Run(None, str(error))
+
+
+def _beside(folder: Path | None) -> Path:
+    """Make a folder beside another one, from which paths to other files are the same; anywhere where there is none."""
+    try:
+        if folder is None:
+            return Path(tempfile.mkdtemp(prefix="masking-"))
+        there = folder.resolve()
+        there.parent.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=f".{there.name}-", dir=there.parent))
+    except OSError as error:
+        raise RecordError(f"{folder} cannot be written: {error.strerror or error}; name another folder") from error
+
+
+def _write(result: Refinement, made: Path, folder: Path) -> None:
+    """Write the runs with their reports, the experiment and the numbers into a folder that will be moved to another."""
+    for name, run in ((BEFORE, result.before), (AFTER, result.after)):
+        if run.recording is not None:
+            run.recording.save(made / name)
+            run_report.report(run.recording, made / name)
+    content = yaml.safe_dump(_experiment(result, folder), sort_keys=False, width=118, allow_unicode=True)
+    (made / EXPERIMENT).write_text(content, encoding="utf-8")
+    text = json.dumps(result.as_dict(), indent=2, ensure_ascii=False)
+    (made / NUMBERS).write_text(f"{text}\n", encoding="utf-8")
+
+
+def _experiment(result: Refinement, folder: Path) -> dict[str, Any]:
+    """Return the content of the refined experiment's file, which names other files by their paths from its folder."""
+    assembly = result.experiment.assembly
+    made, settings = assembly.experiment.canonical(), assembly.experiment.controller
+    made["plant"] = registry.name_from(assembly.plant, folder)
+    made["virtual"] = registry.name_from(assembly.virtual_model, folder)
+    if result.files is not None and result.files.model is not None:
+        made["controller"]["model"] = result.files.model.relative_to(folder).as_posix()
+    elif settings.model is not None:
+        made["controller"]["model"] = registry.name_from(assembly.believed_model, folder)
+    source = filter(None, (made.get("source"), result.origin.source(result.discovery).replace("discover", "refine", 1)))
+    return {"name": made.pop("name"), "source": "; ".join(source), **made}
+
+
+def _move(made: Path, folder: Path) -> None:
+    for path in sorted(p for p in made.rglob("*") if p.is_file()):
+        there = folder / path.relative_to(made)
+        there.parent.mkdir(parents=True, exist_ok=True)
+        path.replace(there)
+
+
+def _chi(chi: float) -> str:
+    return f"{chi:.2g}"
+
+
+__all__ = ["Refinement", "Run", "believed", "refine", "refined"]

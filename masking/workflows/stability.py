@@ -1,0 +1,84 @@
+"""Assessment: the stability of a model, or of an experiment with its closed loop beside the virtual system."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from masking.analysis.stability.lyapunov import largest_exponent
+from masking.analysis.stability.study import LoopModes, Stability, loop_modes, study
+from masking.declaration import catalogue
+from masking.errors import DeclarationError, Problem
+from masking.modelling.model import Model, load_model
+from masking.run.experiment import Experiment
+from masking.run.offline import rig_state
+
+KINDS = ("model", "experiment")
+
+
+def assess(
+    name_or_path: str | Path,
+    *,
+    kind: str | None = None,
+    changes: Mapping[str, float] | None = None,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    exponent: float | None = None,
+    tell: Callable[[str, float], None] | None = None,
+) -> Stability:
+    """Find the equilibria and modes of a system, and what its energy proves of all its motions.
+
+    Args:
+        name_or_path: a model; or an experiment, whose virtual system is studied, with the eigenvalues of the closed
+            loop beside it.
+        kind: 'model' or 'experiment', where a name stands for both; by default the model.
+        changes: parameters that replace the declared ones, in the declared units.
+        box: where equilibria are looked for, and where what is not proved everywhere is, by coordinate and velocity
+            (`x1'`), in the scales of the system, or in SI units.
+        exponent: time over which the largest Lyapunov exponent of the motion from the initial state is found, in the
+            scales of the system, or in s; it is not where none is given.
+        tell: called with what is done, and the part done.
+
+    Raises:
+        DeclarationError: a declaration is wrong, or of another kind.
+        ModelError: the box names what is no coordinate or velocity, or no rig position gives the virtual equilibrium.
+    """
+    kind = kind or catalogue.kind_of(name_or_path)
+    if kind not in KINDS:
+        message = f"{name_or_path} is a {kind}, which has no stability of its own"
+        raise DeclarationError(Problem(None, "", message, "name a model or an experiment"))
+    if kind == "model":
+        model = load_model(name_or_path).with_parameters(**(changes or {}))
+        model = model.dimensionless() if model.declaration.scales else model
+        return _with_exponent(study(model, box), model, exponent, tell)
+    experiment = Experiment.load(name_or_path, changes=changes)
+    found = _with_exponent(study(experiment.virtual, box), experiment.virtual, exponent, tell)
+    if found.rest is None or not found.rest.points:
+        return found
+    if tell is not None:
+        tell("compiling the closed loop", 0.5)
+    return replace(found, loop=_loop(experiment, found))
+
+
+def _with_exponent(
+    found: Stability, model: Model, duration: float | None, tell: Callable[[str, float], None] | None
+) -> Stability:
+    """Return what was found with the largest Lyapunov exponent, where a time is given."""
+    if duration is None:
+        return found
+    progress = None if tell is None else lambda part: tell("following the motion", part)
+    return replace(found, exponent=largest_exponent(model, duration, progress=progress))
+
+
+def _loop(experiment: Experiment, found: Stability) -> LoopModes:
+    """Return the eigenvalues of the closed loop at the virtual equilibrium that is nearest to 0."""
+    loop, n = experiment.loop, len(experiment.plant.coordinates)
+    point, modes = min(found.points, key=lambda x: max(map(abs, x[0].position.values())))
+    virtual = np.array([*point.position.values(), *([0.0] * len(point.position))])
+    state = np.concatenate([rig_state(loop, virtual), np.zeros(len(experiment.plant.states))])
+    lengths = np.ones(len(state))
+    lengths[:n] = experiment.controller.lengths
+    lengths[n : 2 * n] = experiment.controller.lengths / experiment.time_scale
+    return loop_modes(loop, state, lengths, experiment.time_scale, modes.eigenvalues)

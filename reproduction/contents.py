@@ -1,0 +1,88 @@
+"""Contents: every entry of the comparison by its number, in the order of the source document."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+from masking.errors import DeclarationError, Problem, nearest
+from reproduction import chapter4, chapter5, chapter7, chapter8, chapter9, enoc, slips
+from reproduction.entry import Entry
+
+Chapter = Mapping[str, Callable[[], Entry]]
+
+CHAPTERS: Final[Mapping[str, Chapter]] = MappingProxyType(
+    {
+        "Chapter 4: identification": {
+            "Table 4.2": chapter4.table_4_2,
+            "Fig. 4.2": chapter4.fig_4_2,
+            "Fig. 4.3": chapter4.fig_4_3,
+            "Fig. 4.4": chapter4.fig_4_4,
+            "Fig. 4.5": chapter4.fig_4_5,
+            "Fig. 4.6": chapter4.fig_4_6,
+        },
+        "Chapter 5: the set-up itself": {
+            "Fig. 5.1": chapter5.fig_5_1,
+            "Fig. 5.2": chapter5.fig_5_2,
+            "Fig. 5.3": chapter5.fig_5_3,
+            "Fig. 5.4": chapter5.fig_5_4,
+        },
+        "Chapter 7: Duffing oscillators": {
+            "Table 7.2": chapter7.table_7_2,
+            "Fig. 7.2": chapter7.fig_7_2,
+            "Table 7.3": chapter7.table_7_3,
+            "Fig. 7.3": chapter7.fig_7_3,
+        },
+        "Chapter 8: rotating discs": {
+            "Table 8.2": chapter8.table_8_2,
+            "Fig. 8.2": chapter8.fig_8_2,
+            "Fig. 8.3": chapter8.fig_8_3,
+            "Table 8.3": chapter8.table_8_3,
+            "Fig. 8.4": chapter8.fig_8_4,
+            "Table 8.4": chapter8.table_8_4,
+            "Fig. 8.5": chapter8.fig_8_5,
+            "Fig. 8.6": chapter8.fig_8_6,
+        },
+        "Chapter 9: Huygens' clocks": {
+            "Table 9.2": chapter9.table_9_2,
+            "Fig. 9.2": chapter9.fig_9_2,
+            "Section 9.2": chapter9.section_9_2,
+        },
+        "The ENOC paper": {
+            "ENOC Table 1": enoc.table_1,
+            "ENOC Table 2": enoc.table_2,
+            "ENOC Fig. 4 and 5": enoc.fig_4_5,
+            "ENOC Fig. 6 and 7": enoc.fig_6_7,
+            "ENOC Fig. 9 and 10": enoc.fig_9_10,
+        },
+        "Where the document contradicts itself": {
+            "Slip: Table 4.1": slips.gains,
+            "Slip: 4.2.1": slips.crest,
+            "Slip: (4.13)": slips.oscillator,
+            "Slip: Table 7.2": slips.cubic,
+            "Slip: (7.4)": slips.beam_sum,
+            "Slip: (8.11)": slips.damping_entry,
+            "Slip: (A.4)": slips.reaction,
+            "Slip: (A.21)": slips.stiffness_power,
+        },
+    }
+)
+ENTRIES: Final[Chapter] = MappingProxyType({n: make for chapter in CHAPTERS.values() for n, make in chapter.items()})
+
+
+def chosen(only: str | None) -> tuple[str, ...]:
+    """Return the numbers of the entries that a word stands for: all, or those with this number in their name.
+
+    Raises:
+        DeclarationError: there is none.
+    """
+    if only is None:
+        return tuple(ENTRIES)
+    if not only.strip():
+        raise DeclarationError(Problem(None, "--only", "it is empty", "name a figure or table, such as 7.2"))
+    exact = tuple(n for n in ENTRIES if only.lower() in {n.lower(), n.lower().split(" ", 1)[1]})
+    found = exact or tuple(n for n in ENTRIES if only.lower() in n.lower())
+    if not found:
+        raise DeclarationError(Problem(None, "--only", f"there is no figure or table '{only}'", nearest(only, ENTRIES)))
+    return found
