@@ -3,7 +3,7 @@
 import masking
 
 recording = masking.run("duffing")
-fidelity = recording.manifest["fidelity"]
+errors = recording.manifest["masking_error"]
 
-print(f"{len(recording)} rows, {recording.t[-1]:.0f} s of the rig; relative errors {fidelity}")
-assert max(fidelity.values()) < 1e-6
+print(f"{len(recording)} rows, {recording.t[-1]:.0f} s of the rig; relative errors {errors}")
+assert max(errors.values()) < 1e-6

@@ -33,6 +33,6 @@ with TemporaryDirectory() as folder:
     recording = masking.run(Path(folder, "experiment.yaml"))
 
 amplitude = np.abs(recording["virtual.x1"][recording.t > 5.0]).max()
-print(f"amplitude {amplitude:.3f}, relative errors {recording.manifest['fidelity']}")
-assert max(recording.manifest["fidelity"].values()) < 1e-6
+print(f"amplitude {amplitude:.3f}, relative errors {recording.manifest['masking_error']}")
+assert max(recording.manifest["masking_error"].values()) < 1e-6
 assert 0.5 < amplitude < 0.7

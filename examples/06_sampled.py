@@ -2,8 +2,8 @@
 
 import masking
 
-continuous = masking.run("duffing").manifest["fidelity"]["x1"]
-sampled = masking.run("duffing_sampled").manifest["fidelity"]["x1"]
+continuous = masking.run("duffing").manifest["masking_error"]["x1"]
+sampled = masking.run("duffing_sampled").manifest["masking_error"]["x1"]
 
 print(f"relative error of x1: {continuous:.1e} in continuous time, {sampled:.1e} at 4 kHz")
 assert continuous < 1e-6 < sampled < 0.5

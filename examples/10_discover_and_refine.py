@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import masking
 from masking.plants.simulated import SimulatedPlant
 from masking.procedures import calibration_records
-from masking.run.experiment import Experiment
+from masking.runs.experiment import Experiment
 
 EXPERIMENT = """
 name: Duffing oscillators on a rig that rubs

@@ -22,8 +22,8 @@ from masking.analysis.stability.orbits import orbit
 from masking.analysis.stability.settling import settling_time
 from masking.analysis.synchronisation import period
 from masking.modelling.model import Model, load_model
-from masking.report.stability_figures import basins_plate, sweep_plate
-from masking.report.style import png
+from masking.reports.stability_figures import basins_plate, sweep_plate
+from masking.reports.style import png
 
 CLOCKS = """
 name: two clocks on a beam

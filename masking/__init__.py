@@ -8,11 +8,11 @@ Four objects carry the package:
 * `Recording`: the series of one run and the manifest that says what they are, in one folder on disk.
 
 Each verb of the command line is a function here: `list`, `show`, `check`, `schema`, `run`, `report`,
-`identify`, `measure`, `discover`, `refine`; that of `stability`, which is a package here, is `masking.verbs.stability`.
+`identify`, `measure`, `discover`, `refine`, `stability`.
 
     >>> import masking
     >>> recording = masking.run("duffing")
-    >>> max(recording.manifest["fidelity"].values()) < 1e-6
+    >>> max(recording.manifest["masking_error"].values()) < 1e-6
     True
 """
 
@@ -34,7 +34,7 @@ __getattr__, __dir__, __all__ = lazy.attach(
             "RecordError",
             "SingularityError",
         ],
-        "run.experiment": ["Experiment"],
+        "runs.experiment": ["Experiment"],
         "modelling.model": ["Model", "load_model"],
         "records.recording": ["Recording"],
         "workflows.verbs": [
@@ -48,6 +48,7 @@ __getattr__, __dir__, __all__ = lazy.attach(
             "run",
             "schema",
             "show",
+            "stability",
         ],
     },
 )

@@ -12,7 +12,7 @@ from masking.estimation.kalman import extended_kalman
 from masking.estimation.simulation import Simulated, simulate
 from masking.modelling.model import load_model
 from masking.procedures.springs import spring_curve
-from masking.report.style import Series
+from masking.reports.style import Series
 from masking.rig.twin import Twin
 from masking.signals import Multisine, crest_factor, minimise_crest, multisine, ramp, steps, time_factor
 from reproduction.benches import RATE, alone, recorded

@@ -8,8 +8,8 @@ import numpy as np
 
 from masking.analysis.synchronisation import mean_phase
 from masking.modelling.model import load_model
-from masking.run.experiment import Experiment
-from masking.run.feasibility import Motion as Demanded
+from masking.runs.experiment import Experiment
+from masking.runs.feasibility import Motion as Demanded
 from reproduction.chapter5 import on_rigs
 from reproduction.chapter7 import sum_peaks, time_value
 from reproduction.entry import Entry, Value

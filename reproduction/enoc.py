@@ -6,7 +6,7 @@ import numpy as np
 
 from masking.analysis.synchronisation import mean_phase, period, running_peak
 from masking.modelling.model import load_model
-from masking.run.experiment import Experiment
+from masking.runs.experiment import Experiment
 from reproduction.chapter9 import demand
 from reproduction.entry import ILLEGIBLE, Entry, Value
 from reproduction.experiments import Ended

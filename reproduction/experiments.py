@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from masking.analysis.synchronisation import AntiPhase, anti_phase, mean_phase, synchronisation_time
-from masking.run.experiment import Experiment
+from masking.runs.experiment import Experiment
 from reproduction.entry import Entry, Value
 from reproduction.mismatch import Mismatch, mismatch
 from reproduction.motion import Motion, on_twin, simulated, sustained

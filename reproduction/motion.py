@@ -16,8 +16,8 @@ from masking.analysis.synchronisation import (
     synchronisation_time,
 )
 from masking.modelling.model import Model
-from masking.report.style import Series
-from masking.run.experiment import Experiment
+from masking.reports.style import Series
+from masking.runs.experiment import Experiment
 
 SAMPLE = 0.05  # units of dimensionless time
 # The controller of this project on the twin: it knows the measured springs and estimates what else it lacks.
@@ -83,7 +83,7 @@ def masked(experiment: Experiment) -> Motion:
     first, second = experiment.virtual.oscillators[:2]
     third = next(c for c in experiment.virtual.coordinates if c not in (first, second))
     a, b, c = (made[f"virtual.{name}"] for name in (first, second, third))
-    chi = max(made.manifest["fidelity"].values())
+    chi = max(made.manifest["masking_error"].values())
     return Motion(made.t / made.manifest["time_scale"], a, b, c, (first, second, third), chi)
 
 

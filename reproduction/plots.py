@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from masking.report.style import COLOURS, INK, LEGEND, SIZE, Series, sheet, symbol, thin
+from masking.reports.style import COLOURS, INK, LEGEND, SIZE, Series, sheet, symbol, thin
 from reproduction.motion import Motion
 
 FLOOR = 1e-5  # of a logarithmic axis

@@ -13,7 +13,7 @@ from masking.discovery.problem import Evidence
 from masking.discovery.settings import believed
 from masking.estimation.data import Data
 from masking.estimation.simulation import simulate
-from masking.report import discovery_files, discovery_text
+from masking.reports import discovery_files, discovery_text
 from masking.rig.twin import Twin
 from masking.workflows import inputs
 from tests.benchmarks import hidden

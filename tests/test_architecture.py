@@ -26,34 +26,34 @@ FLOORS: dict[str, set[str]] = {
     "rig": {"numerics", "declaration", "effects", "codegen", "modelling"},
     "control": {"numerics", "declaration", "codegen", "modelling", "rig"},
     "plants": {"numerics", "records", "rig"},
-    "run": {
+    "runs": {
         *("numerics", "declaration", "effects", "codegen", "modelling", "records", "analysis", "rig", "control"),
         "plants",
     },
     "estimation": {"numerics", "codegen", "records", "rig"},
     "discovery": {"numerics", "declaration", "effects", "codegen", "records", "signals", "rig", "estimation"},
     "procedures": {
-        *("numerics", "declaration", "modelling", "records", "signals", "rig", "control", "plants", "run"),
+        *("numerics", "declaration", "modelling", "records", "signals", "rig", "control", "plants", "runs"),
         "estimation",
     },
-    "report": {
+    "reports": {
         *("numerics", "declaration", "effects", "modelling", "records", "analysis", "rig", "estimation"),
         *("discovery", "procedures"),
     },
     "workflows": {
-        *("declaration", "effects", "modelling", "records", "analysis", "rig", "plants", "run"),
-        *("estimation", "discovery", "procedures", "report"),
+        *("declaration", "effects", "modelling", "records", "analysis", "rig", "plants", "runs"),
+        *("estimation", "discovery", "procedures", "reports"),
     },
-    "cli": {"records", "rig", "plants", "run", "report", "workflows"},
+    "cli": {"records", "rig", "plants", "runs", "reports", "workflows"},
 }
 
 # Packages from outside, and the folders that may import them; all others are free.
 OUTSIDE: dict[str, set[str]] = {
     "control": {"modelling", "control", "analysis"},
     "h5py": {"records"},
-    "jinja2": {"report"},
+    "jinja2": {"reports"},
     "llvmlite": {"codegen"},
-    "matplotlib": {"report"},
+    "matplotlib": {"reports"},
     "numba": {"numerics", "codegen"},
     "pint": {"declaration"},
     "platformdirs": {"codegen"},
@@ -61,12 +61,12 @@ OUTSIDE: dict[str, set[str]] = {
     "pydantic": {"declaration"},
     "sympy": {"declaration", "codegen", "modelling", "rig", "control", "analysis", "discovery", "workflows"},
     "tqdm": {"cli"},
-    "yaml": {"declaration", "report", "workflows"},
+    "yaml": {"declaration", "reports", "workflows"},
 }
 
 # A run and its study meet in the file on disk: only workflows and the command line know both. Mathematics on series,
 # such as synchronisation, which knows neither, serves both.
-ONLINE = {"control", "plants", "run"}
+ONLINE = {"control", "plants", "runs"}
 OFFLINE = {"estimation", "discovery"}
 
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "sympify", "parse_expr", "parse_latex", "lambdify", "__import__"}

@@ -1,4 +1,4 @@
-"""What limits the fidelity of a run on a twin, and what its limits do to it."""
+"""What limits the masking error of a run on a twin, and what its limits do to it."""
 
 import json
 import math
@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import masking
-from masking.analysis.masking_error import fidelity
+from masking.analysis.masking_error import masking_error
 from masking.effects import EFFECTS
 from masking.errors import IntegrationError, ModelError
 from masking.records.recording import Recording
-from masking.report.run_report import summary, warnings
-from masking.run import error_budget as budgets
-from masking.run.error_budget import ALL, CAUSES, NOTHING, SAMPLING, Budget, Row, budget
-from masking.run.experiment import Experiment
-from masking.run.offline import run_twin
+from masking.reports.run_report import summary, warnings
+from masking.runs import error_budget as budgets
+from masking.runs.error_budget import ALL, CAUSES, NOTHING, SAMPLING, Budget, Row, budget
+from masking.runs.experiment import Experiment
+from masking.runs.offline import run_twin
 
 PLANTS = Path(__file__).parents[1] / "plants"
 ON = "effects: {friction1: true, friction2: true, friction3: true}"
@@ -76,10 +76,10 @@ def test_only_what_is_switched_on_is_a_cause(found):
 
 def test_the_run_as_it_is_and_without_a_cause_are_those_of_the_experiment(found, tmp_path):
     experiment, made, _ = found
-    assert made.whole.chi == experiment.run().manifest["fidelity"]
+    assert made.whole.chi == experiment.run().manifest["masking_error"]
     without = Experiment.load(written(tmp_path, more="")).run()
     (row,) = (row for row in made.rows if row.cause == "friction")
-    assert row.chi == without.manifest["fidelity"]
+    assert row.chi == without.manifest["masking_error"]
 
 
 def test_what_remains_without_all_is_the_method_itself(found):
@@ -149,9 +149,9 @@ def row(cause: str, chi: float) -> Row:
         ([row("friction", 0.03), row(SAMPLING, 0.002)], 1e-6,
          "Mend first: sampling (chi 0.031 -> 0.002 sampled at 10 kHz)."),
         ([row("friction", 0.03), row("noise", math.inf)], 1e-6,
-         "No single cause limits the fidelity; all together do (chi 0.031 -> 1e-06 without any of them)."),
+         "No single cause limits the masking error; all together do (chi 0.031 -> 1e-06 without any of them)."),
         ([row("friction", 0.03)], 0.03,
-         "Nothing that can be switched off limits the fidelity (chi 0.031, and 0.03 without any of it)."),
+         "Nothing that can be switched off limits the masking error (chi 0.031, and 0.03 without any of it)."),
     ],
 )  # fmt: skip
 def test_the_sentence(rows, rest, said):
@@ -166,7 +166,7 @@ def test_a_run_tells_its_budget_unless_it_is_not_wanted(tmp_path):
     assert told["sentence"] in summary(recording)
     assert (tmp_path / "out" / "budget.png").is_file()
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert "<h2>What limits fidelity</h2>" in page
+    assert "<h2>What limits the masking error</h2>" in page
     assert "<td>without friction</td>" in page
     assert "budget" not in masking.run(path, budget=False).manifest
     assert masking.run(path, budget=True).manifest["budget"]["rows"] == told["rows"]
@@ -199,7 +199,7 @@ def test_after_saturation_nothing_is_wound_up(tmp_path):
     tau = recording.t[first : first + 3000] / experiment.time_scale
     ideal = masking.load_model("duffing").simulate(tau - tau[0], initial)
     for name in names:
-        assert fidelity(recording[f"virtual.{name}"][first : first + 3000], ideal[name]) < 0.01
+        assert masking_error(recording[f"virtual.{name}"][first : first + 3000], ideal[name]) < 0.01
     (said,) = warnings(recording)
     assert said.startswith("V1 was at its limit for ")
     assert " of the run: demanded up to " in said

@@ -179,7 +179,7 @@ def test_run_saves_a_recording_and_a_report(capsys, short, tmp_path):
     assert "The ideal rig moved as coupled Duffing oscillators" in printed
     assert {"recording.parquet", "manifest.json", "report.html"} <= {p.name for p in out.iterdir()}
     recording = masking.Recording.load(out)
-    assert max(recording.manifest["fidelity"].values()) < 1e-6
+    assert max(recording.manifest["masking_error"].values()) < 1e-6
     (out / "report.html").unlink()
     status, printed, _ = run(capsys, "report", out, "--json")
     assert status == 0
@@ -189,7 +189,7 @@ def test_run_saves_a_recording_and_a_report(capsys, short, tmp_path):
 def test_set_changes_a_parameter_of_the_virtual_system(capsys, short, tmp_path):
     status, printed, _ = run(capsys, "run", short, "--set", "w3=0.6", "--out", tmp_path / "out", "--json")
     assert status == 0
-    assert max(json.loads(printed)["fidelity"].values()) < 1e-6
+    assert max(json.loads(printed)["masking_error"].values()) < 1e-6
     assert masking.Recording.load(tmp_path / "out").manifest["parameters"]["w3"] == 0.6
 
 

@@ -327,8 +327,8 @@ FRESH = """
 import json, sys
 import numpy as np
 from masking.declaration import registry
-from masking.lowering import module
-from masking.model import Model
+from masking.modelling.lowering import module
+from masking.modelling.model import Model
 """
 
 
@@ -408,7 +408,7 @@ def test_what_shapes_generated_code_is_part_of_the_key():
         assert (store.PACKAGE / entry).exists(), entry
     used = {name.partition(".")[2] for name in sys.modules if name.startswith("masking.")}
     shaping = {entry.removesuffix(".py").replace("/", ".") for entry in store.SHAPING}
-    needed = {"lowering", "equations", "linear", "scales", "integrate", "dop853", "compile"}
+    needed = {"declaration", "effects", "codegen", "numerics", "modelling"}
     assert needed <= shaping
     assert needed <= used
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import masking
-from masking.report import discovery_text
+from masking.reports import discovery_text
 
 M, C, K = 2.0, 1.5, 800.0  # kg, N s/m, N/m: 3.2 Hz, damping ratio 0.019
 NOISE = 1e-5  # m

@@ -10,8 +10,8 @@ from scipy.signal import hilbert
 from masking.cli import main
 from masking.errors import DeclarationError, ModelError
 from masking.plants.simulated import SimulatedPlant
-from masking.run import error_budget, hardware
-from masking.run.experiment import Experiment
+from masking.runs import error_budget, hardware
+from masking.runs.experiment import Experiment
 
 STOP = {"when": "synchronised", "of": ["th1", "th2"]}
 

@@ -11,7 +11,7 @@ from masking.declaration import registry
 from masking.errors import DeclarationError
 from masking.modelling.model import Model
 from masking.records.recording import Recording
-from masking.run.experiment import Experiment
+from masking.runs.experiment import Experiment
 
 BASE = {"plant": "ideal", "virtual": "duffing", "duration": 20}
 
@@ -64,7 +64,7 @@ def test_manifest(short):
     assert set(manifest["files"]) == {"run.yaml", "ideal.yaml", "setup.yaml", "duffing.yaml"}
     assert all(len(digest) == 64 for digest in manifest["files"].values())
     assert manifest["declarations"].keys() == {"experiment", "plant", "plant_model", "virtual", "controller_model"}
-    assert manifest["fidelity"].keys() == {"x1", "x2", "x3"}
+    assert manifest["masking_error"].keys() == {"x1", "x2", "x3"}
     assert (manifest["mode"], manifest["rate"]) == ("continuous", None)
     assert manifest["limits"]["u1"] == {"max": 0.42, "unit": "V"}
     assert manifest["oscillators"] == ["x1", "x2"]
@@ -77,7 +77,7 @@ def test_manifest(short):
 def test_recording_comes_back_from_disk(short, tmp_path):
     short.save(tmp_path)
     again = Recording.load(tmp_path)
-    assert again.manifest["fidelity"] == short.manifest["fidelity"]
+    assert again.manifest["masking_error"] == short.manifest["masking_error"]
     for name, column in short.columns.items():
         np.testing.assert_array_equal(again[name], column)
 
@@ -100,7 +100,7 @@ def test_changed_parameter_takes_effect(short, tmp_path):
     changed = load(tmp_path, changes={"w3": 0.6}).run()
     assert changed.manifest["parameters"]["w3"] == 0.6
     assert changed.manifest["declarations"]["experiment"]["parameters"] == {"w3": 0.6}
-    assert max(changed.manifest["fidelity"].values()) < 1e-6
+    assert max(changed.manifest["masking_error"].values()) < 1e-6
     assert np.abs(changed["rig.x3"] - short["rig.x3"]).max() > 0.1 * np.abs(short["rig.x3"]).max()
 
 
@@ -147,12 +147,12 @@ def test_plant_is_replaced(tmp_path):
     run = load(tmp_path, plant=str(other)).run()
     assert run.manifest["plant_name"] == "heavier beam"
     assert run.manifest["limits"] == {}
-    assert max(run.manifest["fidelity"].values()) < 1e-6  # the controller knows the plant's parameters
+    assert max(run.manifest["masking_error"].values()) < 1e-6  # the controller knows the plant's parameters
 
 
 def test_plant_that_differs_from_what_the_controller_believes(tmp_path):
     run = load(tmp_path, controller={"parameters": {"mu1": 0.02}}).run()
-    assert 1e-6 < max(run.manifest["fidelity"].values()) < 1.0
+    assert 1e-6 < max(run.manifest["masking_error"].values()) < 1.0
 
 
 def test_time_scale_is_what_the_file_says(short, tmp_path):

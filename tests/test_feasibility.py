@@ -9,8 +9,8 @@ import pytest
 from masking import cli
 from masking.declaration.expression import Expression
 from masking.errors import DeclarationError, ModelError
-from masking.run.experiment import Experiment
-from masking.run.feasibility import FASTER, SLOWER, evaluate, feasibility, mean_power
+from masking.runs.experiment import Experiment
+from masking.runs.feasibility import FASTER, SLOWER, evaluate, feasibility, mean_power
 
 M, K, GAIN, LENGTH = 2.0, 50.0, 4.0, 0.25  # kg, N/m, N/V, m
 AMPLITUDE = 0.1  # m

@@ -15,9 +15,9 @@ from masking.estimation.data import Data
 from masking.estimation.fit import fit
 from masking.estimation.sensitivity import Sensitivity
 from masking.records.recording import Recording
-from masking.report.fit_files import save
+from masking.reports.fit_files import save
 from masking.rig.twin import Twin
-from masking.run.experiment import Experiment
+from masking.runs.experiment import Experiment
 
 RATE = 500.0
 ALL = ("w1", "z1", "w2", "z2", "w3", "z3", "c1", "c2", "c3", "mu1", "mu2")
@@ -286,7 +286,7 @@ def test_what_is_written_runs_and_has_the_values(linear, far, tmp_path):
         assert twin.base.parameters[name].std == pytest.approx(std, rel=1e-9)
     controller = {"rate": "1 kHz", "model": str(paths["model"]), "observer": "disturbance"}
     experiment = Experiment.load("duffing", plant="linear_rig").changed(controller=controller, duration=20, record=None)
-    assert max(experiment.run().manifest["fidelity"].values()) < 0.01
+    assert max(experiment.run().manifest["masking_error"].values()) < 0.01
 
 
 def test_effects_that_were_fitted_are_written_where_they_sit(tmp_path):

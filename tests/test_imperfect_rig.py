@@ -13,8 +13,8 @@ import pytest
 
 from masking.declaration import registry
 from masking.errors import IntegrationError
-from masking.run.experiment import Experiment
-from masking.run.offline import run_twin
+from masking.runs.experiment import Experiment
+from masking.runs.offline import run_twin
 
 OURS = {"rate": "1 kHz", "observer": "disturbance"}
 SPRINGS = {**OURS, "model": "setup_springs"}
@@ -29,7 +29,7 @@ def experiment(name, plant, controller, **changes):
 
 def chi(controller, *, plant="linear_rig", **changes):
     """Return the relative error of each virtual coordinate of the Duffing oscillators."""
-    return experiment("duffing", plant, controller, **changes).run().manifest["fidelity"]
+    return experiment("duffing", plant, controller, **changes).run().manifest["masking_error"]
 
 
 # Noise.
@@ -138,7 +138,7 @@ def test_clocks_never_synchronise_the_thesis_way(listed_only):
 @pytest.mark.parametrize("name", ["discs", "setup_undamped"])
 def test_other_systems_move_truly_where_the_thesis_way_does_not(name):
     ours, thesis = (
-        experiment(name, "tue_rig", way, duration=200).run().manifest["fidelity"] for way in (SPRINGS, THESIS)
+        experiment(name, "tue_rig", way, duration=200).run().manifest["masking_error"] for way in (SPRINGS, THESIS)
     )
     assert max(ours.values()) < 0.1
     assert max(thesis.values()) > 5 * max(ours.values())

@@ -2,7 +2,7 @@
 
 import pytest
 
-from masking.report.html import is_symbol, prose
+from masking.reports.html import is_symbol, prose
 
 NAMES = {"x", "s1", "V1", "xi_3", "theta", "force", "m", "a", "load", "w12"}
 

@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from masking.analysis.masking_error import fidelity
+from masking.analysis.masking_error import masking_error
 from masking.declaration import registry
 from masking.declaration.schema import ObserverSettings, Transform
 from masking.errors import ActuationError, ModelError, SingularityError
-from masking.run.experiment import Experiment
-from masking.run.offline import rig_state, run_continuous, run_sampled
+from masking.runs.experiment import Experiment
+from masking.runs.offline import rig_state, run_continuous, run_sampled
 
 EXACT = 1e-6
 
@@ -30,7 +30,7 @@ def experiment(name, plant=None, **changes):
 
 
 def chi(found):
-    return found.run().manifest["fidelity"]
+    return found.run().manifest["masking_error"]
 
 
 def assert_exact(found):
@@ -91,7 +91,7 @@ def test_other_plants_move_as_the_same_system_in_another_form(tmp_path, name):
         found.loop, state, found.time_scale * reference.t / experiment(other).time_scale, tolerance=1e-10
     )
     for i, coordinate in enumerate(found.virtual.coordinates):
-        assert fidelity(run.virtual[:, i], reference[f"ideal.{coordinate}"]) <= EXACT
+        assert masking_error(run.virtual[:, i], reference[f"ideal.{coordinate}"]) <= EXACT
 
 
 # The duffing oscillators on a rig in other coordinates, and at another pace.
@@ -436,6 +436,6 @@ def test_controller_that_believes_other_parameters():
         believes = settings.model_copy(update={"parameters": {"w1": w1}})
         run = experiment("duffing", duration=200.0, controller=believes).run()
         assert all(np.isfinite(column).all() for column in run.columns.values())
-        errors.append(run.manifest["fidelity"]["x1"])
+        errors.append(run.manifest["masking_error"]["x1"])
     assert errors[0] <= EXACT
     assert 1e-3 < errors[1] < errors[2]

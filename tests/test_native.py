@@ -12,7 +12,7 @@ import masking
 RUN = """
 import sys, numpy as np
 from masking.declaration.schema import ModelDeclaration
-from masking.model import Model
+from masking.modelling.model import Model
 t = np.linspace(0.0, 1.0, 5)
 for text in sys.argv[1:]:
     w = [float(x) for x in text.split(",")]

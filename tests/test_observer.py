@@ -11,7 +11,7 @@ from scipy import linalg, signal
 from masking.control.observer import Differences, Disturbance, Kalman, Plan, bandwidths
 from masking.declaration import registry, schema
 from masking.errors import DeclarationError, ModelError
-from masking.run.experiment import Experiment
+from masking.runs.experiment import Experiment
 
 control = pytest.importorskip("control")
 # The set-up in SI units, table B.1.

@@ -21,7 +21,7 @@ from masking.discovery.candidates import Span, candidates
 from masking.effects import EFFECTS
 from masking.errors import DeclarationError
 from masking.modelling.model import load_model
-from masking.report import fit_files
+from masking.reports import fit_files
 from masking.rig.twin import Twin
 from masking.workflows import inputs, verbs
 

@@ -31,7 +31,7 @@ from masking.plants.serve import serve
 from masking.plants.udp import UdpPlant
 from masking.plants.wire import Kind
 from masking.records.recording import Recording
-from masking.run.realtime import run_rig
+from masking.runs.realtime import run_rig
 
 LOCKSTEP = Settings(rate=1000.0, lockstep=True)
 NOWHERE = "udp://127.0.0.1:0"
@@ -87,7 +87,7 @@ import numpy as np
 from masking.plants.interface import LifeCycle, Sample, Settings, check_command
 from masking.plants.serve import serve
 from masking.plants.udp import UdpPlant
-from masking.realtime import run_rig
+from masking.runs.realtime import run_rig
 """
 
 

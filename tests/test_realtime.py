@@ -10,7 +10,7 @@ from test_plants import MassSpring, damped
 
 from masking.errors import CommandError, PlantLostError, PlantMismatchError
 from masking.plants.interface import Sample
-from masking.run.realtime import run_rig
+from masking.runs.realtime import run_rig
 
 RUN = {"rate": 1000.0, "samples": 50, "limits": np.array([0.2, 0.4]), "lockstep": True}
 

@@ -1,4 +1,4 @@
-"""Recording, its file format, and fidelity."""
+"""Recording, its file format, and the masking error."""
 
 import json
 import math
@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from masking.analysis.masking_error import fidelity
+from masking.analysis.masking_error import masking_error
 from masking.errors import RecordError
 from masking.records.recording import FORMAT, Recording
 
@@ -218,15 +218,15 @@ def test_save_says_when_the_folder_is_a_file(tmp_path):
 
 def test_the_manifest_holds_numpy_values_and_infinities(tmp_path):
     manifest = {
-        "fidelity": {"x": np.float64(0.5), "y": math.inf},
+        "masking_error": {"x": np.float64(0.5), "y": math.inf},
         "rate": np.int64(1000),
         "limits": np.array([1.0, np.nan]),
     }
     folder = Recording({"t": T}, manifest).save(tmp_path)
     text = (folder / "manifest.json").read_text()
     back = json.loads(text, parse_constant=pytest.fail)
-    assert back["fidelity"] == {"x": 0.5, "y": "inf"}
-    assert float(back["fidelity"]["y"]) == math.inf
+    assert back["masking_error"] == {"x": 0.5, "y": "inf"}
+    assert float(back["masking_error"]["y"]) == math.inf
     assert back["rate"] == 1000
     assert back["limits"] == [1.0, "nan"]
 
@@ -240,7 +240,7 @@ def test_the_manifest_refuses_what_json_cannot_hold(tmp_path):
 def test_importing_loads_neither_pyarrow_nor_pandas_and_saving_no_pandas(tmp_path):
     code = (
         "import sys, numpy as np\n"
-        "from masking.recording import Recording\n"
+        "from masking.records.recording import Recording\n"
         "assert 'pyarrow' not in sys.modules and 'scipy' not in sys.modules\n"
         f"Recording.load(Recording({{'t': np.arange(3.0)}}).save({str(tmp_path)!r}))\n"
         "assert 'pyarrow.parquet' in sys.modules and 'pandas' not in sys.modules"
@@ -254,16 +254,16 @@ def test_importing_loads_neither_pyarrow_nor_pandas_and_saving_no_pandas(tmp_pat
     ),
     st.floats(-3, 3),
 )
-def test_fidelity_is_the_relative_size_of_the_error(ideal, factor):
-    assert fidelity(ideal * (1 + factor), ideal) == pytest.approx(abs(factor), rel=1e-9, abs=1e-12)
+def test_masking_error_is_the_relative_size_of_the_error(ideal, factor):
+    assert masking_error(ideal * (1 + factor), ideal) == pytest.approx(abs(factor), rel=1e-9, abs=1e-12)
 
 
-def test_fidelity_of_orthogonal_parts_and_of_rest():
+def test_masking_error_of_orthogonal_parts_and_of_rest():
     t = np.arange(1000) * 2 * np.pi / 1000
     # A quarter of a period late: |cos - sin| / |cos| = sqrt(2) over whole periods.
-    assert fidelity(np.sin(t), np.cos(t)) == pytest.approx(math.sqrt(2), rel=1e-12)
+    assert masking_error(np.sin(t), np.cos(t)) == pytest.approx(math.sqrt(2), rel=1e-12)
     rest = np.zeros(5)
-    assert fidelity(rest, rest) == 0.0
-    assert fidelity(rest + 1e-300, rest) == math.inf
+    assert masking_error(rest, rest) == 0.0
+    assert masking_error(rest + 1e-300, rest) == math.inf
     with pytest.raises(ValueError, match=r"one coordinate each, of equal length: got shapes \(5,\) and \(4,\)"):
-        fidelity(rest, rest[:4])
+        masking_error(rest, rest[:4])

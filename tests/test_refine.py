@@ -13,7 +13,7 @@ from masking.errors import DeclarationError, RecordError
 from masking.plants.simulated import SimulatedPlant
 from masking.procedures import calibration_records
 from masking.records.recording import Recording
-from masking.run.experiment import Experiment
+from masking.runs.experiment import Experiment
 from masking.workflows import refine as refinement
 from masking.workflows.refine import believed, refined
 
@@ -81,10 +81,10 @@ def test_friction_is_found_and_masking_is_truer(found, told):
         ("dry_friction", place) for place in ("spring1", "spring2", "beam")
     }
     assert [effect["parameters"]["fc"]["value"] for effect in effects] == pytest.approx([hidden] * 3, rel=0.01)
-    assert max(told["after"]["fidelity"].values()) == found.after.worst < 0.02
-    assert max(told["before"]["fidelity"].values()) == found.before.worst > 0.05
+    assert max(told["after"]["masking_error"].values()) == found.after.worst < 0.02
+    assert max(told["before"]["masking_error"].values()) == found.before.worst > 0.05
     assert told["sentence"].startswith("With ")
-    assert " and adjusted parameters in the controller's model, masking fidelity chi went " in told["sentence"]
+    assert " and adjusted parameters in the controller's model, masking error chi went " in told["sentence"]
 
 
 def test_everything_is_saved_and_runs_again(found, told):
@@ -96,14 +96,14 @@ def test_everything_is_saved_and_runs_again(found, told):
     }
     for when in ("before", "after"):
         made = Recording.load(told[when]["recording"])
-        assert made.manifest["fidelity"] == told[when]["fidelity"]
+        assert made.manifest["masking_error"] == told[when]["masking_error"]
         assert Path(told[when]["report"]).is_file()
     model = made.manifest["declarations"]["experiment"]["controller"]["model"]
     assert model == told["discovery"]["model"]
     assert Path(model).is_file()
     assert masking.check(out / "experiment.yaml", out / "plant.yaml", model)[1].problems == ()
     again = masking.run(told["experiment"], budget=False)
-    assert again.manifest["fidelity"] == told["after"]["fidelity"]
+    assert again.manifest["masking_error"] == told["after"]["masking_error"]
     assert not list(out.parent.glob(".out*"))
 
 
@@ -129,10 +129,10 @@ def test_command_line(rubs, found, tmp_path, capsys):
     asked = ["refine", str(rubs / "e.yaml"), "--record", str(rubs / "records" / "fit"), "--out", str(tmp_path / "out")]
     assert cli.main(asked) == 0
     said = capsys.readouterr().out
-    for words in (found.sentence, "masking fidelity chi", f"experiment: {tmp_path / 'out' / 'experiment.yaml'}"):
+    for words in (found.sentence, "masking error chi", f"experiment: {tmp_path / 'out' / 'experiment.yaml'}"):
         assert words in said
     assert cli.main([*asked, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["after"]["fidelity"] == found.after.chi
+    assert json.loads(capsys.readouterr().out)["after"]["masking_error"] == found.after.chi
 
 
 def test_what_sits_in_actuators_and_sensors_is_told_as_not_compensated(found):
@@ -154,7 +154,7 @@ def test_where_no_effect_is_missing_the_controller_gets_the_adjusted_parameters(
 def test_a_run_that_cannot_go_on_is_told(found):
     lost = replace(found, after=refinement.Run(None, "it grew without bound"))
     assert "the run could not go on: it grew without bound" in lost.sentence
-    assert lost.as_dict()["after"]["fidelity"] is None
+    assert lost.as_dict()["after"]["masking_error"] is None
     assert lost.as_dict()["after"]["recording"] is None
 
 

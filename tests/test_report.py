@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 
 from masking.errors import RecordError
 from masking.records.recording import Recording
-from masking.report import run_figures
-from masking.report.run_facts import parameters, percent, study
-from masking.report.run_report import limits_used, report, summary, warnings
+from masking.reports import run_figures
+from masking.reports.run_facts import parameters, percent, study
+from masking.reports.run_report import limits_used, report, summary, warnings
 
-FIGURES = ["displacements", "others", "synchronisation", "inputs", "fidelity"]
+FIGURES = ["displacements", "others", "synchronisation", "inputs", "masking_error"]
 
 
 def duffing(samples: int = 20_000, error: float = 3e-9, **manifest: object) -> Recording:
@@ -120,7 +120,7 @@ def test_the_page_holds_its_figures_and_refers_to_nothing_else(made):
 def test_the_page_says_what_happened(made):
     text = page_of(made).text
     assert (
-        "The ideal rig moved as coupled Duffing oscillators: fidelity χ ≤ 3 · 10\N{MINUS SIGN}9 in each coordinate"
+        "The ideal rig moved as coupled Duffing oscillators: masking error χ ≤ 3 · 10\N{MINUS SIGN}9 in each coordinate"
         in text
     )
     assert "over 2500 units of time. x1 and x2 went from in-phase (0.000 π) to anti-phase (1.000 π)." in text
@@ -148,9 +148,9 @@ def test_the_summary():
     assert 0.3 < float(fit[2]) / (1.1 * np.exp(-2000 / 300)) < 1.0
     assert lines == [
         "The ideal rig moved as coupled Duffing oscillators: "
-        "fidelity chi <= 3e-9 in each coordinate over 2500 units of time.",
+        "masking error chi <= 3e-9 in each coordinate over 2500 units of time.",
         "x1 and x2 went from in-phase (0.000 pi) to anti-phase (1.000 pi).",
-        "  fidelity   x1 3e-9  x2 3e-9  x3 3e-9",
+        "  error      x1 3e-9  x2 3e-9  x3 3e-9",
         "  inputs     u1 50 % of 0.42 V  u2 1.2 % of 0.42 V",
         "  energy     drift of the virtual system 2e-11",
         "  record     20000 samples, 139 s of the rig, sampled at 1 kHz, seed 7",
@@ -161,9 +161,9 @@ def test_the_summary():
 @pytest.mark.parametrize(
     ("error", "verb"), [(1e-3, "moved as"), (0.1, "moved roughly as"), (0.5, "did not move as"), (0.0, "moved as")]
 )
-def test_the_verb_follows_the_fidelity(error, verb):
+def test_the_verb_follows_the_masking_error(error, verb):
     sentence = summary(duffing(2000, error)).splitlines()[0]
-    assert sentence.startswith(f"The ideal rig {verb} coupled Duffing oscillators: fidelity chi ")
+    assert sentence.startswith(f"The ideal rig {verb} coupled Duffing oscillators: masking error chi ")
 
 
 # ---- the values that ran
@@ -388,7 +388,7 @@ BUDGET = {
 }
 
 
-def test_what_limits_fidelity_is_drawn_and_tabulated(tmp_path):
+def test_what_limits_the_masking_error_is_drawn_and_tabulated(tmp_path):
     recording = duffing(2000, observer={"kind": "kalman"}, budget=BUDGET)
     result = report(recording, tmp_path)
     assert [path.stem for path in result.figures] == [*FIGURES, "budget"]
@@ -409,7 +409,7 @@ def test_what_limits_fidelity_is_drawn_and_tabulated(tmp_path):
 
 
 def test_a_budget_that_is_lacking_is_noted_only_where_there_could_be_one(tmp_path):
-    said = "What limits fidelity. Not shown: "
+    said = "What limits the masking error. Not shown: "
     assert said in page_of(report(duffing(500, observer={"kind": "kalman"}), tmp_path)).text
     assert said not in page_of(report(duffing(500), tmp_path)).text
 
@@ -471,7 +471,7 @@ def test_sections_that_would_be_empty_are_notes(tmp_path):
     noted = Recording(recording.columns, recording.manifest, ("manifest.json is missing.",))
     page = report(noted, tmp_path).path.read_text("utf-8")
     assert re.findall("<h2>(.*?)</h2>", page) == [
-        "Displacements", "Inputs against their limits", "Fidelity", "Notes", "Provenance",
+        "Displacements", "Inputs against their limits", "Masking error", "Notes", "Provenance",
     ]  # fmt: skip
     notes = re.findall("<li>(.*?)</li>", page)
     assert notes[:3] == [
@@ -600,9 +600,9 @@ def test_a_folder_that_cannot_be_made(tmp_path):
         report(series(3, 1), tmp_path / "taken")
 
 
-def test_fidelity_stated_by_the_run_stands_in_for_missing_columns():
+def test_masking_error_stated_by_the_run_stands_in_for_missing_columns():
     columns = {name: column for name, column in duffing(200).columns.items() if not name.startswith("ideal.")}
-    found = study(Recording(columns, {"fidelity": {"x1": 0.25, "x2": "inf"}}))
+    found = study(Recording(columns, {"masking_error": {"x1": 0.25, "x2": "inf"}}))
     assert found.chi == {"x1": 0.25, "x2": float("inf")}
     assert found.worst == "x2"
 
@@ -633,8 +633,8 @@ def test_drawing_leaves_matplotlib_as_it_was(tmp_path):
 def test_the_summary_loads_no_drawing_and_the_report_no_pyplot(tmp_path):
     code = (
         "import sys, numpy as np\n"
-        "from masking.recording import Recording\n"
-        "from masking.reporting import report, summary\n"
+        "from masking.records.recording import Recording\n"
+        "from masking.reports.run_report import report, summary\n"
         "t = np.arange(50.0)\n"
         "recording = Recording({'t': t, 'virtual.x': np.sin(t), 'input.u': t}, {'limits': {'u': {'max': 99}}})\n"
         "summary(recording)\n"

@@ -33,8 +33,8 @@ from masking.plants.udp import UdpPlant
 from masking.plants.wire import Kind
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
-from masking.run import hardware
-from masking.run.experiment import Experiment
+from masking.runs import hardware
+from masking.runs.experiment import Experiment
 
 RATE = 1000.0
 WATCHDOG = 20  # samples
@@ -424,8 +424,8 @@ def test_in_real_time_the_rig_moves_as_offline_within_the_noise(offline, plant, 
     # A command that is held n samples too long misses the wanted velocity by (w n h)^2 / 2 of it: the acceleration
     # grows with w t meanwhile. 20 rad/s is above the frequency of the Duffing oscillators at these amplitudes.
     missed = float(np.sum((20.0 * unanswered(own) / RATE) ** 2) / 2.0)
-    fidelity, fidelity_offline = chi(moved, 0), max(chi(motion, 0) for motion in offline_motions)
-    assert fidelity <= 2.0 * fidelity_offline + missed, (fidelity, fidelity_offline, missed, told)
+    error, error_offline = chi(moved, 0), max(chi(motion, 0) for motion in offline_motions)
+    assert error <= 2.0 * error_offline + missed, (error, error_offline, missed, told)
     apart = relative(moved, offline_motions[0])
     apart_by_noise = max(relative(motion, offline_motions[0]) for motion in offline_motions[1:])
     assert apart <= 3.0 * apart_by_noise + missed, (apart, apart_by_noise, missed, told)

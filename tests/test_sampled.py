@@ -20,8 +20,8 @@ from masking.declaration import registry, schema
 from masking.errors import ModelError, SingularityError
 from masking.numerics import sampled_loop as sampling
 from masking.numerics.sampled_loop import Sizes
-from masking.run.experiment import Experiment
-from masking.run.offline import run_twin
+from masking.runs.experiment import Experiment
+from masking.runs.offline import run_twin
 
 # The set-up in SI units (table B.1), the Duffing oscillators that it moves as (table 7.2), and their scales.
 W, Z = np.array([12.5521, 14.0337, 9.7369]), np.array([0.3362, 0.4296, 0.0409])

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 from masking.declaration import registry, schema
 from masking.errors import DeclarationError
 from masking.rig.twin import Twin
-from masking.run.experiment import Experiment
-from masking.run.offline import run_twin
+from masking.runs.experiment import Experiment
+from masking.runs.offline import run_twin
 
 # A bench: a mass on a spring whose force is under test, and a free mass, each pushed by its own input.
 BENCH = {

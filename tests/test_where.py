@@ -22,7 +22,7 @@ from masking.discovery.settings import believed
 from masking.discovery.smoothing import smooth
 from masking.estimation.data import Data
 from masking.estimation.whiteness import autocorrelation, evenness, ljung_box, whiteness
-from masking.report import discovery_page, discovery_text
+from masking.reports import discovery_page, discovery_text
 from masking.rig.twin import Twin
 from tests.test_discovery import PLANT
 

@@ -12,7 +12,7 @@ from masking.discovery.discovery import Gap, Named
 from masking.discovery.explanation import Explanation
 from masking.discovery.next_experiment import NextExperiment
 from masking.effects import EFFECTS
-from masking.report import discovery_page, discovery_text, force_map, quantities
+from masking.reports import discovery_page, discovery_text, force_map, quantities
 from tests.test_where import SLOTS, discoveries, rig
 
 __all__ = ["discoveries", "rig"]  # fixtures

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def fidelity(measured: NDArray[np.float64], ideal: NDArray[np.float64]) -> float:
+def masking_error(measured: NDArray[np.float64], ideal: NDArray[np.float64]) -> float:
     """Relative root-mean-square error of one coordinate.
 
         chi = ||measured - ideal|| / ||ideal||          (2-norm over the samples)

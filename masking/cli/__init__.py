@@ -1,4 +1,4 @@
-"""The command line: one sub-command for each verb, each a few lines over `masking.verbs`."""
+"""The command line: one sub-command for each verb, each a few lines over `masking.workflows`."""
 
 from __future__ import annotations
 

@@ -15,10 +15,10 @@ from masking.workflows import verbs
 
 if TYPE_CHECKING:
     from masking.records import readers
-    from masking.report import discovery_page
+    from masking.reports import discovery_page
 else:
     readers = lazy.load("masking.records.readers", suppress_warning=True)
-    discovery_page = lazy.load("masking.report.discovery_page", suppress_warning=True)
+    discovery_page = lazy.load("masking.reports.discovery_page", suppress_warning=True)
 
 NUMBERS = "discovery.json"
 

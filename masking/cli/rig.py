@@ -17,18 +17,18 @@ from masking.workflows import verbs
 if TYPE_CHECKING:
     from masking.plants import simulated
     from masking.records.recording import Recording
-    from masking.report import run_report
+    from masking.reports import run_report
     from masking.rig import twin as twins
-    from masking.run import experiment, realtime, stopping
-    from masking.run import hardware as rigs
+    from masking.runs import experiment, realtime, stopping
+    from masking.runs import hardware as rigs
     from masking.workflows import calibrate as calibration
 else:
     calibration = lazy.load("masking.workflows.calibrate", suppress_warning=True)
-    stopping = lazy.load("masking.run.stopping", suppress_warning=True)
-    experiment = lazy.load("masking.run.experiment", suppress_warning=True)
-    realtime = lazy.load("masking.run.realtime", suppress_warning=True)
-    run_report = lazy.load("masking.report.run_report", suppress_warning=True)
-    rigs = lazy.load("masking.run.hardware", suppress_warning=True)
+    stopping = lazy.load("masking.runs.stopping", suppress_warning=True)
+    experiment = lazy.load("masking.runs.experiment", suppress_warning=True)
+    realtime = lazy.load("masking.runs.realtime", suppress_warning=True)
+    run_report = lazy.load("masking.reports.run_report", suppress_warning=True)
+    rigs = lazy.load("masking.runs.hardware", suppress_warning=True)
     simulated = lazy.load("masking.plants.simulated", suppress_warning=True)
     twins = lazy.load("masking.rig.twin", suppress_warning=True)
 
@@ -85,7 +85,11 @@ def _rig_run(chosen: argparse.Namespace) -> int:
         recording.save(out)
         written = run_report.report(recording, out)
         if chosen.json:
-            told = {"fidelity": recording.manifest["fidelity"], "rig": recording.manifest["rig"], "recording": str(out)}
+            told = {
+                "masking_error": recording.manifest["masking_error"],
+                "rig": recording.manifest["rig"],
+                "recording": str(out),
+            }
             print(json.dumps(told, indent=2))
         else:
             print(written.summary)

@@ -17,12 +17,12 @@ from masking.errors import DeclarationError, MaskingError, Problem
 from masking.workflows import verbs
 
 if TYPE_CHECKING:
-    from masking.report import run_report
-    from masking.run import error_budget, experiment
+    from masking.reports import run_report
+    from masking.runs import error_budget, experiment
 else:
-    error_budget = lazy.load("masking.run.error_budget", suppress_warning=True)
-    experiment = lazy.load("masking.run.experiment", suppress_warning=True)
-    run_report = lazy.load("masking.report.run_report", suppress_warning=True)
+    error_budget = lazy.load("masking.runs.error_budget", suppress_warning=True)
+    experiment = lazy.load("masking.runs.experiment", suppress_warning=True)
+    run_report = lazy.load("masking.reports.run_report", suppress_warning=True)
 
 
 def add(verb: Add) -> None:
@@ -35,7 +35,7 @@ def add(verb: Add) -> None:
     run.add_argument(
         "--budget",
         action=argparse.BooleanOptionalAction,
-        help="find out what limits the fidelity, by runs without each cause (default: where they take a few seconds)",
+        help="rerun without each cause of the masking error (default: if this takes a few seconds)",
     )
     report = verb(_report, "report", "write the report of a recording")
     report.add_argument("record", metavar="RECORD", help="the folder of a recording")
@@ -62,7 +62,7 @@ def _run(chosen: argparse.Namespace) -> int:
     written = run_report.report(recording, out)
     if chosen.json:
         told = {
-            "fidelity": recording.manifest["fidelity"],
+            "masking_error": recording.manifest["masking_error"],
             "limits_used": run_report.limits_used(recording),
             "warnings": run_report.warnings(recording),
             "recording": str(out),

@@ -218,7 +218,7 @@ class Memory:
 
         A model goes on as is wanted, with the commands that it would have been given. In truth the last one held on,
         and the rig fell behind; the observer finds that as a disturbance of a moment, and makes up for it. measured:
-        ten times 15 samples missed in 7000 cost 0.003 of fidelity; told the truth, it made up for nothing: 0.39.
+        ten times 15 samples missed in 7000 cost 0.003 of masking error; told the truth, it made up for nothing: 0.39.
         """
         limits, power, command = self._limits, self.x[self.controller.sizes.power], self.applied
         if not self.controller.has_model:

@@ -2,7 +2,7 @@
 
 A force port at each place and an offset in front of each actuator are compiled in; effects are laws of their own, which
 drive these ports while the rig is simulated, together with the derivatives by all parameters.
-Source: as `masking.sensitivity`.
+Source: as `masking.estimation.sensitivity`.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from masking.plants.interface import Plant
 from masking.plants.simulated import SimulatedPlant
 from masking.records.recording import MANIFEST, Recording
 from masking.rig.twin import Twin
-from masking.run.realtime import FINISHED, check_channels, every, run_rig
+from masking.runs.realtime import FINISHED, check_channels, every, run_rig
 from masking.signals import Multisine, minimise_crest
 
 RATE: Final = 1000.0

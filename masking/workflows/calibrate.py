@@ -17,7 +17,7 @@ from masking.plants.interface import Plant
 from masking.procedures import calibration_records
 from masking.procedures.calibration_findings import Calibration, Stage
 from masking.procedures.calibration_records import PERIOD, Progress, Say
-from masking.report import calibration_page, fit_files
+from masking.reports import calibration_page, fit_files
 from masking.rig.twin import Twin
 
 __all__ = ["Calibration", "Stage", "calibrate"]

@@ -12,7 +12,7 @@ import lazy_loader as lazy
 from masking.declaration import schema
 from masking.effects import Effect, EffectParameter, own
 from masking.modelling.model import Model
-from masking.run.experiment import Experiment
+from masking.runs.experiment import Experiment
 
 if TYPE_CHECKING:
     import sympy as sp

@@ -9,8 +9,8 @@ from masking.discovery.discover import discover
 from masking.discovery.discovery import Discovery
 from masking.discovery.settings import TOLERANCE
 from masking.estimation.data import Assumption
-from masking.report import discovery_page
-from masking.report.discovery_files import Files
+from masking.reports import discovery_page
+from masking.reports.discovery_files import Files
 from masking.workflows import inputs
 
 

@@ -16,7 +16,7 @@ from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.estimation.data import Assumption, Data
 from masking.records import readers
 from masking.records.time_slice import Part
-from masking.report.discovery_files import Origin
+from masking.reports.discovery_files import Origin
 from masking.rig.twin import Twin
 
 FEWEST = 400  # samples of a record

@@ -24,18 +24,18 @@ from masking.discovery.settings import TOLERANCE
 from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, SingularityError
 from masking.estimation.data import Assumption
 from masking.records.recording import Recording
-from masking.report import discovery_files, discovery_text
-from masking.report.discovery_files import Files
+from masking.reports import discovery_files, discovery_text
+from masking.reports.discovery_files import Files
 from masking.rig.twin import Twin
-from masking.run.error_budget import in_full
-from masking.run.experiment import Experiment
+from masking.runs.error_budget import in_full
+from masking.runs.experiment import Experiment
 from masking.workflows import inputs
 
 if TYPE_CHECKING:
-    from masking.report import discovery_page, run_report
+    from masking.reports import discovery_page, run_report
 else:
-    discovery_page = lazy.load("masking.report.discovery_page", suppress_warning=True)
-    run_report = lazy.load("masking.report.run_report", suppress_warning=True)
+    discovery_page = lazy.load("masking.reports.discovery_page", suppress_warning=True)
+    run_report = lazy.load("masking.reports.run_report", suppress_warning=True)
 
 Tell = Callable[[str, float], None]
 
@@ -54,8 +54,8 @@ class Run:
 
     @property
     def chi(self) -> Mapping[str, float] | None:
-        """Return the fidelity of each virtual coordinate."""
-        return None if self.recording is None else self.recording.manifest["fidelity"]
+        """Return the masking error of each virtual coordinate."""
+        return None if self.recording is None else self.recording.manifest["masking_error"]
 
     @property
     def worst(self) -> float:
@@ -66,7 +66,7 @@ class Run:
         """Return the run as JSON can hold it; `folder` holds its recording and its report."""
         kept = folder if self.recording is not None else None
         return {
-            "fidelity": None if self.chi is None else dict(self.chi),
+            "masking_error": None if self.chi is None else dict(self.chi),
             "trouble": self.trouble,
             "recording": None if kept is None else str(kept),
             "report": None if kept is None else str(kept / "report.html"),
@@ -103,7 +103,7 @@ class Refinement:
         after = _chi(self.after.worst)
         if self.before.recording is None:
             return f"{told}chi is at most {after}; without, the run could not go on: {self.before.trouble}."
-        told += f"masking fidelity chi went from {_chi(self.before.worst)} to {after} in the worst coordinate"
+        told += f"masking error chi went from {_chi(self.before.worst)} to {after} in the worst coordinate"
         if self.after.worst <= WORTH * self.before.worst:
             return f"{told}."
         if self.experiment.observer_settings.kind == "differences":
@@ -140,7 +140,7 @@ class Refinement:
 
     def __str__(self) -> str:
         names = [*(self.after.chi or self.before.chi or {})]
-        rows = [("masking fidelity chi", *names)]
+        rows = [("masking error chi", *names)]
         for what, run in (("before", self.before), ("after", self.after)):
             rows.append((what, *(_chi(run.chi[name]) if run.chi else "-" for name in names)))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

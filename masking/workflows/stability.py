@@ -13,8 +13,8 @@ from masking.analysis.stability.study import LoopModes, Stability, loop_modes, s
 from masking.declaration import catalogue
 from masking.errors import DeclarationError, Problem
 from masking.modelling.model import Model, load_model
-from masking.run.experiment import Experiment
-from masking.run.offline import rig_state
+from masking.runs.experiment import Experiment
+from masking.runs.offline import rig_state
 
 KINDS = ("model", "experiment")
 

@@ -34,13 +34,13 @@ if TYPE_CHECKING:
     from masking.modelling import model
     from masking.procedures import channels, measurement, responses
     from masking.records import recording
-    from masking.report import fit_figures, fit_files, identification_page, run_report
-    from masking.report import stability_page as stability_pages
-    from masking.report.discovery_files import Files
+    from masking.reports import fit_figures, fit_files, identification_page, run_report
+    from masking.reports import stability_page as stability_pages
+    from masking.reports.discovery_files import Files
     from masking.rig import twin
-    from masking.run import error_budget as budgets
-    from masking.run import experiment
-    from masking.run import feasibility as feasibilities
+    from masking.runs import error_budget as budgets
+    from masking.runs import experiment
+    from masking.runs import feasibility as feasibilities
     from masking.workflows import describe
     from masking.workflows import discover as answers
     from masking.workflows import refine as refinements
@@ -48,28 +48,28 @@ if TYPE_CHECKING:
 else:  # each verb loads only what it needs
     assessment = lazy.load("masking.workflows.stability", suppress_warning=True)
     answers = lazy.load("masking.workflows.discover", suppress_warning=True)
-    budgets = lazy.load("masking.run.error_budget", suppress_warning=True)
+    budgets = lazy.load("masking.runs.error_budget", suppress_warning=True)
     data = lazy.load("masking.estimation.data", suppress_warning=True)
     channels = lazy.load("masking.procedures.channels", suppress_warning=True)
     describe = lazy.load("masking.workflows.describe", suppress_warning=True)
     effects = lazy.load("masking.effects", suppress_warning=True)
-    experiment = lazy.load("masking.run.experiment", suppress_warning=True)
-    feasibilities = lazy.load("masking.run.feasibility", suppress_warning=True)
-    fit_figures = lazy.load("masking.report.fit_figures", suppress_warning=True)
+    experiment = lazy.load("masking.runs.experiment", suppress_warning=True)
+    feasibilities = lazy.load("masking.runs.feasibility", suppress_warning=True)
+    fit_figures = lazy.load("masking.reports.fit_figures", suppress_warning=True)
     fits = lazy.load("masking.estimation.fit", suppress_warning=True)
     kalman = lazy.load("masking.estimation.kalman", suppress_warning=True)
     measurement = lazy.load("masking.procedures.measurement", suppress_warning=True)
     model = lazy.load("masking.modelling.model", suppress_warning=True)
-    identification_page = lazy.load("masking.report.identification_page", suppress_warning=True)
+    identification_page = lazy.load("masking.reports.identification_page", suppress_warning=True)
     recording = lazy.load("masking.records.recording", suppress_warning=True)
     refinements = lazy.load("masking.workflows.refine", suppress_warning=True)
     registry = lazy.load("masking.declaration.registry", suppress_warning=True)
-    run_report = lazy.load("masking.report.run_report", suppress_warning=True)
+    run_report = lazy.load("masking.reports.run_report", suppress_warning=True)
     responses = lazy.load("masking.procedures.responses", suppress_warning=True)
     schemas = lazy.load("masking.declaration.schema", suppress_warning=True)
-    stability_pages = lazy.load("masking.report.stability_page", suppress_warning=True)
+    stability_pages = lazy.load("masking.reports.stability_page", suppress_warning=True)
     twin = lazy.load("masking.rig.twin", suppress_warning=True)
-    fit_files = lazy.load("masking.report.fit_files", suppress_warning=True)
+    fit_files = lazy.load("masking.reports.fit_files", suppress_warning=True)
 
 KINDS = ("model", "plant", "experiment", "dictionary")
 STUDIED = ("model", "experiment")  # those of `assessment.KINDS`
@@ -193,7 +193,7 @@ def run(
         changes: parameters of the virtual system that replace the declared ones.
         plant: a plant that replaces the declared one.
         out: folder to save the recording and its report in; nothing is saved where none is given.
-        budget: whether to find out what limits the fidelity, by further runs; None: where they take a few seconds.
+        budget: whether to find out what limits the masking error, by further runs; None: where they take a few seconds.
         progress: called with the part done.
 
     Raises:

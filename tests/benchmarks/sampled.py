@@ -16,8 +16,8 @@ from masking.codegen.printers import C, needed, statements
 from masking.control.closed_loop import ClosedLoop
 from masking.control.law import ControlLaw, ControllerParameters, RigSymbols
 from masking.modelling.lowering import LoweredEquations
-from masking.run.experiment import Experiment
-from masking.run.offline import rig_state
+from masking.runs.experiment import Experiment
+from masking.runs.offline import rig_state
 from tests.benchmarks.table import Row, interleaved, limited, missing
 
 RATE = 1000.0

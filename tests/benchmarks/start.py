@@ -36,7 +36,7 @@ COLD = """
 import json, sys, time
 clock = [time.perf_counter()]
 from masking.codegen.native import NativeFunction
-from masking.experiment import Experiment
+from masking.runs.experiment import Experiment
 def lap(): clock.append(time.perf_counter()); return clock[-1] - clock[-2]
 parts = {"import": lap()}
 timers, compiles = {}, NativeFunction._compile

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from masking.numerics import sampled_loop as sampling
-from masking.run.experiment import Experiment
+from masking.runs.experiment import Experiment
 from tests.benchmarks.table import Row, interleaved, judged, missing, ratio, told
 
 Rate = Callable[[float, np.ndarray, np.ndarray], None]

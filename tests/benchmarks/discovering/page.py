@@ -15,8 +15,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from masking.report import html, style
-from masking.report.style import COLOURS, DPI, GRID, INK, LIMIT, MUTED, SIZE, WIDTH, Plate
+from masking.reports import html, style
+from masking.reports.style import COLOURS, DPI, GRID, INK, LIMIT, MUTED, SIZE, WIDTH, Plate
 from tests.benchmarks import mujoco_records, table
 from tests.benchmarks.discovering import scoring, sindy, summary
 from tests.benchmarks.discovering.scoring import said, shortened, wilson

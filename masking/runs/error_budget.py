@@ -1,4 +1,4 @@
-"""Budget: how much of a twin's infidelity is due to which cause, from runs in which one cause at a time is absent."""
+"""Error budget: the share of each cause in the masking error of a simulated rig, from runs without that cause."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from masking.analysis.masking_error import fidelity
+from masking.analysis.masking_error import masking_error
 from masking.control.observer import Differences, Observer
 from masking.control.sampled import SampledLoop
 from masking.declaration import schema
@@ -20,8 +20,8 @@ from masking.errors import MaskingError, ModelError
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
-from masking.run.experiment import Experiment
-from masking.run.offline import TwinRun, run_twin
+from masking.runs.experiment import Experiment
+from masking.runs.offline import TwinRun, run_twin
 
 Progress = Callable[[float], None]
 
@@ -69,12 +69,12 @@ _OFFSETS_NOTE: Final = "makes up for another cause: to mend it alone makes matte
 
 @dataclass(frozen=True)
 class Row:
-    """The fidelity of one run: without a cause, whose effects are named as the plant file names them.
+    """The masking error of one run: without a cause, whose effects are named as the plant file names them.
 
     Args:
         cause: what was absent.
         effects: the effects that were switched off; "limits" for those of the plant file.
-        chi: fidelity of each virtual coordinate; infinite where the run could not go on.
+        chi: masking error of each virtual coordinate; infinite where the run could not go on.
         remedy: what helps against the cause on a rig.
         note: what must be known to read the row, such as why the run stopped.
     """
@@ -98,7 +98,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Budget:
-    """What limits the fidelity of a run: the run as it is, without each cause in turn, and without all of them.
+    """What limits the masking error of a run: the run as it is, without each cause in turn, and without all of them.
 
     `without_all` leaves on what the controller's model knows.
     """
@@ -117,8 +117,10 @@ class Budget:
             how = f"sampled at {FASTER * self.rate / 1e3:g} kHz" if best.cause == SAMPLING else "without"
             return f"Mend first: {best.cause} (chi {now} -> {_chi(best.rms)} {how})."
         if self.without_all.rms <= _WORTH * self.whole.rms:
-            return f"No single cause limits the fidelity; all together do (chi {now} -> {left} without any of them)."
-        return f"Nothing that can be switched off limits the fidelity (chi {now}, and {left} without any of it)."
+            return (
+                f"No single cause limits the masking error; all together do (chi {now} -> {left} without any of them)."
+            )
+        return f"Nothing that can be switched off limits the masking error (chi {now}, and {left} without any of it)."
 
     def as_dict(self) -> dict[str, Any]:
         """Return the budget as JSON can hold it; `change` is that of the rms of chi."""
@@ -204,7 +206,7 @@ def causes(twin: Twin) -> dict[str, tuple[str, ...]]:
 
 
 def budget(experiment: Experiment, progress: Progress | None = None) -> Budget:
-    """Run an experiment as it is, and again without each cause of infidelity.
+    """Run an experiment as it is, and again without each cause of masking error.
 
     Only the cause changes: the observer keeps the bandwidths and the noise for which it was designed, and a controller
     that predicts the delay predicts the one there is.
@@ -246,7 +248,7 @@ def budget(experiment: Experiment, progress: Progress | None = None) -> Budget:
 
 @dataclass(frozen=True)
 class _Bench:
-    """An experiment that is run without some of the causes of its infidelity."""
+    """An experiment that is run without some of the causes of its masking error."""
 
     experiment: Experiment
 
@@ -276,7 +278,7 @@ class _Bench:
             return Row(cause, effects, dict.fromkeys(names, math.inf), remedy, str(error)), None
         with np.errstate(all="ignore"):  # a run that is about to grow without bound
             columns = self.experiment.sampled_columns(run).columns
-            found = {name: fidelity(columns[f"virtual.{name}"], columns[f"ideal.{name}"]) for name in names}
+            found = {name: masking_error(columns[f"virtual.{name}"], columns[f"ideal.{name}"]) for name in names}
         chi = {name: value if math.isfinite(value) else math.inf for name, value in found.items()}
         return Row(cause, effects, chi, remedy, note), run
 

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Final
 
 import lazy_loader as lazy
 
-from masking.report import html, run_tables
-from masking.report.run_facts import Parameter, Study, parameters, percent
-from masking.report.run_tables import symbols
-from masking.report.run_text import STEADY, change, cut, declared, exceeded, headline, length, number, pi, warnings
+from masking.reports import html, run_tables
+from masking.reports.run_facts import Parameter, Study, parameters, percent
+from masking.reports.run_tables import symbols
+from masking.reports.run_text import STEADY, change, cut, declared, exceeded, headline, length, number, pi, warnings
 
 if TYPE_CHECKING:
-    from masking.report import style
+    from masking.reports import style
 else:
-    style = lazy.load("masking.report.style", suppress_warning=True)
+    style = lazy.load("masking.reports.style", suppress_warning=True)
 
 PAGE: Final = "report.html"
 
@@ -35,7 +35,7 @@ def page(facts: Study, plates: Sequence[style.Plate], images: Mapping[str, bytes
     made = {
         "synchronisation": run_tables.phases,
         "inputs": run_tables.inputs,
-        "fidelity": run_tables.fidelity,
+        "masking_error": run_tables.masking_error,
         "budget": run_tables.budget,
     }
     sections, notes, names = [], list(facts.recording.notes), symbols(facts)
@@ -76,7 +76,7 @@ def _lead(facts: Study, changed: Sequence[Parameter]) -> str:
 def _tiles(facts: Study) -> list[str]:
     tiles = [("recorded", *length(facts), False)]
     if facts.worst is not None:
-        tiles.append((f"fidelity chi, worst ({facts.worst})", number(facts.chi[facts.worst], 2), "", False))
+        tiles.append((f"masking error chi, worst ({facts.worst})", number(facts.chi[facts.worst], 2), "", False))
     if facts.pairs:
         pair = facts.pairs[0]
         label = f"phase of {pair.first} against {pair.second}"

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from masking.analysis.stability.basins import LABELS, Basins
 from masking.analysis.stability.study import Stability, position_words
 from masking.numerics.arrays import Array
-from masking.report.style import BARE, COLOURS, INK, LEGEND, MUTED, SIZE, Plate, Series, panels, sheet, symbol
+from masking.reports.style import BARE, COLOURS, INK, LEGEND, MUTED, SIZE, Plate, Series, panels, sheet, symbol
 
 _MOST = len(COLOURS)
 _BASIN_COLOURS = ("#5b6470", "#0072B2", "#D55E00", "#E69F00", "#ffffff")

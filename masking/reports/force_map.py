@@ -15,9 +15,9 @@ from masking.discovery.augmented_model import Slot
 from masking.discovery.discovery import Discovery
 from masking.discovery.force_decomposition import SEEN
 from masking.numerics.arrays import Array
-from masking.report import discovery_text, quantities
-from masking.report.procedure_figures import heading, legend, shown, top
-from masking.report.style import COLOURS, INK, MUTED, Plate, panels, with_unit
+from masking.reports import discovery_text, quantities
+from masking.reports.procedure_figures import heading, legend, shown, top
+from masking.reports.style import COLOURS, INK, MUTED, Plate, panels, with_unit
 
 BEFORE: Final = COLOURS[1]
 AFTER: Final = COLOURS[0]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from masking.procedures.calibration_findings import Calibration, Curve, Excited
 from masking.procedures.calibration_records import HIGHEST
 from masking.procedures.measurement import percent
-from masking.report.style import (
+from masking.reports.style import (
     BARE,
     COLOURS,
     GRID,

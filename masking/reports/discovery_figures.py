@@ -16,10 +16,10 @@ from masking.discovery.discovery import CLOSED, Discovery
 from masking.discovery.screening import Promise
 from masking.discovery.search import SIGN
 from masking.numerics.arrays import Array
-from masking.report import discovery_text, force_map, quantities
-from masking.report.force_map import AFTER, BEFORE, CLOUD, POINTS, scale
-from masking.report.procedure_figures import DASHED, heading, legend, shown, ticks, top
-from masking.report.style import COLOURS, GRID, INK, MUTED, SIZE, WIDTH, Plate, panels, symbol, thin, with_unit
+from masking.reports import discovery_text, force_map, quantities
+from masking.reports.force_map import AFTER, BEFORE, CLOUD, POINTS, scale
+from masking.reports.procedure_figures import DASHED, heading, legend, shown, ticks, top
+from masking.reports.style import COLOURS, GRID, INK, MUTED, SIZE, WIDTH, Plate, panels, symbol, thin, with_unit
 
 if TYPE_CHECKING:
     from scipy import signal

@@ -1,4 +1,4 @@
-"""Fidelity on the imperfect rig: `python -m tests.benchmarks.fidelity_table`.
+"""Masking error on the imperfect rig: `python -m tests.benchmarks.masking_error_table`.
 
 Every virtual system with a packaged experiment, on the full twin of the rig for as long as in its figure, by the
 thesis' way (the linear model, differences of positions) and by a disturbance observer that knows the measured springs.
@@ -14,7 +14,7 @@ from collections.abc import Iterator
 
 from masking.errors import MaskingError
 from masking.records.recording import Recording
-from masking.run.experiment import Experiment
+from masking.runs.experiment import Experiment
 
 SYSTEMS = (
     "duffing", "duffing_enoc", "discs", "discs_eccentric", "discs_enoc", "huygens", "setup_identical", "setup_undamped",
@@ -51,7 +51,7 @@ def rows() -> Iterator[str]:
             except MaskingError as error:
                 yield f"{head} {error} | | | {time.perf_counter() - clock:.0f} |"
                 continue
-            chi = ", ".join(f"{c} {value:.3g}" for c, value in run.manifest["fidelity"].items())
+            chi = ", ".join(f"{c} {value:.3g}" for c, value in run.manifest["masking_error"].items())
             largest = max(abs(run[f"demanded.{n}"]).max() for n in found.twin.actuators)
             yield f"{head} {chi} | {largest:.3g} | {_limited(found, run):.3g} | {time.perf_counter() - clock:.0f} |"
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from masking.analysis.masking_error import fidelity
+from masking.analysis.masking_error import masking_error
 from masking.control.blocks import Transform, check_actuation
 from masking.control.closed_loop import ClosedLoop
 from masking.control.instruments import Instruments
@@ -28,8 +28,8 @@ from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
 from masking.rig.twin import PlacedEffect, Twin
-from masking.run.offline import TwinRun, rig_state, run_continuous, run_sampled, run_twin
-from masking.run.stopping import SYNCHRONISED, Ending, cut
+from masking.runs.offline import TwinRun, rig_state, run_continuous, run_sampled, run_twin
+from masking.runs.stopping import SYNCHRONISED, Ending, cut
 
 # A continuous run is recorded so many times per unit of virtual time, where nothing else is asked for.
 ROWS_PER_UNIT = 10
@@ -352,7 +352,7 @@ class Experiment:
         columns = made.columns
         at = float(columns["t"][-1]) / self.time_scale if is_stopped else None
         stop = {"stop": self.ending.told(at)} if self.ending else {}
-        chi = {c: fidelity(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in self.virtual.coordinates}
+        chi = {c: masking_error(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in self.virtual.coordinates}
         return Recording(columns, {**self._manifest(made.units, chi, timing), **self._start_told(columns), **stop})
 
     def _start_told(self, columns: Mapping[str, Array]) -> dict[str, Any]:
@@ -421,7 +421,7 @@ class Experiment:
             "limits": {name: self._limit_told(name, limit) for name, limit in limits.items()},
             "effects": {effect.label: effect.enabled and self._acts(effect) for effect in self.twin.effects},
             "observer": self._observer_told() if self.has_observer else None,
-            "fidelity": dict(chi),
+            "masking_error": dict(chi),
             "timing": dict(timing),
         }
 

@@ -11,7 +11,7 @@ import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.analysis.masking_error import fidelity
+from masking.analysis.masking_error import masking_error
 from masking.analysis.synchronisation import (
     AntiPhase,
     Synchronisation,
@@ -97,7 +97,7 @@ class InputUse:
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """The fidelity of a further run without one cause of infidelity: of each coordinate, and their rms.
+    """The masking error of a further run without one cause of masking error: of each coordinate, and their rms.
 
     `effects` were switched off, `remedy` is what helps on a rig, `note` what must be known to read the row.
     """
@@ -118,7 +118,7 @@ class BudgetRow:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """What limits the fidelity: chi of the run as it is, without each cause, and without all; `sentence` sums it up."""
+    """The error budget: chi of the run as it is, without each cause, and without all; `sentence` sums it up."""
 
     sentence: str
     whole: BudgetRow
@@ -147,7 +147,7 @@ class Parameter:
 class Study:
     """Everything the figures, the tables and the summary say about one recording.
 
-    `prefix` is "virtual", or "rig" for a record without a virtual system. `chi` maps each coordinate to its fidelity.
+    `prefix` is "virtual", or "rig" for a record without a virtual system. `chi` is the masking error by coordinate.
     `period` is the mean period of the first oscillator that has one (in units of `tau`), else NaN. `sum_peak` is
     the running peak of |sum of the oscillators|. `no_phase` says why there is no phase difference, "" if there is.
     """
@@ -227,7 +227,7 @@ def study(recording: Recording) -> Study:
         prefix=prefix,
         oscillators=oscillators,
         others=others,
-        chi=fidelities(recording),
+        chi=masking_errors(recording),
         period=mean_period,
         pairs=() if reason else _pairs(tau, motions, mean_period),
         sum_peak=None
@@ -245,15 +245,15 @@ def input_uses(recording: Recording) -> tuple[InputUse, ...]:
     return tuple(_use(recording, name) for name in recording.inputs)
 
 
-def fidelities(recording: Recording) -> dict[str, float]:
-    """Fidelity from the columns; what the run itself stated stands in where the ideal motion was not recorded."""
-    stated = recording.manifest.get("fidelity") or {}
+def masking_errors(recording: Recording) -> dict[str, float]:
+    """Masking error from the columns; what the run itself stated stands in where the ideal motion was not recorded."""
+    stated = recording.manifest.get("masking_error") or {}
     chi: dict[str, float] = {}
     for name in recording.coordinates or recording.names("rig"):
         ideal = recording.columns.get(f"ideal.{name}")
         virtual = recording.columns.get(f"virtual.{name}")
         if ideal is not None and virtual is not None:
-            chi[name] = fidelity(virtual, ideal)
+            chi[name] = masking_error(virtual, ideal)
         elif name in stated:
             chi[name] = float(stated[name])
     return chi

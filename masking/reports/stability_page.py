@@ -14,13 +14,13 @@ import numpy as np
 from masking.analysis.stability.certificate import Certificate
 from masking.analysis.stability.study import Stability, phase, position_words
 from masking.errors import RecordError
-from masking.report import html
+from masking.reports import html
 
 if TYPE_CHECKING:
-    from masking.report import stability_figures, style
+    from masking.reports import stability_figures, style
 else:
-    style = lazy.load("masking.report.style", suppress_warning=True)
-    stability_figures = lazy.load("masking.report.stability_figures", suppress_warning=True)
+    style = lazy.load("masking.reports.style", suppress_warning=True)
+    stability_figures = lazy.load("masking.reports.stability_figures", suppress_warning=True)
 
 PAGE, NUMBERS = "stability.html", "stability.json"
 

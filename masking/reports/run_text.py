@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from masking.records.recording import Recording
-from masking.report.run_facts import InputUse, Parameter, PhasePair, Study, parameters, percent
+from masking.reports.run_facts import InputUse, Parameter, PhasePair, Study, parameters, percent
 
 _SUMMARY_LINES = 14
 _TRUE, _ROUGH = 0.01, 0.3  # chi up to which the rig moved as, or roughly as, the virtual system
@@ -130,7 +130,7 @@ def headline(facts: Study) -> list[str]:
         verb = f"moved {how}" if possible else f"would move {how}"
         if not chi <= _ROUGH:
             verb = "did not move as" if possible else "would not move as"
-        sentences = [f"{plant} {verb} {virtual}: fidelity chi {size} {length}."]
+        sentences = [f"{plant} {verb} {virtual}: masking error chi {size} {length}."]
         if held:
             sentences = [f"{plant} {'moved' if possible else 'would move'} as {virtual} {held}, {length}."]
     if still:
@@ -209,7 +209,7 @@ def summary(facts: Study) -> str:
         rows.append(("changed", ", ".join(changed)))
     if facts.chi:
         against = ", against the system without regulation" if regulation(manifest) else ""
-        rows.append(("fidelity", "  ".join(f"{name} {number(chi, 2)}" for name, chi in facts.chi.items()) + against))
+        rows.append(("error", "  ".join(f"{name} {number(chi, 2)}" for name, chi in facts.chi.items()) + against))
     if facts.anti_phase is not None and facts.anti_phase.alpha > 0:
         fit = facts.anti_phase
         words = f"alpha = {fit.alpha:.4f}, eps = {number(fit.eps)} over the last fifth{_since(facts)}"

@@ -30,7 +30,7 @@ from masking.discovery.places import identifier, opened
 from masking.effects import attach
 from masking.errors import RecordError
 from masking.modelling.model import Model
-from masking.report import discovery_text
+from masking.reports import discovery_text
 from masking.rig.twin import Twin
 
 DIGITS = 10

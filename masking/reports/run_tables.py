@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from masking.records.recording import MANIFEST, TABLE
-from masking.report import html
-from masking.report.run_facts import BudgetRow, Parameter, Study, percent
-from masking.report.run_text import STEADY, declared, number, observer, pi, record_words, sum_name, timing
+from masking.reports import html
+from masking.reports.run_facts import BudgetRow, Parameter, Study, percent
+from masking.reports.run_text import STEADY, declared, number, observer, pi, record_words, sum_name, timing
 
 _SOURCE = "Rijlaarsdam (2008)"
 _HELPS = 0.98  # of chi: what a cause must bring it down to, for its remedy to be told
@@ -64,7 +64,7 @@ def inputs(facts: Study) -> str:
     return _table(facts, head, rows, numbers=range(2, len(head))) if rows else ""
 
 
-def fidelity(facts: Study) -> str:
+def masking_error(facts: Study) -> str:
     """Tabulate chi and the largest error of each coordinate; "" where there is nothing to compare with."""
     rows = []
     for name, chi in facts.chi.items():

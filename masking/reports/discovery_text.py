@@ -11,7 +11,7 @@ from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.localisation import Lacking, Place, where
 from masking.estimation.whiteness import Whiteness
-from masking.report.quantities import much, number, percent, power, pretty, put_together, quantity, with_deviation
+from masking.reports.quantities import much, number, percent, power, pretty, put_together, quantity, with_deviation
 
 NOTABLE = 0.15  # part of a force's energy from which a dependence is told
 ALIKE = 0.9  # part of it that turns round with the motion, or does not, from which it is called so

@@ -22,8 +22,8 @@ from masking.declaration.operations import CONSTANTS, OPERATIONS, Step
 from masking.errors import DeclarationError, IntegrationError, MaskingError, Problem, SingularityError
 from masking.numerics.arrays import Array
 from masking.numerics.sampled_loop import HEATING, LARGEST, POWER, TIME
-from masking.run.experiment import Experiment
-from masking.run.offline import INVERTIBLE, rig_state
+from masking.runs.experiment import Experiment
+from masking.runs.offline import INVERTIBLE, rig_state
 
 if TYPE_CHECKING:
     from scipy import signal

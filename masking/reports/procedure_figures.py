@@ -25,7 +25,7 @@ from masking.procedures.measurement import LEVEL, Friction, Measurement, percent
 from masking.procedures.response import Distortion
 from masking.procedures.responses import Response
 from masking.procedures.springs import SpringCurve
-from masking.report.style import (
+from masking.reports.style import (
     COLOURS,
     INK,
     LEFT,

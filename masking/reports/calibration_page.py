@@ -17,14 +17,14 @@ import numpy as np
 from masking.errors import RecordError
 from masking.procedures import calibration_records
 from masking.procedures.calibration_findings import ALIKE, PAGE, Calibration, Stage
-from masking.report import html
-from masking.report.run_text import number
+from masking.reports import html
+from masking.reports.run_text import number
 
 if TYPE_CHECKING:
-    from masking.report import calibration_figures, style
+    from masking.reports import calibration_figures, style
 else:
-    style = lazy.load("masking.report.style", suppress_warning=True)
-    calibration_figures = lazy.load("masking.report.calibration_figures", suppress_warning=True)
+    style = lazy.load("masking.reports.style", suppress_warning=True)
+    calibration_figures = lazy.load("masking.reports.calibration_figures", suppress_warning=True)
 
 _LACKS = 1.5  # times the noise: an error from here on is told as something that the model lacks
 _MISSED = 1e-4  # of the samples of a record, from which on it is told that some were missed

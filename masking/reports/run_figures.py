@@ -1,4 +1,4 @@
-"""Figures of a study: displacements, other coordinates, synchronisation, inputs, fidelity."""
+"""Figures of a study: displacements, other coordinates, synchronisation, inputs, masking error."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from masking.analysis.synchronisation import principal, running_peak
-from masking.report.run_facts import SUM_WINDOW_PERIODS, Study, percent
-from masking.report.style import (
+from masking.reports.run_facts import SUM_WINDOW_PERIODS, Study, percent
+from masking.reports.style import (
     BARE,
     BINS,
     COLOURS,
@@ -173,14 +173,14 @@ def _inputs(study: Study) -> Plate:
     return Plate("inputs", title, f"{lines}{far}{more}".strip() or "The inputs of the plant.", figure)
 
 
-def _fidelity(study: Study) -> Plate:
-    title = "Fidelity"
+def _masking_error(study: Study) -> Plate:
+    title = "Masking error"
     compared = [(name, study.ideal(name)) for name in study.coordinates[:_MOST_ROWS]]
     errors = {n: np.abs(study.motion(n) - ideal) for n, ideal in compared if ideal is not None and n in study.chi}
     if not errors:
-        return Plate("fidelity", title, "Not shown: the record holds no ideal motion to compare with.", None)
+        return Plate("masking_error", title, "Not shown: the record holds no ideal motion to compare with.", None)
     if not any(np.any(error) for error in errors.values()):
-        return Plate("fidelity", title, "Not shown: virtual and ideal are equal in every digit recorded.", None)
+        return Plate("masking_error", title, "Not shown: virtual and ideal are equal in every digit recorded.", None)
     figure, (axes,) = sheet([2.2], top=NOTE)
     for (name, error), colour in zip(errors.items(), COLOURS, strict=False):
         peaks = running_peak(study.tau, error, study.period) if math.isfinite(study.period) else error
@@ -190,11 +190,11 @@ def _fidelity(study: Study) -> Plate:
     _whole_record(axes, study)
     _time_label(axes, study)
     caption = "Distance between the masked rig and the virtual system by itself, the largest over the period before."
-    return Plate("fidelity", title, caption, figure)
+    return Plate("masking_error", title, caption, figure)
 
 
 def _budget(study: Study) -> Plate:
-    title, found = "What limits fidelity", study.budget
+    title, found = "What limits the masking error", study.budget
     if found is None:
         return Plate("budget", title, "Not shown: it was not asked for; 'masking run --budget' finds it out.", None)
     rows = [*sorted(found.rows, key=lambda row: row.rms), found.without_all]
@@ -222,10 +222,10 @@ def _budget(study: Study) -> Plate:
     axes.set_yticklabels([row.title for row in rows])
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
-    axes.set_xlabel("fidelity χ, rms of the coordinates")
+    axes.set_xlabel("masking error χ, rms of the coordinates")
     caption = (
-        f"{found.sentence} Each bar runs from the fidelity as it is, the dashed line, to that of the same run without "
-        "one cause: to the left, mending it helps."
+        f"{found.sentence} Each bar runs from the masking error of the run, the dashed line, to that of the same run "
+        "without one cause: to the left, mending it helps."
     )
     return Plate("budget", title, caption, figure)
 
@@ -241,7 +241,7 @@ def _has_observer(study: Study) -> bool:
     return bool(study.recording.manifest.get("observer"))
 
 
-_PLATES: Final = (_displacements, _others, _synchronisation, _inputs, _fidelity, _budget)
+_PLATES: Final = (_displacements, _others, _synchronisation, _inputs, _masking_error, _budget)
 
 
 # ---- parts of a figure

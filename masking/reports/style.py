@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from numpy.typing import NDArray
 
-from masking.report.html import GREEK
+from masking.reports.html import GREEK
 
 Series = NDArray[np.float64]
 

@@ -16,14 +16,14 @@ from masking.discovery.discovery import CLOSED, Discovery
 from masking.discovery.explanation import probabilities
 from masking.discovery.localisation import where
 from masking.estimation.whiteness import DOUBTED
-from masking.report import discovery_files, discovery_text, html, quantities
-from masking.report.discovery_files import Files, Origin
+from masking.reports import discovery_files, discovery_text, html, quantities
+from masking.reports.discovery_files import Files, Origin
 
 if TYPE_CHECKING:
-    from masking.report import discovery_figures, style
+    from masking.reports import discovery_figures, style
 else:
-    style = lazy.load("masking.report.style", suppress_warning=True)
-    discovery_figures = lazy.load("masking.report.discovery_figures", suppress_warning=True)
+    style = lazy.load("masking.reports.style", suppress_warning=True)
+    discovery_figures = lazy.load("masking.reports.discovery_figures", suppress_warning=True)
 
 MOST_TRIED = 20
 LEAST_SURE = 0.001  # probability: less is told as less than this

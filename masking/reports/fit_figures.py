@@ -16,8 +16,8 @@ from masking.estimation.innovations import KalmanFit
 from masking.estimation.simulation import Simulated, simulate
 from masking.numerics.arrays import Array
 from masking.procedures.measurement import percent
-from masking.report.procedure_figures import BAND, DASHED, heading, legend, shown, ticks, top
-from masking.report.style import COLOURS, INK, LIMIT, MUTED, SIZE, Plate, panels, symbol, thin, with_unit
+from masking.reports.procedure_figures import BAND, DASHED, heading, legend, shown, ticks, top
+from masking.reports.style import COLOURS, INK, LIMIT, MUTED, SIZE, Plate, panels, symbol, thin, with_unit
 
 if TYPE_CHECKING:
     from scipy import signal

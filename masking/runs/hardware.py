@@ -20,10 +20,10 @@ from masking.plants.simulated import SimulatedPlant
 from masking.plants.udp import UdpPlant
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
-from masking.run.experiment import Experiment
-from masking.run.offline import TwinRun
-from masking.run.realtime import FAILED, FINISHED, LOST, REFUSED, STOPPED, RigRun, check_channels, every, run_rig
-from masking.run.stopping import SYNCHRONISED
+from masking.runs.experiment import Experiment
+from masking.runs.offline import TwinRun
+from masking.runs.realtime import FAILED, FINISHED, LOST, REFUSED, STOPPED, RigRun, check_channels, every, run_rig
+from masking.runs.stopping import SYNCHRONISED
 
 WATCHDOG = 0.02
 _MEND = "run it on that plant, or write the plant that is there into it"

@@ -13,7 +13,7 @@ from masking.declaration.schema import Stop
 from masking.errors import ModelError
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
-from masking.run.offline import Run, TwinRun
+from masking.runs.offline import Run, TwinRun
 
 SYNCHRONISED: Final = "synchronised"
 _ROWS: Final = 2**15  # of the ideal motion, of which the period is taken

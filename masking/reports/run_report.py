@@ -10,15 +10,15 @@ import lazy_loader as lazy
 
 from masking.errors import RecordError
 from masking.records.recording import Recording
-from masking.report import run_text
-from masking.report.run_facts import fidelities, input_uses, study
-from masking.report.run_page import PAGE, page
+from masking.reports import run_text
+from masking.reports.run_facts import input_uses, masking_errors, study
+from masking.reports.run_page import PAGE, page
 
 if TYPE_CHECKING:
-    from masking.report import run_figures, style
+    from masking.reports import run_figures, style
 else:
-    style = lazy.load("masking.report.style", suppress_warning=True)
-    run_figures = lazy.load("masking.report.run_figures", suppress_warning=True)
+    style = lazy.load("masking.reports.style", suppress_warning=True)
+    run_figures = lazy.load("masking.reports.run_figures", suppress_warning=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ def summary(recording: Recording) -> str:
 
 def warnings(recording: Recording) -> list[str]:
     """Say in plain sentences what makes the result not hold as it stands; nothing where all is well."""
-    return run_text.warnings(recording, input_uses(recording), fidelities(recording))
+    return run_text.warnings(recording, input_uses(recording), masking_errors(recording))
 
 
 def limits_used(recording: Recording) -> dict[str, float]:

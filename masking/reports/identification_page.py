@@ -14,15 +14,15 @@ import lazy_loader as lazy
 
 from masking.errors import RecordError
 from masking.procedures.measurement import Measurement, Row
-from masking.report import html as markup
+from masking.reports import html as markup
 
 if TYPE_CHECKING:
     from masking.estimation.fit import Fit
     from masking.estimation.innovations import KalmanFit
-    from masking.report import procedure_figures, style
+    from masking.reports import procedure_figures, style
 else:
-    style = lazy.load("masking.report.style", suppress_warning=True)
-    procedure_figures = lazy.load("masking.report.procedure_figures", suppress_warning=True)
+    style = lazy.load("masking.reports.style", suppress_warning=True)
+    procedure_figures = lazy.load("masking.reports.procedure_figures", suppress_warning=True)
 
 _TILES = 3  # numbers on top of the page of a fit
 # Numbers on top of the page of a measurement: those of these names that it has, or begin with them.
