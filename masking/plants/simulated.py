@@ -16,7 +16,7 @@ from masking.rig.twin import Twin
 class SimulatedPlant:
     """A twin that starts at rest and unpowered, and moves for one sample under each command.
 
-    A command acts after as many samples as the twin declares of delay; `masking.runs.offline.run_twin` computes the same.
+    A command acts after the delay that the twin declares; `masking.runs.offline.run_twin` computes the same.
 
     Args:
         twin: the rig.

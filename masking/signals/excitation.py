@@ -1,7 +1,7 @@
 """Excitation: the samples of one or more channels that a rig is given, in memory and on disk.
 
 NAME.csv        a header `t [s],V1 [V],...` and one row for each sample, numbers that read back bit for bit
-NAME.parquet    a recording (`masking.records.recording`) with columns t and input.<channel>, units and meta in its manifest
+NAME.parquet    a recording (`records.recording`) with columns t and input.<channel>, units and meta in its manifest
 """
 
 from __future__ import annotations
