@@ -13,9 +13,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
+from masking.declaration.quantities import percent
 from masking.procedures.calibration_findings import Calibration, Curve, Excited
 from masking.procedures.calibration_records import HIGHEST
-from masking.procedures.measurement import percent
 from masking.reports.style import (
     BARE,
     COLOURS,
@@ -27,7 +27,7 @@ from masking.reports.style import (
     RIGHT,
     SIZE,
     WIDTH,
-    Plate,
+    CaptionedFigure,
     Series,
     panels,
     sheet,
@@ -49,12 +49,12 @@ _DASHED: Final = (0, (4, 3))
 _MILLI = 1e3
 
 
-def plates(found: Calibration) -> list[Plate]:
+def figures(found: Calibration) -> list[CaptionedFigure]:
     """Draw every figure of the report, in its order."""
     return [_unseen(found), _residuals(found), _spectra(found), _springs(found), _excitation(found)]
 
 
-def _unseen(found: Calibration) -> Plate:
+def _unseen(found: Calibration) -> CaptionedFigure:
     record, best = found.records.unseen, found.best
     names = found.twin.sensors[:_MOST_ROWS]
     t = np.arange(len(record)) / record.rate
@@ -79,10 +79,10 @@ def _unseen(found: Calibration) -> Plate:
         f"The record that was not fitted, {span}, and its simulation. "
         f"{_meanings(found, names)} The error is (4.12) of the source document, over the whole record."
     )
-    return Plate("unseen", "Measured and simulated", caption, figure)
+    return CaptionedFigure("unseen", "Measured and simulated", caption, figure)
 
 
-def _residuals(found: Calibration) -> Plate:
+def _residuals(found: Calibration) -> CaptionedFigure:
     record, names = found.records.unseen, found.twin.sensors[:_MOST_ROWS]
     count = max(1, round(_WINDOW * record.rate))
     figure, rows = sheet([1.45] * len(names), top=BARE)
@@ -106,10 +106,10 @@ def _residuals(found: Calibration) -> Plate:
         "band is white noise in the readings, found where their spectra are quietest; a line at its edge leaves "
         "nothing."
     )
-    return Plate("residuals", "What each model leaves", caption, figure)
+    return CaptionedFigure("residuals", "What each model leaves", caption, figure)
 
 
-def _spectra(found: Calibration) -> Plate:
+def _spectra(found: Calibration) -> CaptionedFigure:
     record, names = found.records.unseen, found.twin.sensors[:_MOST_ROWS]
     figure, rows = sheet([1.6] * len(names), top=NOTE)
     _narrow(rows)
@@ -139,13 +139,13 @@ def _spectra(found: Calibration) -> Plate:
         "the density of white noise as large as that of the readings; the band is where the rig was excited. What "
         "stands above the line there is what the model lacks."
     )
-    return Plate("spectra", "Where in the spectrum it is left", caption, figure)
+    return CaptionedFigure("spectra", "Where in the spectrum it is left", caption, figure)
 
 
-def _springs(found: Calibration) -> Plate:
+def _springs(found: Calibration) -> CaptionedFigure:
     curves, title = found.curves[:_MOST_ROWS], "Springs"
     if not curves:
-        return Plate("springs", title, "Not shown: every spring of the best model is straight.", None)
+        return CaptionedFigure("springs", title, "Not shown: every spring of the best model is straight.", None)
     figure, rows = panels(len(curves), 1.75, (3.35, 3.6))
     for colour, curve, (left, right) in zip(COLOURS, curves, rows, strict=False):
         by, x_unit = (_MILLI, "mm") if curve.measured == "m" else (1.0, curve.measured)
@@ -178,10 +178,10 @@ def _springs(found: Calibration) -> Plate:
         "less the straight line of the simplest model. The band is twice the standard deviation that follows from the "
         "covariance of the parameters; outside of the displacements in the record it is an extrapolation."
     )
-    return Plate("springs", title, caption, figure)
+    return CaptionedFigure("springs", title, caption, figure)
 
 
-def _excitation(found: Calibration) -> Plate:
+def _excitation(found: Calibration) -> CaptionedFigure:
     shown = found.excited[:_MOST_ROWS]
     figure, rows = panels(len(shown), 1.15, (4.4, 2.6), top=0.34)
     reach = 1.25 * max(each.peak for each in shown)
@@ -204,7 +204,7 @@ def _excitation(found: Calibration) -> Plate:
         "One period of the multisine of each actuator in the record that was fitted, with phases for the least crest "
         "factor, and its lines, which no other actuator has; in the unseen record the lines are others."
     )
-    return Plate("excitation", "What was excited", caption, figure)
+    return CaptionedFigure("excitation", "What was excited", caption, figure)
 
 
 # ---- parts

@@ -11,15 +11,30 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
+from masking.declaration.quantities import percent
+from masking.declaration.units import pretty
 from masking.discovery import latent_force
 from masking.discovery.discovery import CLOSED, Discovery
 from masking.discovery.screening import Promise
 from masking.discovery.search import SIGN
 from masking.numerics.arrays import Array
-from masking.reports import discovery_text, force_map, quantities
+from masking.reports import discovery_text, force_map
 from masking.reports.force_map import AFTER, BEFORE, CLOUD, POINTS, scale
 from masking.reports.procedure_figures import DASHED, heading, legend, shown, ticks, top
-from masking.reports.style import COLOURS, GRID, INK, MUTED, SIZE, WIDTH, Plate, panels, symbol, thin, with_unit
+from masking.reports.style import (
+    COLOURS,
+    GRID,
+    INK,
+    MUTED,
+    SIZE,
+    WIDTH,
+    CaptionedFigure,
+    panels,
+    symbol,
+    thin,
+    with_unit,
+)
+from masking.reports.text import capital, listed
 
 if TYPE_CHECKING:
     from scipy import signal
@@ -37,17 +52,17 @@ SEGMENTS = 8  # that a record is cut into for a spectrum
 BINS_PER_DECADE = 24
 
 
-def plates(found: Discovery) -> list[Plate]:
+def figures(found: Discovery) -> list[CaptionedFigure]:
     """Draw the figures of a discovery."""
     lacking = latent_force.lack(found, discovery_text.rest(found).best.name)
     course = [_course(found, lacking)] if lacking.where != "sensor" and found.twin.actuators else []
-    return [_gap(found), force_map.plate(found, lacking), *course, _residual(found), _candidates(found)]
+    return [_gap(found), force_map.figure(found, lacking), *course, _residual(found), _candidates(found)]
 
 
-def _gap(found: Discovery) -> Plate:
+def _gap(found: Discovery) -> CaptionedFigure:
     """Draw the error of each sensor before and after, in the record and in the one that judges, beside the noise."""
     names = found.twin.sensors
-    said = discovery_text.capital(discovery_text.left(found)) if found.verdict == "none" else discovery_text.gap(found)
+    said = capital(discovery_text.left(found)) if found.verdict == "none" else discovery_text.gap(found)
     figure, (row,) = panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), top(said) + 0.28)
     gap = found.gap
     own = own_gap(found)
@@ -89,10 +104,10 @@ def _gap(found: Discovery) -> Plate:
         "initial state: of the model as it is declared, with its parameters adjusted within what is believed of them, "
         "and with what was found. What the noise makes alone is the least that can be left."
     )
-    return Plate("gap", "The gap", caption, figure)
+    return CaptionedFigure("gap", "The gap", caption, figure)
 
 
-def _course(found: Discovery, lacking: latent_force.Lack) -> Plate:
+def _course(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
     """Draw what is lacking over a command, time and frequency, before and after."""
     what = {"element": "force", "actuator": "command"}[lacking.where]
     seen = discovery_text.subject(found)
@@ -123,13 +138,13 @@ def _course(found: Discovery, lacking: latent_force.Lack) -> Plate:
     time.tick_params(labelleft=False)
     time.yaxis.get_offset_text().set_visible(False)
     over.xaxis.set_major_locator(MaxNLocator(4))
-    over.set_ylabel(with_unit(f"lacking {what}", quantities.pretty(unit)))
-    over.set_xlabel(with_unit(f"command {symbol(command)}", quantities.pretty(name)))
+    over.set_ylabel(with_unit(f"lacking {what}", pretty(unit)))
+    over.set_xlabel(with_unit(f"command {symbol(command)}", pretty(name)))
     time.set_xlabel("time (s)")
     spectrum.set_xscale("log")
     spectrum.set_yscale("log")
     spectrum.set_xlabel("frequency (Hz)")
-    spectrum.set_ylabel(with_unit("density", f"{quantities.pretty(lacking.units[0])}/√Hz" if lacking.units[0] else ""))
+    spectrum.set_ylabel(with_unit("density", f"{pretty(lacking.units[0])}/√Hz" if lacking.units[0] else ""))
     low, high = spectrum.get_xlim()
     steps = (1.0, 2.0, 5.0) if high < WIDE * low else (1.0,)
     spectrum.xaxis.set_major_locator(LogLocator(subs=steps))
@@ -148,7 +163,7 @@ def _course(found: Discovery, lacking: latent_force.Lack) -> Plate:
         f"The {what} at {lacking.place} that the model lacks, over the command that it follows most, over time, and "
         "the root of its power spectral density. What changes with time, or at a frequency of its own, shows here."
     )
-    return Plate("course", "When, and under which command", caption, figure)
+    return CaptionedFigure("course", "When, and under which command", caption, figure)
 
 
 def _coursed(found: Discovery, lacking: latent_force.Lack, command: str) -> str:
@@ -156,16 +171,16 @@ def _coursed(found: Discovery, lacking: latent_force.Lack, command: str) -> str:
     seen = discovery_text.subject(found)
     if not any(seen.coordinates.values()):
         return f"What seems to be lacking at {lacking.place} is not beyond its deviation"
-    told = discovery_text.capital(discovery_text.follows_command(seen, command))
+    told = capital(discovery_text.follows_command(seen, command))
     place = next((place for place in seen.places if place.name == lacking.place), None)
     if place is None or not place.portrait.regions:
         return told
     thirds = [energy for energy, _ in place.portrait.regions["record"].values()]
-    parts = discovery_text.listed([quantities.percent(part) for part in thirds])
+    parts = listed([percent(part) for part in thirds])
     return f"{told}; the thirds of the record hold {parts} of the energy of the force at {lacking.place}"
 
 
-def _residual(found: Discovery) -> Plate:
+def _residual(found: Discovery) -> CaptionedFigure:
     """Draw what is left of the record that judges, over time and frequency, before and after."""
     names = found.twin.sensors[:MOST_SENSORS]
     sigma, record = found.judged.sigma, found.judge
@@ -173,9 +188,9 @@ def _residual(found: Discovery) -> Plate:
         n for i, n in enumerate(found.twin.sensors) if found.after.squares[i] > CLOSED**2 * len(record) * sigma[i] ** 2
     ]
     said = (
-        f"What is left of {discovery_text.listed(found.twin.sensors)} on data that were not used is noise"
+        f"What is left of {listed(found.twin.sensors)} on data that were not used is noise"
         if not more
-        else f"On data that were not used, more than noise is left of {discovery_text.listed(more)}"
+        else f"On data that were not used, more than noise is left of {listed(more)}"
     )
     figure, rows = panels(len(names), 1.35, (4.55, 2.55), top(said))
     t = np.arange(len(record)) / record.rate
@@ -217,16 +232,16 @@ def _residual(found: Discovery) -> Plate:
         f"{record.name}: measured less simulated, over time and as the root of its power spectral density. A line "
         "above the noise is something that the model does not say."
     )
-    return Plate("residual", "What is left", caption, figure)
+    return CaptionedFigure("residual", "What is left", caption, figure)
 
 
-def _candidates(found: Discovery) -> Plate:
+def _candidates(found: Discovery) -> CaptionedFigure:
     """Draw what each candidate would have closed of the gap; where nothing is missing, of what would have counted."""
     every, nothing = tried(found), found.verdict == "none"
     chosen = {(one.name, one.on) for one in found.effects}
     rows = [row for i, row in enumerate(every) if i < MOST_TRIED or (row[0], row[1]) in chosen]
     if not rows:
-        return Plate("candidates", "What was tried", "No candidate would have closed any of the gap.", None)
+        return CaptionedFigure("candidates", "What was tried", "No candidate would have closed any of the gap.", None)
     names = [discovery_text.labelled(found, effect, at) for effect, at, _, _ in rows]
     parts = [100.0 * (paid if nothing else part) for _, _, part, paid in rows]
     fitted = {key for rival in found.rivals for key in rival.names}
@@ -275,7 +290,7 @@ def _candidates(found: Discovery) -> Plate:
         "To first order along the measured motion, with what the model's own parameters could explain taken out first; "
         "the best are then fitted in full, and their likelihoods decide."
     )
-    return Plate("candidates", "What was tried", caption, figure)
+    return CaptionedFigure("candidates", "What was tried", caption, figure)
 
 
 def _colour(key: tuple[str, str], chosen: set[tuple[str, str]], fitted: set[tuple[str, str]]) -> str:

@@ -10,14 +10,14 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from masking.declaration.quantities import percent
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
 from masking.estimation.innovations import KalmanFit
 from masking.estimation.simulation import Simulated, simulate
 from masking.numerics.arrays import Array
-from masking.procedures.measurement import percent
 from masking.reports.procedure_figures import BAND, DASHED, heading, legend, shown, ticks, top
-from masking.reports.style import COLOURS, INK, LIMIT, MUTED, SIZE, Plate, panels, symbol, thin, with_unit
+from masking.reports.style import COLOURS, INK, LIMIT, MUTED, SIZE, CaptionedFigure, panels, symbol, thin, with_unit
 
 if TYPE_CHECKING:
     from scipy import signal
@@ -39,7 +39,7 @@ _TITLE = 0.22  # inches above axes for the value of a parameter
 _SETTLED = 0.15  # of the record: after that, a band sets the range of its axis
 
 
-def plates(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]) -> tuple[list[Plate], str]:
+def figures(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]) -> tuple[list[CaptionedFigure], str]:
     """Return the figures of a fit and what they say; without a record whose simulation is not finite."""
     drawn, sentence = [], "The simulation with the fitted values is not finite"
     for record, was_fitted in ((train[0], True), *((record, False) for record in unseen[:1])):
@@ -54,7 +54,7 @@ def plates(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]
     return drawn, sentence
 
 
-def fit(made: Simulated, *, was_fitted: bool) -> Plate:
+def fit(made: Simulated, *, was_fitted: bool) -> CaptionedFigure:
     """Draw a record beside its simulation.
 
     Args:
@@ -113,10 +113,10 @@ def fit(made: Simulated, *, was_fitted: bool) -> Plate:
         "noise, the model lacks something."
     )
     name = "fit" if was_fitted else "validation"
-    return Plate(name, "The fit" if was_fitted else "The fit on unseen data", caption, figure)
+    return CaptionedFigure(name, "The fit" if was_fitted else "The fit on unseen data", caption, figure)
 
 
-def estimates(found: KalmanFit) -> Plate:
+def estimates(found: KalmanFit) -> CaptionedFigure:
     """Draw the estimates of a filter over time, with the band of two standard deviations."""
     names = found.names[:_MOST_PARAMETERS]
     columns = 1 if len(names) <= 3 else 2
@@ -159,7 +159,7 @@ def estimates(found: KalmanFit) -> Plate:
         "The estimate of each parameter after each sample, and two standard deviations of it, which hold if the noise "
         f"is what the filter was told; above each, the final value.{more}"
     )
-    return Plate("estimates", "Estimates over time", caption, figure)
+    return CaptionedFigure("estimates", "Estimates over time", caption, figure)
 
 
 def _both(t: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:

@@ -18,10 +18,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
+from masking.declaration.quantities import percent
 from masking.numerics.arrays import Array
 from masking.procedures.actuators import ActuatorRatio
 from masking.procedures.friction import EquilibriumShift, LocatedFriction
-from masking.procedures.measurement import LEVEL, Friction, Measurement, percent
+from masking.procedures.measurement import LEVEL, Friction, Measurement
 from masking.procedures.response import Distortion
 from masking.procedures.responses import Response
 from masking.procedures.springs import SpringCurve
@@ -33,7 +34,7 @@ from masking.reports.style import (
     RIGHT,
     SIZE,
     WIDTH,
-    Plate,
+    CaptionedFigure,
     sheet,
     symbol,
     with_unit,
@@ -56,9 +57,9 @@ _NARROW = 30.0  # times: a logarithmic axis that spans less has a number at 1, 2
 _SIGN = {1: "above", -1: "below"}
 
 
-def plates(measured: Measurement[Any]) -> list[Plate]:
+def figures(measured: Measurement[Any]) -> list[CaptionedFigure]:
     """Draw the figures of a measurement; the first has the procedure's name."""
-    drawn: list[Plate] = _PLATES[measured.procedure](measured)
+    drawn: list[CaptionedFigure] = _FIGURES[measured.procedure](measured)
     return drawn
 
 
@@ -104,7 +105,7 @@ def legend(figure: Figure, axes: Axes, handles: Sequence[Any], above: float = 0.
     )  # fmt: skip
 
 
-def _springs(measured: Measurement[SpringCurve]) -> list[Plate]:
+def _springs(measured: Measurement[SpringCurve]) -> list[CaptionedFigure]:
     curve, x, f = measured.found, measured.channels["displacement"], measured.channels["force"]
     grid = np.asarray(measured.series["displacement"])
     (by, x_unit), (times, f_unit) = shown(x.unit, curve.displacement), shown(f.unit, curve.force)
@@ -134,10 +135,10 @@ def _springs(measured: Measurement[SpringCurve]) -> list[Plate]:
         "Below: the same less a straight line with the stiffness in the middle of the travel; the band holds the "
         "spring with 95 %."
     )
-    return [Plate("springs", "Spring", caption, figure)]
+    return [CaptionedFigure("springs", "Spring", caption, figure)]
 
 
-def _actuators(measured: Measurement[ActuatorRatio]) -> list[Plate]:
+def _actuators(measured: Measurement[ActuatorRatio]) -> list[CaptionedFigure]:
     found, motion = measured.found, measured.channels["motion"]
     first, second = measured.channels["first"].name, measured.channels["second"].name
     by, unit = shown(motion.unit, np.abs(found.motion))
@@ -179,10 +180,10 @@ def _actuators(measured: Measurement[ActuatorRatio]) -> list[Plate]:
         "actuators balance. Below: its part in the phase in which it passes zero. The ways up and down of the gain "
         "differ by the lag of the motion. Right only where the oscillator was held."
     )
-    return [Plate("actuators", "Balance of two actuators", caption, figure)]
+    return [CaptionedFigure("actuators", "Balance of two actuators", caption, figure)]
 
 
-def _friction(measured: Measurement[Friction]) -> list[Plate]:
+def _friction(measured: Measurement[Friction]) -> list[CaptionedFigure]:
     shift, place = measured.found.shift, measured.found.place
     space = top(measured.sentence, has_legend=False)
     figure, rows = sheet([2.3] * ((shift is not None) + (place is not None)), top=space)
@@ -206,7 +207,7 @@ def _friction(measured: Measurement[Friction]) -> list[Plate]:
         words.append(
             "Half the gap between the ways up and down over the displacement; friction that sits at a place is a step."
         )
-    return [Plate("friction", "Friction", " ".join(words), figure)]
+    return [CaptionedFigure("friction", "Friction", " ".join(words), figure)]
 
 
 def _shift(axes: Axes, shift: EquilibriumShift, measured: Measurement[Friction]) -> None:
@@ -249,7 +250,7 @@ def _place(axes: Axes, place: LocatedFriction, measured: Measurement[Friction]) 
     axes.set_ylabel(with_unit(f"half the gap in {symbol(f.name)}", f_unit))
 
 
-def _response(measured: Measurement[Response]) -> list[Plate]:
+def _response(measured: Measurement[Response]) -> list[CaptionedFigure]:
     made = measured.found
     outputs = made.outputs[:_MOST_OUTPUTS]
     figure, rows = sheet([1.7, 0.95] * len(outputs), top=top(measured.sentence))
@@ -289,7 +290,7 @@ def _response(measured: Measurement[Response]) -> list[Plate]:
     left = len(made.outputs) - len(outputs)
     more = f" The first {len(outputs)} of {len(made.outputs)} sensors are shown." if left else ""
     caption = f"Size and phase of the response of each sensor, with the band that holds them with 95 %.{more}"
-    found_plates = [Plate("response", "Frequency response", caption, figure)]
+    found_plates = [CaptionedFigure("response", "Frequency response", caption, figure)]
     if made.distortions:
         found_plates.append(_distortion(measured))
     return found_plates
@@ -306,7 +307,7 @@ def _response_axes(above: Axes, below: Axes, measured: Measurement[Response], ou
     below.yaxis.set_major_locator(MaxNLocator(4, steps=[1.8, 4.5, 9]))
 
 
-def _distortion(measured: Measurement[Response]) -> Plate:
+def _distortion(measured: Measurement[Response]) -> CaptionedFigure:
     made = measured.found
     outputs = [name for name in made.outputs if name in made.distortions][:_MOST_OUTPUTS]
     shares = {name: made.distortions[name].shares for name in outputs}
@@ -337,7 +338,7 @@ def _distortion(measured: Measurement[Response]) -> Plate:
         "What the sensor has at each line: where nothing was excited, a linear rig would have noise only. Even lines "
         "show distortion that does not change its sign with the motion, odd lines that which does, such as friction."
     )
-    return Plate("distortion", "Nonlinear distortion", caption, figure)
+    return CaptionedFigure("distortion", "Nonlinear distortion", caption, figure)
 
 
 def _kinds(found: Distortion) -> tuple[tuple[NDArray[np.int64], str, str], ...]:
@@ -349,7 +350,7 @@ def _kinds(found: Distortion) -> tuple[tuple[NDArray[np.int64], str, str], ...]:
     )
 
 
-_PLATES: Final[dict[str, Any]] = {
+_FIGURES: Final[dict[str, Any]] = {
     "springs": _springs,
     "actuators": _actuators,
     "friction": _friction,

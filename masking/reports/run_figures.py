@@ -14,7 +14,8 @@ from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from masking.analysis.synchronisation import principal, running_peak
-from masking.reports.run_facts import SUM_WINDOW_PERIODS, Study, percent
+from masking.declaration.quantities import percent
+from masking.reports.run_facts import SUM_WINDOW_PERIODS, Study
 from masking.reports.style import (
     BARE,
     BINS,
@@ -26,7 +27,7 @@ from masking.reports.style import (
     RIGHT,
     SIZE,
     WIDTH,
-    Plate,
+    CaptionedFigure,
     Series,
     envelope,
     sheet,
@@ -45,15 +46,15 @@ _LEAST = 1e-300  # of what a logarithmic axis shows
 _MOST_ROWS = len(COLOURS)
 
 
-def plates(study: Study) -> list[Plate]:
+def figures(study: Study) -> list[CaptionedFigure]:
     """Draw every figure of the report, in its order."""
-    return [draw(study) for draw in _PLATES if draw is not _budget or _has_observer(study)]
+    return [draw(study) for draw in _FIGURES if draw is not _budget or _has_observer(study)]
 
 
-def _displacements(study: Study) -> Plate:
+def _displacements(study: Study) -> CaptionedFigure:
     names, title = study.oscillators[:_MOST_ROWS], "Displacements"
     if not names:
-        return Plate("displacements", title, "Not shown: the record holds no coordinates.", None)
+        return CaptionedFigure("displacements", title, "Not shown: the record holds no coordinates.", None)
     zoom = bool(study.tau[-1] - study.tau[0] > 2.5 * _ZOOM_PERIODS * study.period)  # False for a NaN
     figure, rows = sheet([1.15] * len(names) + [1.9] * zoom, zooms=zoom)
     for name, axes, colour in zip(names, rows, COLOURS, strict=False):
@@ -73,28 +74,28 @@ def _displacements(study: Study) -> Plate:
     _legend(figure, study, [(symbol(name), colour) for name, colour in zip(names, COLOURS, strict=False)])
     left_out = len(study.oscillators) - len(names)
     more = f" The first {len(names)} of {len(study.oscillators)} are shown." if left_out else ""
-    return Plate("displacements", title, _meanings(study, names) + more + _band_words(study), figure)
+    return CaptionedFigure("displacements", title, _meanings(study, names) + more + _band_words(study), figure)
 
 
-def _others(study: Study) -> Plate:
+def _others(study: Study) -> CaptionedFigure:
     names, title = study.others[:_MOST_ROWS], "Other coordinates"
     if len(study.others) == 1 and study.meaning(study.others[0]):
         words = study.meaning(study.others[0])
         title = words[0].upper() + words[1:]
     if not names:
-        return Plate("others", title, "Not shown: every coordinate is among the displacements.", None)
+        return CaptionedFigure("others", title, "Not shown: every coordinate is among the displacements.", None)
     figure, rows = sheet([1.5 if len(names) == 1 else 1.15] * len(names))
     for name, axes in zip(names, rows, strict=True):
         _motion(axes, study, name, COLOURS[2])
     _time_label(rows[-1], study)
     _legend(figure, study, [(symbol(name), COLOURS[2]) for name in names[:1]] if len(names) == 1 else [])
-    return Plate("others", title, _meanings(study, names) + _band_words(study), figure)
+    return CaptionedFigure("others", title, _meanings(study, names) + _band_words(study), figure)
 
 
-def _synchronisation(study: Study) -> Plate:
+def _synchronisation(study: Study) -> CaptionedFigure:
     title = "Synchronisation"
     if study.no_phase or study.sum_peak is None:
-        return Plate("synchronisation", title, f"Not shown: {study.no_phase}.", None)
+        return CaptionedFigure("synchronisation", title, f"Not shown: {study.no_phase}.", None)
     figure, (above, below) = sheet([1.7, 1.7], top=NOTE if len(study.pairs) > 1 else BARE)
     for pair, colour in zip(study.pairs, COLOURS if len(study.pairs) > 1 else (INK,), strict=False):
         tau, phase = thin(study.tau, principal(pair.series) / np.pi)
@@ -128,13 +129,13 @@ def _synchronisation(study: Study) -> Plate:
         "Above: phase difference from the analytic signals (Hilbert transform). "
         f"Below: largest |{' + '.join(_few(study.oscillators))}| over the {SUM_WINDOW_PERIODS} periods before."
     )
-    return Plate("synchronisation", title, caption, figure)
+    return CaptionedFigure("synchronisation", title, caption, figure)
 
 
-def _inputs(study: Study) -> Plate:
+def _inputs(study: Study) -> CaptionedFigure:
     uses, title = study.inputs[:_MOST_ROWS], "Inputs against their limits"
     if not uses:
-        return Plate("inputs", title, "Not shown: the record holds no inputs.", None)
+        return CaptionedFigure("inputs", title, "Not shown: the record holds no inputs.", None)
     figure, rows = sheet([1.15] * len(uses), top=NOTE)
     hidden = []
     for use, axes in zip(uses, rows, strict=True):
@@ -148,7 +149,7 @@ def _inputs(study: Study) -> Plate:
         if use.limit is None:
             note = "no limit declared"
         else:
-            note = f"peak {percent(use.used)} of {use.limit:g} {use.unit}".rstrip()
+            note = f"peak {percent(use.used or 0.0)} of {use.limit:g} {use.unit}".rstrip()
             if use.is_cut:
                 note = f"demanded {percent(use.demand / use.limit)}, applied {note.removeprefix('peak ')}"
             if use.used is not None and use.used >= 0.15:
@@ -170,17 +171,21 @@ def _inputs(study: Study) -> Plate:
     far = f"The limits of {', '.join(hidden)} lie far outside the axes." if hidden else ""
     left_out = len(study.inputs) - len(uses)
     more = f" The first {len(uses)} of {len(study.inputs)} are shown." if left_out else ""
-    return Plate("inputs", title, f"{lines}{far}{more}".strip() or "The inputs of the plant.", figure)
+    return CaptionedFigure("inputs", title, f"{lines}{far}{more}".strip() or "The inputs of the plant.", figure)
 
 
-def _masking_error(study: Study) -> Plate:
+def _masking_error(study: Study) -> CaptionedFigure:
     title = "Masking error"
     compared = [(name, study.ideal(name)) for name in study.coordinates[:_MOST_ROWS]]
     errors = {n: np.abs(study.motion(n) - ideal) for n, ideal in compared if ideal is not None and n in study.chi}
     if not errors:
-        return Plate("masking_error", title, "Not shown: the record holds no ideal motion to compare with.", None)
+        return CaptionedFigure(
+            "masking_error", title, "Not shown: the record holds no ideal motion to compare with.", None
+        )
     if not any(np.any(error) for error in errors.values()):
-        return Plate("masking_error", title, "Not shown: virtual and ideal are equal in every digit recorded.", None)
+        return CaptionedFigure(
+            "masking_error", title, "Not shown: virtual and ideal are equal in every digit recorded.", None
+        )
     figure, (axes,) = sheet([2.2], top=NOTE)
     for (name, error), colour in zip(errors.items(), COLOURS, strict=False):
         peaks = running_peak(study.tau, error, study.period) if math.isfinite(study.period) else error
@@ -190,13 +195,15 @@ def _masking_error(study: Study) -> Plate:
     _whole_record(axes, study)
     _time_label(axes, study)
     caption = "Distance between the masked rig and the virtual system by itself, the largest over the period before."
-    return Plate("masking_error", title, caption, figure)
+    return CaptionedFigure("masking_error", title, caption, figure)
 
 
-def _budget(study: Study) -> Plate:
+def _budget(study: Study) -> CaptionedFigure:
     title, found = "What limits the masking error", study.budget
     if found is None:
-        return Plate("budget", title, "Not shown: it was not asked for; 'masking run --budget' finds it out.", None)
+        return CaptionedFigure(
+            "budget", title, "Not shown: it was not asked for; 'masking run --budget' finds it out.", None
+        )
     rows = [*sorted(found.rows, key=lambda row: row.rms), found.without_all]
     whole = found.whole.rms
     figure, (axes,) = sheet([_BAR * (len(rows) + 0.7)], top=NOTE)
@@ -227,7 +234,7 @@ def _budget(study: Study) -> Plate:
         f"{found.sentence} Each bar runs from the masking error of the run, the dashed line, to that of the same run "
         "without one cause: to the left, mending it helps."
     )
-    return Plate("budget", title, caption, figure)
+    return CaptionedFigure("budget", title, caption, figure)
 
 
 def _two_digits(value: float) -> str:
@@ -241,7 +248,7 @@ def _has_observer(study: Study) -> bool:
     return bool(study.recording.manifest.get("observer"))
 
 
-_PLATES: Final = (_displacements, _others, _synchronisation, _inputs, _masking_error, _budget)
+_FIGURES: Final = (_displacements, _others, _synchronisation, _inputs, _masking_error, _budget)
 
 
 # ---- parts of a figure

@@ -13,18 +13,30 @@ from matplotlib.ticker import MaxNLocator
 from masking.analysis.stability.basins import LABELS, Basins
 from masking.analysis.stability.study import Stability, position_words
 from masking.numerics.arrays import Array
-from masking.reports.style import BARE, COLOURS, INK, LEGEND, MUTED, SIZE, Plate, Series, panels, sheet, symbol
+from masking.reports.style import (
+    BARE,
+    COLOURS,
+    INK,
+    LEGEND,
+    MUTED,
+    SIZE,
+    CaptionedFigure,
+    Series,
+    panels,
+    sheet,
+    symbol,
+)
 
 _MOST = len(COLOURS)
 _BASIN_COLOURS = ("#5b6470", "#0072B2", "#D55E00", "#E69F00", "#ffffff")
 
 
-def plates(found: Stability) -> list[Plate]:
+def figures(found: Stability) -> list[CaptionedFigure]:
     """Draw every figure of a study of stability; none where no equilibrium is known."""
     return [_eigenvalues(found), _shapes(found)] if found.modes else []
 
 
-def _eigenvalues(found: Stability) -> Plate:
+def _eigenvalues(found: Stability) -> CaptionedFigure:
     figure, (axes,) = sheet([3.2], top=LEGEND)
     handles = []
     # Smaller ones are on top: equilibria that mirror each other have the same eigenvalues.
@@ -42,10 +54,10 @@ def _eigenvalues(found: Stability) -> Plate:
     left = len(found.points) - _MOST
     more = f" {left} equilibria are not shown." if left > 0 else ""
     crosses = " Crosses are those of the closed loop, per unit of virtual time." if found.loop is not None else ""
-    return Plate("eigenvalues", "Eigenvalues", caption + crosses + more, figure)
+    return CaptionedFigure("eigenvalues", "Eigenvalues", caption + crosses + more, figure)
 
 
-def _shapes(found: Stability) -> Plate:
+def _shapes(found: Stability) -> CaptionedFigure:
     point, modes = found.points[0]
     if len(found.points) > 1:  # the one at rest at 0, where there is one
         point, modes = min(found.points, key=lambda x: max(map(abs, x[0].position.values())))
@@ -72,12 +84,12 @@ def _shapes(found: Stability) -> Plate:
         f"Shapes of the modes near {position_words(point)}: complex amplitudes of the coordinates, the largest is 1. "
         "Above each is its eigenvalue."
     )
-    return Plate("modes", "Modes", caption, figure)
+    return CaptionedFigure("modes", "Modes", caption, figure)
 
 
-def sweep_plate(
+def sweep_figure(
     name: str, values: Array, curves: Mapping[str, tuple[Series, float]], words: tuple[str, str, str]
-) -> Plate:
+) -> CaptionedFigure:
     """Draw measures that are never negative over a parameter, one below the other.
 
     Args:
@@ -95,10 +107,10 @@ def sweep_plate(
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.set(ylabel=label, xlim=(values[0], values[-1]), ylim=(0.0, 1.08 * float(np.nanmax(series))))
     rows[-1].set_xlabel(symbol(name))
-    return Plate(*words, figure)
+    return CaptionedFigure(*words, figure)
 
 
-def basins_plate(found: Basins, words: tuple[str, str, str]) -> Plate:
+def basins_figure(found: Basins, words: tuple[str, str, str]) -> CaptionedFigure:
     """Draw where motion from each initial state ends.
 
     Args:
@@ -118,7 +130,7 @@ def basins_plate(found: Basins, words: tuple[str, str, str]) -> Plate:
         if shares[label] > 0.0
     ]
     figure.legend(handles=handles, loc="upper right", ncols=len(handles), frameon=False, fontsize=SIZE - 1)
-    return Plate(*words, figure)
+    return CaptionedFigure(*words, figure)
 
 
 def _edges(values: Sequence[float] | Array) -> Array:
