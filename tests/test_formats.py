@@ -173,7 +173,8 @@ def test_files_that_are_cut_off_or_damaged_are_refused(runs, tmp_path):
 
 
 def test_reading_a_table_loads_no_h5py(times):
-    code = f"import sys; from masking.records.readers import read as r; r({str(times)!r}); assert 'h5py' not in sys.modules"
+    imports = "import sys; from masking.records import readers"
+    code = f"{imports}; readers.read({str(times)!r}); assert 'h5py' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[1])
 
 
