@@ -48,7 +48,7 @@ def discover(
     *,
     parameters: Sequence[str] = (),
     tolerance: float = settings.TOLERANCE,
-    horizon: float | None = None,
+    shooting_interval: float | None = None,
     rig: OpenRig | None = None,
     tell: Tell | None = None,
 ) -> Discovery:
@@ -60,10 +60,10 @@ def discover(
         validation: another record to judge by; the last part of the record where none is given.
         parameters: of the model that may be off; all that its equations hold where none are given.
         tolerance: relative standard deviation of a parameter for which the model declares none.
-        horizon: seconds after which the motion is simulated anew, from an initial state of its own; by default the
-            whole record is simulated in one, or a model that does not come to rest by itself in windows of a
-            twentieth of the record; where neither tells anything of a motion that the model does not follow, in windows
-            of a few oscillations.
+        shooting_interval: seconds after which the motion is simulated anew, from an initial state of its own; by
+            default the whole record is simulated in one, or a model that does not come to rest by itself in intervals
+            of a twentieth of the record; if neither tells anything of a motion that the model does not follow, in
+            intervals of a few oscillations.
         rig: the twin with its places open, where it has been made before.
         tell: told what is done, and the part done.
 
@@ -77,11 +77,11 @@ def discover(
     train, judge = settings.split(record) if validation is None else (record, validation)
     belief, most = settings.believed(twin, rig, tolerance), max(1, twin.substeps(train.rate) // 2)
     whole = Evidence(rig, train, belief, noise_of(rig, train), most)
-    evidence = replace(whole, horizon=settings.horizon(whole, horizon))
+    evidence = replace(whole, horizon=settings.horizon(whole, shooting_interval))
     evidence = replace(evidence, substeps=settings.substeps(evidence))
     noise = noise_of(rig, judge)
     found = _explained(evidence, judge, noise, say)
-    if horizon is None and not evidence.horizon and _is_out_of_step(found):
+    if shooting_interval is None and not evidence.horizon and _is_out_of_step(found):
         for seconds in settings.shorter(whole):
             say(f"the motion comes out of step with the record: in windows of {seconds:.2g} s", 0.0)
             again = _explained(replace(evidence, horizon=settings.horizon(whole, seconds)), judge, noise, say)
@@ -93,10 +93,10 @@ def discover(
 
 def _as_measured(found: Discovery) -> dict[str, float] | None:
     """Return the errors that are left where held commands were measured; None where they are no smaller."""
-    if found.record.between != "held" or not found.twin.actuators:
+    if found.record.hold != "zero-order" or not found.twin.actuators:
         return None
     evidence, known = found.evidence, found.explanation.hypothesis
-    evidence = replace(evidence, record=replace(found.record, between="straight", delay=0))
+    evidence = replace(evidence, record=replace(found.record, hold="first-order", delay=0))
     with threadpool_limits(1), suppress(IntegrationError):
         other = fitting.fit(evidence)
         size = found.record.readings.size
