@@ -176,7 +176,7 @@ def test_the_page_and_its_pictures_are_written(tmp_path):
     text = path.read_text()
     for picture in re.findall(r"\]\((pictures/[^)]+)\)", text):
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
-    assert text.index("### Fig. 4.2") < text.index("### Table 7.2") < text.index("### Slip: (7.4)")
+    assert text.index("### Fig. 4.2") < text.index("### Table 7.2") < text.index("### Erratum: (7.4)")
 
 
 def reproduced(capsys, *arguments: str):
