@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from masking.errors import DeclarationError, Problem
-from masking.estimation.data import Assumption
+from masking.estimation.data import InputHold
 
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
 
@@ -41,7 +41,7 @@ class DiscoverySettings:
     parameters: tuple[str, ...] = ()
     tolerance: float = TOLERANCE
     shooting_interval: float | None = None
-    input_hold: Assumption | None = None
+    input_hold: InputHold | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     dt: float | None = None
     effects: str | Path | None = None

@@ -22,7 +22,7 @@ from masking.discovery.discover import discover
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.settings import TOLERANCE, DiscoverySettings
 from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, SingularityError
-from masking.estimation.data import Assumption
+from masking.estimation.data import InputHold
 from masking.records.recording import Recording
 from masking.reports import discovery_files, discovery_text
 from masking.reports.discovery_files import Files
@@ -159,7 +159,7 @@ def refine(
     parameters: Sequence[str] = (),
     tolerance: float = TOLERANCE,
     horizon: float | None = None,
-    between: Assumption | None = None,
+    between: InputHold | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     effects: str | Path | None = None,
