@@ -12,7 +12,7 @@ from masking.runs.experiment import Experiment
 from masking.runs.feasibility import Motion as Demanded
 from reproduction.chapter5 import on_rigs
 from reproduction.chapter7 import sum_peaks, time_value
-from reproduction.entry import Entry, Value
+from reproduction.comparison import Entry, Value
 from reproduction.motion import THESIS, masked, simulated
 from reproduction.plots import sums, transient
 

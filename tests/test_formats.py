@@ -173,7 +173,8 @@ def test_files_that_are_cut_off_or_damaged_are_refused(runs, tmp_path):
 
 
 def test_reading_a_table_loads_no_h5py(times):
-    code = f"import sys; from masking.records import readers; readers.read({str(times)!r}); assert 'h5py' not in sys.modules"
+    imports = "import sys; from masking.records import readers"
+    code = f"{imports}; readers.read({str(times)!r}); assert 'h5py' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[1])
 
 
@@ -330,11 +331,11 @@ def test_smooth_inputs_become_straight_lines(mass):
 
 def test_the_command_line_knows_every_way_between_samples(mass):
     assert get_args(InputHold) == verbs.HOLDS
-    words = (
-        "hold is 'cubic': give 'zero-order' for .*, 'first-order' for .*, or 'band-limited' for .* anti-alias filter"
-    )
+    words = "hold is 'cubic': give 'zero-order' for .*, 'first-order' for .*, or .* 'band-limited' for .* filter"
     with pytest.raises(ModelError, match=words):
         Data.of(Recording({"t": T, "f": T, "x": T}), mass, hold="cubic")
+    with pytest.raises(ModelError, match="hold is 'smooth': this is now called 'band-limited'"):
+        Data.of(Recording({"t": T, "f": T, "x": T}), mass, hold="smooth")
 
 
 def test_parts_of_one_file_are_records_of_a_discovery(mass, tmp_path):

@@ -183,7 +183,7 @@ def test_straight_inputs_are_fitted_without_bias(oscillator, measured):
 
 def test_parts_of_a_record_keep_how_its_commands_go(measured):
     assert {part.hold for part in (measured.first(5.0), *measured.windows(5.0), measured)} == {"first-order"}
-    with pytest.raises(ModelError, match=r"hold is 'cubic': give 'zero-order' for .* or 'first-order' for inputs that"):
+    with pytest.raises(ModelError, match=r"hold is 'cubic': give 'zero-order' for .* 'first-order' for measured"):
         replace(measured, hold="cubic")
 
 

@@ -329,8 +329,8 @@ def test_inputs_that_were_measured_go_in_straight_lines(capsys, tmp_path, mass, 
     arguments = ["identify", tmp_path / "record", "--plant", mass / "plant.yaml", "--parameters", "w,z"]
     arguments += ["--method", method, "--out", tmp_path / "out", "--json", "--hold"]
     found = []
-    for hold in ("first-order", "zero-order"):
-        status, printed, _ = run(capsys, *arguments, hold)
+    for between in ("first-order", "zero-order"):
+        status, printed, _ = run(capsys, *arguments, between)
         assert status == 0
         found.append(json.loads(printed))
     assert found[0]["chi"]["train"]["s"] < 1.1 * found[0]["floor"]["s"] < 0.6 * found[1]["chi"]["train"]["s"]

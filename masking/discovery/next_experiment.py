@@ -19,8 +19,7 @@ from masking.discovery.augmented_model import OpenRig
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import Evidence
 from masking.errors import IntegrationError
-from masking.estimation.data import Data
-from masking.estimation.sensitivity import Hold
+from masking.estimation.data import Data, Hold
 from masking.numerics.arrays import Array
 
 SECONDS = 30.0

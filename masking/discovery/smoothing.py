@@ -19,7 +19,7 @@ from masking.discovery.augmented_model import OpenRig
 from masking.discovery.problem import Evidence
 from masking.effects import Effect
 from masking.errors import IntegrationError
-from masking.estimation.sensitivity import is_first_order
+from masking.estimation.data import is_first_order
 from masking.numerics.arrays import Array
 
 WALKS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # intensities that are tried, of that which moves the sensors as their noise does

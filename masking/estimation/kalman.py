@@ -27,9 +27,9 @@ from masking.codegen import store
 from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.errors import IntegrationError, ModelError, RecordError
-from masking.estimation.data import Data
+from masking.estimation.data import Data, is_first_order
 from masking.estimation.innovations import KalmanFit
-from masking.estimation.sensitivity import Sensitivity, is_first_order
+from masking.estimation.sensitivity import Sensitivity
 from masking.estimation.simulation import first_start, judged, nearest, noise_alone, relative
 from masking.estimation.steps import LOOP, STEPS
 from masking.numerics.arrays import Array

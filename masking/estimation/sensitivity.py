@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, get_args
 
 import numpy as np
 
@@ -21,27 +20,11 @@ from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.codegen.tangent import derivatives
 from masking.errors import IntegrationError, ModelError, nearest
+from masking.estimation.data import Hold, is_first_order
 from masking.numerics.arrays import Array
 from masking.rig.twin import LoweredTwin, Twin
 
 _STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other
-
-# How commands go from each sample to the next: held (zero-order hold), or in a straight line (first-order hold).
-Hold = Literal["zero-order", "first-order"]
-
-
-def is_first_order(hold: str) -> bool:
-    """Tell whether commands go in straight lines between samples.
-
-    Raises:
-        ModelError: `hold` is neither 'zero-order' nor 'first-order'.
-    """
-    if hold not in get_args(Hold):
-        raise ModelError(
-            f"hold is '{hold}': give 'zero-order' for commands that act until the next sample, or 'first-order' for "
-            "inputs that were measured, which go in straight lines between samples"
-        )
-    return hold == "first-order"
 
 
 @dataclass(frozen=True)
@@ -199,7 +182,7 @@ class Sensitivity:
             commands: of the actuators at each sample (m, actuators).
             rate: samples per second.
             substeps: integration steps between samples.
-            hold: how commands go from each sample to the next.
+            hold: of the commands between samples.
 
         Raises:
             IntegrationError: the motion is no longer finite.
@@ -249,7 +232,7 @@ class Sensitivity:
             weights: of squared residuals of each sensor (sensors,): 1 / variance.
             rate: samples per second.
             substeps: integration steps between samples.
-            hold: how commands go from each sample to the next; after the last they are held.
+            hold: of the commands between samples; after the last they are constant.
 
         Raises:
             IntegrationError: the motion is no longer finite.

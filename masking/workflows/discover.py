@@ -7,7 +7,7 @@ from pathlib import Path
 
 from masking.discovery.discover import discover
 from masking.discovery.discovery import Discovery
-from masking.discovery.settings import TOLERANCE
+from masking.discovery.settings import TOLERANCE, DiscoverySettings
 from masking.estimation.data import InputHold
 from masking.reports import discovery_page
 from masking.reports.discovery_files import Files
@@ -62,9 +62,11 @@ def answered(
         what.twin,
         what.record,
         what.validation,
-        parameters=inputs.parameters(what.twin, parameters),
-        tolerance=tolerance,
-        shooting_interval=shooting_interval,
+        DiscoverySettings(
+            parameters=inputs.parameters(what.twin, parameters),
+            tolerance=tolerance,
+            shooting_interval=shooting_interval,
+        ),
         tell=tell,
     )
     return found, None if out is None else discovery_page.save(found, out, what.origin)

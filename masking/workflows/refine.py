@@ -20,7 +20,7 @@ import yaml
 from masking.declaration import registry
 from masking.discovery.discover import discover
 from masking.discovery.discovery import Discovery, Named
-from masking.discovery.settings import TOLERANCE
+from masking.discovery.settings import TOLERANCE, DiscoverySettings
 from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, SingularityError
 from masking.estimation.data import InputHold
 from masking.records.recording import Recording
@@ -202,9 +202,7 @@ def refine(
         twin,
         wanted.record,
         wanted.validation,
-        parameters=names,
-        tolerance=tolerance,
-        shooting_interval=shooting_interval,
+        DiscoverySettings(parameters=names, tolerance=tolerance, shooting_interval=shooting_interval),
         tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part),
     )
     folder = None if out is None else Path(out)
