@@ -62,7 +62,7 @@ def test_commands_that_seem_measured_are_told(discoveries):
     found.__dict__["adjusted_gap"] = found.gap.validation[0]
     told = discovery_text.sentence(replace(found, as_measured={"s1": 0.01, "s2": 0.1, "s3": 0.1}))
     assert told.endswith(
-        "the model alone leaves 1 % of s1, against 20 %: if they were measured, use --between straight"
+        "the model alone leaves 1 % of s1, against 20 %: if they were measured, use --hold first-order"
     )
 
 

@@ -14,8 +14,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from masking.declaration.quantities import percent
-from masking.procedures.calibration_findings import Calibration, Curve, Excited
-from masking.procedures.calibration_records import HIGHEST
+from masking.procedures.calibration_findings import HIGHEST, Calibration, Curve, Excited
 from masking.reports.style import (
     BARE,
     COLOURS,

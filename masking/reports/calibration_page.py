@@ -14,8 +14,7 @@ import numpy as np
 
 from masking.declaration.quantities import number, percent
 from masking.declaration.units import pretty
-from masking.procedures import calibration_records
-from masking.procedures.calibration_findings import ALIKE, PAGE, Calibration, Stage
+from masking.procedures.calibration_findings import ALIKE, NAMES, PAGE, Calibration, Stage, reached
 from masking.reports import html
 from masking.reports.html import Tile
 from masking.reports.text import capital, listed
@@ -216,10 +215,10 @@ def _excited(found: Calibration) -> list[list[str]]:
 def _reached(found: Calibration) -> list[list[str]]:
     """Return how far each limited coordinate went: coordinate, reached, limit, used."""
     limits = found.twin.declaration.limits.coordinates
-    units = {what.text: (limit.unit, found.instruments.factors[limit.unit]) for what, limit in limits.items()}
+    units = {what.text: (limit.unit, found.twin.size(limit.unit)) for what, limit in limits.items()}
     return [
         [what, *(f"{x / units[what][1]:.3g} {units[what][0]}" for x in (far, most)), percent(far / most)]
-        for what, (far, most) in calibration_records.reached(found.instruments, found.records.fit).items()
+        for what, (far, most) in reached(found.twin, found.records.fit).items()
     ]
 
 
@@ -230,7 +229,7 @@ def _provenance(found: Calibration, written: Sequence[str]) -> list[tuple[str, s
         ("rig", twin.name),
         ("plant file", ", ".join(map(str, twin.files))),
         ("model files", ", ".join(map(str, found.best.fit.twin.base.files))),
-        ("records", f"{', '.join(calibration_records.NAMES)}; {every}, in {found.folder / 'records'}"),
+        ("records", f"{', '.join(NAMES)}; {every}, in {found.folder / 'records'}"),
         ("missed samples", ", ".join(f"{name}: {count}" for name, count in found.records.missed.items())),
         ("written", ", ".join(["model.yaml", "plant.yaml", "fit.json", "calibration.json", *written])),
         ("rounds of the fits", ", ".join(f"{stage.name}: {stage.fit.rounds}" for stage in found.stages)),
