@@ -18,7 +18,7 @@ from masking.discovery.discovery import Discovery
 from masking.discovery.force_decomposition import SEEN
 from masking.numerics.arrays import Array
 from masking.reports import discovery_text
-from masking.reports.procedure_figures import heading, legend, shown, top
+from masking.reports.figure_parts import heading, legend, line_key, shown, top
 from masking.reports.style import COLOURS, INK, MUTED, CaptionedFigure, panels, with_unit
 from masking.reports.text import capital, listed
 
@@ -67,14 +67,12 @@ def figure(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
             axes.tick_params(labelleft=False)
             axes.yaxis.get_offset_text().set_visible(False)
     heading(figure, said)
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], color=BEFORE, lw=2, label=f"{what} that the model lacks, its mean and ± 2 deviations")
-    ]
+    handles: list[Line2D | Patch] = [line_key(f"{what} that the model lacks, its mean and ± 2 deviations", BEFORE)]
     if law is not None:
         label = "law that was fitted" if len(slots) == 1 else f"sum of the {len(slots)} laws that were fitted"
-        handles.append(Line2D([], [], color=INK, lw=1.6, label=label))
+        handles.append(line_key(label, INK, 1.6))
     if has_after:
-        handles.append(Line2D([], [], color=AFTER, lw=2, label="what is left"))
+        handles.append(line_key("what is left", AFTER))
     legend(figure, rows[0][-1], handles)
     caption = (
         f"The {what} at {lacking.place} that the model lacks along the record, from its readings by a Kalman smoother "

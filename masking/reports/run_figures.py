@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from masking.analysis.synchronisation import principal, running_peak
 from masking.declaration.quantities import percent
+from masking.reports.figure_parts import DASHED, first_of, legend, line_key, note
 from masking.reports.run_facts import SUM_WINDOW_PERIODS, Study
 from masking.reports.style import (
     BARE,
@@ -24,7 +24,6 @@ from masking.reports.style import (
     LIMIT,
     MUTED,
     NOTE,
-    RIGHT,
     SIZE,
     WIDTH,
     CaptionedFigure,
@@ -72,8 +71,7 @@ def _displacements(study: Study) -> CaptionedFigure:
             axes.set_title(f"{text} {_ZOOM_PERIODS} periods", loc="left", fontsize=SIZE, color=MUTED)
             _time_label(axes, study)
     _legend(figure, study, [(symbol(name), colour) for name, colour in zip(names, COLOURS, strict=False)])
-    left_out = len(study.oscillators) - len(names)
-    more = f" The first {len(names)} of {len(study.oscillators)} are shown." if left_out else ""
+    more = first_of(len(names), len(study.oscillators))
     return CaptionedFigure("displacements", title, _meanings(study, names) + more + _band_words(study), figure)
 
 
@@ -103,7 +101,7 @@ def _synchronisation(study: Study) -> CaptionedFigure:
         label = f"{symbol(pair.first)} against {symbol(pair.second)}"
         above.plot(np.insert(tau, jumps, np.nan), np.insert(phase, jumps, np.nan), color=colour, lw=1.2, label=label)
     for level, text in ((0.0, "in-phase"), (1.0, "anti-phase")):
-        above.axhline(level, color=MUTED, lw=0.8, ls=(0, (4, 3)), zorder=1)
+        above.axhline(level, color=MUTED, lw=0.8, ls=DASHED, zorder=1)
         above.annotate(text, (0.995, level), (0, 3), ("axes fraction", "data"), "offset points", ha="right",
                        fontsize=SIZE - 1, color=MUTED)  # fmt: skip
     above.set_ylim(-0.5, 1.5)
@@ -147,11 +145,11 @@ def _inputs(study: Study) -> CaptionedFigure:
             reach.append(demanded)
         _trace(axes, study, use.series, COLOURS[0])
         if use.limit is None:
-            note = "no limit declared"
+            words = "no limit declared"
         else:
-            note = f"peak {percent(use.used or 0.0)} of {use.limit:g} {use.unit}".rstrip()
+            words = f"peak {percent(use.used or 0.0)} of {use.limit:g} {use.unit}".rstrip()
             if use.is_cut:
-                note = f"demanded {percent(use.demand / use.limit)}, applied {note.removeprefix('peak ')}"
+                words = f"demanded {percent(use.demand / use.limit)}, applied {words.removeprefix('peak ')}"
             if use.used is not None and use.used >= 0.15:
                 reach.append(np.array([use.limit]))
                 for level in (-use.limit, use.limit):
@@ -161,16 +159,13 @@ def _inputs(study: Study) -> CaptionedFigure:
         _symmetric(axes, reach)
         _whole_record(axes, study)
         axes.set_ylabel(with_unit(symbol(use.name), use.unit))
-        axes.set_title(
-            note, loc="right", fontsize=SIZE - 1, color=LIMIT if use.is_exceeded or use.is_cut else MUTED, pad=3
-        )
+        note(axes, words, colour=LIMIT if use.is_exceeded or use.is_cut else MUTED)
     _time_label(rows[-1], study)
     drawn = any(use.limit is not None and use.name not in hidden for use in uses)
     lines = "Dashed red lines are the limits. " if drawn else ""
     lines += "Thin orange lines are what was demanded. " if any(use.is_cut for use in uses) else ""
     far = f"The limits of {', '.join(hidden)} lie far outside the axes." if hidden else ""
-    left_out = len(study.inputs) - len(uses)
-    more = f" The first {len(uses)} of {len(study.inputs)} are shown." if left_out else ""
+    more = first_of(len(uses), len(study.inputs))
     return CaptionedFigure("inputs", title, f"{lines}{far}{more}".strip() or "The inputs of the plant.", figure)
 
 
@@ -220,7 +215,7 @@ def _budget(study: Study) -> CaptionedFigure:
         is_worse = row.rms > _WORSE * whole
         axes.annotate(_two_digits(row.rms), (1.0, place), (14, 0), ("axes fraction", "data"), "offset points",
                       va="center", fontsize=SIZE - 0.5, color=COLOURS[1] if is_worse else INK)  # fmt: skip
-    axes.axvline(start, color=INK, lw=1.1, ls=(0, (4, 3)), zorder=4)
+    axes.axvline(start, color=INK, lw=1.1, ls=DASHED, zorder=4)
     axes.annotate(f"as it is: {_two_digits(whole)}", (start, 1.0), (0, 4), ("data", "axes fraction"), "offset points",
                   ha="center", fontsize=SIZE - 1, color=MUTED)  # fmt: skip
     axes.axhline(len(rows) - 1.5, color=MUTED, lw=0.8)
@@ -278,12 +273,12 @@ def _trace(
         axes.plot(tau, low, tau, high, color=colour, lw=0.9 if thin_line else 1.3)
         if ideal is not None:
             tau, low, high = envelope(study.tau, ideal, bins)
-            axes.plot(tau, low, tau, high, color=INK, lw=0.9, ls=(0, (4, 3)))
+            axes.plot(tau, low, tau, high, color=INK, lw=0.9, ls=DASHED)
         return
     marker = "o" if len(series) <= _FEW else None
     axes.plot(*thin(study.tau, series), color=colour, lw=1.6, marker=marker, ms=4)
     if ideal is not None:
-        axes.plot(*thin(study.tau, ideal), color=INK, lw=0.9, ls=(0, (4, 3)))
+        axes.plot(*thin(study.tau, ideal), color=INK, lw=0.9, ls=DASHED)
 
 
 def _cycles(study: Study) -> float:
@@ -298,7 +293,7 @@ def _lines(axes: Axes, study: Study, name: str, colour: str, part: NDArray[np.bo
     axes.plot(*thin(study.tau[part], study.motion(name)[part]), color=colour, lw=1.6)
     ideal = study.ideal(name)
     if ideal is not None:
-        axes.plot(*thin(study.tau[part], ideal[part]), color=INK, lw=0.9, ls=(0, (4, 3)))
+        axes.plot(*thin(study.tau[part], ideal[part]), color=INK, lw=0.9, ls=DASHED)
 
 
 def _log_peaks(axes: Axes, tau: Series, values: Series, colour: str, label: str | None = None) -> None:
@@ -333,13 +328,10 @@ def _legend(figure: Figure, study: Study, entries: Iterable[tuple[str, str]]) ->
     entries = list(entries)
     what = ", masked rig" if study.prefix == "virtual" else ", rig"
     words, ideal = (what, "ideal: virtual system by itself") if len(entries) <= 2 else ("", "ideal")
-    handles = [Line2D([], [], color=colour, lw=2.2, label=text + words) for text, colour in entries]
+    handles = [line_key(text + words, colour, 2.2) for text, colour in entries]
     if any(study.ideal(name) is not None for name in study.coordinates):
-        handles.append(Line2D([], [], color=INK, lw=1.1, ls=(0, (4, 3)), label=ideal))
-    if handles:
-        height = figure.get_size_inches()[1]
-        figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(1 - RIGHT / WIDTH, 1 - 0.1 / height),
-                      ncols=len(handles), frameon=False, fontsize=SIZE, labelcolor=INK, borderaxespad=0)  # fmt: skip
+        handles.append(line_key(ideal, INK, 1.1, dashed=True))
+    legend(figure, None, handles)
 
 
 def _symmetric(axes: Axes, all_series: Iterable[Series]) -> None:

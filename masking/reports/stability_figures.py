@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.colors import ListedColormap
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from masking.analysis.stability.basins import LABELS, Basins
 from masking.analysis.stability.study import Stability, position_words
 from masking.numerics.arrays import Array
+from masking.reports.figure_parts import legend, marker_key
 from masking.reports.style import (
     BARE,
     COLOURS,
@@ -42,10 +42,10 @@ def _eigenvalues(found: Stability) -> CaptionedFigure:
     # Smaller ones are on top: equilibria that mirror each other have the same eigenvalues.
     for size, (point, modes), colour in zip(range(12, 0, -2), found.points[:_MOST], COLOURS, strict=False):
         axes.plot(modes.eigenvalues.real, modes.eigenvalues.imag, "o", ms=size, color=colour, mec="white", mew=0.6)
-        handles.append(Line2D([], [], ls="", marker="o", ms=6, color=colour, label=position_words(point)))
+        handles.append(marker_key(position_words(point), colour))
     if found.loop is not None:
         axes.plot(found.loop.eigenvalues.real, found.loop.eigenvalues.imag, "x", ms=7, color=INK, mew=1.2)
-        handles.insert(0, Line2D([], [], ls="", marker="x", ms=7, color=INK, label="closed loop"))
+        handles.insert(0, marker_key("closed loop", INK, "x", 7.0))
     axes.axvline(0.0, color=MUTED, lw=0.9)
     axes.set(xlabel="real part", ylabel="imaginary part")
     columns = 1 if len(found.coordinates) > 3 and len(handles) > 1 else 2
@@ -79,7 +79,7 @@ def _shapes(found: Stability) -> CaptionedFigure:
         text = f"{z.real:+.4f}" + (f" ± {mode.frequency:.4f}i" if mode.frequency else "")
         axes.set_title(text.replace("-", "\N{MINUS SIGN}"), loc="left", fontsize=SIZE - 1, color=MUTED)
     handles = [Patch(color=COLOURS[0], label="real part"), Patch(color=COLOURS[1], label="imaginary part")]
-    figure.legend(handles=handles, loc="upper right", ncols=2, frameon=False, fontsize=SIZE - 1)
+    legend(figure, None, handles)
     caption = (
         f"Shapes of the modes near {position_words(point)}: complex amplitudes of the coordinates, the largest is 1. "
         "Above each is its eigenvalue."
@@ -129,7 +129,7 @@ def basins_figure(found: Basins, words: tuple[str, str, str]) -> CaptionedFigure
         for label, colour in zip(LABELS, _BASIN_COLOURS, strict=True)
         if shares[label] > 0.0
     ]
-    figure.legend(handles=handles, loc="upper right", ncols=len(handles), frameon=False, fontsize=SIZE - 1)
+    legend(figure, None, handles)
     return CaptionedFigure(*words, figure)
 
 
