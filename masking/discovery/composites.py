@@ -8,8 +8,6 @@ from masking.declaration.expression import Expression
 from masking.discovery.augmented_model import OpenRig
 from masking.effects import Effect
 
-LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "added_mass", "actuator_gain", "constant_force")
-LINEAR = (*LIKE_PARAMETERS, "delay", "actuator_lag", "sensor_lag", "sensor_gain")
 ENOUGH = 3  # linear causes that together are any linear system
 
 
@@ -23,10 +21,11 @@ def is_patched(causes: Sequence[tuple[str, str]], rig: OpenRig) -> bool:
         causes: the effect and the place of each.
         rig: the rig.
     """
-    if sum(name in LINEAR for name, _ in causes) >= ENOUGH:
-        return True
     known = rig.twin.dictionary
-    kinds = [(_seat(rig, at), _kind(known[name])) for name, at in causes if name in known]
+    those = [(known[name], at) for name, at in causes if name in known]
+    if sum(effect.is_linear for effect, _ in those) >= ENOUGH:
+        return True
+    kinds = [(_seat(rig, at), _kind(effect)) for effect, at in those]
     kinds = [kind for kind in kinds if kind[1]]
     return len(set(kinds)) < len(kinds)
 
@@ -42,7 +41,7 @@ def _seat(rig: OpenRig, name: str) -> str:
 
 def _kind(effect: Effect) -> str:
     """Return what the force of an element follows; '' where it follows neither displacement nor rate."""
-    if effect.where != "element" or effect.name in LIKE_PARAMETERS:
+    if effect.where != "element" or effect.absorbed_by:
         return ""
     if effect.states:
         return "memory"

@@ -14,8 +14,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from masking.discovery import fitting, settings
-from masking.discovery.augmented_model import OpenRig
-from masking.discovery.composites import LIKE_PARAMETERS, is_patched
+from masking.discovery.augmented_model import OpenRig, Slot
+from masking.discovery.composites import is_patched
 from masking.discovery.discovery import Discovery, Gap, Named, Verdict
 from masking.discovery.explanation import Explanation, probabilities
 from masking.discovery.fitting import Hypothesis
@@ -23,6 +23,7 @@ from masking.discovery.next_experiment import next_experiment
 from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.problem import Evidence
 from masking.discovery.search import CLEAN, REST, SAME, SHARE, SMALL, TRACE, Found, Search
+from masking.effects import ROUNDING
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
 from masking.estimation.simulation import relative
@@ -214,7 +215,7 @@ def _chosen(found: Found, judged: Evidence, size: int) -> tuple[Explanation, ...
         little = (SMALL - 1.0) * size if closed else max((SMALL - 1.0) * size, TRACE * start)
         explained = chosen[0] is not found.base and excess <= min(REST * start, little)
         enough = left <= (1.0 - SHARE) * excess or left < (CLEAN**2 - 1.0) * size
-        like = best.kind == "parameter" or _is_like_parameter(best.names[-1][0], best)
+        like = best.kind == "parameter" or _is_like_parameter(best.hypothesis.slots[-1], best)
         told = float((chosen[0].hypothesis.squares - best.hypothesis.squares) @ judged.weights)
         together = told < BELIEVED * (chosen[0].hypothesis.cost - best.hypothesis.cost)
         # Its error is in what was fitted before, too; so is what several parameters could only have together.
@@ -248,7 +249,7 @@ def _verdict(
     usual = rig.start[rig.names.index(causes[0].name)] if chosen.kind == "parameter" else 0.0
     if not closed and all(abs(x - usual) < SURELY * std for x, std in causes[-1].parameters.values()):
         return "unknown", causes
-    if chosen.kind == "parameter" or all(_is_like_parameter(c.name, chosen) for c in causes):
+    if chosen.kind == "parameter" or all(_is_like_parameter(slot, chosen) for slot in chosen.hypothesis.slots):
         return "parameter", causes
     return ("named" if weights[0] >= SURE else "ambiguous"), causes
 
@@ -258,19 +259,19 @@ def _with_rounding(
 ) -> tuple[Verdict, tuple[Named, ...]]:
     """Add the rounding of sensors, which is seen in the readings themselves, where the rig does not declare it."""
     twin = evidence.rig.twin
-    known = {effect.at for effect in twin.effects if effect.kind == "quantisation" and effect.enabled}
+    known = {effect.at for effect in twin.effects if effect.kind == ROUNDING.name and effect.enabled}
     left = hypothesis.squares / len(evidence.record)
     rounded, is_much = [], False
     for i, (name, step) in enumerate(zip(twin.sensors, steps_of(evidence.record), strict=True)):
         if name not in known and step**2 / 12.0 > ROUNDED * evidence.sigma[i] ** 2:
-            rounded.append(Named("quantisation", name, {"step": (float(step), 0.0)}, 1.0))
+            rounded.append(Named(ROUNDING.name, name, {ROUNDING.quantum: (float(step), 0.0)}, 1.0))
             is_much = is_much or step**2 / 12.0 > ROUNDED * left[i]
     return ("named" if is_much and not causes else verdict), (*causes, *rounded)
 
 
-def _is_like_parameter(effect: str, chosen: Explanation) -> bool:
-    """Return whether an effect is what parameters of the rig could be, too."""
-    return effect in LIKE_PARAMETERS and chosen.own < SAME
+def _is_like_parameter(slot: Slot, chosen: Explanation) -> bool:
+    """Return whether a parameter of the rig could do the same as an effect."""
+    return bool(slot.entry.absorbed_by) and chosen.own < SAME
 
 
 def _causes(

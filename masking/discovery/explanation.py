@@ -12,7 +12,6 @@ import numpy as np
 
 from masking.discovery import laws
 from masking.discovery.augmented_model import Slot
-from masking.discovery.candidates import FACTORS
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import Evidence
 from masking.numerics.arrays import Array
@@ -35,6 +34,11 @@ class Explanation:
     hypothesis: Hypothesis
     own: float = 1.0
     judged: Hypothesis | None = None
+
+    @property
+    def nested(self) -> frozenset[tuple[str, str]]:
+        """Return the effects, with their place, that are nested in its last one; none in a parameter."""
+        return self.hypothesis.slots[-1].nested if self.kind == "effects" else frozenset()
 
     def believed(self, evidence: Evidence) -> Evidence:
         """Return evidence in which the parameter that is off, where one is, may be anything."""
@@ -72,7 +76,7 @@ def occam(hypothesis: Hypothesis, temperature: float = 1.0) -> float:
     strength = np.abs(added) / size * np.sqrt(np.maximum(np.diag(information), 0.0))  # each by itself, in deviations
     widths, used = np.abs(added) / size, 0
     for slot in hypothesis.slots:
-        own = [used + i for i, name in enumerate(slot.names) if name in FACTORS.get(slot.effect, slot.entry.factors)]
+        own = [used + i for i, name in enumerate(slot.names) if name in slot.entry.factors]
         for i, width in enumerate(_expected(slot)):
             widths[used + i] = max(widths[used + i], width / size[used + i])
         used += len(slot.free)

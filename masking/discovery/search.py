@@ -18,13 +18,14 @@ from scipy import signal
 
 from masking.discovery import fitting
 from masking.discovery.augmented_model import Slot
-from masking.discovery.candidates import FACTORS, PARTS, Candidate, Span, candidates
+from masking.discovery.candidates import Candidate, candidates
 from masking.discovery.composites import is_patched
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import Evidence
 from masking.discovery.screening import Along, Promise, Screen
 from masking.discovery.smoothing import Motion, smooth
+from masking.effects import RELATIVE_TURNS, Span
 from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
@@ -47,19 +48,8 @@ LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
 TRACE = 0.05  # of the gap: so little of what is never closed may be of anything
 FAR = 100.0  # cost per reading above which one more cause does not bring a gap near to its end
 KIN = 0.8  # of what an effect takes: a simpler one that takes as much comes first while more is left
-SIMPLER = {  # of what each is nearly the same where its further parameters do little
-    "polynomial_spring": ("hardening_spring",),
-    "stop": ("constant_force",),
-    "gravity_force": ("hardening_spring",),
-    "asymmetric_friction": ("dry_friction", "constant_force"),
-    "stribeck_friction": ("dry_friction",),
-    "bouc_wen_hysteresis": ("hysteresis", "dahl_friction"),
-    "local_friction": ("dry_friction",),
-    "lugre_friction": ("dry_friction", "stribeck_friction"),
-}
 IDLE = 2.0  # of the cost: further parameters that take no more do nothing
 FINE = 1e-7  # of what a law takes off the cost: so little may be of how it is integrated
-SIMPLE = {effect for kin in SIMPLER.values() for effect in kin}
 SMALL = 4.0  # cost per reading below which what is left of a fit is small enough to be looked at by itself
 
 
@@ -182,8 +172,9 @@ class Search:
         if now.names and self._closes(now) and self._is_excess(excess):
             chosen = [promise for promise in chosen if promise.gain > LITTLE * excess]
         keys = _keys(chosen)
-        simpler = set().union(*map(_simple, keys)) - keys - {*now.names}
-        kin = simpler | {key for key in keys if key[0] in SIMPLE}
+        simpler = frozenset().union(*(promise.slot.nested for promise in chosen)) - keys - {*now.names}
+        every = {name for effect in screen.rig.laws.values() for name in effect.nested}
+        kin = simpler | {key for key in keys if key[0] in every}
         others = [p for p in promises if p.candidate.key in kin and all(p is not one for one in chosen)]
         chosen += [p for i, p in enumerate(others) if p.candidate.key not in _keys([*chosen, *others[:i]])]
         variants = [p for p in others if all(p is not one for one in chosen)]
@@ -224,7 +215,7 @@ class Search:
         values = dict(zip(known.slots[-1].names, known.slots[-1].estimated, strict=True))
         better = []
         for kin in found:
-            if kin.names[-1] not in _simple(best.names[-1]):
+            if kin.names[-1] not in best.nested:
                 continue
             slot = kin.hypothesis.slots[-1]
             shared = [i for i, name in zip(slot.free, slot.names, strict=True) if name in values]
@@ -248,14 +239,12 @@ class Search:
         best = ranked[0]
         if self._closes(best) or best.kind != "effects":
             return ranked
-        _, at = best.names[-1]
-        simpler = _simple(best.names[-1])
         most = now.hypothesis.cost - best.hypothesis.cost
-        kin = [e for e in ranked if e.names[-1] in simpler and now.hypothesis.cost - e.hypothesis.cost > KIN * most]
+        kin = [e for e in ranked if e.names[-1] in best.nested and now.hypothesis.cost - e.hypothesis.cost > KIN * most]
         if not kin:
             return ranked
-        richer = {(e, at) for e, simple in SIMPLER.items() if kin[0].names[-1][0] in simple}
-        return [kin[0], *(e for e in ranked if e is not kin[0] and e.names[-1] not in richer)]
+        first = kin[0]
+        return [first, *(e for e in ranked if e is not first and first.names[-1] not in e.nested)]
 
     def _is_excess(self, left: float) -> bool:
         """Return whether what is left beyond noise is more than chance makes, such as errors of integration."""
@@ -323,7 +312,7 @@ class Search:
 
     def _is_better(self, base: Explanation, other: Explanation, best: Explanation, i: int) -> bool:
         """Return whether an explanation is better than the best with another effect in the place of one."""
-        richer = best.names[i][0] in SIMPLER.get(other.names[0][0], ())
+        richer = best.names[i][0] in other.hypothesis.slots[0].entry.nested
         if richer and self._is_little(base, best, other):
             return False
         heat = self.evidence.temperature(other.hypothesis.residuals)
@@ -391,7 +380,7 @@ class Search:
             moved = x if place.element.displacement is not None else self._moved(rate)
             found[place.name] = _span(moved, float(rate.std()), tones)
             if not place.is_of_coordinates:
-                turns = tuple(part * float(np.sqrt((rate**2).mean())) or 1.0 for part in PARTS)
+                turns = tuple(part * float(np.sqrt((rate**2).mean())) or 1.0 for part in RELATIVE_TURNS)
                 found[place.name] = replace(found[place.name], turns=turns)
         for names, table in (
             (self.evidence.rig.twin.sensors, self.evidence.record.readings),
@@ -426,12 +415,6 @@ class Search:
         return tuple(found)
 
 
-def _simple(key: tuple[str, str]) -> set[tuple[str, str]]:
-    """Return the simpler kin of an effect at its place."""
-    effect, at = key
-    return {(simpler, at) for simpler in SIMPLER.get(effect, ())}
-
-
 def _keys(promises: Iterable[Promise]) -> set[tuple[str, str]]:
     return {promise.candidate.key for promise in promises}
 
@@ -444,16 +427,14 @@ def _without(explanation: Explanation, i: int) -> tuple[tuple[tuple[str, str], .
 
 def _is_idle(richer: Explanation, others: Iterable[Explanation], now: Explanation, heat: float) -> bool:
     """Return whether a simpler law at the same place does all that a richer one does, which is then that law itself."""
-    simple = _simple(richer.names[-1])
     taken = now.hypothesis.cost - richer.hypothesis.cost
     most = richer.hypothesis.cost + max(IDLE * heat, FINE * taken)
-    return any(other.names[-1] in simple and other.hypothesis.cost < most for other in others)
+    return any(other.names[-1] in richer.nested and other.hypothesis.cost < most for other in others)
 
 
 def _scaled(slot: Slot, part: float) -> Slot:
     """Return a slot with a part of the effect."""
-    factors = FACTORS.get(slot.effect, slot.entry.factors)
-    at = [i for i, name in zip(slot.free, slot.names, strict=True) if name in factors]
+    at = [i for i, name in zip(slot.free, slot.names, strict=True) if name in slot.entry.factors]
     return slot.with_values(at, (part * slot.values[i] for i in at))
 
 

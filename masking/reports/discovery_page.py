@@ -120,7 +120,7 @@ def _what_helps(found: Discovery) -> list[str]:
             if effect is None:
                 meaning = f"declared {quantities.number(float(found.rig.start[found.rig.names.index(name)]), 5)}"
             else:
-                meaning = effect.parameters[name].meaning if name in effect.parameters else "delay"
+                meaning = effect.parameters[name].meaning if name in effect.parameters else effect.spoken
             rows.append(
                 (
                     discovery_text.labelled(found, one.name, one.on),
