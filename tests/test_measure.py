@@ -329,7 +329,7 @@ def test_inputs_that_were_measured_go_in_straight_lines(capsys, tmp_path, mass, 
     arguments = ["identify", tmp_path / "record", "--plant", mass / "plant.yaml", "--parameters", "w,z"]
     arguments += ["--method", method, "--out", tmp_path / "out", "--json", "--between"]
     found = []
-    for between in ("straight", "held"):
+    for between in ("first-order", "zero-order"):
         status, printed, _ = run(capsys, *arguments, between)
         assert status == 0
         found.append(json.loads(printed))

@@ -62,7 +62,7 @@ def test_commands_that_seem_measured_are_told(discoveries):
     told = discovery_text.sentence(replace(found, as_measured={"s1": 0.01, "s2": 0.1, "s3": 0.1}))
     assert told.endswith(
         "the model alone leaves 1\N{NO-BREAK SPACE}% of s1, against 20\N{NO-BREAK SPACE}%: if they were measured, use "
-        "--between straight"
+        "--between first-order"
     )
 
 
@@ -157,7 +157,7 @@ def test_a_delay_of_the_only_actuator_is_told_once():
      ("stribeck_friction", "Stribeck friction")],
 )  # fmt: skip
 def test_effects_are_named_after_people(name, told):
-    assert discovery_text.titled(name) == told
+    assert EFFECTS[name].spoken == told
 
 
 def test_the_map_credits_each_law_with_its_own_part(discoveries):

@@ -1,13 +1,22 @@
-"""Physical effects that a model may lack: one dictionary, in which an entry holds everything that is known of an effect.
+"""Physical effects that a model may lack: one dictionary, whose entries hold everything that is known of an effect.
 
-`EFFECTS` is the dictionary that comes with the package, `load` reads a user's own, and `dictionary` joins both; `attach`
-puts an effect into an element of a declared model, `attach_all` several; `expressions`, `parameters` and `unit_of` give
-the parts from which those of a sensor or an actuator are compiled. Imports the declarations and nothing else.
+`EFFECTS` is the dictionary that comes with the package, `load` reads a user's own, and `dictionary` joins them;
+`attach` puts an effect into an element of a declared model, `attach_all` several; `expressions`, `parameters` and
+`unit_of` give the parts from which those of a sensor or an actuator are compiled. Imports declarations, nothing else.
 """
 
 from masking.effects.attachment import Attachment, Setting, attach, attach_all, expressions, find, parameters, unit_of
 from masking.effects.dictionary import DELAY, EFFECTS, FORCE, LAG, OFFSET, ROUNDING, dictionary, load, own
-from masking.effects.entry import FAMILIES, RELATIVE_TURNS, SATURATION, Effect, EffectParameter, EffectState, Span, Trial
+from masking.effects.entry import (
+    FAMILIES,
+    RELATIVE_TURNS,
+    SATURATION,
+    Effect,
+    EffectParameter,
+    EffectState,
+    Span,
+    Trial,
+)
 
 __all__ = [
     "DELAY",

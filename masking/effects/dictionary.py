@@ -77,12 +77,13 @@ def _problems(declaration: DictionaryDeclaration, name: str) -> Iterator[Problem
     if effect.family not in {"", *FAMILIES}:
         message = f"there is no family '{effect.family}'"
         yield problem_at(declaration, f"{path}.family", message, nearest(effect.family, FAMILIES))
-    known = {**EFFECTS, **declaration.dictionary}
+    places: dict[str, str] = {known: entry.where for known, entry in EFFECTS.items()}
+    places |= {known: entry.where for known, entry in declaration.dictionary.items()}
     for simpler in effect.nested:
-        if simpler not in known:
+        if simpler not in places:
             message = f"there is no effect '{simpler}'"
-            yield problem_at(declaration, f"{path}.nested", message, nearest(simpler, known))
-        elif known[simpler].where != effect.where or simpler == name:
+            yield problem_at(declaration, f"{path}.nested", message, nearest(simpler, places))
+        elif places[simpler] != effect.where or simpler == name:
             yield problem_at(declaration, f"{path}.nested", f"'{simpler}' cannot be nested in '{name}'", "remove it")
 
 

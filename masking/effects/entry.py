@@ -2,8 +2,8 @@
 
 Expressions are in the language of declarations, over the effect's own parameters and states and
 
-* in an element: `d`, its displacement, `d_rate`, the rate of that, and the time `t`; they give the force f. An inertia's
-  force is in proportion to `d_acc`, the acceleration of the displacement, and to no other part of the motion;
+* in an element: `d`, its displacement, `d_rate`, the rate of that, and the time `t`; they give the force f. That of an
+  inertia is in proportion to `d_acc`, the acceleration of the displacement, and to no other part of the motion;
 * in a sensor: `s`, the true value, and for noise `xi`, a sample of the standard normal distribution;
 * in an actuator: `u`, the command.
 
@@ -34,9 +34,9 @@ FAMILIES: Final = (
     *("actuator gains", "actuator dynamics", SATURATION, "sensor errors", "quantisation", "noise", DELAY),
 )
 
-# Rates below which the smooth sign of a friction law is nearly linear: in m/s, or another unit of rate, if positions are
-# measured, and in parts of the rms rate if rates are. From what is usual downwards: a sharper sign takes finer steps to
-# integrate, and what lies between two of these changes the force at the turns alone.
+# Rates below which the smooth sign of a friction law is nearly linear: in m/s, or another unit of rate, if positions
+# are measured, and in parts of the rms rate if rates are. From the usual value downwards: a sharper sign needs finer
+# steps of integration, and a width between two of these changes the force at the turns alone.
 TURNS: Final = (1e-3, 1e-4, 1e-5)
 RELATIVE_TURNS: Final = (1e-2, 2e-3, 4e-4)
 

@@ -226,7 +226,7 @@ class _Problem:
                 weights,
                 rate=piece.rate,
                 substeps=substeps,
-                between=piece.between,
+                hold=piece.hold,
             )
             matrix += found.matrix[:k, :k]
             gradient += found.gradient[:k]

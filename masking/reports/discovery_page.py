@@ -330,7 +330,7 @@ def summary(found: Discovery, files: Files | None) -> str:
         effect = found.twin.dictionary.get(one.name)
         if effect is not None and (effect.cause or effect.remedy):
             told = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]
-            lines.append(f"{discovery_text.titled(one.name)}: {'; '.join(told)}")
+            lines.append(f"{effect.spoken}: {'; '.join(told)}")
     if files is not None:
         told = [str(path) for path in (files.model, files.plant, files.numbers) if path]
         lines += [f"written: {', '.join(told)}", f"page: {files.page}"]

@@ -199,7 +199,7 @@ class Twin:
         What is simulated is compared with readings before it is rounded: rounding both would count it twice. Commands
         are known, so that what rounds them in the actuators stays.
         """
-        rounding = {e.path.removeprefix("effects.") for e in self.effects if e.entry.where == "sensor" and e.entry.quantum}
+        rounding = {e.path.removeprefix("effects.") for e in self._of("sensor") if e.entry.quantum}
         return self.changed({**self.changes, **dict.fromkeys(rounding, schema.EffectChange(enabled=False))})
 
     def _of(self, where: str) -> list[PlacedEffect]:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from masking.discovery.discover import discover
 from masking.discovery.discovery import Discovery
-from masking.discovery.settings import TOLERANCE
-from masking.estimation.data import Assumption
+from masking.discovery.settings import TOLERANCE, DiscoverySettings
+from masking.estimation.data import InputHold
 from masking.reports import discovery_page
 from masking.reports.discovery_files import Files
 from masking.workflows import inputs
@@ -23,7 +23,7 @@ def answered(
     parameters: Sequence[str] = (),
     tolerance: float = TOLERANCE,
     horizon: float | None = None,
-    between: Assumption | None = None,
+    between: InputHold | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     effects: str | Path | None = None,
@@ -62,9 +62,9 @@ def answered(
         what.twin,
         what.record,
         what.validation,
-        parameters=inputs.parameters(what.twin, parameters),
-        tolerance=tolerance,
-        horizon=horizon,
+        DiscoverySettings(
+            parameters=inputs.parameters(what.twin, parameters), tolerance=tolerance, shooting_interval=horizon
+        ),
         tell=tell,
     )
     return found, None if out is None else discovery_page.save(found, out, what.origin)

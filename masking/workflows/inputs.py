@@ -13,7 +13,7 @@ from masking.declaration.couplings import driven_outputs
 from masking.declaration.expression import Expression
 from masking.declaration.schema import ModelDeclaration, PlantDeclaration, Sensor
 from masking.errors import DeclarationError, Problem, RecordError, nearest
-from masking.estimation.data import Assumption, Data
+from masking.estimation.data import Data, InputHold
 from masking.records import readers
 from masking.records.time_slice import Part
 from masking.reports.discovery_files import Origin
@@ -40,7 +40,7 @@ def asked(
     plant: str | Path | None,
     validation: str | Path | None = None,
     *,
-    between: Assumption | None = None,
+    between: InputHold | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     effects: str | Path | None = None,
@@ -71,7 +71,7 @@ def read(
     record: str | Path,
     validation: str | Path | None = None,
     *,
-    between: Assumption | None = None,
+    between: InputHold | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
 ) -> Asked:

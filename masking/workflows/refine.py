@@ -20,9 +20,9 @@ import yaml
 from masking.declaration import registry
 from masking.discovery.discover import discover
 from masking.discovery.discovery import Discovery, Named
-from masking.discovery.settings import TOLERANCE
+from masking.discovery.settings import TOLERANCE, DiscoverySettings
 from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, SingularityError
-from masking.estimation.data import Assumption
+from masking.estimation.data import InputHold
 from masking.records.recording import Recording
 from masking.reports import discovery_files, discovery_text
 from masking.reports.discovery_files import Files
@@ -158,7 +158,7 @@ def refine(
     parameters: Sequence[str] = (),
     tolerance: float = TOLERANCE,
     horizon: float | None = None,
-    between: Assumption | None = None,
+    between: InputHold | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     effects: str | Path | None = None,
@@ -201,9 +201,7 @@ def refine(
         twin,
         wanted.record,
         wanted.validation,
-        parameters=names,
-        tolerance=tolerance,
-        horizon=horizon,
+        DiscoverySettings(parameters=names, tolerance=tolerance, shooting_interval=horizon),
         tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part),
     )
     folder = None if out is None else Path(out)

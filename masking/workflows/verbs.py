@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from masking.discovery import discovery as discoveries
     from masking.estimation import data, innovations, kalman
     from masking.estimation import fit as fits
-    from masking.estimation.data import Assumption
+    from masking.estimation.data import InputHold
     from masking.modelling import model
     from masking.procedures import channels, measurement, responses
     from masking.records import recording
@@ -74,7 +74,7 @@ else:  # each verb loads only what it needs
 KINDS = ("model", "plant", "experiment", "dictionary")
 STUDIED = ("model", "experiment")  # those of `assessment.KINDS`
 METHODS = ("least-squares", "kalman")
-BETWEEN = ("held", "straight", "smooth")  # those of `data.Assumption`
+BETWEEN = ("zero-order", "first-order", "band-limited")  # those of `data.InputHold`
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none, in a discovery
 # Procedures of `measure`, and how many records each takes at most.
 PROCEDURES: dict[str, int | None] = {"springs": 1, "actuators": 1, "friction": None, "response": None}
@@ -219,7 +219,7 @@ def identify(
     method: str = "least-squares",
     square_root: bool = False,
     iterated: int = 1,
-    between: Assumption | None = None,
+    between: InputHold | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     out: str | Path | None = None,
@@ -239,9 +239,9 @@ def identify(
         method: 'least-squares', or 'kalman' for one pass of the extended Kalman filter with the settings of 4.2.2.
         square_root: let the filter carry a square root of its covariance.
         iterated: times that the filter makes the readings of a sample linear.
-        between: how inputs go from each sample to the next: 'held', commands that act until the next, after the delay
-            of the plant; 'straight', inputs that were measured, in straight lines; or 'smooth', inputs that were
-            measured behind an anti-alias filter.
+        between: hold of the inputs between samples: 'zero-order', commands that act until the next, after the delay of
+            the plant; 'first-order', measured inputs, in straight lines; or 'band-limited', inputs that were measured
+            behind an anti-alias filter.
         columns: of the files, by the names that they get, such as `{"t": "time", "V1": "u"}`.
         dt: time between samples in s, for a table without a clock.
         out: folder to save `model.yaml`, `plant.yaml`, `fit.json`, `fit.html` and its figures in: `fit.png`,
