@@ -18,9 +18,9 @@ _STRIBECK = EffectParameter(
 )
 _CONTACT = EffectParameter("F/D", "stiffness of the contact", (1e3, 1e6), 2e4, None, NOT_NEGATIVE)
 _SIDE = EffectParameter("1", "1: it is beyond the edge upwards, -1: downwards", (-1.0, 1.0), 1.0, 1.0, (-1.0, 1.0))
-# The square alone, with the cube, and all powers: of few, each is found in weaker records than of many.
+# The square alone, with the cube, and all powers: the fewer are estimated, the weaker a force is still found.
 _POWERS = (Trial(factors=("k2",)), Trial(factors=("k2", "k3")), Trial())
-# Without a measured rate the width of the sign is not seen well enough to be estimated: each is a candidate.
+# Without a measured rate the width of the sign is hardly observable: each width is a candidate of its own.
 _TURNS = tuple(Trial(starts.turn(number)) for number in range(len(TURNS)))
 # Breaking loose takes a little more than sliding, or twice as much.
 _BRISTLES = tuple(Trial(starts.bristles(static), ("fc", "fs", "vst", "s1")) for static in (1.2, 2.0))
@@ -223,6 +223,7 @@ ELEMENTS: tuple[Effect, ...] = (
         "fc*z",
         {
             "fc": EffectParameter("F", _COULOMB.meaning, _COULOMB.prior, _COULOMB.nominal, None, NOT_NEGATIVE),
+            # half-decades: from nearly dry friction to nearly a spring
             "x0": EffectParameter(
                 "D",
                 "displacement over which it builds up",
@@ -230,7 +231,7 @@ ELEMENTS: tuple[Effect, ...] = (
                 1e-4,
                 None,
                 POSITIVE,
-                tried=(0.003, 0.01, 0.03, 0.1, 0.3),  # half-decades: from nearly dry friction to nearly a spring
+                (0.003, 0.01, 0.03, 0.1, 0.3),
             ),
         },
         cause="rolling bearings, preloaded contacts, cables that bend",
@@ -248,6 +249,7 @@ ELEMENTS: tuple[Effect, ...] = (
         "k*z",
         {
             "k": EffectParameter("F/D", "stiffness where the motion turns", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
+            # beyond 1 it never yields and is a spring
             "zmax": EffectParameter(
                 "D",
                 "displacement at which it yields",
@@ -255,7 +257,7 @@ ELEMENTS: tuple[Effect, ...] = (
                 1e-3,
                 None,
                 POSITIVE,
-                tried=(0.01, 0.03, 0.08, 0.2, 0.4, 0.8),  # beyond 1 it never yields and is a spring
+                (0.01, 0.03, 0.08, 0.2, 0.4, 0.8),
             ),
             "beta": EffectParameter("1", "shape: 1/2 unloads in a straight line", (0.5, 2.0), 0.5, 0.5, (0.5, None)),
             "n": EffectParameter("1", "sharpness of yielding", (1.0, 10.0), 2.0, 2.0, (1.0, None)),
@@ -282,22 +284,13 @@ ELEMENTS: tuple[Effect, ...] = (
         "k*z",
         {
             "k": EffectParameter("F/D", "stiffness where the motion turns", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
+            # bends soon, within the motion, or hardly
             "x0": EffectParameter(
-                "D",
-                "displacement over which it bends",
-                (1e-5, 1e-1),
-                1e-3,
-                None,
-                POSITIVE,
-                tried=(0.15, 0.6, 2.4),  # bends soon, within the motion, or hardly
+                "D", "displacement over which it bends", (1e-5, 1e-1), 1e-3, None, POSITIVE, (0.15, 0.6, 2.4)
             ),
+            # one loop that opens, one that yields
             "delta": EffectParameter(
-                "1",
-                "shape: above -1 it yields, below it opens",
-                (-2.0, 2.0),
-                1.0,
-                1.0,
-                tried=(-1.3, 0.0),  # one loop that opens, one that yields
+                "1", "shape: above -1 it yields, below it opens", (-2.0, 2.0), 1.0, 1.0, tried=(-1.3, 0.0)
             ),
             "n": EffectParameter("1", "sharpness of the bend", (1.0, 4.0), 1.0, 1.0, (1.0, None)),
         },
@@ -324,14 +317,9 @@ ELEMENTS: tuple[Effect, ...] = (
         "k*(d - min(max(d, -gap/2), gap/2))",
         {
             "k": EffectParameter("F/D", "stiffness beyond the gap", (1.0, 1e6), 1e3, None, NOT_NEGATIVE),
+            # from a play that hardly shows up to one in which contact is rare
             "gap": EffectParameter(
-                "D",
-                "width of the play",
-                (0.0, 1e-2),
-                1e-3,
-                None,
-                NOT_NEGATIVE,
-                tried=(0.05, 0.15, 0.3, 0.5, 0.8, 1.2),  # of half the travel and more, up to where contact is rare
+                "D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE, (0.05, 0.15, 0.3, 0.5, 0.8, 1.2)
             ),
         },
         cause="gears, couplings, loose screws, pins in slotted holes",
@@ -389,14 +377,9 @@ ELEMENTS: tuple[Effect, ...] = (
         "a*sin(d/r)",
         {
             "a": EffectParameter("F", "largest force", (-20.0, 20.0), 0.1),
+            # from several turns within the travel to nearly a cubic spring
             "r": EffectParameter(
-                "D",
-                "displacement per radian",
-                (1e-4, 1.0),
-                1e-2,
-                None,
-                POSITIVE,
-                tried=(0.12, 0.2, 0.35, 0.6, 1.2, 3.0),  # from several turns within the travel to nearly a cubic spring
+                "D", "displacement per radian", (1e-4, 1.0), 1e-2, None, POSITIVE, (0.12, 0.2, 0.35, 0.6, 1.2, 3.0)
             ),
         },
         cause="a mass off the axis, magnets that cog, a thread that runs out",

@@ -28,10 +28,10 @@ POSITIVE: Final[Bounds] = (1e-12, None)
 NOT_NEGATIVE: Final[Bounds] = (0.0, None)
 
 # Effects of one family share a row of the error budget, in this order.
-SATURATION, DELAY = "saturation", "delay"
+SATURATION: Final = "saturation"
 FAMILIES: Final = (
     *("springs", "damping", "friction", "hysteresis", "mass", "backlash", "end stop", "periodic force"),
-    *("actuator gains", "actuator dynamics", SATURATION, "sensor errors", "quantisation", "noise", DELAY),
+    *("actuator gains", "actuator dynamics", SATURATION, "sensor errors", "quantisation", "noise", "delay"),
 )
 
 # Rates below which the smooth sign of a friction law is nearly linear: in m/s, or another unit of rate, if positions

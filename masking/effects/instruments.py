@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from masking.effects import starts
-from masking.effects.entry import DELAY, NOT_NEGATIVE, POSITIVE, SATURATION, Effect, EffectParameter, EffectState, Trial
+from masking.effects.entry import NOT_NEGATIVE, POSITIVE, SATURATION, Effect, EffectParameter, EffectState, Trial
 
 _SAMPLED = "raise the resolution of the converter or amplify the signal to fill its range; the observer smooths it"
 
@@ -39,14 +39,9 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "sensor",
         "min(max(s, -limit), limit)",
         {
+            # denser near the peak, where few samples are cut off
             "limit": EffectParameter(
-                "S",
-                "largest magnitude",
-                (0.1, 20.0),
-                10.0,
-                None,
-                NOT_NEGATIVE,
-                tried=(0.3, 0.5, 0.7, 0.85, 0.95),  # denser near the peak, where few samples are cut off
+                "S", "largest magnitude", (0.1, 20.0), 10.0, None, NOT_NEGATIVE, (0.3, 0.5, 0.7, 0.85, 0.95)
             )
         },
         cause="the end of the range of a sensor, amplifier or converter",
@@ -60,15 +55,8 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "sensor",
         "m",
         {
-            "tau": EffectParameter(
-                "s",
-                "time constant",
-                (1e-5, 0.1),
-                1e-3,
-                None,
-                POSITIVE,
-                tried=(1e-3, 5e-3),  # s: a filter of some 160 Hz, and of 30 Hz
-            )
+            # s: a filter of some 160 Hz, and of 30 Hz
+            "tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE, (1e-3, 5e-3))
         },
         cause="a filter in the amplifier, a slow sensor",
         remedy="raise the cut-off of the filter, or put it into the observer's model",
@@ -161,14 +149,9 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "actuator",
         "min(max(u, -limit), limit)",
         {
+            # beyond 1 nothing is cut off
             "limit": EffectParameter(
-                "U",
-                "largest magnitude",
-                (0.01, 50.0),
-                0.42,
-                None,
-                NOT_NEGATIVE,
-                tried=(0.3, 0.45, 0.6, 0.75, 0.9),  # beyond 1 nothing is cut off
+                "U", "largest magnitude", (0.01, 50.0), 0.42, None, NOT_NEGATIVE, (0.3, 0.45, 0.6, 0.75, 0.9)
             )
         },
         cause="the supply of the amplifier, a fuse, a limit in software",
@@ -182,14 +165,9 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "actuator",
         "u - min(max(u, -width), width)",
         {
+            # half-decades
             "width": EffectParameter(
-                "U",
-                "largest value without an answer",
-                (0.0, 1.0),
-                0.01,
-                None,
-                NOT_NEGATIVE,
-                tried=(0.01, 0.03, 0.08, 0.2),  # half-decades
+                "U", "largest value without an answer", (0.0, 1.0), 0.01, None, NOT_NEGATIVE, (0.01, 0.03, 0.08, 0.2)
             )
         },
         cause="the crossover of an amplifier, a valve that overlaps",
@@ -229,15 +207,8 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "actuator",
         "a",
         {
-            "tau": EffectParameter(
-                "s",
-                "time constant",
-                (1e-5, 0.1),
-                1e-3,
-                None,
-                POSITIVE,
-                tried=(1e-3, 5e-3, 2e-2),  # s: an amplifier, a coil under voltage, and a slow drive
-            )
+            # s: an amplifier, a coil under voltage, and a slow drive
+            "tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE, (1e-3, 5e-3, 2e-2))
         },
         cause="the inductance of the coil under voltage, the bandwidth of the amplifier",
         remedy="drive the coil by a current amplifier, or lead the command by the time constant",
@@ -272,20 +243,13 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "loop",
         "",
         {
-            "samples": EffectParameter(
-                "1",
-                "whole samples",
-                (0.0, 20.0),
-                1.0,
-                None,
-                NOT_NEGATIVE,
-                tried=(1.0, 5.0),  # a buffer of one sample, and a network
-            )
+            # a buffer of one sample, and a network
+            "samples": EffectParameter("1", "whole samples", (0.0, 20.0), 1.0, None, NOT_NEGATIVE, (1.0, 5.0))
         },
         cause="the time of computing, buffers of converters and drivers, a network",
         remedy="predict the state by the delay before computing the command, or raise the rate",
         source="Astrom and Wittenmark (1997), Computer-Controlled Systems, section 3.5",
-        family=DELAY,
+        family="delay",
         is_searched=False,
         is_linear=True,
         grows_with="samples",
