@@ -328,7 +328,7 @@ class TestDictionaries:
             ("tried: [1.2, 2, 4]", "value: 0",
              "9:77: dictionary.magnet.parameters.x0.value: 0 is below its lower bound 1e-06"),
             ("tried: [1.2, 2, 4]", f"tried: {[*range(61)]}",
-             "7:5: dictionary.magnet.parameters: 61 combinations of what is tried are too many; try at most 60"),
+             "7:5: dictionary.magnet.parameters: 61 combinations of values to try are too many; try at most 60"),
             ("f0: {unit: F,", "k: {value: 1}\n      f0: {unit: F,",
              "8:7: dictionary.magnet.parameters.k: the parameter 'k' is not used; remove it or use it"),
             ("    parameters:\n      f0", "    states: {y: {rate: d_rate, unit: D}, z: {rate: d_rate, unit: D}}\n"

@@ -28,7 +28,7 @@ _BRISTLES = tuple(Trial(starts.bristles(static), ("fc", "fs", "vst", "s1")) for 
 ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "constant_force",
-        "A force that is always there.",
+        "A constant force.",
         "element",
         "f0",
         {"f0": EffectParameter("F", "force", (-5.0, 5.0), 0.1)},
@@ -57,7 +57,7 @@ ELEMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "polynomial_spring",
-        "The force of a spring as a polynomial of its displacement, in addition to what is declared.",
+        "A polynomial of the displacement, in addition to the declared force of the spring.",
         "element",
         "k0 + d*(k1 + d*(k2 + d*(k3 + d*(k4 + d*k5))))",
         {
@@ -79,7 +79,7 @@ ELEMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "hardening_spring",
-        "A cubic spring: stiffer the further it is stretched, or softer where k3 is negative.",
+        "A cubic spring: stiffer the further it is stretched, or softer if k3 is negative.",
         "element",
         "k3*d**3",
         {"k3": EffectParameter("F/D**3", "cubic coefficient", (-1e7, 1e7), 1e5)},
@@ -93,7 +93,7 @@ ELEMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "viscous_damping",
-        "A force in proportion to the rate of displacement, in addition to what is declared.",
+        "A force in proportion to the rate of displacement, in addition to the declared damping.",
         "element",
         "c*d_rate",
         {"c": EffectParameter("F*s/D", "additional damping", (-10.0, 10.0), 0.5)},
@@ -120,7 +120,7 @@ ELEMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "added_mass",
-        "What moves has more inertia than declared, by m; between two coordinates, both are drawn to move alike.",
+        "More inertia than declared, by m; between two coordinates, an inerter.",
         "element",
         "m*d_acc",
         {"m": EffectParameter("F*s**2/D", "additional mass", (-10.0, 10.0), 0.05)},
@@ -134,7 +134,7 @@ ELEMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "dry_friction",
-        "Coulomb's friction: a force of one size against the motion; the smooth sign lets it creep at rest.",
+        "Coulomb friction: a force of constant size against the motion; its smooth sign allows creep at rest.",
         "element",
         "fc*tanh(d_rate/vs)",
         {"fc": _COULOMB, "vs": _SLIDING},
@@ -150,7 +150,7 @@ ELEMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "asymmetric_friction",
-        "Dry friction of another size in each direction.",
+        "Dry friction of different size in each direction.",
         "element",
         "where(d_rate > 0, fp, fm)*tanh(d_rate/vs)",
         {
@@ -170,7 +170,7 @@ ELEMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "stribeck_friction",
-        "Dry friction that is larger at small rates, where the lubricant does not carry yet.",
+        "Dry friction that is larger at small rates, at which the lubricant does not carry yet.",
         "element",
         "(fc + (fs - fc)*exp(-(d_rate/vst)**2))*tanh(d_rate/vs)",
         {"fc": _COULOMB, "fs": _STATIC, "vst": _STRIBECK, "vs": _SLIDING},
@@ -248,7 +248,7 @@ ELEMENTS: tuple[Effect, ...] = (
         "element",
         "k*z",
         {
-            "k": EffectParameter("F/D", "stiffness where the motion turns", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
+            "k": EffectParameter("F/D", "stiffness at reversals", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
             # beyond 1 it never yields and is a spring
             "zmax": EffectParameter(
                 "D",
@@ -283,7 +283,7 @@ ELEMENTS: tuple[Effect, ...] = (
         "element",
         "k*z",
         {
-            "k": EffectParameter("F/D", "stiffness where the motion turns", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
+            "k": EffectParameter("F/D", "stiffness at reversals", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
             # bends soon, within the motion, or hardly
             "x0": EffectParameter(
                 "D", "displacement over which it bends", (1e-5, 1e-1), 1e-3, None, POSITIVE, (0.15, 0.6, 2.4)
@@ -312,7 +312,7 @@ ELEMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "backlash",
-        "A spring behind play: no force within the gap, linear beyond it on both sides.",
+        "A spring with play: no force within the gap, linear beyond it on both sides.",
         "element",
         "k*(d - min(max(d, -gap/2), gap/2))",
         {
@@ -372,7 +372,7 @@ ELEMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "gravity_force",
-        "The torque of a weight on an arm, and of all that comes back once a turn: a sine of the displacement.",
+        "The torque of a weight on an arm, and of anything that repeats once a turn: a sine of the displacement.",
         "element",
         "a*sin(d/r)",
         {
@@ -391,7 +391,7 @@ ELEMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "periodic_force",
-        "A force that goes on as a sine whatever the rig does.",
+        "A sinusoidal force that does not depend on the motion.",
         "element",
         "-a*sin(2*pi*nu*t) - b*cos(2*pi*nu*t)",
         {

@@ -1,4 +1,4 @@
-"""Physical effects in sensors (of the value `s`), in actuators (of the value `u`) and in the loop."""
+"""Physical effects in sensors (of the true value `s`), in actuators (of the command `u`) and in the loop."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _SAMPLED = "raise the resolution of the converter or amplify the signal to fill 
 INSTRUMENTS: tuple[Effect, ...] = (
     Effect(
         "sensor_offset",
-        "The sensor gives a value where there is none.",
+        "Every reading is shifted by the same amount.",
         "sensor",
         "s + e0",
         {"e0": EffectParameter("S", "offset", (-0.5, 0.5), 0.01)},
@@ -22,7 +22,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "sensor_gain",
-        "The sensor's gain is not the declared one.",
+        "The sensor's gain differs from the declared one.",
         "sensor",
         "s*(1 + e)",
         {"e": EffectParameter("1", "relative error of the gain", (-0.3, 0.3), 0.02)},
@@ -35,7 +35,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "sensor_saturation",
-        "The sensor gives no more than its limit.",
+        "The reading is clipped at a limit.",
         "sensor",
         "min(max(s, -limit), limit)",
         {
@@ -51,7 +51,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "sensor_lag",
-        "The sensor follows with a delay of first order.",
+        "The reading follows through a first-order lag.",
         "sensor",
         "m",
         {
@@ -92,7 +92,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "quantisation",
-        "The sensor gives multiples of a step; a step of 0 leaves the value as it is.",
+        "The reading is rounded to multiples of a step; a step of 0 leaves it unchanged.",
         "sensor",
         "where(step > 0, step*floor(s/step + 1/2), s)",
         {"step": EffectParameter("S", "step", (0.0, 0.1), 3e-4, None, NOT_NEGATIVE)},
@@ -106,7 +106,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "noise",
-        "White noise on what the sensor gives, fresh in each sample.",
+        "White noise on the readings, independent from sample to sample.",
         "sensor",
         "s + sigma*xi",
         {"sigma": EffectParameter("S", "standard deviation of a sample", (0.0, 0.1), 1e-3, None, NOT_NEGATIVE)},
@@ -119,7 +119,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "actuator_offset",
-        "The actuator acts where it is told nothing.",
+        "The actuator acts without a command.",
         "actuator",
         "u + u0",
         {"u0": EffectParameter("U", "offset", (-0.5, 0.5), 0.01)},
@@ -131,7 +131,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "actuator_gain",
-        "The actuator's gain is not the declared one.",
+        "The actuator's gain differs from the declared one.",
         "actuator",
         "(1 + e)*u",
         {"e": EffectParameter("1", "relative error of the gain", (-0.5, 0.5), 0.05)},
@@ -145,7 +145,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "saturation",
-        "The actuator gives no more than its limit.",
+        "The command is clipped at a limit.",
         "actuator",
         "min(max(u, -limit), limit)",
         {
@@ -189,7 +189,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "dac_quantisation",
-        "The actuator takes multiples of a step; a step of 0 leaves the value as it is.",
+        "The command is rounded to multiples of a step; a step of 0 leaves it unchanged.",
         "actuator",
         "where(step > 0, step*floor(u/step + 1/2), u)",
         {"step": EffectParameter("U", "step", (0.0, 0.1), 3e-4, None, NOT_NEGATIVE)},
@@ -203,7 +203,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "actuator_lag",
-        "The actuator follows with a delay of first order.",
+        "The actuator follows through a first-order lag.",
         "actuator",
         "a",
         {
@@ -220,7 +220,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "thermal",
-        "The coil warms up; its driver lets no more through than keeps its mean power at a limit.",
+        "The coil warms up, and its driver limits the mean power.",
         "actuator",
         "where(P < limit, u, min(max(u, -sqrt(limit/r)), sqrt(limit/r)))",
         {
@@ -239,7 +239,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "delay",
-        "What the controller commands acts some samples late.",
+        "Commands act some samples late.",
         "loop",
         "",
         {

@@ -11,7 +11,7 @@ EDGE_WIDTH = 0.04  # of the largest displacement: below half the distance of two
 # Displacements at which bristles let go, in parts of the travel: hardly seen, seen at reversals, and nearly a spring.
 BRISTLES = (0.005, 0.02, 0.08)
 BRISTLE_DAMPING = 3e-3  # s, per stiffness: less than the time in which they let go at the rms rate
-STRIBECK_RATE = 0.2  # of the rms rate: the force falls within the motion, and not where it turns alone
+STRIBECK_RATE = 0.2  # of the rms rate: the force falls within the motion, not only at reversals
 # Steps of a quantiser from the middle to the end of its range: from less than one, which is a dead zone, to as many as
 # still show in averages of the readings.
 FEWEST_LEVELS, MOST_LEVELS = 0.6, 24.0
@@ -60,7 +60,7 @@ def turns(span: Span) -> list[Start]:
 
 
 def falls(span: Span) -> list[Start]:
-    """Return rates at which friction has fallen: from where the motion turns to nearly its rms rate."""
+    """Return rates at which friction has fallen: from near reversals to nearly the rms rate."""
     return [{"vst": part * span.rate, "vs": span.turns[0]} for part in (0.05, 0.15, 0.4, 0.8)]
 
 
