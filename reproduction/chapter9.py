@@ -45,7 +45,7 @@ def section_9_2() -> Entry:
     """Clocks on the rig, which the document never got to synchronise, and the power that stronger coupling asks for."""
     ours = Experiment.load("huygens_rig")
     good = masked(ours)
-    bad = masked(ours.changed(controller={**THESIS, "approach": 3}))
+    bad = masked(ours.changed(controller={**THESIS, "homing": 3}))
     last = [float(np.abs(m.a + m.b)[m.t > m.t[-1] - 10.0].max()) for m in (good, bad)]
     use = {name: demand(Experiment.load(name)) for name in ("pendula", "pendula_fast", "pendula_wide")}
     values = (

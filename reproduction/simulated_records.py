@@ -42,7 +42,7 @@ def alone(number: int, *, is_true: bool) -> Twin:
         "parameters": {"w": values[f"w{number}"], "z": values[f"z{number}"], "c": values[f"c{number}"]},
         "sensors": {"s": {"measures": "x", "gain": {"value": 200, "unit": "V/m"}, "unit": "V"}},
         "actuators": {"V": {"unit": "V"}},
-        "wiring": {"u": f"V/{_UNIT_OF_ACTUATORS[number - 1]}"},
+        "allocation": {"u": f"V/{_UNIT_OF_ACTUATORS[number - 1]}"},
         "effects": effects,
     }
     declared = schema.PlantDeclaration.model_validate(plant)

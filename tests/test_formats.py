@@ -330,7 +330,7 @@ def test_smooth_inputs_become_straight_lines(mass):
 
 
 def test_the_command_line_knows_every_way_between_samples(mass):
-    assert get_args(InputHold) == verbs.BETWEEN
+    assert get_args(InputHold) == verbs.HOLDS
     words = "hold is 'cubic': give 'zero-order' for .*, 'first-order' for .*, or .* 'band-limited' for .* filter"
     with pytest.raises(ModelError, match=words):
         Data.of(Recording({"t": T, "f": T, "x": T}), mass, hold="cubic")
@@ -342,7 +342,7 @@ def test_parts_of_one_file_are_records_of_a_discovery(mass, tmp_path):
     columns = {"g/clock": T, "g/f": np.sin(9.0 * T), "g/x": np.cos(3.0 * T)}
     path = hdf5(tmp_path / "a.h5", columns)
     names = {"t": "g/clock", "f": "g/f", "x": "g/x"}
-    made = inputs.read(mass, f"{path}@:6", f"{path}@6:", between="band-limited", columns=names)
+    made = inputs.read(mass, f"{path}@:6", f"{path}@6:", hold="band-limited", columns=names)
     np.testing.assert_array_equal(made.record.readings[:, 0], np.cos(3.0 * T[:600]))
     np.testing.assert_array_equal(made.validation.readings[:, 0], np.cos(3.0 * T[600:]))
     digest = readers.digest(path)

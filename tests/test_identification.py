@@ -128,7 +128,7 @@ def test_windows_lead_where_the_whole_record_would_not(linear):
     """Frequencies that are 60 % off put the simulation out of step with all but the first second."""
     record = recorded(linear, sines(20.0, size=(0.05, 0.05, 0.3)))
     wrong = linear.with_parameters({"w1": 20.0, "w2": 9.0, "w3": 16.0, "z1": 0.05, "z2": 0.05})
-    found = fit(wrong, record, ("w1", "z1", "w2", "z2", "w3"), horizon=0.5)
+    found = fit(wrong, record, ("w1", "z1", "w2", "z2", "w3"), shooting_interval=0.5)
     truth = np.array([linear.parameter_value(name) for name in found.names])
     np.testing.assert_allclose(found.values, truth, rtol=5e-3)
 
@@ -173,8 +173,8 @@ def measured():
 def test_straight_inputs_are_fitted_without_bias(oscillator, measured):
     """From all of the record, and from windows of it; inputs that are held are half a sample late."""
     truth = np.array([6.3, 0.05, 40.0])
-    for horizon in (None, 5.0):
-        found = fit(oscillator, measured, ("w", "z", "c"), horizon=horizon)
+    for shooting_interval in (None, 5.0):
+        found = fit(oscillator, measured, ("w", "z", "c"), shooting_interval=shooting_interval)
         assert (np.abs(found.values - truth) < 4 * found.std).all()
         np.testing.assert_allclose(found.sigma, 1e-3, rtol=0.05)
     held = fit(oscillator, replace(measured, hold="zero-order"), ("w", "z", "c"))

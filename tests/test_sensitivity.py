@@ -96,7 +96,7 @@ def oscillator():
         "name": "rig",
         "model": "oscillator",
         "actuators": {"V": {"unit": "1"}},
-        "wiring": {"u": "V"},
+        "allocation": {"u": "V"},
         "sensors": {"s": {"measures": "x", "gain": 2.0, "unit": "1"}},
         "effects": {"lag": {"effect": "actuator_lag", "at": "V", "parameters": {"tau": 0.1}}},
     }

@@ -45,7 +45,7 @@ def horizon(evidence: Evidence, seconds: float | None) -> int:
         seconds = count / rate / SHARES
     elif not seconds * rate >= FEWEST:
         least = FEWEST / rate
-        raise RecordError(f"the horizon is {seconds:g} s; give {least:g} s or more, which are {FEWEST} samples")
+        raise RecordError(f"the shooting interval is {seconds:g} s; give {least:g} s or more: {FEWEST} samples")
     if seconds * rate >= count:
         return 0
     _, block = thinning(evidence.rig, rate)
