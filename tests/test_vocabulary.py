@@ -10,6 +10,12 @@ ROOT = Path(__file__).parents[1]
 VOCABULARY = ROOT / "docs" / "vocabulary.md"
 SECTION = re.compile(r"^## Words that are not used$(.*?)^## ", re.MULTILINE | re.DOTALL)
 
+# Old names that are quoted, in order to refuse them or to say what became of them.
+QUOTED = {
+    "masking/errors.py": {"fidelity", "horizon", "wiring"},
+    "CHANGELOG.md": {"fidelity", "wiring"},
+}
+
 # Words that are not gone yet, by file; the table may only shrink.
 NOT_YET: dict[str, set[str]] = {
     "CHANGELOG.md": {"fidelity", "wiring"},
@@ -187,7 +193,8 @@ def test_the_table_of_words_is_read():
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_public_text_uses_the_words_of_the_field(path):
-    assert not found(path) - NOT_YET.get(path.relative_to(ROOT).as_posix(), set())
+    name = path.relative_to(ROOT).as_posix()
+    assert not found(path) - QUOTED.get(name, set()) - NOT_YET.get(name, set())
 
 
 def test_what_is_excused_exists():

@@ -4,7 +4,7 @@ The first call of a function compiles it: numba turns it into LLVM code behind a
 written beside the generated module. Every later call, in this process or another, only loads that: starting takes
 a tenth of the time that importing numba does.
 
-Arguments are told apart by their names in the generated code; `ARGUMENTS` is the one table of them.
+Arguments are distinguished by their names in the generated code; `ARGUMENTS` is the one table of them.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ def interface(name: str, arguments: Sequence[str], results: str) -> str:
 
 
 def _without_aliases(text: str) -> str:
-    """Return LLVM code in which the arrays that a function is given do not overlap; numba cannot be told so.
+    """Return LLVM code in which the arrays that a function is given do not overlap; numba has no option for that.
 
     No kernel is given overlapping arrays. measured: parameters then stay in registers through a loop.
     """

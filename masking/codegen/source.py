@@ -39,7 +39,7 @@ from masking.numerics import integrators, sampled_loop
 
 
 def taylor_order(products: int) -> int:
-    """Return the order of the Taylor series for dynamics of so many products of series."""
+    """Return the order of the Taylor series for dynamics with this number of products of series."""
     return TAYLOR_ORDERS[products > MOST_PRODUCTS_OF_HIGH_ORDER]
 
 

@@ -81,9 +81,9 @@ class Generated:
 
     def function(self, name: str) -> NativeFunction:
         """Return a function of the module, compiled when it is first called."""
-        told = self.meta["functions"][name]
-        work = tuple(told["work"]) if told["work"] else None
-        return NativeFunction(name, told["arguments"], told["results"], work, self.module, self.stem)
+        described = self.meta["functions"][name]
+        work = tuple(described["work"]) if described["work"] else None
+        return NativeFunction(name, described["arguments"], described["results"], work, self.module, self.stem)
 
 
 def exists(name: str) -> bool:
