@@ -172,7 +172,7 @@ class UdpPlant:
         return False
 
     def _receive(self, wait: float) -> Frame | None:
-        """Return the next sound frame of this session, waiting for it at most a number of seconds; None if none comes."""
+        """Return the next sound frame of this session, or None if none comes within a number of seconds."""
         until = time.monotonic() + wait
         gone: ConnectionError | None = None  # the socket reports it before the plant's last words
         while self._waits(0.0 if gone else until - time.monotonic()):

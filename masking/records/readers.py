@@ -258,11 +258,11 @@ def _of_one_length(
     """
     lengths = {name: len(column) for name, column in columns.items() if name in wanted}
     if len({*lengths.values()}) > 1:
-        lengths = ", ".join(
+        listed = ", ".join(
             f"{name} ({names[name]}) has {count}" if name in names else f"{name} has {count}"
             for name, count in lengths.items()
         )
-        raise RecordError(f"{file}: columns of different lengths: {lengths} samples; give those of one run, with --map")
+        raise RecordError(f"{file}: columns of different lengths: {listed} samples; give those of one run, with --map")
     length = max(lengths.values() or map(len, columns.values()), default=0)
     return {name: column for name, column in columns.items() if len(column) == length}
 

@@ -367,14 +367,14 @@ class Experiment:
     def _observer_entry(self) -> dict[str, Any]:
         """Return what the observer is, for the manifest."""
         sampled, settings = self.sampled, self.observer_settings
-        outcome: dict[str, Any] = {"kind": settings.kind, "delay": sampled.delay}
+        entry: dict[str, Any] = {"kind": settings.kind, "delay": sampled.delay}
         if sampled.has_model:
             plan = self.instruments.plan(sampled.rate, sampled.noise)
             speeds = self.observer.bandwidths(plan)
-            outcome |= {"order": self.observer.order, "fastest": plan.fastest}
-            outcome["noise"] = dict(zip(self.instruments.sensors, plan.noise, strict=True))
-            outcome["bandwidth"] = dict(zip(self.plant.coordinates, speeds, strict=True))
-        return outcome
+            entry |= {"order": self.observer.order, "fastest": plan.fastest}
+            entry["noise"] = dict(zip(self.instruments.sensors, plan.noise, strict=True))
+            entry["bandwidth"] = dict(zip(self.plant.coordinates, speeds, strict=True))
+        return entry
 
     def _limit_entry(self, name: str, limit: schema.Limit) -> dict[str, Any]:
         """Return a limit of an actuator in the unit of its commands, for the manifest."""

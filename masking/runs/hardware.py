@@ -123,7 +123,9 @@ def run(
 
     def made(ran: RigRun) -> Recording:
         reason = keeper.reason if ran.reason in {STOPPED, FINISHED} and keeper.is_over else ran.reason
-        return experiment.record_rig(keeper.rows(ran, experiment.every), lockstep=lockstep, outcome=_outcome(ran, reason))
+        return experiment.record_rig(
+            keeper.rows(ran, experiment.every), lockstep=lockstep, outcome=_outcome(ran, reason)
+        )
 
     def on_end(ran: RigRun) -> None:
         if ran.reason in {LOST, REFUSED, FAILED} and keep is not None and keeper.is_released:

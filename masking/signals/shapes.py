@@ -155,8 +155,8 @@ def sawtooth(
 ) -> Excitation:
     """Return saw-teeth of growing amplitude: n periods of a triangle, of amplitudes A/n, 2A/n, ..., A.
 
-    Each goes from zero up, down, and up to zero, so that where the rig rests distinguishes hysteresis and dry friction from
-    the travel. Source: appendix C.6.2.
+    Each goes from zero up, down, and up to zero: the shift of the equilibrium over the travel separates hysteresis from
+    dry friction. Source: appendix C.6.2.
 
     Args:
         amplitude: A, of the last saw-tooth, in `unit`.
