@@ -9,8 +9,8 @@ from scipy import signal
 from masking.discovery.augmented_model import OpenRig, Slot
 from masking.discovery.candidates import Span, candidates
 from masking.discovery.discover import discover
+from masking.discovery.prior import prior_of
 from masking.discovery.problem import Evidence
-from masking.discovery.settings import believed
 from masking.estimation.data import Data
 from masking.estimation.simulation import simulate
 from masking.reports import discovery_files, discovery_text
@@ -61,7 +61,7 @@ def excitation(seconds, channels, seed=3, rate=RATE):
 
 
 def evidence_of(rig, record):
-    return Evidence(rig, record, believed(rig.twin, rig, 0.01), np.full(record.readings.shape[1], NOISE), 2)
+    return Evidence(rig, record, prior_of(rig.twin, rig, 0.01), np.full(record.readings.shape[1], NOISE), 2)
 
 
 def test_several_at_once_are_a_mass_matrix(rig):

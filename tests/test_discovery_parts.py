@@ -15,10 +15,10 @@ from masking.discovery.composites import is_patched
 from masking.discovery.explanation import occam
 from masking.discovery.noise import steps_of
 from masking.discovery.places import opened, places
+from masking.discovery.prior import prior_of
 from masking.discovery.problem import Evidence
 from masking.discovery.screening import Screen
 from masking.discovery.search import Search
-from masking.discovery.settings import believed
 from masking.discovery.smoothing import smooth
 from masking.effects import attach
 from masking.errors import DeclarationError
@@ -72,7 +72,7 @@ def commands():
 @pytest.fixture(scope="module")
 def evidence(twin, rig, commands):
     record = Data("a record", RATE, commands, np.zeros((len(commands), 3)))
-    return Evidence(rig, record, believed(twin, rig, 0.01), np.full(3, NOISE), 2)
+    return Evidence(rig, record, prior_of(twin, rig, 0.01), np.full(3, NOISE), 2)
 
 
 def equations(evidence, slots=(), added=None, theta=None):

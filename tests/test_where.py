@@ -16,9 +16,9 @@ from masking.discovery.force_decomposition import followed, portrait
 from masking.discovery.harmonics import Periods, period
 from masking.discovery.localisation import where
 from masking.discovery.memory import once
+from masking.discovery.prior import prior_of
 from masking.discovery.problem import Evidence
 from masking.discovery.search import Found
-from masking.discovery.settings import believed
 from masking.discovery.smoothing import smooth
 from masking.estimation.data import Data
 from masking.estimation.whiteness import autocorrelation, evenness, ljung_box, whiteness
@@ -332,7 +332,7 @@ def discoveries(rig):
     commands = np.array([multisine(24.0, i, odd[i::3], cycle=8.0)[0] for i in range(3)]).T
     commands = np.ascontiguousarray(commands / commands.std(axis=0) * np.array([0.004, 0.004, 0.05]))
     empty = Data("a record", RATE, commands, np.zeros((len(commands), 3)))
-    plain = Evidence(rig, empty, believed(rig.twin, rig, 0.01), np.full(3, NOISE), 2)
+    plain = Evidence(rig, empty, prior_of(rig.twin, rig, 0.01), np.full(3, NOISE), 2)
 
     def find(slot):
         told = plain.equations(rig.start, np.zeros((1, 6)), (slot,), np.array(slot.estimated)).simulated

@@ -6,14 +6,14 @@ and 16; the terms are physical effects with parameters and states of their own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import fitting, settings
+from masking.discovery import fitting, shooting
 from masking.discovery.augmented_model import OpenRig
 from masking.discovery.composites import LIKE_PARAMETERS, is_patched
 from masking.discovery.discovery import Discovery, Gap, Named, Verdict
@@ -21,8 +21,10 @@ from masking.discovery.explanation import Explanation, probabilities
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.next_experiment import next_experiment
 from masking.discovery.noise import noise_of, steps_of
+from masking.discovery.prior import prior_of, train_validation_split
 from masking.discovery.problem import Evidence
 from masking.discovery.search import CLEAN, REST, SAME, SHARE, SMALL, TRACE, Found, Search
+from masking.discovery.settings import DiscoverySettings
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
 from masking.estimation.simulation import relative
@@ -45,46 +47,44 @@ def discover(
     twin: Twin,
     record: Data,
     validation: Data | None = None,
+    settings: DiscoverySettings | None = None,
     *,
-    parameters: Sequence[str] = (),
-    tolerance: float = settings.TOLERANCE,
-    horizon: float | None = None,
     rig: OpenRig | None = None,
     tell: Tell | None = None,
 ) -> Discovery:
-    """Find out what a model of a rig is missing.
+    """Find out which physical effect the model of a rig lacks.
+
+    If the residual of a search over the whole record shows that the simulated motion loses phase with the recorded one,
+    the search is repeated with shooting intervals of a few oscillations.
 
     Args:
-        twin: the rig as it is believed to be.
-        record: commands and readings that it does not reproduce.
-        validation: another record to judge by; the last part of the record where none is given.
-        parameters: of the model that may be off; all that its equations hold where none are given.
-        tolerance: relative standard deviation of a parameter for which the model declares none.
-        horizon: seconds after which the motion is simulated anew, from an initial state of its own; by default the
-            whole record is simulated in one, or a model that does not come to rest by itself in windows of a
-            twentieth of the record; where neither tells anything of a motion that the model does not follow, in windows
-            of a few oscillations.
-        rig: the twin with its places open, where it has been made before.
-        tell: told what is done, and the part done.
+        twin: the rig as its model declares it.
+        record: commands and readings that the model does not reproduce.
+        validation: another record to validate by; if not given, the last part of the record is held out.
+        settings: parameters to re-fit, their tolerance, and the shooting interval; the files that it names are read
+            by the workflow, not here.
+        rig: the augmented model of the twin, if it has been made before.
+        tell: called with what is done, and the fraction done.
 
     Raises:
-        RecordError: the record is too short, clipped, or its readings carry no noise to judge by.
+        RecordError: the record is too short, clipped, or its readings carry no noise.
         IntegrationError: the rig cannot be simulated along the record.
     """
-    rig = rig or OpenRig(twin, tuple(parameters) or twin.equation_parameters())
+    settings = settings or DiscoverySettings()
+    rig = rig or OpenRig(twin, settings.parameters or twin.equation_parameters())
     say = tell or (lambda text, part: None)
     say("preparing the rig; the first time, it is compiled", 0.0)
-    train, judge = settings.split(record) if validation is None else (record, validation)
-    belief, most = settings.believed(twin, rig, tolerance), max(1, twin.substeps(train.rate) // 2)
+    train, judge = train_validation_split(record) if validation is None else (record, validation)
+    belief, most = prior_of(twin, rig, settings.tolerance), max(1, twin.substeps(train.rate) // 2)
     whole = Evidence(rig, train, belief, noise_of(rig, train), most)
-    evidence = replace(whole, horizon=settings.horizon(whole, horizon))
-    evidence = replace(evidence, substeps=settings.substeps(evidence))
+    evidence = replace(whole, horizon=shooting.horizon(whole, settings.shooting_interval))
+    evidence = replace(evidence, substeps=shooting.substeps(evidence))
     noise = noise_of(rig, judge)
     found = _explained(evidence, judge, noise, say)
-    if horizon is None and not evidence.horizon and _is_out_of_step(found):
-        for seconds in settings.shorter(whole):
+    if settings.shooting_interval is None and not evidence.horizon and _is_out_of_step(found):
+        for seconds in shooting.shorter(whole):
             say(f"the motion comes out of step with the record: in windows of {seconds:.2g} s", 0.0)
-            again = _explained(replace(evidence, horizon=settings.horizon(whole, seconds)), judge, noise, say)
+            again = _explained(replace(evidence, horizon=shooting.horizon(whole, seconds)), judge, noise, say)
             if again.verdict != "unknown":
                 found = again
                 break
@@ -93,10 +93,10 @@ def discover(
 
 def _as_measured(found: Discovery) -> dict[str, float] | None:
     """Return the errors that are left where held commands were measured; None where they are no smaller."""
-    if found.record.between != "held" or not found.twin.actuators:
+    if found.record.hold != "zero-order" or not found.twin.actuators:
         return None
     evidence, known = found.evidence, found.explanation.hypothesis
-    evidence = replace(evidence, record=replace(found.record, between="straight", delay=0))
+    evidence = replace(evidence, record=replace(found.record, hold="first-order", delay=0))
     with threadpool_limits(1), suppress(IntegrationError):
         other = fitting.fit(evidence)
         size = found.record.readings.size
@@ -117,7 +117,7 @@ def _explained(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Disc
     if found.verdict == "unknown":
         return found
     with threadpool_limits(1):
-        steps = settings.finer(evidence, found.explanation.hypothesis)
+        steps = shooting.finer(evidence, found.explanation.hypothesis)
     if steps == evidence.substeps:
         return found
     say(f"again, with {steps} steps between samples", 0.0)

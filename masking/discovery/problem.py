@@ -3,39 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from masking.discovery.augmented_model import NEARLY_ZERO, Equations, OpenRig, Slot
+from masking.discovery.prior import Prior
 from masking.errors import IntegrationError
-from masking.estimation.data import Data
-from masking.estimation.sensitivity import is_straight
+from masking.estimation.data import Data, is_first_order
 from masking.numerics.arrays import Array
 
 BLOCK = 32  # samples: what is left is averaged over these to see whether it changes slowly
-
-
-@dataclass(frozen=True)
-class Belief:
-    """What is believed of the rig's parameters before the record.
-
-    Args:
-        mean: (k,).
-        deviation: standard deviations (k,).
-        low, high: what they cannot be below and above (k,).
-    """
-
-    mean: Array
-    deviation: Array
-    low: Array
-    high: Array
-
-    def released(self, index: int) -> Belief:
-        """Return the belief with one parameter free."""
-        deviation = self.deviation.copy()
-        deviation[index] *= 1e3
-        return replace(self, deviation=deviation)
 
 
 @dataclass(frozen=True)
@@ -53,7 +31,7 @@ class Evidence:
 
     rig: OpenRig
     record: Data
-    belief: Belief
+    belief: Prior
     sigma: Array
     substeps: int
     horizon: int = 0
@@ -111,7 +89,7 @@ class Evidence:
         of_windows, gradients = np.zeros((windows * width, width)), np.zeros(windows * width)
         squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
         status = rig.kernels.run(
-            len(record), self.dt, self.substeps, self.begin, is_straight(record.between),
+            len(record), self.dt, self.substeps, self.begin, is_first_order(record.hold),
             np.ascontiguousarray(start), y, sens, p, basis, table, columns, values,
             np.ascontiguousarray(record.acting), record.readings, self.weights, of_windows, gradients, squares,
             simulated,

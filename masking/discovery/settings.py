@@ -1,128 +1,52 @@
-"""Settings: how a record is simulated, and what is believed of the rig before it."""
+"""Settings: all that a discovery is asked with, in one frozen object."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-from functools import cache
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 
-import numpy as np
-
-from masking.discovery import fitting
-from masking.discovery.augmented_model import OpenRig
-from masking.discovery.fitting import Hypothesis
-from masking.discovery.problem import Belief, Evidence
-from masking.discovery.screening import thinning
-from masking.discovery.smoothing import linearised
-from masking.errors import RecordError
-from masking.estimation.data import Data
-from masking.numerics.arrays import Array
-from masking.rig.twin import Twin
+from masking.errors import DeclarationError, Problem
+from masking.estimation.data import InputHold
 
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
-SIGNED = 3.0  # deviations from 0 from which a parameter keeps its sign
-RESTLESS = 10.0  # eigenvalue times the length of a record: what is slower does not come to rest in it
-SHARES = 20  # windows of a record of what does not come to rest
-FEWEST = 200  # samples of a window
-PERIODS = (4.0, 1.0)  # of the slowest oscillation: windows in which motion does not come out of step with its record
-STIFF = 8  # steps between samples at least where forces act on states: friction stops these within a sample
-UNSEEN = 0.1  # of the noise: what integration may add to the readings of the model as declared
-FINE = 0.05  # of the noise: what integration may add with a law that was found
-FINER = 16  # times as many steps at most
-HELD_OUT = 0.3  # of a record, where no other is given to judge by
 
 
-def believed(twin: Twin, rig: OpenRig, tolerance: float) -> Belief:
-    """Return the declared values of the rig's parameters, how far they may be off, and what they cannot be."""
-    declared = twin.model.declaration.parameters
-    deviations = []
-    for name, value in zip(rig.names, rig.start, strict=True):
-        std = declared[name].std if name in declared else None
-        deviations.append(std or tolerance * (abs(float(value)) or 1.0))
-    mean, deviation, (low, high) = rig.start.copy(), np.array(deviations), rig.bounds
-    low = np.where(mean > SIGNED * deviation, np.maximum(low, 0.0), low)
-    high = np.where(mean < -SIGNED * deviation, np.minimum(high, 0.0), high)
-    return Belief(mean, deviation, low, high)
+@dataclass(frozen=True, kw_only=True)
+class DiscoverySettings:
+    """What a discovery is asked with, beside its record.
 
-
-def split(record: Data) -> tuple[Data, Data]:
-    """Return the part of a record that is explained, and the last part, which judges."""
-    seconds = len(record) / record.rate
-    return record.first((1.0 - HELD_OUT) * seconds), record.windows(HELD_OUT * seconds)[-1]
-
-
-def horizon(evidence: Evidence, seconds: float | None) -> int:
-    """Return the samples of a window, in whole blocks of the screening: as asked, or as the model needs; 0 for none.
+    Args:
+        validation: another record to validate by; if not given, the last 30 % of the record are held out.
+        model: model of the rig, a name or a file; in place of the plant's own if both are given.
+        plant: plant file with sensors and actuators; without one, the outputs of the model are its sensors, or else
+            its coordinates or states, and its inputs are the actuators.
+        parameters: names of the parameters to re-fit; if empty, all that appear in the equations.
+        tolerance: prior standard deviation of a parameter that declares none, relative to its value, between 0 and 1.
+        shooting_interval: multiple-shooting interval in s; by default the whole record in one interval, or a
+            twentieth of the record for a model that does not settle.
+        hold: how inputs go from sample to sample, see `Data`; by default held, or straight if elements of the
+            model follow inputs.
+        columns: columns of the files by the names that they get, such as `{"t": "time", "u": "V1"}`.
+        dt: time between samples in s, for a table without a clock.
+        effects: dictionary of own effects, a file or a packaged name, whose effects are tried, too.
 
     Raises:
-        RecordError: the windows asked for are too short.
+        DeclarationError: the tolerance is not between 0 and 1.
     """
-    rate, count = evidence.record.rate, len(evidence.record)
-    if seconds is None:
-        speeds = _speeds(evidence) * count / rate
-        if not ((np.abs(speeds) < RESTLESS) | (speeds.real > 1.0)).any():
-            return 0
-        seconds = count / rate / SHARES
-    elif not seconds * rate >= FEWEST:
-        least = FEWEST / rate
-        raise RecordError(f"the horizon is {seconds:g} s; give {least:g} s or more, which are {FEWEST} samples")
-    if seconds * rate >= count:
-        return 0
-    _, block = thinning(evidence.rig, rate)
-    samples = round(seconds * rate / block) * block
-    return samples if samples < count else 0
 
+    validation: str | Path | None = None
+    model: str | Path | None = None
+    plant: str | Path | None = None
+    parameters: tuple[str, ...] = ()
+    tolerance: float = TOLERANCE
+    shooting_interval: float | None = None
+    hold: InputHold | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    dt: float | None = None
+    effects: str | Path | None = None
 
-def shorter(evidence: Evidence) -> Iterator[float]:
-    """Give horizons in s, the longest first, for a motion that comes out of step with its record."""
-    speeds = np.abs(_speeds(evidence).imag)
-    slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
-    least, last = FEWEST / evidence.record.rate, len(evidence.record) / evidence.record.rate
-    for seconds in (max(periods * 2.0 * np.pi / slowest, least) for periods in PERIODS):
-        if seconds < 0.5 * last:
-            last = seconds
-            yield seconds
-
-
-def substeps(evidence: Evidence) -> int:
-    """Return how many integration steps between samples simulate the readings within their noise."""
-    least = STIFF if len(evidence.rig.twin.free) > 2 * len(evidence.rig.coordinates) else 1
-    theta, most = evidence.belief.mean, max(least, evidence.substeps)
-    start = fitting.first_states(evidence, theta)
-
-    def simulated(number: int) -> Array:
-        return replace(evidence, substeps=number).equations(theta, start).simulated
-
-    steps, before = least, simulated(least)
-    while steps < most:
-        after = simulated(min(2 * steps, most))
-        if bool((np.sqrt(((after - before) ** 2).mean(axis=0)) < UNSEEN * evidence.sigma).all()):
-            break
-        steps, before = min(2 * steps, most), after
-    return steps
-
-
-def finer(evidence: Evidence, found: Hypothesis) -> int:
-    """Return how many steps simulate a law that was found: friction that turns round fast, a stop, a gap.
-
-    Steps are enough where four times as many change the readings by no more than `FINE` of their noise.
-    """
-    if not found.slots:
-        return evidence.substeps
-
-    @cache
-    def left(number: int) -> Array:
-        fine = replace(evidence, substeps=number)
-        return fitting.fit(fine, found.slots, theta=found.theta, start=found.start, frozen=True).residuals
-
-    steps, most = evidence.substeps, FINER * evidence.substeps
-    while steps < most:
-        change = np.sqrt(((left(4 * steps) - left(steps)) ** 2).mean(axis=0))
-        if bool((change < FINE * evidence.sigma).all()):
-            break
-        steps *= 2
-    return steps
-
-
-def _speeds(evidence: Evidence) -> Array:
-    return np.asarray(np.linalg.eigvals(linearised(evidence.rig, evidence.belief.mean)[0]))
+    def __post_init__(self) -> None:
+        if not 0.0 < self.tolerance < 1.0:
+            mend = "give a part between 0 and 1, such as 0.01"
+            raise DeclarationError(Problem(None, "tolerance", f"the tolerance is {self.tolerance:g}", mend))

@@ -1,0 +1,108 @@
+"""Shooting: the intervals of multiple shooting, and the integration steps between samples.
+
+A record is simulated in intervals, each from an initial state of its own that is estimated.
+Source: Bock (1983), Recent advances in parameter identification techniques for o.d.e., in Numerical Treatment of
+Inverse Problems in Differential and Integral Equations, Birkhaeuser, for multiple shooting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from masking.discovery import fitting
+from masking.discovery.fitting import Hypothesis
+from masking.discovery.problem import Evidence
+from masking.discovery.screening import thinning
+from masking.discovery.smoothing import linearised
+from masking.errors import RecordError
+from masking.numerics.arrays import Array
+
+RESTLESS = 10.0  # eigenvalue times the length of a record: what is slower does not come to rest in it
+SHARES = 20  # windows of a record of what does not come to rest
+FEWEST = 200  # samples of a window
+PERIODS = (4.0, 1.0)  # of the slowest oscillation: windows in which motion does not come out of step with its record
+STIFF = 8  # steps between samples at least where forces act on states: friction stops these within a sample
+UNSEEN = 0.1  # of the noise: what integration may add to the readings of the model as declared
+FINE = 0.05  # of the noise: what integration may add with a law that was found
+FINER = 16  # times as many steps at most
+
+
+def horizon(evidence: Evidence, seconds: float | None) -> int:
+    """Return the samples of a window, in whole blocks of the screening: as asked, or as the model needs; 0 for none.
+
+    Raises:
+        RecordError: the windows asked for are too short.
+    """
+    rate, count = evidence.record.rate, len(evidence.record)
+    if seconds is None:
+        speeds = _speeds(evidence) * count / rate
+        if not ((np.abs(speeds) < RESTLESS) | (speeds.real > 1.0)).any():
+            return 0
+        seconds = count / rate / SHARES
+    elif not seconds * rate >= FEWEST:
+        least = FEWEST / rate
+        raise RecordError(f"the shooting interval is {seconds:g} s; give {least:g} s or more: {FEWEST} samples")
+    if seconds * rate >= count:
+        return 0
+    _, block = thinning(evidence.rig, rate)
+    samples = round(seconds * rate / block) * block
+    return samples if samples < count else 0
+
+
+def shorter(evidence: Evidence) -> Iterator[float]:
+    """Give horizons in s, the longest first, for a motion that comes out of step with its record."""
+    speeds = np.abs(_speeds(evidence).imag)
+    slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
+    least, last = FEWEST / evidence.record.rate, len(evidence.record) / evidence.record.rate
+    for seconds in (max(periods * 2.0 * np.pi / slowest, least) for periods in PERIODS):
+        if seconds < 0.5 * last:
+            last = seconds
+            yield seconds
+
+
+def substeps(evidence: Evidence) -> int:
+    """Return how many integration steps between samples simulate the readings within their noise."""
+    least = STIFF if len(evidence.rig.twin.free) > 2 * len(evidence.rig.coordinates) else 1
+    theta, most = evidence.belief.mean, max(least, evidence.substeps)
+    start = fitting.first_states(evidence, theta)
+
+    def simulated(number: int) -> Array:
+        return replace(evidence, substeps=number).equations(theta, start).simulated
+
+    steps, before = least, simulated(least)
+    while steps < most:
+        after = simulated(min(2 * steps, most))
+        if bool((np.sqrt(((after - before) ** 2).mean(axis=0)) < UNSEEN * evidence.sigma).all()):
+            break
+        steps, before = min(2 * steps, most), after
+    return steps
+
+
+def finer(evidence: Evidence, found: Hypothesis) -> int:
+    """Return how many steps simulate a law that was found: friction that turns round fast, a stop, a gap.
+
+    Steps are enough where four times as many change the readings by no more than `FINE` of their noise.
+    """
+    if not found.slots:
+        return evidence.substeps
+
+    @cache
+    def left(number: int) -> Array:
+        fine = replace(evidence, substeps=number)
+        return fitting.fit(fine, found.slots, theta=found.theta, start=found.start, frozen=True).residuals
+
+    steps, most = evidence.substeps, FINER * evidence.substeps
+    while steps < most:
+        change = np.sqrt(((left(4 * steps) - left(steps)) ** 2).mean(axis=0))
+        if bool((change < FINE * evidence.sigma).all()):
+            break
+        steps *= 2
+    return steps
+
+
+def _speeds(evidence: Evidence) -> Array:
+    return np.asarray(np.linalg.eigvals(linearised(evidence.rig, evidence.belief.mean)[0]))
