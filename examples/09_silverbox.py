@@ -58,7 +58,7 @@ def error(twin: Twin, test: Data) -> float:
     """Return the rms error of a free simulation in mV."""
     wide = {"measurement": 1e-6, "process": 0.0, "initial": (1e-2, 1e3)}  # V^2, (V/s)^2
     start = extended_kalman(twin, test.first(FIRST / RATE), (), start=np.zeros(2), **wide).states[-1]
-    settings = {"rate": RATE, "substeps": twin.substeps(RATE), "between": test.between}
+    settings = {"rate": RATE, "substeps": twin.substeps(RATE), "hold": test.hold}
     simulated = Sensitivity(twin, ()).simulate(np.empty(0), start, test.commands[FIRST - 1 :], **settings)
     return 1e3 * float(np.sqrt(np.mean((test.readings[FIRST:] - simulated[1:]) ** 2)))
 
@@ -67,7 +67,7 @@ def identify() -> dict[str, list[float]]:
     """Return the errors in the tests in mV of each model, and that in what it is fitted to in %, the last."""
     found = io.loadmat(FILE)
     u, y = found["V1"].ravel(), found["V2"].ravel()
-    record = Data("SNLS80mV", RATE, (u - u[:50].mean())[:, None], y[:, None], between="straight")
+    record = Data("SNLS80mV", RATE, (u - u[:50].mean())[:, None], y[:, None], hold="first-order")
     smooth = record.band_limited()
     with TemporaryDirectory() as folder:
         Path(folder, "circuit.yaml").write_text(MODEL)

@@ -12,6 +12,14 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 _SHOWN_NAMES = 8
+# Keys of files, options of the command line and entries of manifests that have another name than they once had.
+RENAMED = {
+    "wiring": "allocation",
+    "approach": "homing",
+    "between": "hold",
+    "horizon": "shooting_interval",
+    "fidelity": "masking_error",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +173,8 @@ class WireError(PlantError):
 def nearest(name: str, allowed: Iterable[str]) -> str:
     """Say which allowed name was probably meant, or list what is allowed."""
     names = sorted(allowed) if isinstance(allowed, Set) else list(dict.fromkeys(allowed))
+    if RENAMED.get(name) in names:
+        return f"it is called '{RENAMED[name]}' now"
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.6 if len(name) > 3 else 0.5)
     if not close:
         lowered = {candidate.lower(): candidate for candidate in names}

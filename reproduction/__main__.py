@@ -3,13 +3,14 @@
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 
 from masking.cli.progress import Bar, raise_interrupts
 from masking.errors import MaskingError
 from reproduction.document import compare
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Compute what is chosen, print it, and write the page; return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m reproduction", description=__doc__)
     parser.add_argument(
@@ -17,16 +18,16 @@ def main() -> int:
     )
     parser.add_argument("--out", metavar="DIR", help="folder of thesis.md and its pictures (default: docs)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    chosen = parser.parse_args()
+    chosen = parser.parse_args(arguments)
     raise_interrupts()
     out = chosen.out if chosen.only is not None else chosen.out or "docs"
     try:
         with Bar("computing") as bar:
-            comparison = compare(only=chosen.only, out=out, tell=bar.tell)
+            result = compare(only=chosen.only, out=out, progress=bar.tell)
     except MaskingError as error:
         print(error, file=sys.stderr)
         return 2
-    print(json.dumps(comparison.as_dict(), indent=2, ensure_ascii=False) if chosen.json else comparison)
+    print(json.dumps(result.as_dict(), indent=2, ensure_ascii=False) if chosen.json else result)
     return 0
 
 

@@ -15,10 +15,10 @@ from masking.procedures.springs import spring_curve
 from masking.reports.style import Series
 from masking.rig.twin import Twin
 from masking.signals import Multisine, crest_factor, minimise_crest, multisine, ramp, steps, time_factor
-from reproduction.benches import RATE, alone, recorded
-from reproduction.entry import Entry, Value
+from reproduction.comparison import Entry, Value
+from reproduction.errata import GAINS, table_b_2
 from reproduction.plots import curves
-from reproduction.slips import GAINS, table_b_2
+from reproduction.simulated_records import RATE, alone, recorded
 
 NAMES = ("blue", "red", "beam")
 FREE = ("w", "z", "c")
@@ -35,7 +35,7 @@ def table_4_2() -> Entry:
         **{f"z{i}": x for i, x in zip((1, 2, 3), (0.3362, 0.4296, 0.0409), strict=True)},
     }
     rows = [Value(name, ours[name], document=value, where="Table 4.2") for name, value in printed.items()]
-    why = "the table multiplies by wbar^2 instead of dividing; see the slip of Table 4.1"
+    why = "the table multiplies by wbar^2 instead of dividing; see the erratum of Table 4.1"
     rows += [
         Value(f"lam{i}", ours[f"c{i}"], document=value, where="Table 4.2", independent=truth, why=why)
         for i, value, truth in zip((1, 2, 3), GAINS, (9.945, 11.05, 0.5984), strict=True)
@@ -49,8 +49,8 @@ def fig_4_2() -> Entry:
     printed, beat, sampled = table_b_2()
     ours = minimise_crest(Multisine.harmonic(np.arange(1, 26), beat), starts=12)
     turned = (
-        f"over 200 s the phases of lines that are no harmonics turn; see the slip of 4.2.1. Harmonics of {beat:.4f} s "
-        "keep theirs"
+        f"over 200 s the phases of lines that are no harmonics turn; see the erratum of 4.2.1. Harmonics of "
+        f"{beat:.4f} s keep theirs"
     )
     values = (
         Value("crest factor of Table B.2 over a beat of 0.96 s", sampled, document=1.4838, where="p. 24"),
@@ -158,9 +158,9 @@ def fig_4_5() -> Entry:
     plain = recorded(linear, np.zeros((round(4.6 * RATE), 3)), moved=released)
     check = fit(linear.with_parameters({"mu1": 0.06, "mu2": 0.04, "w3": 9.0, "z3": 0.06}), plain, FREE_MOTION)
     right = dict(zip(check.names, map(float, check.values), strict=True))
-    lacking = "on a rig that is as the linear model the same procedure finds them: friction and hysteresis go into them"
+    absent = "on a rig that is as the linear model the same procedure finds them: friction and hysteresis go into them"
     rows = [
-        Value(f"{name}, fitted", ours[name], document=x, where="Table 4.4", within=0.1, why=lacking)
+        Value(f"{name}, fitted", ours[name], document=x, where="Table 4.4", within=0.1, why=absent)
         for name, x in (("mu1", 0.0411), ("mu2", 0.0578))
     ]
     rows += [
@@ -198,7 +198,7 @@ def fig_4_6() -> Entry:
         printed = np.asarray(np.polynomial.polynomial.polyval(grid, rho), dtype=np.float64)
         inside = np.abs(grid) < min(abs(curve.lowest), curve.highest)
         measured = np.where(inside, curve.at(np.where(inside, grid, 0.0)) / 0.42, np.nan)
-        straight = si[f"w{number}"] ** 2 / si[f"c{number}"] * grid
+        linear = si[f"w{number}"] ** 2 / si[f"c{number}"] * grid
         calibrated = (1.078 / 1.03, 1.109 / 0.97, 1.0 / 1.03)[number - 1]
         secant = rho[1] + rho[3] + rho[5]
         off = (
@@ -238,7 +238,7 @@ def fig_4_6() -> Entry:
         lines.append(
             (
                 f"v, {NAMES[number - 1]}",
-                {"Table B.4": printed, "from the twin's ramp": measured / calibrated, "linear model": straight},
+                {"Table B.4": printed, "from the twin's ramp": measured / calibrated, "linear model": linear},
             )
         )
     title = "Spring characteristics"

@@ -12,7 +12,7 @@ from masking.analysis.stability.modes import Mode, modes, state_matrix
 from masking.analysis.synchronisation import anti_phase, mean_phase, running_peak
 from masking.modelling.model import Model, load_model
 from masking.runs.experiment import Experiment
-from reproduction.entry import Entry, Value
+from reproduction.comparison import Entry, Value
 from reproduction.experiments import Printed, experiment
 from reproduction.motion import THESIS, Motion, masked, on_twin, simulated
 from reproduction.plots import transient

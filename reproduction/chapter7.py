@@ -7,14 +7,14 @@ import numpy as np
 from masking.analysis.synchronisation import mean_phase
 from masking.modelling.model import load_model
 from reproduction.chapter5 import on_rigs
-from reproduction.entry import Entry, Value
+from reproduction.comparison import Entry, Value
+from reproduction.errata import PRINTED_TH
 from reproduction.experiments import Printed, experiment
 from reproduction.motion import Motion, simulated
 from reproduction.plots import transient
-from reproduction.slips import PRINTED_TH
 
 SEEN = 0.05  # of the amplitude: less is not seen in a picture
-SLIP = "printed is ten times (l/wbar)^2, without beta; see the slip of Table 7.2"
+SLIP = "printed is ten times (l/wbar)^2, without beta; see the erratum of Table 7.2"
 
 
 def table_7_2() -> Entry:

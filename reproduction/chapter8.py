@@ -11,7 +11,7 @@ from masking.analysis.synchronisation import synchronisation_time
 from masking.modelling.model import load_model
 from reproduction.chapter5 import on_rigs
 from reproduction.chapter7 import sum_peaks, time_value
-from reproduction.entry import Entry, Value
+from reproduction.comparison import Entry, Value
 from reproduction.experiments import Printed, experiment
 from reproduction.motion import simulated
 from reproduction.plots import transient, valley

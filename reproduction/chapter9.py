@@ -12,7 +12,7 @@ from masking.runs.experiment import Experiment
 from masking.runs.feasibility import Motion as Demanded
 from reproduction.chapter5 import on_rigs
 from reproduction.chapter7 import sum_peaks, time_value
-from reproduction.entry import Entry, Value
+from reproduction.comparison import Entry, Value
 from reproduction.motion import THESIS, masked, simulated
 from reproduction.plots import sums, transient
 
@@ -45,7 +45,7 @@ def section_9_2() -> Entry:
     """Clocks on the rig, which the document never got to synchronise, and the power that stronger coupling asks for."""
     ours = Experiment.load("huygens_rig")
     good = masked(ours)
-    bad = masked(ours.changed(controller={**THESIS, "approach": 3}))
+    bad = masked(ours.changed(controller={**THESIS, "homing": 3}))
     last = [float(np.abs(m.a + m.b)[m.t > m.t[-1] - 10.0].max()) for m in (good, bad)]
     use = {name: demand(Experiment.load(name)) for name in ("pendula", "pendula_fast", "pendula_wide")}
     values = (

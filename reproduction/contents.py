@@ -1,4 +1,4 @@
-"""Contents: every entry of the comparison by its number, in the order of the source document."""
+"""Every entry of the comparison by its number, in the order of the source document."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from types import MappingProxyType
 from typing import Final
 
 from masking.errors import DeclarationError, Problem, nearest
-from reproduction import chapter4, chapter5, chapter7, chapter8, chapter9, enoc, slips
-from reproduction.entry import Entry
+from reproduction import chapter4, chapter5, chapter7, chapter8, chapter9, enoc, errata
+from reproduction.comparison import Entry
 
 Chapter = Mapping[str, Callable[[], Entry]]
 
@@ -57,14 +57,14 @@ CHAPTERS: Final[Mapping[str, Chapter]] = MappingProxyType(
             "ENOC Fig. 9 and 10": enoc.fig_9_10,
         },
         "Where the document contradicts itself": {
-            "Slip: Table 4.1": slips.gains,
-            "Slip: 4.2.1": slips.crest,
-            "Slip: (4.13)": slips.oscillator,
-            "Slip: Table 7.2": slips.cubic,
-            "Slip: (7.4)": slips.beam_sum,
-            "Slip: (8.11)": slips.damping_entry,
-            "Slip: (A.4)": slips.reaction,
-            "Slip: (A.21)": slips.stiffness_power,
+            "Erratum: Table 4.1": errata.gains,
+            "Erratum: 4.2.1": errata.crest,
+            "Erratum: (4.13)": errata.oscillator,
+            "Erratum: Table 7.2": errata.cubic,
+            "Erratum: (7.4)": errata.beam_sum,
+            "Erratum: (8.11)": errata.damping_entry,
+            "Erratum: (A.4)": errata.reaction,
+            "Erratum: (A.21)": errata.stiffness_power,
         },
     }
 )

@@ -1,4 +1,4 @@
-"""Document: the comparison with the source document as Markdown, with its pictures."""
+"""The comparison with the source document as Markdown, with its pictures."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from masking.errors import RecordError
+from reproduction.cache import cached, is_cached
+from reproduction.comparison import Entry, Value, Verdict
 from reproduction.contents import CHAPTERS, ENTRIES, chosen
-from reproduction.entry import Entry, Value, Verdict
-from reproduction.kept import is_kept, kept
 
 PICTURES = Path("pictures") / "thesis"
 WORKERS = 2
@@ -30,8 +30,8 @@ _INTRODUCTION = """# The source document, computed again
 
 Every figure and table of chapters 4, 5, 7, 8 and 9 of D.J. Rijlaarsdam, *Huygens Synchronization in Various Dynamical
 Systems - Experimental Results*, TU Eindhoven, DCT 2008.049, and of its ENOC 2008 paper: the document's number, ours and
-their ratio. `masking thesis` writes this page and its pictures; `masking thesis --only 7.2` computes a part of it and
-prints it.
+their ratio. `python -m reproduction` writes this page and its pictures; `python -m reproduction --only 7.2` computes
+and prints a part of it.
 
 Models are the packaged ones. *On the ideal rig* means masked on a rig that its controller knows exactly, *on the twin*
 masked on `tue_rig`: measured springs, friction, hysteresis, wrong damping and gains, noise, offsets, delay. The
@@ -46,7 +46,7 @@ none.
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Reproduction:
     """Entries by number, and the page that was written; None where none was."""
 
     entries: Mapping[str, Entry]
@@ -55,11 +55,11 @@ class Comparison:
     def __str__(self) -> str:
         if self.page is None:
             return "\n".join(section(entry, pictured=False) for entry in self.entries.values()).rstrip()
-        told = counts(self.entries.values())
+        found = counts(self.entries.values())
         return (
-            f"{len(self.entries)} figures, tables and slips: {told['agrees']} numbers agree, {told['explained']} "
-            f"differ and are explained, {told['unexplained']} differ unexplained, {told['given']} were made from the "
-            f"document's, {told['ours only']} have nothing beside them\npage: {self.page}"
+            f"{len(self.entries)} figures, tables and errata: {found['agrees']} numbers agree, {found['explained']} "
+            f"differ and are explained, {found['unexplained']} differ unexplained, {found['given']} were made from the "
+            f"document's, {found['ours only']} have nothing beside them\npage: {self.page}"
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -87,28 +87,28 @@ def compare(
     *,
     only: str | None = None,
     out: str | Path | None = None,
-    tell: Callable[[str, float], None] | None = None,
-) -> Comparison:
+    progress: Callable[[str, float], None] | None = None,
+) -> Reproduction:
     """Compute figures and tables of the source document again, beside its numbers.
 
     Args:
-        only: a figure, table or slip, or a part of such numbers; all by default.
+        only: a figure, table or erratum, or a part of such numbers; all by default.
         out: folder to write `thesis.md` and its pictures in; nothing is written where none is given.
-        tell: called with what was done, and the part done.
+        progress: called with the number of the entry that is done, and the fraction done.
 
     Raises:
         MaskingError: there is no such entry, it cannot be computed, or the page cannot be written.
     """
-    entries = computed(chosen(only), tell)
-    return Comparison(entries, write(entries, Path(out)) if out is not None else None)
+    entries = computed(chosen(only), progress)
+    return Reproduction(entries, write(entries, Path(out)) if out is not None else None)
 
 
 def computed(numbers: Sequence[str], progress: Callable[[str, float], None] | None = None) -> dict[str, Entry]:
-    """Return entries, from disk where they are kept there; the others are computed in two processes.
+    """Return entries: cached ones from disk, the others computed in two processes.
 
     Args:
         numbers: of the entries.
-        progress: called with the number that is done, and the part of all that is done.
+        progress: called with the number of the entry that is done, and the fraction of all that is done.
 
     Returns:
         the entries by number, in the order of `numbers`.
@@ -116,18 +116,18 @@ def computed(numbers: Sequence[str], progress: Callable[[str, float], None] | No
     Raises:
         MaskingError: an entry could not be computed.
     """
-    ready = [n for n in numbers if is_kept(n, ENTRIES[n])]
+    ready = [n for n in numbers if is_cached(n, ENTRIES[n])]
     missing = [n for n in numbers if n not in ready]
-    made = {n: kept(n, ENTRIES[n]) for n in ready}
+    made = {n: cached(n, ENTRIES[n]) for n in ready}
 
-    def tell(number: str) -> None:
+    def report(number: str) -> None:
         if progress is not None:
             progress(number, len(made) / len(numbers))
 
     if len(missing) < 2:
         for number in missing:
-            made[number] = kept(number, ENTRIES[number])
-            tell(number)
+            made[number] = cached(number, ENTRIES[number])
+            report(number)
     else:
         # The entries of a chapter share compiled functions: one process makes them, one after the other.
         waiting = [[n for n in chapter if n in missing] for chapter in CHAPTERS.values()]
@@ -136,7 +136,7 @@ def computed(numbers: Sequence[str], progress: Callable[[str, float], None] | No
             while waiting:
                 for number in waiting.pop(0):
                     made[number] = pool.submit(_made, number).result()
-                    tell(number)
+                    report(number)
 
         pools = [ProcessPoolExecutor(1, get_context("spawn")) for _ in range(WORKERS)]
         with ThreadPoolExecutor(WORKERS) as lanes:
@@ -210,7 +210,7 @@ def section(entry: Entry, *, pictured: bool = True) -> str:
 
 
 def counts(entries: Iterable[Entry]) -> dict[str, int]:
-    """Return how many numbers agree, are explained, are unexplained and are ours only."""
+    """Return the number of values with each verdict."""
     found = Counter(value.verdict for entry in entries for value in entry.values)
     return {str(verdict): found[verdict] for verdict in _VERDICTS}
 
@@ -218,8 +218,8 @@ def counts(entries: Iterable[Entry]) -> dict[str, int]:
 def _summary(entries: Mapping[str, Entry]) -> str:
     rows = []
     for entry in entries.values():
-        told = counts([entry])
-        rows.append((entry.number, entry.title, *(str(told[v] or "") for v in _VERDICTS)))
+        found = counts([entry])
+        rows.append((entry.number, entry.title, *(str(found[v] or "") for v in _VERDICTS)))
     whole = counts(entries.values())
     rows.append(("**all**", "", *(f"**{whole[v]}**" for v in _VERDICTS)))
     return _table(("", "", "agree", "explained", "unexplained", "given", "ours only"), rows)
@@ -248,8 +248,8 @@ def _number(value: float | str) -> str:
 
 def _mark(value: Value) -> str:
     """Return whether a number agrees, and to what, where that is declared."""
-    told = f" to {100.0 * value.within:g} %" if value.within and value.verdict == "agrees" else ""
-    return _MARKS[value.verdict] + told
+    tolerance = f" to {100.0 * value.within:g} %" if value.within and value.verdict == "agrees" else ""
+    return _MARKS[value.verdict] + tolerance
 
 
 def _ratio(value: Value) -> str:
@@ -261,4 +261,4 @@ def _or_none(number: float) -> float | None:
 
 
 def _made(number: str) -> Entry:
-    return kept(number, ENTRIES[number])
+    return cached(number, ENTRIES[number])

@@ -8,7 +8,7 @@ from masking.analysis.synchronisation import mean_phase, period, running_peak
 from masking.modelling.model import load_model
 from masking.runs.experiment import Experiment
 from reproduction.chapter9 import demand
-from reproduction.entry import ILLEGIBLE, Entry, Value
+from reproduction.comparison import ILLEGIBLE, Entry, Value
 from reproduction.experiments import Ended
 from reproduction.motion import masked, on_twin, simulated, sustained
 from reproduction.plots import steady, transient

@@ -9,7 +9,7 @@ import numpy as np
 
 from masking.analysis.synchronisation import AntiPhase, anti_phase, mean_phase, synchronisation_time
 from masking.runs.experiment import Experiment
-from reproduction.entry import Entry, Value
+from reproduction.comparison import Entry, Value
 from reproduction.mismatch import Mismatch, mismatch
 from reproduction.motion import Motion, on_twin, simulated, sustained
 from reproduction.plots import transient
@@ -145,7 +145,7 @@ def experiment(
         *extra,
     )
     in_phase = "Oscillators that are alike are still in phase at the end, so that alpha is negative. "
-    told = (
+    text = (
         *((in_phase,) if plain.fit.alpha < 0.0 else ()),
         "The document explains unequal amplitudes by oscillators that are not identical. In the linearised system its "
         f"alpha and phase, a ratio of amplitudes of {printed.ratio:.3f}, are those of the anti-phase mode with "
@@ -157,7 +157,7 @@ def experiment(
         "both, that the motion neither dies nor grows.",
         *words,
     )
-    return Entry(printed.number, title, "figure", values, told, transient(unlike, title))
+    return Entry(printed.number, title, "figure", values, text, transient(unlike, title))
 
 
 def _compared(printed: Printed, ended: Ended, which: str) -> list[Value]:

@@ -20,7 +20,7 @@ from masking.reports.style import Series
 from masking.runs.experiment import Experiment
 
 SAMPLE = 0.05  # units of dimensionless time
-# The controller of this project on the twin: it knows the measured springs and estimates what else it lacks.
+# The controller of this project on the twin: its model has the measured springs, its observer estimates the rest.
 OURS = {"rate": "1 kHz", "model": "setup_springs", "observer": "disturbance"}
 # The document's: the linear model, and velocities from differences of positions.
 THESIS = {"rate": "1 kHz", "observer": "differences"}
@@ -89,8 +89,8 @@ def masked(experiment: Experiment) -> Motion:
 
 def on_twin(name: str, *, controller: dict[str, object] | None = None, **sections: object) -> Experiment:
     """Return a packaged experiment on the twin of the rig, with sections of its file changed."""
-    told = OURS if controller is None else controller
-    return Experiment.load(name, plant="tue_rig").changed(controller=told, record=None, **sections)
+    chosen = OURS if controller is None else controller
+    return Experiment.load(name, plant="tue_rig").changed(controller=chosen, record=None, **sections)
 
 
 def sustained(

@@ -213,6 +213,23 @@ def test_what_cannot_be_done_is_said_in_one_line_with_status_2(capsys, tmp_path,
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("option", "now"),
+    [
+        (["--between", "straight"], "--between is called --hold now"),
+        (["--horizon=0.2"], "--horizon is called --shooting-interval now"),
+        (["--fidelity"], "--fidelity is called --masking-error now"),
+        (["--colour"], "unrecognized arguments: --colour"),
+        (["--hold", "straight"], "choose from"),
+    ],
+)
+def test_an_option_that_was_renamed_is_refused_with_its_new_name(capsys, option, now):
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["discover", "record", "--model", "setup", *option])
+    assert caught.value.code == 2
+    assert now in capsys.readouterr().err
+
+
 def test_an_unknown_verb_is_refused(capsys):
     with pytest.raises(SystemExit) as caught:
         cli.main(["dance"])

@@ -207,6 +207,20 @@ def test_all_problems_of_a_file_at_once(folder):
     ]
 
 
+@pytest.mark.parametrize(
+    ("load", "name", "path", "before"),
+    [
+        (registry.load_plant, "plants/linear_rig", "allocation", "wiring"),
+        (registry.load_experiment, "examples/huygens_rig", "controller.homing", "controller.approach"),
+    ],
+)
+def test_a_key_that_was_renamed_is_refused_with_its_new_name(folder, load, name, path, before):
+    now, old = path.split(".")[-1], before.split(".")[-1]
+    text = (catalogue.folder("plant").parent / f"{name}.yaml").read_text().replace(f"{now}:", f"{old}:")
+    with pytest.raises(DeclarationError, match=f"{before}: the key '{old}' is not known; it is called '{now}' now"):
+        load(write(folder, "old.yaml", text))
+
+
 def test_message_with_caret(folder):
     path = write(folder, "m.yaml", MODEL.replace("w*x2'", "w*x9'"))
     with pytest.raises(DeclarationError) as caught:

@@ -67,7 +67,7 @@ def test_silverbox_has_a_cubic_spring(tmp_path):
     file = DATA / "silverbox" / "SNLS80mV.mat"
     found = discovered(
         tmp_path, CIRCUIT, f"{file}@66.6:76.6", f"{file}@173.2:208.7",
-        "--map", "u=V1,y=V2", "--dt", "0.0016384", "--between", "smooth",
+        "--map", "u=V1,y=V2", "--dt", "0.0016384", "--hold", "band-limited",
     )  # fmt: skip
     first = found["effects"][0]
     assert (first["name"], first["on"]) == ("hardening_spring", "spring")
@@ -80,7 +80,7 @@ def test_emps_has_dry_friction_and_an_offset(tmp_path):
     """Published, by inverse dynamics: Fc 20.3935 N, offset -3.1648 N, M 95.1089 kg, Fv 203.5034 N s/m."""
     train, test = DATA / "emps" / "DATA_EMPS.mat", DATA / "emps" / "DATA_EMPS_PULSES.mat"
     found = discovered(
-        tmp_path, DRIVE, train, test, "--map", "u=vir,q=qm", "--parameters", "M,Fv", "--horizon", "0.2",
+        tmp_path, DRIVE, train, test, "--map", "u=vir,q=qm", "--parameters", "M,Fv", "--shooting-interval", "0.2",
     )  # fmt: skip
     friction, offset = found["effects"]
     assert (friction["name"], friction["on"], friction["probability"] > 0.9) == ("dry_friction", "guide", True)
@@ -113,7 +113,7 @@ def test_bouc_wen_is_hysteresis(tmp_path):
     train, test = DATA / "boucwen" / "train.h5", DATA / "boucwen" / "test.h5"
     found = discovered(
         tmp_path, OSCILLATOR, f"{train}@:20", test,
-        "--map", "u=multisine/u,y=multisine/y", "--dt", str(1.0 / 750.0), "--between", "smooth",
+        "--map", "u=multisine/u,y=multisine/y", "--dt", str(1.0 / 750.0), "--hold", "band-limited",
     )  # fmt: skip
     (cause,) = found["effects"]
     assert (cause["name"], cause["on"], found["verdict"]) == ("bouc_wen_hysteresis", "spring", "named")

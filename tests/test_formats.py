@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy import io
 
 from masking.errors import ModelError, RecordError
-from masking.estimation.data import Assumption, Data
+from masking.estimation.data import Data, InputHold
 from masking.records import readers
 from masking.records.recording import Recording
 from masking.records.time_slice import Part
@@ -173,7 +173,8 @@ def test_files_that_are_cut_off_or_damaged_are_refused(runs, tmp_path):
 
 
 def test_reading_a_table_loads_no_h5py(times):
-    code = f"import sys; from masking import formats; formats.read({str(times)!r}); assert 'h5py' not in sys.modules"
+    imports = "import sys; from masking.records import readers"
+    code = f"{imports}; readers.read({str(times)!r}); assert 'h5py' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[1])
 
 
@@ -322,24 +323,26 @@ def test_smooth_inputs_become_straight_lines(mass):
     """Straight lines between samples of a sine carry sinc^2 of it; the ends of a record apart."""
     part = 0.1
     u = np.sin(2 * np.pi * part * 100 * T)
-    made = Data.of(Recording({"t": T, "f": u, "x": u}), mass, between="smooth")
-    assert (made.between, made.delay) == ("straight", 0)
+    made = Data.of(Recording({"t": T, "f": u, "x": u}), mass, hold="band-limited")
+    assert (made.hold, made.delay) == ("first-order", 0)
     np.testing.assert_allclose(made.commands[3:-3, 0] * np.sinc(part) ** 2, u[3:-3], atol=1e-5)
     np.testing.assert_array_equal(made.readings[:, 0], u)
 
 
 def test_the_command_line_knows_every_way_between_samples(mass):
-    assert get_args(Assumption) == verbs.BETWEEN
-    words = "between is 'cubic': give 'held' for .*, 'straight' for .*, or 'smooth' for .* behind an anti-alias filter"
+    assert get_args(InputHold) == verbs.HOLDS
+    words = "hold is 'cubic': give 'zero-order' for .*, 'first-order' for .*, or .* 'band-limited' for .* filter"
     with pytest.raises(ModelError, match=words):
-        Data.of(Recording({"t": T, "f": T, "x": T}), mass, between="cubic")
+        Data.of(Recording({"t": T, "f": T, "x": T}), mass, hold="cubic")
+    with pytest.raises(ModelError, match="hold is 'smooth': this is now called 'band-limited'"):
+        Data.of(Recording({"t": T, "f": T, "x": T}), mass, hold="smooth")
 
 
 def test_parts_of_one_file_are_records_of_a_discovery(mass, tmp_path):
     columns = {"g/clock": T, "g/f": np.sin(9.0 * T), "g/x": np.cos(3.0 * T)}
     path = hdf5(tmp_path / "a.h5", columns)
     names = {"t": "g/clock", "f": "g/f", "x": "g/x"}
-    made = inputs.read(mass, f"{path}@:6", f"{path}@6:", between="smooth", columns=names)
+    made = inputs.read(mass, f"{path}@:6", f"{path}@6:", hold="band-limited", columns=names)
     np.testing.assert_array_equal(made.record.readings[:, 0], np.cos(3.0 * T[:600]))
     np.testing.assert_array_equal(made.validation.readings[:, 0], np.cos(3.0 * T[600:]))
     digest = readers.digest(path)

@@ -128,7 +128,7 @@ def test_windows_lead_where_the_whole_record_would_not(linear):
     """Frequencies that are 60 % off put the simulation out of step with all but the first second."""
     record = recorded(linear, sines(20.0, size=(0.05, 0.05, 0.3)))
     wrong = linear.with_parameters({"w1": 20.0, "w2": 9.0, "w3": 16.0, "z1": 0.05, "z2": 0.05})
-    found = fit(wrong, record, ("w1", "z1", "w2", "z2", "w3"), horizon=0.5)
+    found = fit(wrong, record, ("w1", "z1", "w2", "z2", "w3"), shooting_interval=0.5)
     truth = np.array([linear.parameter_value(name) for name in found.names])
     np.testing.assert_allclose(found.values, truth, rtol=5e-3)
 
@@ -167,29 +167,29 @@ def measured():
     u = generator.standard_normal(len(t))
     system = ([[0.0, 1.0], [-(6.3**2), -2 * 0.05 * 6.3]], [[0.0], [40.0]], [[1.0, 0.0]], [[0.0]])
     x = signal.lsim(system, u, t, [0.5, -1.0], interp=True)[1] + 1e-3 * generator.standard_normal(len(t))
-    return Data("the record", 10.0, u[:, None], x[:, None], between="straight")
+    return Data("the record", 10.0, u[:, None], x[:, None], hold="first-order")
 
 
 def test_straight_inputs_are_fitted_without_bias(oscillator, measured):
     """From all of the record, and from windows of it; inputs that are held are half a sample late."""
     truth = np.array([6.3, 0.05, 40.0])
-    for horizon in (None, 5.0):
-        found = fit(oscillator, measured, ("w", "z", "c"), horizon=horizon)
+    for shooting_interval in (None, 5.0):
+        found = fit(oscillator, measured, ("w", "z", "c"), shooting_interval=shooting_interval)
         assert (np.abs(found.values - truth) < 4 * found.std).all()
         np.testing.assert_allclose(found.sigma, 1e-3, rtol=0.05)
-    held = fit(oscillator, replace(measured, between="held"), ("w", "z", "c"))
+    held = fit(oscillator, replace(measured, hold="zero-order"), ("w", "z", "c"))
     assert held.sigma[0] > 100 * found.sigma[0]
 
 
 def test_parts_of_a_record_keep_how_its_commands_go(measured):
-    assert {part.between for part in (measured.first(5.0), *measured.windows(5.0), measured)} == {"straight"}
-    with pytest.raises(ModelError, match=r"between is 'cubic': give 'held' for .* or 'straight' for inputs that were"):
-        replace(measured, between="cubic")
+    assert {part.hold for part in (measured.first(5.0), *measured.windows(5.0), measured)} == {"first-order"}
+    with pytest.raises(ModelError, match=r"hold is 'cubic': give 'zero-order' for .* 'first-order' for measured"):
+        replace(measured, hold="cubic")
 
 
 def test_measured_inputs_act_when_they_are_measured(linear):
     """The delay of a plant is that of its commands."""
-    found = Data.of(saved(T), linear, between="straight")
+    found = Data.of(saved(T), linear, hold="first-order")
     np.testing.assert_array_equal(found.acting, found.commands)
 
 
@@ -199,7 +199,7 @@ def test_band_limited_inputs_lose_nothing(part, exact):
     u = np.sin(2 * np.pi * part * np.arange(200))[:, None]
     made = Data("sine", 1.0, u, u).band_limited()
     np.testing.assert_allclose(made.commands[3:-3] * np.sinc(part) ** 2, u[3:-3], atol=exact)
-    assert made.between == "straight"
+    assert made.hold == "first-order"
 
 
 # What cannot be told.

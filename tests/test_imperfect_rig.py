@@ -107,7 +107,7 @@ class Clocks:
 def clocks(way, *, listed_only):
     controller = {"springs": SPRINGS, "thesis": THESIS}[way]
     changes = {"effects": UNLISTED, "duration": 400} if listed_only else {}
-    found = experiment("huygens_rig", "tue_rig", {**controller, "approach": 3}, **changes).run()
+    found = experiment("huygens_rig", "tue_rig", {**controller, "homing": 3}, **changes).run()
     last = found.t > found.t[-1] - 10.0 * found.manifest["time_scale"]
     th1, th2, ideal = (found[name][last] for name in ("virtual.th1", "virtual.th2", "ideal.th1"))
     amplitude = np.abs(th1).max()

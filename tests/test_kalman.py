@@ -121,7 +121,7 @@ def test_measured_inputs_are_filtered_as_they_are_fitted(oscillator, measured, s
     found = extended_kalman(least.twin, measured, ("w", "z", "c"), **settings)
     assert (np.abs(found.values - least.values) < least.std).all()
     assert found.innovations[10:].std() == pytest.approx(1e-3, rel=0.05)
-    held = extended_kalman(least.twin, replace(measured, between="held"), (), **settings)
+    held = extended_kalman(least.twin, replace(measured, hold="zero-order"), (), **settings)
     assert held.innovations[10:].std() > 0.1
 
 

@@ -129,7 +129,7 @@ def test_without_a_plant_a_displacement_is_in_the_unit_of_the_reading(capsys, tm
     assert f"page: {tmp_path / 'springs.html'}" in out
 
 
-def test_actuators_balance_at_the_ratio_of_wiring_and_gains(capsys, tmp_path, balance):
+def test_actuators_balance_at_the_ratio_of_allocation_and_gains(capsys, tmp_path, balance):
     values, written = measured(capsys, tmp_path, "actuators", balance, "--sensor", "s3")
     assert values["ratio"]["value"] == pytest.approx(1.109 * 1.03 / 0.97, abs=0.003)
     assert 0.0 < values["ratio"]["std"] < 0.01
@@ -327,9 +327,9 @@ def test_inputs_that_were_measured_go_in_straight_lines(capsys, tmp_path, mass, 
     x = signal.lsim(system, u, t, interp=True)[1] + 1e-3 * generator.standard_normal(len(t))
     Recording({"t": t, "input.u": u, "sensor.s": x}, {}).save(tmp_path / "record")
     arguments = ["identify", tmp_path / "record", "--plant", mass / "plant.yaml", "--parameters", "w,z"]
-    arguments += ["--method", method, "--out", tmp_path / "out", "--json", "--between"]
+    arguments += ["--method", method, "--out", tmp_path / "out", "--json", "--hold"]
     found = []
-    for between in ("straight", "held"):
+    for between in ("first-order", "zero-order"):
         status, printed, _ = run(capsys, *arguments, between)
         assert status == 0
         found.append(json.loads(printed))
@@ -365,7 +365,10 @@ def test_least_squares_draw_the_fit_too(tmp_path, mass):
     ("arguments", "said"),
     [
         (["r0", "r1", "--method", "kalman"], "the filter takes one record, 2 are given; filter one after the other"),
-        (["r0", "--method", "kalman", "--horizon", "1"], "horizon: a filter has no windows; leave the horizon out"),
+        (
+            ["r0", "--method", "kalman", "--shooting-interval", "1"],
+            "shooting_interval: a filter has none; leave it out",
+        ),
         (["r0", "--square-root"], "square roots and iterations are settings of the filter; give the method kalman"),
         (["r0", "--method", "kalman", "--iterated", "0"], "iterated is 0: give the times"),
     ],

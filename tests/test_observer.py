@@ -51,7 +51,7 @@ def linear_rig():
 
 
 def test_a_rig_is_planned_for_as_its_file_says(linear_rig):
-    """Linearisation, sensors, wiring and limits of the packaged plant, against the formulas written out above."""
+    """Linearisation, sensors, allocation and limits of the packaged plant, against the formulas written out above."""
     found, by_hand = linear_rig.instruments.plan(1000.0, None), plan()
     np.testing.assert_allclose(found.dynamics, by_hand.dynamics, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.sensing, by_hand.sensing, rtol=1e-9, atol=1e-9)

@@ -192,7 +192,7 @@ def swept(rig, which, *, frequency=2.0, seconds=100.0, rate=500.0):
 
 
 @pytest.mark.parametrize(("which", "exact"), [(0, 1.078 * 1.03 / 1.03), (1, 1.109 * 1.03 / 0.97)])
-def test_the_ratio_of_actuators_is_what_wiring_and_gains_of_the_twin_make(rig, which, exact):
+def test_the_ratio_of_actuators_is_what_allocation_and_gains_of_the_twin_make(rig, which, exact):
     """The errors of gain that the twin declares are part of its ratios: 1.078, and 1.1776 for the red oscillator."""
     found = swept(rig, which)
     assert found.ratio == pytest.approx(exact, abs=0.001)

@@ -177,6 +177,13 @@ def test_load_refuses_foreign_tables(tmp_path, table, manifest, message):
     assert message in str(caught.value)
 
 
+def test_load_refuses_a_record_whose_manifest_has_an_old_name(tmp_path):
+    manifest = b'{"format": "masking recording 1", "fidelity": {"x1": 0.1}}'
+    path = _foreign(tmp_path / "old.parquet", pa.table({"t": [0.0, 1.0]}), manifest)
+    with pytest.raises(RecordError, match="'fidelity' in its manifest is called 'masking_error' now; make the record"):
+        Recording.load(path)
+
+
 def test_load_takes_other_kinds_of_numbers_and_several_chunks(tmp_path):
     chunks = pa.chunked_array([pa.array([0, 1], pa.int32()), pa.array([5], pa.int32())])
     path = _foreign(tmp_path / "r.parquet", pa.table({"t": chunks}), b'{"format": "masking recording 1"}')

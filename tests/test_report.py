@@ -672,11 +672,11 @@ def test_percentages():
     assert [percent(part) for part in (0.5, 0.0123, 1.234, 0.0, None)] == ["50 %", "1.2 %", "120 %", "0 %", ""]
 
 
-def test_an_approach_that_falls_short_is_told():
+def test_a_homing_that_falls_short_is_told():
     reached = {"wanted": {"x1": -0.6, "x2": -0.5, "x3": 0.0}, "reached": {"x1": -0.3, "x2": -0.499, "x3": 0.001}}
     said = (
-        "The approach did not reach the initial state: x1 = -0.3 instead of -0.6; give it more time "
-        "(controller.approach), or begin with less (initial)."
+        "Homing did not reach the initial state: x1 = -0.3 instead of -0.6; give it more time "
+        "(controller.homing), or begin with less (initial)."
     )
     assert warnings(duffing(2000, start=reached)) == [said]
     reached["reached"]["x1"] = -0.599

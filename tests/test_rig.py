@@ -44,7 +44,7 @@ COMMANDED = ("sensor", "input", "demanded", "power")
 DUFFING = {
     "name": "duffing on a rig",
     "virtual": "duffing",
-    "controller": {"rate": "1 kHz", "observer": "disturbance", "approach": 2},
+    "controller": {"rate": "1 kHz", "observer": "disturbance", "homing": 2},
     "initial": {"x1": -0.6, "x2": -0.5},
     "duration": 55,
 }
@@ -88,8 +88,8 @@ def offline(tmp_path_factory):
 
 
 def before(experiment: Experiment) -> int:
-    """Return the samples before the release: the approach, and those that the first command is late."""
-    return round(experiment.declaration.controller.approach * RATE) + 1
+    """Return the samples before the release: the homing, and those that the first command is late."""
+    return round(experiment.declaration.controller.homing * RATE) + 1
 
 
 # --- processes --------------------------------------------------------------------------------------------------------
@@ -317,10 +317,10 @@ def test_what_there_is_since_the_release_is_kept_when_the_plant_is_lost(offline)
         assert_equal(kept[0][name], expected[name][:700], name)
 
 
-def test_a_run_that_is_stopped_in_the_approach_says_that_nothing_was_recorded(offline):
+def test_a_run_that_is_stopped_in_the_homing_says_that_nothing_was_recorded(offline):
     _, experiment, _ = offline("linear_rig")
     plant = Disturbed(experiment.twin)
-    said = "the run was stopped in the approach, before the release; nothing was recorded"
+    said = "the run was stopped during homing, before the release; nothing was recorded"
     with pytest.raises(MaskingError, match=said) as caught:
         hardware.run(experiment, plant, lockstep=True, stop=lambda: len(plant.positions) == 100)
     assert caught.value.exit_status == 1
@@ -461,11 +461,11 @@ class Cut:
 
 
 def cut_short(folder: Path, seconds: float, number: int) -> Cut:
-    """Run an experiment with an approach of a second, and send its process a signal after some time.
+    """Run an experiment with a homing of a second, and send its process a signal after some time.
 
     Where this machine is so busy that the plant's watchdog is first, the run is repeated.
     """
-    experiment = written(folder, controller={"approach": 1}, duration=500)
+    experiment = written(folder, controller={"homing": 1}, duration=500)
     compiled("linear_rig")
     tries = []
     for attempt in range(3):
@@ -495,7 +495,7 @@ def applied(own: Recording) -> np.ndarray:
     return np.column_stack([own[f"plant.applied.V{i}"] for i in (1, 2, 3)])
 
 
-@pytest.mark.parametrize("seconds", [0.35, 1.3, 2.2], ids=["in the approach", "after the release", "later"])
+@pytest.mark.parametrize("seconds", [0.35, 1.3, 2.2], ids=["in the homing", "after the release", "later"])
 def test_a_controller_that_is_killed_leaves_the_rig_at_zero(tmp_path, seconds):
     cut = cut_short(tmp_path, seconds, signal.SIGKILL)
     own = cut.own
@@ -529,17 +529,17 @@ def test_a_controller_that_is_told_to_stop_leaves_the_rig_at_zero_and_keeps_its_
     assert np.abs(own.array("input")[-20:-1]).max() > 0.0
     assert not own.array("input")[-1].any()
     assert not applied(own)[-1].any()
-    # The record is that of the ticks from the release, after the approach of a second, to the last that was answered:
+    # The record is that of the ticks from the release, after the homing of a second, to the last that was answered:
     # as many more as this machine kept the controller waiting, within the 100 ms, the plant went on alone.
     last = offset(found, own, 1001) + round(found.t[-1] * RATE)
     assert own["tick"][-1] - 100 < last <= own["tick"][-1]
     assert np.count_nonzero(own["fresh"][last + 1 :]) <= 2
 
 
-def test_a_run_that_is_interrupted_in_the_approach_says_that_nothing_was_recorded(tmp_path):
+def test_a_run_that_is_interrupted_in_the_homing_says_that_nothing_was_recorded(tmp_path):
     cut = cut_short(tmp_path, 0.4, signal.SIGTERM)
     assert cut.status == 1
-    assert cut.err == "masking: the run was interrupted in the approach, before the release; nothing was recorded\n"
+    assert cut.err == "masking: the run was interrupted during homing, before the release; nothing was recorded\n"
     assert (cut.own.manifest["end"], cut.own.array("input")[-1].any()) == ("bye", False)
     assert not cut.saved.exists()
 
@@ -619,22 +619,22 @@ def test_a_served_plant_with_other_channels_is_refused_on_the_command_line(offli
     ("controller", "said"),
     [
         (
-            {"approach": None},
-            "a rig cannot be placed in its initial state: write controller.approach, the seconds in which the "
-            "controller brings it there, such as 'approach: 3'",
+            {"homing": None},
+            "a rig cannot be placed in its initial state: write controller.homing, the seconds in which the "
+            "controller brings it there, such as 'homing: 3'",
         ),
         (
-            {"approach": None, "observer": "exact"},
+            {"homing": None, "observer": "exact"},
             "a rig is known by its sensors only: give controller.rate and controller.observer, such as "
-            "'controller: {rate: 1 kHz, observer: disturbance, approach: 3}'",
+            "'controller: {rate: 1 kHz, observer: disturbance, homing: 3}'",
         ),
         (
-            {"approach": None, "observer": None, "rate": "continuous"},
+            {"homing": None, "observer": None, "rate": "continuous"},
             "a rig is known by its sensors only: give controller.rate and controller.observer, such as "
-            "'controller: {rate: 1 kHz, observer: disturbance, approach: 3}'",
+            "'controller: {rate: 1 kHz, observer: disturbance, homing: 3}'",
         ),
     ],
-    ids=["no approach", "exact observer", "continuous"],
+    ids=["no homing", "exact observer", "continuous"],
 )
 def test_an_experiment_that_no_rig_can_run_is_refused_before_the_plant_is_touched(tmp_path, controller, said):
     experiment = Experiment.load(written(tmp_path, controller=controller))

@@ -1,4 +1,4 @@
-"""Sampled controllers: hold, prediction, limits, approach and the compiled step, against numpy and closed forms.
+"""Sampled controllers: hold, prediction, limits, homing and the compiled step, against numpy and closed forms.
 
 The rig is the set-up without errors unless a test switches them on, so that what is seen is the controller's own.
 """
@@ -328,7 +328,7 @@ def by_python(found, seconds, *, start, seed):
     """Run a sampled controller around a twin in Python, from before the release; rows from the first sample on."""
     sampled, twin, rate = found.sampled, found.twin, found.sampled.rate
     generator, p = np.random.default_rng(seed), found.twin.values()
-    before = round(sampled.approach * rate) + sampled.delay
+    before = round(sampled.homing * rate) + sampled.delay
     y, readings, substeps = twin.rest(start), np.empty(3), twin.substeps(rate)
     noise = generator.standard_normal((before + int(seconds * rate * (1 + 1e-12)) + 1, 3))
     twin.kernels.sense(-before / rate, y, p, noise[0], readings)
@@ -375,7 +375,7 @@ def test_a_model_with_other_coordinates_is_refused(tmp_path):
 OTHER = schema.PlantDeclaration.model_validate({"name": "other rig", "model": "other"})
 
 
-# Approach, by a rig that moves at another pace through a transform that is not linear.
+# Homing, by a rig that moves at another pace through a transform that is not linear.
 
 
 PACE = 1.25 / OMEGA  # seconds per unit of virtual time
@@ -396,7 +396,7 @@ def approached():
     transform = {"expressions": BENT}
     for name, effects, noise in (("quiet", QUIET, 1e-7), ("noisy", {}, 1e-4)):
         found = experiment(
-            controller={"approach": 3.0, "observer": {"kind": "disturbance", "noise": noise}},
+            controller={"homing": 3.0, "observer": {"kind": "disturbance", "noise": noise}},
             effects=effects, transform=transform, time_scale=PACE,
         )  # fmt: skip
         made[name] = by_python(found, 4.0, start=np.zeros(3), seed=1)
@@ -404,7 +404,7 @@ def approached():
 
 
 @pytest.mark.parametrize(("kind", "near"), [("quiet", 1e-6), ("noisy", 1e-2)])
-def test_approach_brings_the_rig_to_its_initial_state(approached, kind, near):
+def test_homing_brings_the_rig_to_its_initial_state(approached, kind, near):
     before, rows = approached[kind]
     assert before == 3001
     np.testing.assert_allclose(rows["state"][before - 1, :3] / LENGTH, BENT_START, rtol=0, atol=near)
@@ -413,7 +413,7 @@ def test_approach_brings_the_rig_to_its_initial_state(approached, kind, near):
     np.testing.assert_allclose(rows["state"][before - 100 : before, :3] / LENGTH, [BENT_START] * 100, atol=near)
 
 
-def test_approach_begins_and_goes_on_without_a_jump(approached):
+def test_homing_begins_and_goes_on_without_a_jump(approached):
     before, rows = approached["quiet"]
     jumps = np.abs(np.diff(rows["demanded"][: before - 1], axis=0, prepend=0.0)) / 0.42
     assert jumps.max() < 2e-3

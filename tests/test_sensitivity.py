@@ -96,7 +96,7 @@ def oscillator():
         "name": "rig",
         "model": "oscillator",
         "actuators": {"V": {"unit": "1"}},
-        "wiring": {"u": "V"},
+        "allocation": {"u": "V"},
         "sensors": {"s": {"measures": "x", "gain": 2.0, "unit": "1"}},
         "effects": {"lag": {"effect": "actuator_lag", "at": "V", "parameters": {"tau": 0.1}}},
     }
@@ -121,7 +121,7 @@ def test_straight_commands_are_a_first_order_hold(oscillator):
     u = np.random.default_rng(0).standard_normal((400, 1))
     exact = first_order_hold(theta, start, u)
     off = [
-        np.abs(oscillator.simulate(theta, start, u, substeps=n, between="straight", **OSCILLATOR) - exact).max()
+        np.abs(oscillator.simulate(theta, start, u, substeps=n, hold="first-order", **OSCILLATOR) - exact).max()
         for n in (4, 8, 16, 128)
     ]
     assert off[-1] < 1e-9 * np.abs(exact).max()
@@ -132,11 +132,11 @@ def test_straight_commands_are_a_first_order_hold(oscillator):
 
 def test_a_hold_that_is_not_known_is_refused(oscillator):
     u = np.zeros((10, 1))
-    with pytest.raises(ModelError, match="between is 'linear': give 'held' for commands that act until the next"):
-        oscillator.simulate(oscillator.start(), np.zeros(3), u, rate=1.0, substeps=1, between="linear")
+    with pytest.raises(ModelError, match="hold is 'linear': give 'zero-order' for commands that act until the next"):
+        oscillator.simulate(oscillator.start(), np.zeros(3), u, rate=1.0, substeps=1, hold="linear")
 
 
-def by_differences(sensitivity, theta, start, u, between):
+def by_differences(sensitivity, theta, start, u, hold):
     """Return the derivatives of all readings (m, sensors, k + states) by central differences."""
     columns = []
     for i in range(len(theta) + len(start)):
@@ -145,7 +145,7 @@ def by_differences(sensitivity, theta, start, u, between):
             values, state = theta.copy(), start.copy()
             step = 1e-5 * (abs(theta[i]) or 1.0) if i < len(theta) else 1e-7
             (values if i < len(theta) else state)[i if i < len(theta) else i - len(theta)] += sign * step
-            at.append(sensitivity.simulate(values, state, u, rate=RATE, substeps=2, between=between))
+            at.append(sensitivity.simulate(values, state, u, rate=RATE, substeps=2, hold=hold))
         columns.append((at[0] - at[1]) / (2 * step))
     return np.moveaxis(np.array(columns), 0, -1)
 
@@ -158,16 +158,16 @@ def full():
     return Sensitivity(twin, ("w1", "z3", "mu2", "friction1_fc", "hysteresis3_k", "strong_gain_V1_e", "offset_s2_e0"))
 
 
-@pytest.mark.parametrize("between", ["held", "straight"])
+@pytest.mark.parametrize("hold", ["zero-order", "first-order"])
 @pytest.mark.parametrize("which", ["linear", "full"])
-def test_normal_equations_are_those_of_differences(which, between, request):
+def test_normal_equations_are_those_of_differences(which, hold, request):
     found = request.getfixturevalue(which)
     theta, u, weights = found.start(), commands(600), np.array([1.0, 4.0, 0.25])
     start = found.twin.rest(np.array([1e-3, -5e-4, 2e-4]))
-    settings = {"rate": RATE, "substeps": 2, "between": between}
+    settings = {"rate": RATE, "substeps": 2, "hold": hold}
     readings = found.simulate(theta * 1.02, start, u, **settings)
     told = found.normal_equations(found.basis(theta), start, u, readings, weights, **settings)
-    jacobian = by_differences(found, theta, start, u, between)
+    jacobian = by_differences(found, theta, start, u, hold)
     residuals = readings - found.simulate(theta, start, u, **settings)
     matrix = np.einsum("mok,o,mol->kl", jacobian, weights, jacobian)
     gradient = np.einsum("mok,o,mo->k", jacobian, weights, residuals)

@@ -57,7 +57,7 @@ def twin(tmp_path_factory):
 def measured():
     found = io.loadmat(FILE)
     u, y = found["V1"].ravel(), found["V2"].ravel()
-    return Data("SNLS80mV", RATE, (u - u[:50].mean())[:, None], y[:, None], between="straight")
+    return Data("SNLS80mV", RATE, (u - u[:50].mean())[:, None], y[:, None], hold="first-order")
 
 
 def part(record, samples):
@@ -73,7 +73,7 @@ def error(twin, record, samples):
     """Return the rms error in mV of a simulation that knows the first 50 readings of a test, and its inputs."""
     test, sensing, none = part(record, samples), Sensitivity(twin, (), CUBIC), np.empty(0)
     start, _ = nearest(sensing, none, part(test, slice(FIRST)), np.ones(1))
-    settings = {"rate": RATE, "substeps": twin.substeps(RATE), "between": test.between}
+    settings = {"rate": RATE, "substeps": twin.substeps(RATE), "hold": test.hold}
     simulated = sensing.simulate(none, start, test.commands, **settings)
     return 1e3 * np.sqrt(np.mean((test.readings - simulated)[FIRST:] ** 2))
 
@@ -94,7 +94,7 @@ def test_a_cubic_spring_is_what_the_linear_model_lacks(straight, measured, test,
 
 def test_inputs_that_were_measured_are_not_held(measured, straight):
     """Held from sample to sample, they come half a sample late."""
-    held = replace(measured, between="held")
+    held = replace(measured, hold="zero-order")
     assert error(fitted(straight[1], held, CUBIC), held, MULTISINE) > 10 * error(straight[1], measured, MULTISINE)
 
 

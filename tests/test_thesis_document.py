@@ -1,20 +1,21 @@
-"""The comparison with the source document: what it holds, what it says of differences, and how it is kept."""
+"""The comparison with the source document: what it holds, what it says of differences, and how it is cached."""
 
 import json
 import math
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from masking import cli
 from masking.analysis.stability.modes import modes, state_matrix
 from masking.errors import DeclarationError
 from masking.modelling.model import load_model
-from masking.workflows import verbs
-from reproduction import chapter7, chapter8, document, kept, slips
+from reproduction import __main__, cache, chapter7, chapter8, document, errata
+from reproduction.comparison import Entry, Value
 from reproduction.contents import CHAPTERS, ENTRIES, chosen
-from reproduction.entry import Entry, Value
 from reproduction.mismatch import mismatch
 
 
@@ -58,38 +59,38 @@ def discs():
 
 
 def test_independent_numbers_agree(discs):
-    told = [v for v in discs.values if math.isfinite(v.independent)]
-    assert len(told) == 4
-    assert {v.verdict for v in told} == {"agrees"}
+    compared = [v for v in discs.values if math.isfinite(v.independent)]
+    assert len(compared) == 4
+    assert {v.verdict for v in compared} == {"agrees"}
     assert discs.picture.startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("make", [slips.gains, slips.cubic, slips.damping_entry, slips.crest])
-def test_a_slip_is_explained_by_a_number_that_differs(make):
+@pytest.mark.parametrize("make", [errata.gains, errata.cubic, errata.damping_entry, errata.crest])
+def test_an_erratum_is_explained_by_a_number_that_differs(make):
     verdicts = {v.verdict for v in make().values}
     assert "explained" in verdicts
     assert "unexplained" not in verdicts
 
 
 def test_printed_gains_are_too_large_by_the_fourth_power_of_the_frequency():
-    found = value(slips.gains(), "lam1 = nu c1/(l wbar^2)")
+    found = value(errata.gains(), "lam1 = nu c1/(l wbar^2)")
     assert 1.0 / found.ratio == pytest.approx(13.2929**4, rel=1e-4)
 
 
 def test_printed_cubic_stiffness_is_ten_times_the_scale_without_the_stiffness():
-    found = value(slips.cubic(), "10 (l/wbar)^2, in SI units")
+    found = value(errata.cubic(), "10 (l/wbar)^2, in SI units")
     assert found.ours == pytest.approx(10 * (5e-3 / 18.3157) ** 2, rel=1e-12)
     assert found.verdict == "agrees"
 
 
 def test_crossed_reaction_moves_the_centre_of_mass():
-    kept_still, moved = slips.reaction().values
+    kept_still, moved = errata.reaction().values
     assert kept_still.ours == 0.0
     assert moved.ours == pytest.approx(2.0 / (1.0 + 0.0411 + 0.0578))
 
 
 def test_energy_balance_holds_with_the_square_of_the_frequency_only():
-    right, wrong = (v.ours for v in slips.stiffness_power().values)
+    right, wrong = (v.ours for v in errata.stiffness_power().values)
     assert right < 1e-5
     assert wrong > 1e-2
 
@@ -119,7 +120,7 @@ def test_a_mismatch_has_the_mode_that_was_asked_for():
 def test_every_entry_is_named_as_its_number():
     assert all(make.__module__.startswith("reproduction.") for make in ENTRIES.values())
     assert sum(len(chapter) for chapter in CHAPTERS.values()) == len(ENTRIES)
-    for number in ("Table 7.2", "Slip: (4.13)", "Table 8.4", "ENOC Table 2"):
+    for number in ("Table 7.2", "Erratum: (4.13)", "Table 8.4", "ENOC Table 2"):
         assert ENTRIES[number]().number == number
 
 
@@ -135,7 +136,7 @@ def test_a_number_that_is_not_there_is_refused():
         chosen("17.3")
 
 
-def test_differences_are_told_below_their_table():
+def test_differences_are_explained_below_their_table():
     entry = Entry(
         "Fig. 0",
         "a title",
@@ -161,35 +162,52 @@ def test_an_entry_is_kept_and_found_again(tmp_path, monkeypatch):
         calls.append(1)
         return Entry("Fig. 0", "a title", "figure", (Value("x", math.nan, document=1.0),), ("words",), b"\x00picture")
 
-    first, second = kept.kept("Fig. 0", made), kept.kept("Fig. 0", made)
+    first, second = cache.cached("Fig. 0", made), cache.cached("Fig. 0", made)
     assert calls == [1]
     assert (first.picture, first.words, first.stem) == (second.picture, second.words, second.stem)
     assert math.isnan(second.values[0].ours)
-    assert kept.is_kept("Fig. 0", made)
-    assert not kept.is_kept("Fig. 1", made)
+    assert cache.is_cached("Fig. 0", made)
+    assert not cache.is_cached("Fig. 1", made)
 
 
 def test_the_page_and_its_pictures_are_written(tmp_path):
-    numbers = ("Table 7.2", "Fig. 4.2", "Slip: (7.4)")
+    numbers = ("Table 7.2", "Fig. 4.2", "Erratum: (7.4)")
     path = document.write(document.computed(numbers), tmp_path)
     text = path.read_text()
     for picture in re.findall(r"\]\((pictures/[^)]+)\)", text):
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
-    assert text.index("### Fig. 4.2") < text.index("### Table 7.2") < text.index("### Slip: (7.4)")
+    assert text.index("### Fig. 4.2") < text.index("### Table 7.2") < text.index("### Erratum: (7.4)")
 
 
-def test_verb_prints_an_entry(capsys):
-    assert cli.main(["thesis", "--only", "Table 8.4"]) == 0
-    assert "| nu1 | 0.7004 (Table 8.4) |  | 0.7004 | 1 | agrees |" in capsys.readouterr().out
-    assert cli.main(["thesis", "--only", "Table 8.4", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["entries"]["Table 8.4"]["values"]
-    assert {v["verdict"] for v in told} == {"agrees"}
-    assert cli.main(["thesis", "--only", "17.3"]) == 2
-    assert cli.main(["thesis", "--only", ""]) == 2
+def reproduced(capsys, *arguments: str):
+    """Return the exit status and what `python -m reproduction` prints."""
+    return __main__.main(arguments), capsys.readouterr().out
 
 
-def test_verb_says_how_much_agrees(tmp_path):
-    made = verbs.thesis(only="Slip: (A.4)", out=tmp_path)
+def test_command_prints_an_entry(capsys):
+    status, text = reproduced(capsys, "--only", "Table 8.4")
+    assert status == 0
+    assert "| nu1 | 0.7004 (Table 8.4) |  | 0.7004 | 1 | agrees |" in text
+    status, text = reproduced(capsys, "--only", "Table 8.4", "--json")
+    assert status == 0
+    assert {v["verdict"] for v in json.loads(text)["entries"]["Table 8.4"]["values"]} == {"agrees"}
+    assert reproduced(capsys, "--only", "17.3")[0] == 2
+    assert reproduced(capsys, "--only", "")[0] == 2
+
+
+def test_command_is_there_by_name():
+    done = subprocess.run(
+        [sys.executable, "-m", "reproduction", "--only", "Table 8.4"],
+        cwd=Path(__file__).parents[1],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "| nu1 | 0.7004 (Table 8.4) |" in done.stdout
+
+
+def test_summary_counts_the_numbers_that_agree(tmp_path):
+    made = document.compare(only="Erratum: (A.4)", out=tmp_path)
     assert str(made).startswith(
-        "1 figures, tables and slips: 0 numbers agree, 1 differ and are explained, 0 differ unexp"
+        "1 figures, tables and errata: 0 numbers agree, 1 differ and are explained, 0 differ unexp"
     )

@@ -52,7 +52,7 @@ PLANT = {
     "model": "bench.yaml",
     "sensors": {name: {"measures": "a + b", "gain": {"value": 2, "unit": "V/m"}, "unit": "V"} for name in SENSORS},
     "actuators": {name: {"unit": "m/s**2"} for name in ACTUATORS},
-    "wiring": {"f": "plain", "g": " + ".join(f"{2 + i}*{name}/(8*h)" for i, name in enumerate(ACTUATORS[1:]))},
+    "allocation": {"f": "plain", "g": " + ".join(f"{2 + i}*{name}/(8*h)" for i, name in enumerate(ACTUATORS[1:]))},
     "effects": EFFECTS,
 }
 
@@ -188,10 +188,10 @@ def test_the_controller_is_told_the_noise(twin):
     assert twin.noise() == pytest.approx(expected, rel=1e-12)
 
 
-def test_wiring_is_what_the_file_says(twin):
+def test_allocation_is_what_the_file_says(twin):
     expected = np.zeros((2, len(ACTUATORS)))
     expected[0, 0], expected[1, 1:] = 1.0, list(WEIGHT.values())
-    np.testing.assert_allclose(twin.wiring, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(twin.allocation, expected, rtol=1e-12, atol=1e-12)
 
 
 def packaged(plant, **changes):
@@ -200,11 +200,11 @@ def packaged(plant, **changes):
     return Twin(declaration, registry.load_model(declaration.model), changes)
 
 
-def test_wiring_of_the_packaged_rigs():
+def test_allocation_of_the_packaged_rigs():
     """(4.3), and the gains of the oscillators' actuators of section C.5."""
-    np.testing.assert_array_equal(packaged("linear_rig").wiring, [[1, 0, 0], [0, 1, 0], [-1, -1, 1]])
+    np.testing.assert_array_equal(packaged("linear_rig").allocation, [[1, 0, 0], [0, 1, 0], [-1, -1, 1]])
     expected = [[1 / 1.078, 0, 0], [0, 1 / 1.109, 0], [-1 / 1.078, -1 / 1.109, 1]]
-    np.testing.assert_allclose(packaged("tue_rig").wiring, expected, rtol=1e-14)
+    np.testing.assert_allclose(packaged("tue_rig").allocation, expected, rtol=1e-14)
 
 
 # Elements.
@@ -402,21 +402,22 @@ def test_an_effect_of_an_element_of_another_unit_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("wiring", "message"),
+    ("allocation", "message"),
     [
-        ({"f": "plain"}, "nothing is wired to the input g; write what it gets of the actuators, such as 'g: plain'"),
+        ({"f": "plain"},
+         "nothing is allocated to the input g; write what it gets of the actuators, such as 'g: plain'"),
         ({"f": "plain**2", "g": "strong"},
-         "wiring.f: the wiring must be a sum of actuators times numbers; put anything else into effects"),
-        ({"f": "plain + 1", "g": "strong"}, "wiring.f: the wiring must be a sum of actuators times numbers"),
-        ({"f": "plain*strong", "g": "strong"}, "wiring.f: the wiring must be a sum of actuators times numbers"),
+         "allocation.f: the allocation must be a sum of actuators times numbers; put anything else into effects"),
+        ({"f": "plain + 1", "g": "strong"}, "allocation.f: the allocation must be a sum of actuators times numbers"),
+        ({"f": "plain*strong", "g": "strong"}, "allocation.f: the allocation must be a sum of actuators times numbers"),
         ({"f": "plian", "g": "strong"}, "did you mean 'plain'?"),
-        ({"f": "plain", "g": "strong", "e": "slow"}, "wiring.e: 'e' is no input of bench"),
+        ({"f": "plain", "g": "strong", "e": "slow"}, "allocation.e: 'e' is no input of bench"),
     ],
 )  # fmt: skip
-def test_a_wiring_that_is_none_is_refused_with_its_place(tmp_path, wiring, message):
-    twin = bench(tmp_path, wiring=wiring)
+def test_an_allocation_that_is_none_is_refused_with_its_place(tmp_path, allocation, message):
+    twin = bench(tmp_path, allocation=allocation)
     with pytest.raises(DeclarationError) as error:
-        _ = twin.wiring
+        _ = twin.allocation
     assert "rig.yaml:1:" in str(error.value)
     assert message in str(error.value)
 

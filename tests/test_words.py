@@ -60,7 +60,7 @@ def test_commands_that_seem_measured_are_told(discoveries):
     told = discovery_text.sentence(replace(found, as_measured={"s1": 0.01, "s2": 0.1, "s3": 0.1}))
     assert told.endswith(
         "the model alone leaves 1\N{NO-BREAK SPACE}% of s1, against 20\N{NO-BREAK SPACE}%: if they were measured, use "
-        "--between straight"
+        "--hold first-order"
     )
 
 

@@ -60,10 +60,10 @@ def _add_of_records(sub: argparse.ArgumentParser) -> None:
     text = "relative standard deviation of a parameter that declares none (default: %(default)s)"
     sub.add_argument("--tolerance", metavar="PART", type=float, default=verbs.TOLERANCE, help=text)
     text = (
-        "simulate anew after so many seconds, from a state that is estimated (default: the whole record in one, or "
-        "windows where the model does not come to rest by itself)"
+        "length of the intervals of multiple shooting, each with an initial state of its own (default: the whole "
+        "record, or shorter intervals if the model is not asymptotically stable)"
     )
-    sub.add_argument("--horizon", metavar="SECONDS", type=float, help=text)
+    sub.add_argument("--shooting-interval", metavar="SECONDS", type=float, help=text)
     text = "a dictionary of effects of your own, which are tried, too: a YAML file or a name"
     sub.add_argument("--effects", metavar="FILE", help=text)
     add_of_tables(sub)
@@ -99,8 +99,8 @@ def _settings(chosen: argparse.Namespace) -> dict[str, Any]:
         "validation": chosen.validate,
         "parameters": names(chosen.parameters),
         "tolerance": chosen.tolerance,
-        "horizon": chosen.horizon,
-        "between": chosen.between,
+        "shooting_interval": chosen.shooting_interval,
+        "hold": chosen.hold,
         "columns": readers.mapping(chosen.map),
         "dt": chosen.dt,
         "effects": chosen.effects,

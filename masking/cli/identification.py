@@ -30,7 +30,8 @@ def add(verb: Add) -> None:
     identify.add_argument("--model", metavar="MODEL", help="fit this model instead of the plant's own")
     identify.add_argument("--parameters", metavar="A,B", default="", help="what to fit (default: all of the equations)")
     identify.add_argument("--validate", metavar="RECORD", action="append", default=[], help="judge by this recording")
-    identify.add_argument("--horizon", metavar="SECONDS", type=float, help="begin with windows of so many seconds")
+    text = "length of the intervals of multiple shooting with which the fit starts (default: each record whole)"
+    identify.add_argument("--shooting-interval", metavar="SECONDS", type=float, help=text)
     text = "least squares, or one pass of the extended Kalman filter (default: %(default)s)"
     identify.add_argument("--method", choices=verbs.METHODS, default=verbs.METHODS[0], help=text)
     identify.add_argument("--square-root", action="store_true", help="of the filter: carry a root of the covariance")
@@ -107,11 +108,11 @@ def _identify(chosen: argparse.Namespace) -> int:
             model=chosen.model,
             parameters=names(chosen.parameters),
             validation=chosen.validate,
-            horizon=chosen.horizon,
+            shooting_interval=chosen.shooting_interval,
             method=chosen.method,
             square_root=chosen.square_root,
             iterated=chosen.iterated,
-            between=chosen.between,
+            hold=chosen.hold,
             columns=readers.mapping(chosen.map),
             dt=chosen.dt,
             out=out,

@@ -32,10 +32,10 @@ def add_to(found: argparse._SubParsersAction[argparse.ArgumentParser], *flags: t
 def add_of_tables(sub: argparse.ArgumentParser) -> None:
     """Add what is said of records that other programs wrote, and of how inputs go between their samples."""
     text = (
-        "how inputs go from sample to sample: commands that are held; inputs that were measured, in straight lines; or "
-        "measured behind an anti-alias filter, smooth (default: held, or straight for a measured motion)"
+        "hold of the inputs between samples: zero-order for commands, first-order for measured inputs, band-limited "
+        "for inputs measured behind an anti-alias filter (default: zero-order; first-order for a measured motion)"
     )
-    sub.add_argument("--between", choices=verbs.BETWEEN, help=text)
+    sub.add_argument("--hold", choices=verbs.HOLDS, help=text)
     text = "rename columns: NAME=COLUMN, with commas; in groups of an HDF5 file V1=GROUP/COLUMN"
     sub.add_argument("--map", metavar="t=time,V1=u", default="", help=text)
     sub.add_argument("--dt", metavar="SECONDS", type=float, help="time between samples, for a record without a clock")

@@ -12,12 +12,16 @@ from collections.abc import Sequence
 from masking.cli import declarations, discovery, identification, rig, runs, stability
 from masking.cli.options import add_to
 from masking.cli.progress import INTERRUPTED, NOTHING_SAVED
-from masking.errors import DeclarationError, MaskingError
+from masking.errors import RENAMED, DeclarationError, MaskingError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to mend first."""
-    chosen = _parser().parse_args(arguments)
+    parser = _parser()
+    chosen, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        renamed = [_renamed(text) for text in unknown if _renamed(text)]
+        parser.error(", ".join(renamed) or f"unrecognized arguments: {' '.join(unknown)}")
     if arguments is None:  # in a process of its own, which an interrupt may end in the midst of compiled code
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
@@ -33,6 +37,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return status
+
+
+def _renamed(argument: str) -> str:
+    """Return what an option is called that has another name now; nothing for any other argument."""
+    option = argument.partition("=")[0]
+    name = RENAMED.get(option.removeprefix("--").replace("-", "_"), "") if option.startswith("--") else ""
+    return f"{option} is called --{name.replace('_', '-')} now" if name else ""
 
 
 def _tell(error: MaskingError, *, as_json: bool) -> None:

@@ -14,7 +14,7 @@ from masking.errors import ActuationError, ModelError
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 from masking.numerics.sampled_loop import HEATING, LARGEST, POWER, TIME
-from masking.rig.allocation import wiring
+from masking.rig.allocation import allocation
 
 # Step of a difference quotient, relative to the size of what varies.
 _STEP = 1e-5
@@ -49,24 +49,24 @@ class Instruments:
         return tuple(self.plant.sensors)
 
     @cached_property
-    def wiring(self) -> Array:
+    def allocation(self) -> Array:
         """Return what each input gets of each actuator (inputs, actuators)."""
-        return wiring(self.plant, self.model.declaration, self.model.parameter_values())
+        return allocation(self.plant, self.model.declaration, self.model.parameter_values())
 
     @cached_property
-    def allocation(self) -> Array:
+    def allocation_inverse(self) -> Array:
         """Return the commands of least norm for each input (actuators, inputs).
 
         Raises:
             ActuationError: the actuators cannot give each input independently of the others.
         """
-        found = np.asarray(np.linalg.pinv(self.wiring), dtype=np.float64)
-        missed = np.abs(np.diag(self.wiring @ found) - 1.0) > 1e-8
+        found = np.asarray(np.linalg.pinv(self.allocation), dtype=np.float64)
+        missed = np.abs(np.diag(self.allocation @ found) - 1.0) > 1e-8
         if missed.any():
             names = [name for name, is_missed in zip(self.model.inputs, missed, strict=True) if is_missed]
             raise ActuationError(
                 f"{self.plant.name}: the actuators ({', '.join(self.actuators)}) cannot give {', '.join(names)} "
-                "independently of the other inputs; change the wiring, or add an actuator",
+                "independently of the other inputs; change the allocation, or add an actuator",
                 names,
             )
         return found
@@ -128,7 +128,7 @@ class Instruments:
                 "the plant file, or write controller.observer.noise, in the sensors' units"
             )
         levels = np.array([self.noise[name] if noise is None else noise for name in self.sensors])
-        command = self.allocation @ np.linalg.pinv(driven) / self.limits()[:, [LARGEST]]
+        command = self.allocation_inverse @ np.linalg.pinv(driven) / self.limits()[:, [LARGEST]]
         return Plan(dynamics, sensing, command, levels, 1.0 / rate, self.delay)
 
     def _linear(self) -> tuple[Array, Array]:

@@ -93,14 +93,14 @@ class ControlLaw:
     driven: list[Node]
 
     @classmethod
-    def of(cls, controller: Controller, graph: Graph, rig: RigSymbols, approach: Approach | None = None) -> ControlLaw:
+    def of(cls, controller: Controller, graph: Graph, rig: RigSymbols, homing: Homing | None = None) -> ControlLaw:
         """Lower the control law into a graph, for given nodes of time and rig state.
 
         Args:
             controller: the controller.
             graph: the graph to add to.
             rig: nodes of time, rig state and of the accelerations that the model lacks.
-            approach: how the rig is brought to its initial state before the release, if it is.
+            homing: how the rig is brought to its initial state before the release, if it is.
         """
         p = ControllerParameters.of(controller, graph)
         time = graph.div(rig.t, p.time_scale)
@@ -117,8 +117,8 @@ class ControlLaw:
         jacobian = [[graph.div(j, length) for j, length in zip(row, p.lengths, strict=True)] for row in mapped.jacobian]
         squared = graph.mul(p.time_scale, p.time_scale)
         wanted = [graph.sub(graph.div(d, squared), b) for d, b in zip(desired, mapped.bias, strict=True)]
-        if approach is not None:
-            wanted = approach.lower(graph, rig, jacobian, wanted)
+        if homing is not None:
+            wanted = homing.lower(graph, rig, jacobian, wanted)
         unwanted = [graph.apply("neg", dot(graph, row, free)) for row in jacobian]
         matrix = [[dot(graph, row, [g[i] for g in gain]) for i in range(len(gain[0]))] for row in jacobian]
         cancel, drive, determinant = decouple(graph, matrix, unwanted, wanted)
@@ -142,14 +142,14 @@ class RigSymbols:
     lacking: list[Node] = field(default_factory=list)
 
 
-# The reference reaches its end at this part of the approach; the rest is for settling.
+# The reference reaches its end at this part of the homing phase; the rest is for settling.
 MOVING_PART = 0.7
-# Decay of a deviation from the reference over the whole approach, as an exponent.
+# Decay of a deviation from the reference over the whole homing phase, as an exponent.
 SETTLING = 60.0
 
 
 @dataclass(frozen=True)
-class Approach:
+class Homing:
     """How the rig is brought from where it stands to its initial state: along a smooth reference, critically damped.
 
     Before the release, at `since` < 0, the rig's accelerations are those of q'' = r'' - 2 a (q' - r') - a^2 (q - r)
@@ -159,7 +159,7 @@ class Approach:
         since: node of the time since the release.
         start: nodes of the coordinates (n,) where the rig stands.
         end: nodes of the coordinates (n,) of its initial state.
-        time: node of the length of the approach, s.
+        time: node of the length of the homing phase, s.
     """
 
     since: Node
@@ -168,7 +168,7 @@ class Approach:
     time: Node
 
     def lower(self, graph: Graph, rig: RigSymbols, jacobian: list[list[Node]], wanted: list[Node]) -> list[Node]:
-        """Return the wanted virtual accelerations, replaced before the release by those of the approach."""
+        """Return the wanted virtual accelerations, replaced before the release by those of homing."""
         number, mul = graph.number, graph.mul
         one = number(1.0)
         moving = mul(number(MOVING_PART), self.time)

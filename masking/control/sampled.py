@@ -18,7 +18,7 @@ from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.control.blocks import check_actuation
 from masking.control.instruments import Instruments
-from masking.control.law import Approach, ControlLaw, Controller, ControllerParameters, RigSymbols
+from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols
 from masking.control.observer import Differences, Observer
 from masking.errors import ModelError
 from masking.modelling.lowering import LoweredEquations
@@ -37,7 +37,7 @@ class SampledController:
         observer: how it knows the rig's state.
         rate: samples per second.
         noise: standard deviation of every reading, in the sensors' units; that of the plant file where it is None.
-        approach: seconds before the release in which the rig is brought to its initial state; 0 where it is there.
+        homing: seconds before the release in which the rig is brought to its initial state; 0 where it is there.
         end: coordinates (n,) of the rig's initial state.
     """
 
@@ -46,7 +46,7 @@ class SampledController:
     observer: Observer
     rate: float
     noise: float | None
-    approach: float
+    homing: float
     end: Array
 
     @property
@@ -90,15 +90,15 @@ class SampledController:
         return self.instruments.limits()
 
     def values(self, start: Array | None = None) -> Array:
-        """Return the parameter array; `start` are the coordinates (n,) from which the approach begins."""
+        """Return the parameter array; `start` are the coordinates (n,) from which homing begins."""
         parts = [
             self.controller.values(),
             self.instruments.gains(),
             self.instruments.allocation.ravel(),
-            self.instruments.wiring.ravel(),
+            self.instruments.allocation.ravel(),
         ]
-        if self.approach:
-            parts += [self.end if start is None else start, self.end, np.array([self.approach])]
+        if self.homing:
+            parts += [self.end if start is None else start, self.end, np.array([self.homing])]
         return np.concatenate(parts)
 
     def structure(self) -> dict[str, object]:
@@ -110,7 +110,7 @@ class SampledController:
             "actuators": list(self.instruments.actuators),
             "has_model": self.has_model,
             "order": self.observer.order,
-            "approach": bool(self.approach),
+            "homing": bool(self.homing),
         }
 
     @cached_property
@@ -156,13 +156,14 @@ class SampledController:
         internal = [state.initial for state in self.controller.model.declaration.states.values()]
         estimate = np.concatenate([q, np.zeros(n), internal, np.zeros(sizes.order * n)])
         p, inputs = self.values(q), np.empty(sizes.inputs)
-        self.kernels.still(-self.approach, estimate[: sizes.states].copy(), p, inputs)
+        self.kernels.still(-self.homing, estimate[: sizes.states].copy(), p, inputs)
         if not self.has_model:
             inputs[:] = 0.0
-        if self.approach:  # the rig is where it is without power
+        if self.homing:  # the rig is where it is without power
             inputs[:] = 0.0
-        command = np.clip(self.instruments.allocation @ inputs, -self.limits[:, LARGEST], self.limits[:, LARGEST])
-        acting = self.instruments.wiring @ command
+        largest = self.limits[:, LARGEST]
+        command = np.clip(self.instruments.allocation_inverse @ inputs, -largest, largest)
+        acting = self.instruments.allocation @ command
         warmed = -np.expm1(-self.delay / (self.rate * self.limits[:, TIME]))  # by the commands under way
         power = warmed * self.limits[:, HEATING] * command**2
         x = np.concatenate([estimate, power, estimate, np.tile(acting, self.delay)])
@@ -285,14 +286,14 @@ class _Lowered:
         gains = self._parameters("gain", len(instruments.sensors))
         allocation = [self._parameters(f"alloc_{i}", inputs) for i in range(channels)]
         wires = [self._parameters(f"wire_{i}", channels) for i in range(inputs)]
-        approach = None
-        if sampled.approach:
+        homing = None
+        if sampled.homing:
             since = self.graph.symbol("since", varying=True)
             start, end = self._parameters("start", n), self._parameters("end", n)
-            approach = Approach(since, start, end, self._parameters("approach", 1)[0])
+            homing = Homing(since, start, end, self._parameters("homing", 1)[0])
 
         rig = RigSymbols(time, y["q"], y["v"], y["s"])
-        self.law = ControlLaw.of(controller, self.graph, replace(rig, lacking=lacking), approach)
+        self.law = ControlLaw.of(controller, self.graph, replace(rig, lacking=lacking), homing)
         self.still_law = ControlLaw.of(controller, self.graph, replace(rig, v=[self.graph.number(0.0)] * n))
         s = equations.symbols
         known = dict(

@@ -38,7 +38,7 @@ OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
             "seed",
         ]
     ),
-    "plant": frozenset(["kind", "model", "sensors", "actuators", "limits", "wiring", "own_effects"]),
+    "plant": frozenset(["kind", "model", "sensors", "actuators", "limits", "allocation", "own_effects"]),
     "model": frozenset(
         [
             "extends",

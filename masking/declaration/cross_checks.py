@@ -29,33 +29,35 @@ def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Proble
         if name not in channels:
             path, message = f"limits.inputs.{name}", f"'{name}' is not {owner}"
             problems.append(problem_at(plant, path, message, nearest(name, channels), at_key=True))
-    problems += _wiring(plant, model)
+    problems += _allocation(plant, model)
     for expression in plant.limits.coordinates:
         problems += check_symbols(expression, measurable, model.coordinates)
     return problems
 
 
-def _wiring(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
+def _allocation(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
     """Check that actuators are wired to every input of the model, and to nothing else."""
-    if plant.wiring and not plant.actuators:
-        yield problem_at(plant, "wiring", "a wiring needs actuators", "declare them under actuators", at_key=True)
+    if plant.allocation and not plant.actuators:
+        yield problem_at(
+            plant, "allocation", "an allocation needs actuators", "declare them under actuators", at_key=True
+        )
         return
     for name in plant.actuators:
         if name in model.parameters:
             message = f"the name '{name}' is already a parameter of {model.name}"
             yield problem_at(plant, f"actuators.{name}", message, "rename it", at_key=True)
-    for name, expression in plant.wiring.items():
+    for name, expression in plant.allocation.items():
         if name not in model.inputs:
-            path, message = f"wiring.{name}", f"'{name}' is not an input of {model.name}"
+            path, message = f"allocation.{name}", f"'{name}' is not an input of {model.name}"
             yield problem_at(plant, path, message, nearest(name, model.inputs), at_key=True)
         yield from check_symbols(expression, [*plant.actuators, *model.parameters], ())
     for name in model.inputs if plant.actuators else ():
-        if name not in plant.wiring:
+        if name not in plant.allocation:
             mend = f"write what it gets of the actuators, such as '{name}: {next(iter(plant.actuators))}'"
-            yield problem_at(plant, "wiring", f"nothing is wired to the input {name}", mend, at_key=True)
-    used = set().union(*(expression.names for expression in plant.wiring.values()))
+            yield problem_at(plant, "allocation", f"nothing is allocated to the input {name}", mend, at_key=True)
+    used = set().union(*(expression.names for expression in plant.allocation.values()))
     for name in plant.actuators:
-        if plant.wiring and name not in used:
+        if plant.allocation and name not in used:
             message = f"the actuator '{name}' is wired to nothing"
             yield problem_at(plant, f"actuators.{name}", message, "remove it or wire it", at_key=True)
 
@@ -206,16 +208,16 @@ def _effects(experiment: ExperimentDeclaration, plant: PlantDeclaration) -> Iter
 def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
     """Check that what only a sampled controller has stands only with a rate."""
     settings = experiment.controller
-    for name in ("observer", "approach"):
+    for name in ("observer", "homing"):
         if settings.rate is None and getattr(settings, name) is not None:
             message = f"{name} is for a controller that runs at a rate"
             mend = "write 'rate: 1 kHz', or leave it out"
             yield problem_at(experiment, f"controller.{name}", message, mend, at_key=True)
     yield from _regulation(experiment)
     observer = settings.observer
-    if observer is not None and observer.kind == "exact" and settings.approach is not None:
-        message, mend = "an exact observer places the rig where it starts", "leave approach out, or take an observer"
-        yield problem_at(experiment, "controller.approach", message, mend, at_key=True)
+    if observer is not None and observer.kind == "exact" and settings.homing is not None:
+        message, mend = "an exact observer places the rig where it starts", "leave homing out, or take an observer"
+        yield problem_at(experiment, "controller.homing", message, mend, at_key=True)
     if observer is not None and observer.order not in {1, 2}:
         message = f"{observer.order} is not an order of a disturbance"
         mend = "allowed: 1 (a constant), 2 (a straight line)"

@@ -280,7 +280,7 @@ class Regulation(Block):
 class ControllerSettings(Block):
     """How often the controller runs (`rate` in Hz, None for continuous) and what it believes the rig to be.
 
-    `approach` is the time in s in which it brings the rig from rest to the initial state; without it, a simulated rig
+    `homing` is the time in s in which it brings the rig from rest to the initial state; without it, a simulated rig
     is placed there.
     """
 
@@ -288,7 +288,7 @@ class ControllerSettings(Block):
     model: TextField | None = None
     parameters: dict[Name, Number] = {}
     observer: Annotated[ObserverSettings, _KIND] | None = None
-    approach: Positive | None = None
+    homing: Positive | None = None
     regulate: Regulation | None = None
 
 
@@ -434,7 +434,7 @@ class PlantDeclaration(Declaration):
         Annotated[Sensor, _MEASURES],
     ] = {}
     actuators: dict[Name, Annotated[Actuator, _MEANING]] = {}
-    wiring: dict[Name, Formula] = {}
+    allocation: dict[Name, Formula] = {}
     limits: Limits = Limits()
     own_effects: Annotated[tuple[TextField, ...], _SEVERAL] = ()
     effects: dict[Name, EffectUse] = {}

@@ -87,10 +87,10 @@ def discover(
 
 def _as_measured(found: Discovery) -> dict[str, float] | None:
     """Return the errors that are left where held commands were measured; None where they are no smaller."""
-    if found.record.between != "held" or not found.twin.actuators:
+    if found.record.hold != "zero-order" or not found.twin.actuators:
         return None
     evidence, known = found.evidence, found.explanation.hypothesis
-    evidence = replace(evidence, record=replace(found.record, between="straight", delay=0))
+    evidence = replace(evidence, record=replace(found.record, hold="first-order", delay=0))
     with threadpool_limits(1), suppress(IntegrationError):
         other = fitting.fit(evidence)
         size = found.record.readings.size

@@ -20,8 +20,7 @@ from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import Evidence
 from masking.discovery.rules import RULES
 from masking.errors import IntegrationError
-from masking.estimation.data import Data
-from masking.estimation.sensitivity import Between
+from masking.estimation.data import Data, Hold
 from masking.numerics.arrays import Array
 
 SECONDS = 30.0
@@ -118,9 +117,9 @@ def next_experiment(
 
 def _left(evidence: Evidence, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
     """Return what one explanation leaves of what the other would read, as -2 log likelihood."""
-    between: Between = "straight" if evidence.rig.twin.measured_actuators else "held"
+    hold: Hold = "first-order" if evidence.rig.twin.measured_actuators else "zero-order"
     nothing = np.zeros((len(commands), len(evidence.sigma)))
-    record = Data("simulated", evidence.record.rate, commands, nothing, between=between)
+    record = Data("simulated", evidence.record.rate, commands, nothing, hold=hold)
     state = evidence.rig.rest[None]
     free = replace(evidence, record=record, horizon=0)
     try:

@@ -11,8 +11,7 @@ from masking.discovery.augmented_model import NEARLY_ZERO, Equations, OpenRig, S
 from masking.discovery.prior import Prior
 from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import IntegrationError
-from masking.estimation.data import Data
-from masking.estimation.sensitivity import is_straight
+from masking.estimation.data import Data, is_first_order
 from masking.numerics.arrays import Array
 
 
@@ -91,7 +90,7 @@ class Evidence:
         of_windows, gradients = np.zeros((windows * width, width)), np.zeros(windows * width)
         squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
         status = rig.kernels.run(
-            len(record), self.dt, self.substeps, self.begin, is_straight(record.between),
+            len(record), self.dt, self.substeps, self.begin, is_first_order(record.hold),
             np.ascontiguousarray(start), y, sens, p, basis, table, columns, values,
             np.ascontiguousarray(record.acting), record.readings, self.weights, of_windows, gradients, squares,
             simulated,

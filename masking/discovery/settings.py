@@ -8,7 +8,7 @@ from pathlib import Path
 
 from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import DeclarationError, Problem
-from masking.estimation.data import Assumption
+from masking.estimation.data import InputHold
 
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
 
@@ -26,7 +26,7 @@ class DiscoverySettings:
         tolerance: prior standard deviation of a parameter that declares none, relative to its value, between 0 and 1.
         shooting_interval: multiple-shooting interval in s; by default the whole record in one interval, or a
             twentieth of the record for a model that does not settle.
-        input_hold: how inputs go from sample to sample, see `Data`; by default held, or straight if elements of the
+        hold: how inputs go from sample to sample, see `Data`; by default held, or straight if elements of the
             model follow inputs.
         columns: columns of the files by the names that they get, such as `{"t": "time", "u": "V1"}`.
         dt: time between samples in s, for a table without a clock.
@@ -43,7 +43,7 @@ class DiscoverySettings:
     parameters: tuple[str, ...] = ()
     tolerance: float = TOLERANCE
     shooting_interval: float | None = None
-    input_hold: Assumption | None = None
+    hold: InputHold | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     dt: float | None = None
     effects: str | Path | None = None

@@ -35,8 +35,8 @@ def horizon(evidence: Evidence, seconds: float | None) -> int:
             return 0
         seconds = count / rate / rules.intervals
     elif not seconds * rate >= rules.fewest_samples:
-        fewest = rules.fewest_samples
-        raise RecordError(f"the horizon is {seconds:g} s; give {fewest / rate:g} s or more, which are {fewest} samples")
+        few = rules.fewest_samples
+        raise RecordError(f"the shooting interval is {seconds:g} s; give {few / rate:g} s or more: {few} samples")
     if seconds * rate >= count:
         return 0
     _, block = thinning(evidence.rig, rate)

@@ -19,7 +19,7 @@ from masking.discovery.augmented_model import OpenRig
 from masking.discovery.problem import Evidence
 from masking.effects import Effect
 from masking.errors import IntegrationError
-from masking.estimation.sensitivity import is_straight
+from masking.estimation.data import is_first_order
 from masking.numerics.arrays import Array
 
 WALKS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # intensities that are tried, of that which moves the sensors as their noise does
@@ -110,7 +110,7 @@ def _filter(evidence: Evidence, theta: Array, start: Array, gains: _Gains) -> tu
     p, _ = rig.basis(theta)
     acting = np.ascontiguousarray(record.acting)
     status = rig.kernels.follow(
-        len(record), evidence.dt, evidence.substeps, is_straight(record.between), x, p.copy(), gains.forward,
+        len(record), evidence.dt, evidence.substeps, is_first_order(record.hold), x, p.copy(), gains.forward,
         acting, record.readings, states, predicted,
     )  # fmt: skip
     if status or not np.isfinite(states).all():

@@ -11,19 +11,41 @@ from typing import Literal, get_args
 import numpy as np
 
 from masking.errors import ModelError, RecordError, nearest
-from masking.estimation.sensitivity import Between, is_straight
 from masking.numerics.arrays import Array
 from masking.records import clock, readers
 from masking.records.noise import white_noise
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
 
-# How inputs of a record may go from each sample to the next. Smooth ones become straight lines that act alike, so that
-# all that simulates knows two ways.
-Assumption = Literal[Between, "smooth"]
+# Inputs between samples, as simulations know them, and as records are given: band-limited inputs become a first-order
+# hold that acts alike.
+Hold = Literal["zero-order", "first-order"]
+InputHold = Literal[Hold, "band-limited"]
+_RENAMED = {"held": "zero-order", "straight": "first-order", "smooth": "band-limited"}
 
 _STILL = 4.0  # deviations of the noise: readings that vary by less do not move
 _LINES = (1.0 / 12.0, 1.0 / 90.0, 1.0 / 560.0)  # (asin(x/2)/(x/2))**2 = 1 + x**2/12 + x**4/90 + x**6/560 + ...
+
+
+def is_first_order(hold: str) -> bool:
+    """Tell whether inputs go in straight lines between samples (first-order hold).
+
+    Raises:
+        ModelError: `hold` is neither 'zero-order' nor 'first-order'.
+    """
+    if hold not in get_args(Hold):
+        raise ModelError(_refusal(hold))
+    return hold == "first-order"
+
+
+def _refusal(hold: str) -> str:
+    if hold in _RENAMED:
+        return f"hold is '{hold}': this is now called '{_RENAMED[hold]}'"
+    return (
+        f"hold is '{hold}': give 'zero-order' for commands that act until the next sample, 'first-order' for measured "
+        "inputs, which go in straight lines between samples, or for a whole record 'band-limited' for inputs that "
+        "were measured behind an anti-alias filter"
+    )
 
 
 @dataclass(frozen=True)
@@ -36,14 +58,14 @@ class Data:
         commands: of the actuators, in their units (m, actuators).
         readings: of the sensors, in their units (m, sensors).
         delay: samples after which a command acts.
-        between: how commands go from each sample to the next. 'held': each acts until the next, as the output of a
-            converter does (zero-order hold). 'straight': in straight lines (first-order hold), for inputs that were
-            measured, not commanded. Those that were also filtered before, `band_limited` makes straight lines of.
+        hold: 'zero-order': each command acts until the next, as the output of a converter does. 'first-order': inputs
+            go in straight lines between samples, for inputs that were measured, not commanded. `band_limited` makes
+            such lines of inputs that were filtered before they were sampled.
 
     Raises:
-        ModelError: `between` is neither.
+        ModelError: `hold` is neither.
 
-    Source: Pintelon and Schoukens, System Identification (2012), section 13.2, for the two assumptions.
+    Source: Pintelon and Schoukens, System Identification (2012), section 13.2.
     """
 
     name: str
@@ -51,67 +73,68 @@ class Data:
     commands: Array
     readings: Array
     delay: int = 0
-    between: Between = "held"
+    hold: Hold = "zero-order"
 
     def __post_init__(self) -> None:
-        is_straight(self.between)
+        is_first_order(self.hold)
 
     @classmethod
-    def of(cls, recording: Recording, twin: Twin, name: str = "the record", between: Assumption | None = None) -> Data:
+    def of(cls, recording: Recording, twin: Twin, name: str = "the record", hold: InputHold | None = None) -> Data:
         """Return what a recording holds of a plant's actuators and sensors.
 
         An actuator V1 is read from the column `input.V1`, or else `V1`; a sensor s1 from `sensor.s1`, or else `s1`.
-        Commands that are held act after the delay of the plant. Inputs that were measured act when they are measured:
-        in straight lines, or smoothly where they were measured behind an anti-alias filter, see `band_limited`. Where
-        nothing is said, commands are held, and inputs that elements of the model follow go in straight lines.
+        Commands with a zero-order hold act after the delay of the plant; measured inputs act when they are measured.
+
+        Args:
+            recording: the columns.
+            twin: the plant.
+            name: of the record, for messages.
+            hold: of the inputs between samples; by default 'first-order' for inputs that elements of the model follow,
+                and 'zero-order' for all others.
 
         Raises:
-            ModelError: `between` is not known.
+            ModelError: `hold` is not known.
             RecordError: a column is missing or not finite, time is not steady, nothing moves, or the record is too
                 short.
         """
-        if between is None:
-            between = "straight" if twin.measured_actuators else "held"
-        if between not in get_args(Assumption):
-            raise ModelError(
-                f"between is '{between}': give 'held' for commands that act until the next sample, 'straight' for "
-                "inputs that were measured, which go in straight lines between samples, or 'smooth' for inputs that "
-                "were measured behind an anti-alias filter"
-            )
+        if hold is None:
+            hold = "first-order" if twin.measured_actuators else "zero-order"
+        if hold not in get_args(InputHold):
+            raise ModelError(_refusal(hold))
         commands = _columns(recording, "input", twin.actuators, name)
         readings = _columns(recording, "sensor", twin.sensors, name)
         rate = clock.rate(np.asarray(recording.t, dtype=float), name)
-        if between == "held":
+        if hold == "zero-order":
             found = cls(name, rate, commands, readings, twin.delay)
         else:
-            found = cls(name, rate, commands, readings, between="straight")
+            found = cls(name, rate, commands, readings, hold="first-order")
         found.check(twin)
-        return found.band_limited() if between == "smooth" else found
+        return found.band_limited() if hold == "band-limited" else found
 
     @classmethod
     def read(
         cls,
         path: str | Path,
         twin: Twin,
-        between: Assumption | None = None,
+        hold: InputHold | None = None,
         columns: Mapping[str, str] | None = None,
         dt: float | None = None,
     ) -> Data:
-        """Read what a file, or a part of one, holds of a plant's actuators and sensors; see `formats.read` and `of`.
+        """Read what a file, or a part of one, holds of a plant's actuators and sensors; see `readers.read` and `of`.
 
         Args:
             path: of the record, such as `record.csv` or `record.csv@10:20`.
             twin: the plant.
-            between: how inputs go from each sample to the next.
+            hold: of the inputs between samples, as for `of`.
             columns: of the file, by the names that they get.
             dt: time between samples in s, for a file without a clock.
 
         Raises:
-            ModelError: `between` is not known.
+            ModelError: `hold` is not known.
             RecordError: the record cannot be read, or tells nothing of the plant.
         """
         needed = (*twin.actuators, *twin.sensors)
-        return cls.of(readers.read(path, columns, dt, needed), twin, str(path), between)
+        return cls.of(readers.read(path, columns, dt, needed), twin, str(path), hold)
 
     def check(self, twin: Twin) -> None:
         """Refuse a record that tells nothing of a plant."""
@@ -156,7 +179,7 @@ class Data:
         return replace(self, commands=self.commands[:count], readings=self.readings[:count])
 
     def band_limited(self) -> Data:
-        """Return the record with inputs in straight lines that act as smooth inputs through its samples would.
+        """Return the record with a first-order hold that acts as band-limited inputs through its samples would.
 
         Straight lines between samples of a sine of frequency f weaken it by (sin(pi f/rate)/(pi f/rate))^2. Inputs that
         were filtered before they were sampled have nothing above half the rate: what they lose is given back by their
@@ -171,7 +194,7 @@ class Data:
         for number, part in enumerate(_LINES, 1):
             differences = -np.diff(differences, n=2, axis=0)
             whole += part * differences[order - number : len(differences) - (order - number)]
-        return replace(self, commands=whole, between="straight")
+        return replace(self, commands=whole, hold="first-order")
 
     def windows(self, seconds: float) -> list[Data]:
         """Return the record in pieces of about so many seconds, each long enough to begin a piece by itself."""

@@ -101,7 +101,7 @@ def fit(
     names: Sequence[str],
     *,
     validation: Data | Sequence[Data] = (),
-    horizon: float | None = None,
+    shooting_interval: float | None = None,
     shared: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Fit:
@@ -112,20 +112,22 @@ def fit(
         records: one or several.
         names: of the parameters, as `Twin.parameter_names` has them.
         validation: records that the fit is judged by.
-        horizon: seconds of the windows into which records are cut at first; none by default.
+        shooting_interval: seconds of the windows into which records are cut at first; none by default.
         shared: parameters of other fits of the same twin, with which this one shares its compiled functions.
         progress: called with the part done.
 
     Raises:
         ModelError: a parameter is not known or named twice.
         RecordError: the records are too short for so many parameters.
-        IntegrationError: the motion is not finite with the values to begin from; a shorter horizon may help.
+        IntegrationError: the motion is not finite with the values to begin from; a shorter shooting interval may help.
     """
     records, unseen = _several(records), _several(validation)
     sensitivity = Sensitivity(twin, tuple(names), tuple(shared))
     theta = sensitivity.start()
-    stages = [[window for record in records for window in record.windows(horizon)]] if horizon else []
-    if not horizon and records and len(records[0]) > 2 * COARSE * records[0].rate:
+    stages = (
+        [[window for record in records for window in record.windows(shooting_interval)]] if shooting_interval else []
+    )
+    if not shooting_interval and records and len(records[0]) > 2 * COARSE * records[0].rate:
         stages.append([records[0].first(COARSE)])
     stages.append(list(records))
     told = [0.0]
@@ -226,7 +228,7 @@ class _Problem:
                 weights,
                 rate=piece.rate,
                 substeps=substeps,
-                between=piece.between,
+                hold=piece.hold,
             )
             matrix += found.matrix[:k, :k]
             gradient += found.gradient[:k]

@@ -27,9 +27,9 @@ from masking.codegen import store
 from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.errors import IntegrationError, ModelError, RecordError
-from masking.estimation.data import Data
+from masking.estimation.data import Data, is_first_order
 from masking.estimation.innovations import KalmanFit
-from masking.estimation.sensitivity import Sensitivity, is_straight
+from masking.estimation.sensitivity import Sensitivity
 from masking.estimation.simulation import first_start, judged, nearest, noise_alone, relative
 from masking.estimation.steps import LOOP, STEPS
 from masking.numerics.arrays import Array
@@ -295,7 +295,7 @@ class _Run:
         )
         theta = np.clip(theta, low, high)
         acting, readings = np.ascontiguousarray(record.acting), np.ascontiguousarray(record.readings)
-        substeps, straight = sensing.twin.substeps(record.rate), is_straight(record.between)
+        substeps, straight = sensing.twin.substeps(record.rate), is_first_order(record.hold)
         sens = np.zeros((sensing.states, len(theta) + sensing.states))
         p, basis = self._basis(theta)
         at = 0

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, get_args
 
 import numpy as np
 
@@ -21,27 +20,11 @@ from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.codegen.tangent import derivatives
 from masking.errors import IntegrationError, ModelError, nearest
+from masking.estimation.data import Hold, is_first_order
 from masking.numerics.arrays import Array
 from masking.rig.twin import LoweredTwin, Twin
 
 _STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other
-
-# How commands go from each sample to the next: held (zero-order hold), or in a straight line (first-order hold).
-Between = Literal["held", "straight"]
-
-
-def is_straight(between: str) -> bool:
-    """Tell whether commands go in straight lines between samples.
-
-    Raises:
-        ModelError: `between` is neither 'held' nor 'straight'.
-    """
-    if between not in get_args(Between):
-        raise ModelError(
-            f"between is '{between}': give 'held' for commands that act until the next sample, or 'straight' for "
-            "inputs that were measured, which go in straight lines between samples"
-        )
-    return between == "straight"
 
 
 @dataclass(frozen=True)
@@ -189,7 +172,7 @@ class Sensitivity:
         return module
 
     def simulate(
-        self, theta: Array, start: Array, commands: Array, *, rate: float, substeps: int, between: Between = "held"
+        self, theta: Array, start: Array, commands: Array, *, rate: float, substeps: int, hold: Hold = "zero-order"
     ) -> Array:
         """Return what the sensors would read (m, sensors) without noise.
 
@@ -199,16 +182,16 @@ class Sensitivity:
             commands: of the actuators at each sample (m, actuators).
             rate: samples per second.
             substeps: integration steps between samples.
-            between: how commands go from each sample to the next.
+            hold: of the commands between samples.
 
         Raises:
             IntegrationError: the motion is no longer finite.
-            ModelError: `between` is not known.
+            ModelError: `hold` is not known.
         """
         readings, y = np.empty((len(commands), len(self.twin.sensors))), np.array(start, dtype=float)
         given = np.ascontiguousarray(commands, dtype=float)
         self.kernels.simulate(
-            len(given), 1.0 / rate, substeps, is_straight(between), y, self.parameters(theta), given, readings
+            len(given), 1.0 / rate, substeps, is_first_order(hold), y, self.parameters(theta), given, readings
         )
         if not np.isfinite(readings).all():
             raise IntegrationError("the simulated motion is no longer finite")
@@ -237,7 +220,7 @@ class Sensitivity:
         *,
         rate: float,
         substeps: int,
-        between: Between = "held",
+        hold: Hold = "zero-order",
     ) -> NormalEquations:
         """Return what a record tells, at values of the parameters and of the initial state.
 
@@ -249,11 +232,11 @@ class Sensitivity:
             weights: of squared residuals of each sensor (sensors,): 1 / variance.
             rate: samples per second.
             substeps: integration steps between samples.
-            between: how commands go from each sample to the next; after the last they are held.
+            hold: of the commands between samples; after the last they are constant.
 
         Raises:
             IntegrationError: the motion is no longer finite.
-            ModelError: `between` is not known.
+            ModelError: `hold` is not known.
         """
         p, columns = basis
         k = len(self.names)
@@ -262,7 +245,7 @@ class Sensitivity:
         y, simulated = np.array(start, dtype=float), np.empty((len(commands), len(squares)))
         sens = np.hstack([np.zeros((self.states, k)), np.eye(self.states)])
         status = self.kernels.normal(
-            len(commands), 1.0 / rate, substeps, is_straight(between), y, sens, p, columns,
+            len(commands), 1.0 / rate, substeps, is_first_order(hold), y, sens, p, columns,
             np.ascontiguousarray(commands, dtype=float), np.ascontiguousarray(readings, dtype=float),
             np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares, simulated,
         )  # fmt: skip

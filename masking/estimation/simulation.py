@@ -127,7 +127,7 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
         try:
             told = sensing.normal_equations(
                 basis, y, record.acting, record.readings, weights, rate=record.rate, substeps=substeps,
-                between=record.between,
+                hold=record.hold,
             )  # fmt: skip
         except IntegrationError:
             break

@@ -21,7 +21,7 @@ import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.errors import RecordError, nearest
+from masking.errors import RENAMED, RecordError, nearest
 
 if TYPE_CHECKING:
     from masking.records import parquet
@@ -139,6 +139,11 @@ class Recording:
             found = manifest.get("format") if isinstance(manifest, dict) else None
             message = f"{path}: its format is '{found}'; this program reads '{FORMAT}'"
             raise RecordError(message)
+        for old in RENAMED.keys() & manifest.keys():
+            raise RecordError(
+                f"{path}: an older version of this program wrote it: '{old}' in its manifest is called "
+                f"'{RENAMED[old]}' now; make the record again, or read its columns from a csv file"
+            )
         try:
             return cls(columns, manifest, _notes(path, manifest))
         except RecordError as error:

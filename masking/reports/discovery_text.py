@@ -70,7 +70,7 @@ def measured(found: Discovery) -> str:
     left = f"{percent(found.as_measured[name])} of {name}, against {percent(found.gap.train[1][name])}"
     return (
         "Commands are taken to act until the next sample; where they go in straight lines between samples instead, as "
-        f"measured ones do, the model alone leaves {left}: if they were measured, use --between straight"
+        f"measured ones do, the model alone leaves {left}: if they were measured, use --hold first-order"
     )
 
 

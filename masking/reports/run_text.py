@@ -14,7 +14,7 @@ from masking.reports.run_facts import InputUse, Parameter, PhasePair, Study, par
 _SUMMARY_LINES = 14
 _TRUE, _ROUGH = 0.01, 0.3  # chi up to which the rig moved as, or roughly as, the virtual system
 _OWNED = frozenset({"the", "a", "an", "my", "our", "your", "his", "her", "its", "their", "this", "that"})
-_AWAY = 0.02  # of the largest initial coordinate: what an approach may leave
+_AWAY = 0.02  # of the largest initial coordinate: what homing may leave
 _MUCH = 1.1  # times its limit: from here on an input is told in multiples, below in percent
 _NEAR = 0.1  # of pi: how near to 0 or pi counts as in-phase or anti-phase
 _WITH_MODEL = frozenset({"kalman", "disturbance"})  # observers that predict what is late
@@ -42,7 +42,7 @@ def warnings(recording: Recording, uses: Iterable[InputUse], chi: Mapping[str, f
 
 
 def missed(manifest: Mapping[str, Any]) -> str:
-    """Say where the approach left the rig, if that is not where it should begin; nothing where it is."""
+    """Say where homing left the rig, if that is not where it should begin; nothing where it is."""
     told = manifest.get("start") or {}
     wanted, reached = told.get("wanted") or {}, told.get("reached") or {}
     size = max((abs(value) for value in wanted.values()), default=0.0)
@@ -51,7 +51,7 @@ def missed(manifest: Mapping[str, Any]) -> str:
         return ""
     away = ", ".join(f"{name} = {number(reached[name])} instead of {number(wanted[name])}" for name in short)
     return (
-        f"The approach did not reach the initial state: {away}; give it more time (controller.approach), or begin with "
+        f"Homing did not reach the initial state: {away}; give it more time (controller.homing), or begin with "
         "less (initial)."
     )
 

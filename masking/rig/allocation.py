@@ -1,4 +1,4 @@
-"""Wiring: what each input of a model gets of each actuator of a rig."""
+"""Allocation: what each input of a model gets of each actuator of a rig."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from masking.errors import DeclarationError, Problem, nearest
 from masking.numerics.arrays import Array
 
 
-def wiring(plant: PlantDeclaration, model: ModelDeclaration, parameters: Mapping[str, float]) -> Array:
+def allocation(plant: PlantDeclaration, model: ModelDeclaration, parameters: Mapping[str, float]) -> Array:
     """Return what each input of a model gets of each actuator (inputs, actuators), as a plant file declares it.
 
     Args:
@@ -27,17 +27,17 @@ def wiring(plant: PlantDeclaration, model: ModelDeclaration, parameters: Mapping
         return np.eye(len(model.inputs))
     problems = []
     rows = np.zeros((len(model.inputs), len(plant.actuators)))
-    for name in plant.wiring.keys() - model.inputs.keys():
+    for name in plant.allocation.keys() - model.inputs.keys():
         message, mend = f"'{name}' is no input of {model.name}", nearest(name, model.inputs)
-        problems.append(Problem(plant.key_place(f"wiring.{name}"), f"wiring.{name}", message, mend))
+        problems.append(Problem(plant.key_place(f"allocation.{name}"), f"allocation.{name}", message, mend))
     for i, name in enumerate(model.inputs):
-        path = f"wiring.{name}"
-        if name not in plant.wiring:
-            message = f"nothing is wired to the input {name}"
+        path = f"allocation.{name}"
+        if name not in plant.allocation:
+            message = f"nothing is allocated to the input {name}"
             mend = f"write what it gets of the actuators, such as '{name}: {next(iter(plant.actuators))}'"
-            problems.append(Problem(plant.key_place("wiring"), path, message, mend))
+            problems.append(Problem(plant.key_place("allocation"), path, message, mend))
             continue
-        expression = plant.wiring[name]
+        expression = plant.allocation[name]
         unknown = expression.check_symbols([*plant.actuators, *parameters])
         if unknown:
             problems += unknown
@@ -50,7 +50,7 @@ def wiring(plant: PlantDeclaration, model: ModelDeclaration, parameters: Mapping
         rows[i] = [at(unit) - rest for unit in np.eye(len(plant.actuators))]
         probe = np.random.default_rng(0).uniform(0.5, 1.5, len(plant.actuators))
         if rest != 0.0 or not np.isclose(at(probe), rows[i] @ probe, rtol=1e-9):
-            message = "the wiring must be a sum of actuators times numbers"
+            message = "the allocation must be a sum of actuators times numbers"
             problems.append(Problem(plant.place(path), path, message, "put anything else into effects"))
     if problems:
         raise DeclarationError(problems)

@@ -26,7 +26,7 @@ from masking.errors import DeclarationError, Problem, nearest
 from masking.modelling.lowering import LoweredEquations
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
-from masking.rig.allocation import wiring
+from masking.rig.allocation import allocation
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -101,12 +101,12 @@ class Twin:
         return tuple(s.name for s in equations.symbols.p if s in held and s.name in own)
 
     def validate(self) -> None:
-        """Refuse effects and wiring that do not fit the model.
+        """Refuse effects and allocation that do not fit the model.
 
         Raises:
             DeclarationError: tells of all effects or of all wires that do not.
         """
-        _ = self.dictionary, self.effects, self.wiring, self.attached
+        _ = self.dictionary, self.effects, self.allocation, self.attached
 
     @cached_property
     def dictionary(self) -> Mapping[str, Effect]:
@@ -217,7 +217,7 @@ class Twin:
     def measured_actuators(self) -> tuple[str, ...]:
         """Return the channels that no one commands: they hold a measured motion, which elements of the model follow."""
         rows = [list(self.base.inputs).index(name) for name in couplings.measured_inputs(self.base)]
-        wired = (self.wiring[rows] != 0.0).any(axis=0)
+        wired = (self.allocation[rows] != 0.0).any(axis=0)
         return tuple(name for name, is_wired in zip(self.actuators, wired, strict=True) if is_wired)
 
     @cached_property
@@ -259,9 +259,9 @@ class Twin:
         return tuple(i for i, name in enumerate(self.state_names) if name in begins)
 
     @cached_property
-    def wiring(self) -> Array:
+    def allocation(self) -> Array:
         """Return what each input of the model gets of each actuator (inputs, actuators)."""
-        return wiring(self.declaration, self.base, self.model.parameter_values())
+        return allocation(self.declaration, self.base, self.model.parameter_values())
 
     def noise(self) -> dict[str, float]:
         """Return the standard deviation of a reading of each sensor that declares any, in the sensor's unit.
@@ -288,11 +288,11 @@ class Twin:
         return float(value)  # type: ignore[arg-type]  # checked in `effects`
 
     def values(self) -> Array:
-        """Return the parameter array: the model's, the wiring, the sensors' gains, the parameters of their effects."""
+        """Return the parameter array: model, allocation, gains of the sensors, parameters of their effects."""
         rest = [self._value(effect, name) for effect in self._chain for name in effect.entry.parameters]
         switches = [float(effect.enabled) for effect in self._chain]
         gains = [self._gain(name) for name in self.sensors]
-        return np.concatenate([self.model.values(), self.wiring.ravel(), gains, rest, switches])
+        return np.concatenate([self.model.values(), self.allocation.ravel(), gains, rest, switches])
 
     @cached_property
     def parameter_names(self) -> dict[str, tuple[PlacedEffect, str] | None]:

@@ -288,7 +288,7 @@ class _Bench:
         sampled = loop.sampled
         return run_twin(
             loop,
-            np.zeros(len(sampled.end)) if sampled.approach else sampled.end,
+            np.zeros(len(sampled.end)) if sampled.homing else sampled.end,
             duration=experiment.declaration.duration * experiment.time_scale,
             seed=experiment.declaration.seed,
             every=experiment.every * round(sampled.rate / self.rate),

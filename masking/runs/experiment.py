@@ -158,15 +158,15 @@ class Experiment:
             self.observer,
             settings.rate or 0.0,
             self.observer_settings.noise,
-            settings.approach or 0.0,
+            settings.homing or 0.0,
             np.zeros(len(self.controller.model.coordinates)),
         )
         state = rig_state(made, self.virtual.initial_state(self.declaration.initial))
         n = len(made.end)
-        if made.approach and np.any(np.abs(state[n:]) > 1e-12 * np.abs(state[:n]).max()):
+        if made.homing and np.any(np.abs(state[n:]) > 1e-12 * np.abs(state[:n]).max()):
             raise ModelError(
-                "controller.approach brings the rig to rest, but the initial state moves: give no initial velocities, "
-                "or leave approach out, so that a simulated rig starts in that state"
+                "controller.homing brings the rig to rest, but the initial state moves: give no initial velocities, "
+                "or leave homing out, so that a simulated rig starts in that state"
             )
         return replace(made, end=state[:n])
 
@@ -264,7 +264,7 @@ class Experiment:
         run = run if row is None else cut(run, row + 1)
         ran = time.perf_counter()
         ideal = self._ideal(run.times)
-        commands = run.inputs @ self.instruments.allocation.T
+        commands = run.inputs @ self.instruments.allocation_inverse.T
         columns = Columns(self).add_motion(run.times, run.rig, run.virtual, ideal).add_actuators("input", commands)
         timing = {
             "compilation": compiled - clock,
@@ -283,7 +283,7 @@ class Experiment:
             getattr(self.twin.kernels, name).prepare()
         getattr(self.virtual.kernels, f"solve_{self.virtual.kernels.meta['method']}").prepare()
         compiled = time.perf_counter()
-        start = np.zeros(len(sampled.end)) if sampled.approach else sampled.end
+        start = np.zeros(len(sampled.end)) if sampled.homing else sampled.end
         _ = sampled.gain
         prepared = time.perf_counter()
         duration = declaration.duration * self.time_scale
@@ -356,8 +356,8 @@ class Experiment:
         return Recording(columns, {**self._manifest(made.units, chi, timing), **self._start_told(columns), **stop})
 
     def _start_told(self, columns: Mapping[str, Array]) -> dict[str, Any]:
-        """Return where an approach should have brought the rig, and where it did, for the manifest."""
-        if self.declaration.controller.approach is None:
+        """Return where homing should have brought the rig, and where it did, for the manifest."""
+        if self.declaration.controller.homing is None:
             return {}
         wanted = self.virtual.initial_state(self.declaration.initial)
         names = self.virtual.coordinates

@@ -282,7 +282,7 @@ class Motion:
         instruments = experiment.instruments
         table = instruments.limits()
         times, states, inputs = self.simulate(change, rows)
-        commands = inputs @ instruments.allocation.T
+        commands = inputs @ instruments.allocation_inverse.T
         if not (np.isfinite(commands).all() and np.isfinite(states).all()):
             raise IntegrationError("the state or the inputs are no longer finite numbers")
         found = []

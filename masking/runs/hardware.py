@@ -84,14 +84,14 @@ def run(
     stop: Stop | None = None,
     keep: Callable[[Recording], None] | None = None,
 ) -> Recording:
-    """Run an experiment on a plant, from rest through the approach to the end.
+    """Run an experiment on a plant, from rest through the homing phase to the end.
 
     SIGINT, SIGTERM and SIGHUP end the run in order; what there is since the release is returned. The manifest's
     `rig.end` says why the run ended: "finished", "synchronised", "interrupted", "stopped", "plant lost", "command
     refused" or "failed".
 
     Args:
-        experiment: with a sampled controller, an observer and an approach.
+        experiment: with a sampled controller, an observer and a homing phase.
         plant: any that is not active; its outputs are at zero on every way out.
         lockstep: run as fast as both sides can, each waiting for the other.
         watchdog: seconds without a command after which the plant goes to zero by itself.
@@ -103,13 +103,13 @@ def run(
         what the controller saw and did since the release; the rig's states are estimates.
 
     Raises:
-        ModelError: the experiment does not run on sensors, or has no approach.
+        ModelError: the experiment does not run on sensors, or has no homing phase.
         PlantError: the plant is lost, refuses, or has other channels.
         MaskingError: the run was stopped before the release.
     """
     _check(experiment)
     sampled = experiment.sampled
-    before = round(sampled.approach * sampled.rate) + sampled.delay
+    before = round(sampled.homing * sampled.rate) + sampled.delay
     after = int(np.floor(experiment.declaration.duration * experiment.time_scale * sampled.rate * (1.0 + 1e-12))) + 1
     _prepare(sampled)
     ending = experiment.ending
@@ -145,7 +145,7 @@ def run(
         on_end=on_end,
     )
     if not keeper.is_released:
-        raise MaskingError(f"the run was {ran.reason} in the approach, before the release; nothing was recorded")
+        raise MaskingError(f"the run was {ran.reason} during homing, before the release; nothing was recorded")
     return made(ran)
 
 
@@ -154,12 +154,12 @@ def _check(experiment: Experiment) -> None:
     if not experiment.has_observer:
         raise ModelError(
             "a rig is known by its sensors only: give controller.rate and controller.observer, such as "
-            "'controller: {rate: 1 kHz, observer: disturbance, approach: 3}'"
+            "'controller: {rate: 1 kHz, observer: disturbance, homing: 3}'"
         )
-    if settings.approach is None:
+    if settings.homing is None:
         raise ModelError(
-            "a rig cannot be placed in its initial state: write controller.approach, the seconds in which the "
-            "controller brings it there, such as 'approach: 3'"
+            "a rig cannot be placed in its initial state: write controller.homing, the seconds in which the "
+            "controller brings it there, such as 'homing: 3'"
         )
     experiment.validate()
 

@@ -151,7 +151,7 @@ def run_twin(
 ) -> TwinRun:
     """Run a sampled controller around a twin.
 
-    With an approach, the twin starts at rest and unpowered, and the record begins at the release. Without one, the twin
+    With homing, the twin starts at rest and unpowered, and the record begins at the release. Without one, the twin
     is held at `start` by the controller's own commands until the first command that was made for the release acts.
 
     Args:
@@ -169,7 +169,7 @@ def run_twin(
     sampled, twin, kernels = loop.sampled, loop.twin, loop.kernels
     rate, sizes, p = sampled.rate, sampled.sizes, twin.values()
     generator = np.random.default_rng(seed)
-    before = round(sampled.approach * rate) + sampled.delay
+    before = round(sampled.homing * rate) + sampled.delay
     samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
     rows = np.arange(0, samples, every)
     y, first, substeps = twin.rest(start), 0.0, twin.substeps(rate)

@@ -8,7 +8,7 @@ from pathlib import Path
 from masking.discovery.discover import discover
 from masking.discovery.discovery import Discovery
 from masking.discovery.settings import TOLERANCE, DiscoverySettings
-from masking.estimation.data import Assumption
+from masking.estimation.data import InputHold
 from masking.reports import discovery_page
 from masking.reports.discovery_files import Files
 from masking.workflows import inputs
@@ -22,8 +22,8 @@ def answered(
     validation: str | Path | None = None,
     parameters: Sequence[str] = (),
     tolerance: float = TOLERANCE,
-    horizon: float | None = None,
-    between: Assumption | None = None,
+    shooting_interval: float | None = None,
+    hold: InputHold | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     effects: str | Path | None = None,
@@ -40,9 +40,9 @@ def answered(
         validation: another record to judge by; the last part of the record where none is given.
         parameters: of the model that may be off; all that its equations hold where none are given.
         tolerance: relative standard deviation of a parameter that declares none.
-        horizon: seconds after which the motion is simulated anew, from a state that is estimated; by default the whole
-            record in one, or windows where the model does not come to rest by itself.
-        between: how inputs go from each sample to the next, as for `identify`.
+        shooting_interval: length of the intervals of multiple shooting in s; by default the whole record, or shorter
+            intervals if the model is not asymptotically stable.
+        hold: how inputs go from each sample to the next, as for `identify`.
         columns: of the files, by the names that they get, such as `{"t": "time", "u": "V1"}`.
         dt: time between samples in s, for a table without a clock.
         effects: a dictionary of own effects, a file or a packaged name, which are tried, too.
@@ -57,13 +57,15 @@ def answered(
         MaskingError: a declaration, a name, a setting or a record is wrong; says what to do about it.
     """
     inputs.check_tolerance(tolerance)
-    what = inputs.asked(record, model, plant, validation, between=between, columns=columns, dt=dt, effects=effects)
+    what = inputs.asked(record, model, plant, validation, hold=hold, columns=columns, dt=dt, effects=effects)
     found = discover(
         what.twin,
         what.record,
         what.validation,
         DiscoverySettings(
-            parameters=inputs.parameters(what.twin, parameters), tolerance=tolerance, shooting_interval=horizon
+            parameters=inputs.parameters(what.twin, parameters),
+            tolerance=tolerance,
+            shooting_interval=shooting_interval,
         ),
         tell=tell,
     )

@@ -13,7 +13,7 @@ from masking.declaration.couplings import driven_outputs
 from masking.declaration.expression import Expression
 from masking.declaration.schema import ModelDeclaration, PlantDeclaration, Sensor
 from masking.errors import DeclarationError, Problem, RecordError, nearest
-from masking.estimation.data import Assumption, Data
+from masking.estimation.data import Data, InputHold
 from masking.records import readers
 from masking.records.time_slice import Part
 from masking.reports.discovery_files import Origin
@@ -40,7 +40,7 @@ def asked(
     plant: str | Path | None,
     validation: str | Path | None = None,
     *,
-    between: Assumption | None = None,
+    hold: InputHold | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     effects: str | Path | None = None,
@@ -52,7 +52,7 @@ def asked(
         model: of the rig; in place of the plant's own where both are given.
         plant: a plant file or a packaged plant; without one, the model's outputs or coordinates are read.
         validation: another record to judge by.
-        between: how inputs go from sample to sample, see `Data`.
+        hold: how inputs go from sample to sample, see `Data`.
         columns: of the files, by the names that they get.
         dt: time between samples in s, for files without a clock.
         effects: a dictionary of own effects, which are tried, too.
@@ -63,7 +63,7 @@ def asked(
             samples.
     """
     twin = with_effects(rig(model, plant), effects)
-    return read(twin, record, validation, between=between, columns=columns, dt=dt)
+    return read(twin, record, validation, hold=hold, columns=columns, dt=dt)
 
 
 def read(
@@ -71,7 +71,7 @@ def read(
     record: str | Path,
     validation: str | Path | None = None,
     *,
-    between: Assumption | None = None,
+    hold: InputHold | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
 ) -> Asked:
@@ -83,7 +83,7 @@ def read(
     """
 
     def one(path: str | Path) -> Data:
-        found = Data.read(path, twin, between, columns, dt)
+        found = Data.read(path, twin, hold, columns, dt)
         if len(found) < FEWEST:
             raise RecordError(
                 f"{path}: {len(found)} samples are too few to tell effects apart; give a record of at least {FEWEST}, "

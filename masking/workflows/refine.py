@@ -22,7 +22,7 @@ from masking.discovery.discover import discover
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.settings import TOLERANCE, DiscoverySettings
 from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, SingularityError
-from masking.estimation.data import Assumption
+from masking.estimation.data import InputHold
 from masking.records.recording import Recording
 from masking.reports import discovery_files, discovery_text
 from masking.reports.discovery_files import Files
@@ -158,8 +158,8 @@ def refine(
     validation: str | Path | None = None,
     parameters: Sequence[str] = (),
     tolerance: float = TOLERANCE,
-    horizon: float | None = None,
-    between: Assumption | None = None,
+    shooting_interval: float | None = None,
+    hold: InputHold | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     effects: str | Path | None = None,
@@ -175,8 +175,8 @@ def refine(
         validation: another record to judge by; the last part of the record where none is given.
         parameters: of the controller's model that may be off; all that its equations hold where none are given.
         tolerance: relative standard deviation of a parameter that declares none.
-        horizon: seconds after which the motion is simulated anew, as for `masking.discover`.
-        between: how inputs go from each sample to the next, as for `masking.identify`.
+        shooting_interval: seconds after which the motion is simulated anew, as for `masking.discover`.
+        hold: how inputs go from each sample to the next, as for `masking.identify`.
         columns: of the files, by the names that they get.
         dt: time between samples in s, for a table without a clock.
         effects: a dictionary of own effects, which are tried, too.
@@ -194,7 +194,7 @@ def refine(
     if not twin.sensors:
         message, mend = f"{twin.declaration.name} declares no sensors", "declare what the record holds of the rig"
         raise DeclarationError(Problem(None, "sensors", message, mend))
-    wanted = inputs.read(twin, record, validation, between=between, columns=columns, dt=dt)
+    wanted = inputs.read(twin, record, validation, hold=hold, columns=columns, dt=dt)
     names = inputs.parameters(twin, parameters)
     say("running with the model as it is", 0.0)
     before = _run(experiment, lambda part: say("running with the model as it is", _BEGIN * part))
@@ -202,7 +202,7 @@ def refine(
         twin,
         wanted.record,
         wanted.validation,
-        DiscoverySettings(parameters=names, tolerance=tolerance, shooting_interval=horizon),
+        DiscoverySettings(parameters=names, tolerance=tolerance, shooting_interval=shooting_interval),
         tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part),
     )
     folder = None if out is None else Path(out)

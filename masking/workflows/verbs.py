@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from masking.discovery import discovery as discoveries
     from masking.estimation import data, innovations, kalman
     from masking.estimation import fit as fits
-    from masking.estimation.data import Assumption
+    from masking.estimation.data import InputHold
     from masking.modelling import model
     from masking.procedures import channels, measurement, responses
     from masking.records import recording
@@ -74,7 +74,7 @@ else:  # each verb loads only what it needs
 KINDS = ("model", "plant", "experiment", "dictionary")
 STUDIED = ("model", "experiment")  # those of `assessment.KINDS`
 METHODS = ("least-squares", "kalman")
-BETWEEN = ("held", "straight", "smooth")  # those of `data.Assumption`
+HOLDS = ("zero-order", "first-order", "band-limited")  # those of `data.InputHold`
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none, in a discovery
 # Procedures of `measure`, and how many records each takes at most.
 PROCEDURES: dict[str, int | None] = {"springs": 1, "actuators": 1, "friction": None, "response": None}
@@ -215,11 +215,11 @@ def identify(
     model: str | Path | None = None,
     parameters: Sequence[str] = (),
     validation: Sequence[str | Path] = (),
-    horizon: float | None = None,
+    shooting_interval: float | None = None,
     method: str = "least-squares",
     square_root: bool = False,
     iterated: int = 1,
-    between: Assumption | None = None,
+    hold: InputHold | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     out: str | Path | None = None,
@@ -230,18 +230,17 @@ def identify(
     Args:
         records: folders of recordings, or parquet, csv, mat or h5 files, with `input.*` and `sensor.*` of the plant, or
             parts of these, such as `record.csv@10:20`, which is what lies from 10 s to 20 s; one for a filter.
-        plant: a plant file, or a packaged plant: its sensors, actuators, wiring and delay, and what is to be fitted.
+        plant: a plant file, or a packaged plant: sensors, actuators, allocation, delay, and what is to be fitted.
         model: a model that takes the place of the plant's own and of the effects in its elements.
         parameters: what to fit: parameters of the model, and of effects as `<effect>_<parameter>`; all that the
             equations of the model hold where none are given.
         validation: recordings that are not fitted, and judge the fit.
-        horizon: seconds of the windows into which recordings are cut at first; not for a filter.
+        shooting_interval: length in s of the intervals of multiple shooting at first; not for a filter.
         method: 'least-squares', or 'kalman' for one pass of the extended Kalman filter with the settings of 4.2.2.
         square_root: let the filter carry a square root of its covariance.
         iterated: times that the filter makes the readings of a sample linear.
-        between: how inputs go from each sample to the next: 'held', commands that act until the next, after the delay
-            of the plant; 'straight', inputs that were measured, in straight lines; or 'smooth', inputs that were
-            measured behind an anti-alias filter.
+        hold: inputs between samples: 'zero-order' for commands, which act after the delay of the plant; 'first-order'
+            for measured inputs; 'band-limited' for inputs measured behind an anti-alias filter.
         columns: of the files, by the names that they get, such as `{"t": "time", "V1": "u"}`.
         dt: time between samples in s, for a table without a clock.
         out: folder to save `model.yaml`, `plant.yaml`, `fit.json`, `fit.html` and its figures in: `fit.png`,
@@ -252,14 +251,14 @@ def identify(
     Raises:
         MaskingError: a declaration, a name, a setting or a recording is wrong; says what to do about it.
     """
-    _check_method(method, records, horizon, other=square_root or iterated != 1)
+    _check_method(method, records, shooting_interval, other=square_root or iterated != 1)
     if out is not None:
         check_folder(out)
     wanted = twin.Twin.load(plant) if model is None else twin.Twin.load(plant).as_model(model)
     wanted.validate()
 
     def read(paths: Sequence[str | Path]) -> tuple[data.Data, ...]:
-        return tuple(data.Data.read(path, wanted, between, columns, dt) for path in paths)
+        return tuple(data.Data.read(path, wanted, hold, columns, dt) for path in paths)
 
     names = parameters or wanted.equation_parameters()
     train, unseen = read(records), read(validation)
@@ -269,7 +268,9 @@ def identify(
             wanted, train[0], names, validation=unseen, square_root=square_root, iterated=iterated, progress=progress
         )
     else:
-        found = fits.fit(wanted, train, names, validation=unseen, horizon=horizon, progress=progress)
+        found = fits.fit(
+            wanted, train, names, validation=unseen, shooting_interval=shooting_interval, progress=progress
+        )
     if out is not None:
         plates, sentence = fit_figures.plates(found, train, unseen)
         fit_files.save(found, out)
@@ -429,7 +430,7 @@ def check_folder(out: str | Path) -> None:
         raise RecordError(f"{existing} may not be written; name another folder to save in")
 
 
-def _check_method(method: str, records: Sequence[str | Path], horizon: float | None, *, other: bool) -> None:
+def _check_method(method: str, records: Sequence[str | Path], shooting_interval: float | None, *, other: bool) -> None:
     """Refuse a method that there is not, and settings of the other one."""
     if method not in METHODS:
         raise DeclarationError(Problem(None, "method", f"there is no method '{method}'", nearest(method, METHODS)))
@@ -440,8 +441,8 @@ def _check_method(method: str, records: Sequence[str | Path], horizon: float | N
             f"the filter takes one record, {len(records)} are given; filter one after the other, or fit them together "
             "by least squares"
         )
-    if method == "kalman" and horizon is not None:
-        raise DeclarationError(Problem(None, "horizon", "a filter has no windows", "leave the horizon out"))
+    if method == "kalman" and shooting_interval is not None:
+        raise DeclarationError(Problem(None, "shooting_interval", "a filter has none", "leave it out"))
     if method != "kalman" and other:
         message = "square roots and iterations are settings of the filter"
         raise DeclarationError(Problem(None, "method", message, "give the method kalman"))

@@ -1,4 +1,4 @@
-"""The slips of the source document, each shown by a calculation."""
+"""Errata of the source document, each shown by a calculation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 
 from masking.modelling.model import load_model
 from masking.signals import Multisine, crest_factor
-from reproduction.entry import Entry, Value
+from reproduction.comparison import Entry, Value
 
 # Table B.2, in units of pi.
 _PHASES = (
@@ -61,7 +61,7 @@ def gains() -> Entry:
         f"input v holds xi = lam v/w^2, so that w1^2/lam1 = {ours['w1'] ** 2 / ours['c1']:.4f} is to be rho_11 = "
         f"{RHO[0]:.4f}; the printed gain would make it {ours['w1'] ** 2 / GAINS[0]:.2g}.",
     )
-    return Entry("Slip: Table 4.1", "Input gains lam in the dimensionless equations", "slip", tuple(rows), words)
+    return Entry("Erratum: Table 4.1", "Input gains lam in the dimensionless equations", "erratum", tuple(rows), words)
 
 
 def cubic() -> Entry:
@@ -92,7 +92,7 @@ def cubic() -> Entry:
         f"{scale:.4e}: the printed 7.4524e-7 has its digits, ten times as large, and lacks the factor beta. Fig. 7.2 "
         "agrees with 1/3.",
     )
-    return Entry("Slip: Table 7.2", "Cubic stiffness of the Duffing oscillators", "slip", rows, words)
+    return Entry("Erratum: Table 7.2", "Cubic stiffness of the Duffing oscillators", "erratum", rows, words)
 
 
 def oscillator() -> Entry:
@@ -121,7 +121,7 @@ def oscillator() -> Entry:
         "(4.13) prints xi'' = -th1 xi + 2 th2 th1 xi' + th3 v. With the values of Table 4.2 it would grow; the sign "
         "of the damping and the power of the frequency are those of (4.4).",
     )
-    return Entry("Slip: (4.13)", "Sign of the damping and power of the frequency", "slip", rows, words)
+    return Entry("Erratum: (4.13)", "Sign of the damping and power of the frequency", "erratum", rows, words)
 
 
 def beam_sum() -> Entry:
@@ -134,7 +134,7 @@ def beam_sum() -> Entry:
         "(7.4) and (7.7) sum over three oscillators; there are two, and Table 7.2 has no mu3, w_3 of an oscillator or "
         "th_3. Read literally, with the displacement x3 - x3, the third term vanishes; ours sums to two.",
     )
-    return Entry("Slip: (7.4)", "The sum over the oscillators", "slip", rows, words)
+    return Entry("Erratum: (7.4)", "The sum over the oscillators", "erratum", rows, words)
 
 
 def damping_entry() -> Entry:
@@ -161,7 +161,7 @@ def damping_entry() -> Entry:
         "The last entry of (8.11) is -2 z3 w3 with the letter of the frequency in rad/s; only the dimensionless one "
         "has the optimum that the document prints.",
     )
-    return Entry("Slip: (8.11)", "Last entry of the sum system's matrix", "slip", tuple(rows), words)
+    return Entry("Erratum: (8.11)", "Last entry of the sum system's matrix", "erratum", tuple(rows), words)
 
 
 def reaction() -> Entry:
@@ -187,7 +187,7 @@ def reaction() -> Entry:
         "One of (A.4) and (A.10) has +u2 on the beam, the other -u2. The actuators of the oscillators push against "
         "the beam: without springs to the ground the centre of mass stays, and the nett input is u3 - u1 - u2 (4.3).",
     )
-    return Entry("Slip: (A.4)", "Reaction of the actuators on the beam", "slip", rows, words)
+    return Entry("Erratum: (A.4)", "Reaction of the actuators on the beam", "erratum", rows, words)
 
 
 def stiffness_power() -> Entry:
@@ -212,7 +212,7 @@ def stiffness_power() -> Entry:
         "The derivative of the energy is -2 z3 w3 xi_3'^2 (A.3). Along a simulated motion the energy and what was "
         "dissipated stay the same in sum with w3^2 in the place of (A.21) and (A.33), and not with w3.",
     )
-    return Entry("Slip: (A.21)", "Power of the beam's frequency", "slip", rows, words)
+    return Entry("Erratum: (A.21)", "Power of the beam's frequency", "erratum", rows, words)
 
 
 def crest() -> Entry:
@@ -232,7 +232,7 @@ def crest() -> Entry:
         ),
     )
     words = ("The optimised signal has the printed crest factor over one beat only. " + why[0].upper() + why[1:] + ".",)
-    return Entry("Slip: 4.2.1", "Crest factor of the excitation", "slip", rows, words)
+    return Entry("Erratum: 4.2.1", "Crest factor of the excitation", "erratum", rows, words)
 
 
 def table_b_2() -> tuple[Multisine, float, float]:

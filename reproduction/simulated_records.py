@@ -1,4 +1,4 @@
-"""Benches: records of the twin of the rig, of one oscillator with the others held, and of all in free motion."""
+"""Simulated records of the twin of the rig, of one oscillator with the others held, and of all in free motion."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def alone(number: int, *, is_true: bool) -> Twin:
 
     Args:
         number: 1, 2 or 3, the beam.
-        is_true: with all that is wrong with the rig; without, the linear model of Table B.1 on the same instruments.
+        is_true: with every effect of the rig; without, the linear model of Table B.1 on the same instruments.
     """
     whole = Twin.load("tue_rig")
     values = whole.model.parameter_values()
@@ -34,15 +34,15 @@ def alone(number: int, *, is_true: bool) -> Twin:
     places = {ELEMENTS[number - 1]: "spring", f"V{number}": "V", f"s{number}": "s"}
     for effect in whole.effects if is_true else ():
         if effect.at in places:
-            told = {name: whole.parameter_value(f"{effect.label}_{name}") for name in effect.entry.parameters}
-            effects[effect.label] = {"effect": effect.kind, "at": places[effect.at], "parameters": told}
+            values_of = {name: whole.parameter_value(f"{effect.label}_{name}") for name in effect.entry.parameters}
+            effects[effect.label] = {"effect": effect.kind, "at": places[effect.at], "parameters": values_of}
     plant = {
         "name": f"oscillator {number} alone",
         "model": "setup_oscillator",
         "parameters": {"w": values[f"w{number}"], "z": values[f"z{number}"], "c": values[f"c{number}"]},
         "sensors": {"s": {"measures": "x", "gain": {"value": 200, "unit": "V/m"}, "unit": "V"}},
         "actuators": {"V": {"unit": "V"}},
-        "wiring": {"u": f"V/{_UNIT_OF_ACTUATORS[number - 1]}"},
+        "allocation": {"u": f"V/{_UNIT_OF_ACTUATORS[number - 1]}"},
         "effects": effects,
     }
     declared = schema.PlantDeclaration.model_validate(plant)
@@ -50,12 +50,12 @@ def alone(number: int, *, is_true: bool) -> Twin:
 
 
 def recorded(twin: Twin, commands: Array, *, moved: Array | None = None, name: str = "record", seed: int = 0) -> Data:
-    """Return what the sensors of a twin read under commands, with its noise, zero where it comes to rest by itself.
+    """Return what the sensors of a twin read under commands, with its noise, zero at its equilibrium.
 
     Args:
         twin: what is recorded; it rests for a while before the record begins.
-        commands: (m, actuators), V, at `RATE`.
-        moved: displacement from rest at the first sample, SI units (coordinates,); none where it is None.
+        commands: (m, a), V, at `RATE`.
+        moved: displacement from rest at the first sample, SI units (n,); none where it is None.
         name: of the record.
         seed: of the noise.
     """

@@ -1,4 +1,4 @@
-"""Entry: one figure, table or slip of the source document, with its numbers and ours."""
+"""One comparison: a figure, table or erratum of the source document, with its numbers and ours."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-Kind = Literal["figure", "table", "slip"]
+Kind = Literal["figure", "table", "erratum"]
 Verdict = Literal["agrees", "explained", "unexplained", "given", "ours only"]
 
 ILLEGIBLE: Final = "not legible in the text"
@@ -26,7 +26,7 @@ class Value:
         independent: the same, computed outside this project; NaN where it was not.
         within: relative difference up to which it agrees; None for `CLOSE`, or `COARSE` for small numbers.
         why: they differ; "" where they agree, or where it is not known.
-        given: whether ours was made from the document's number, by a fit or as it is, so that it tells nothing.
+        given: whether ours was made from the document's number, by a fit or as it is, so that agreement shows nothing.
     """
 
     what: str
@@ -63,7 +63,7 @@ class Value:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One figure, table or slip.
+    """One figure, table or erratum.
 
     Args:
         number: as the document has it, such as "Fig. 7.2".

@@ -1,7 +1,7 @@
-"""Entries kept on disk: each is found again by the hash of what it was made from.
+"""Cache of entries on disk, keyed by a hash of what each was computed from.
 
-The hash covers the sources of the package but for the command line, the packaged declarations, and the versions of the
-libraries that compute. What has changed is never found.
+The hash covers the sources of the package except the command line, the packaged declarations, and the versions of the
+libraries that compute; an entry that would come out differently is therefore never found.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ import masking
 from masking.codegen import store
 from masking.codegen.files import write_once
 from masking.declaration import catalogue
-from reproduction.entry import Entry, Value
+from reproduction.comparison import Entry, Value
 
 SOURCES = (Path(masking.__file__).parent, Path(__file__).parent)
-WRITING = {"document.py", "contents.py", "kept.py"}  # of this package: they compute nothing
+WRITING = {"document.py", "contents.py", "cache.py"}  # of this package: they compute nothing
 
 
-def kept(number: str, make: Callable[[], Entry]) -> Entry:
-    """Return an entry from disk, or make it and keep it.
+def cached(number: str, make: Callable[[], Entry]) -> Entry:
+    """Return an entry from disk, or make and store it.
 
     Args:
         number: of the entry.
@@ -39,7 +39,7 @@ def kept(number: str, make: Callable[[], Entry]) -> Entry:
     return made
 
 
-def is_kept(number: str, make: Callable[[], Entry]) -> bool:
+def is_cached(number: str, make: Callable[[], Entry]) -> bool:
     """Tell whether an entry is on disk."""
     return _path(number, make).exists()
 
@@ -62,12 +62,12 @@ def _sources() -> str:
 
 
 def _written(entry: Entry) -> str:
-    told = asdict(entry) | {"picture": base64.b64encode(entry.picture).decode()}
-    return json.dumps(told)
+    content = asdict(entry) | {"picture": base64.b64encode(entry.picture).decode()}
+    return json.dumps(content)
 
 
 def _read(text: str) -> Entry:
-    told = json.loads(text)
-    values = tuple(Value(**value) for value in told.pop("values"))
-    words, picture = tuple(told.pop("words")), base64.b64decode(told.pop("picture"))
-    return Entry(**told, values=values, words=words, picture=picture)
+    content = json.loads(text)
+    values = tuple(Value(**value) for value in content.pop("values"))
+    words, picture = tuple(content.pop("words")), base64.b64decode(content.pop("picture"))
+    return Entry(**content, values=values, words=words, picture=picture)
