@@ -16,7 +16,7 @@ from masking.codegen import store
 from masking.declaration import registry
 from masking.declaration.dictionary import factors
 from masking.declaration.schema import OwnEffect
-from masking.discovery.augmented_model import OpenRig, Slot
+from masking.discovery.augmented_model import OpenRig
 from masking.discovery.candidates import candidates
 from masking.effects import EFFECTS, Effect, EffectParameter, Span
 from masking.errors import DeclarationError
@@ -358,9 +358,10 @@ class TestDictionaries:
 
     def test_simpler_effects_are_nested_in_it(self, tmp_path):
         text = DICTIONARY.replace("    where: e", "    nested: [linear_spring, hardening_spring]\n    where: e")
-        entry = effects.load(write(tmp_path / "own.yaml", text))["magnet"]
-        slot = Slot("magnet", "leaf", (0.8, 0.02), (0, 1), entry)
-        assert slot.nested == {("linear_spring", "leaf"), ("hardening_spring", "leaf")}
+        assert effects.load(write(tmp_path / "own.yaml", text))["magnet"].nested == (
+            "linear_spring",
+            "hardening_spring",
+        )
 
     def test_rates_and_sizes_of_states_have_units(self, tmp_path):
         states = "    states: {z: {rate: d_rate*z/x0, unit: D, size: f0}}\n    parameters:\n      f0"

@@ -58,11 +58,6 @@ class Slot:
         return self.known or EFFECTS[self.effect]
 
     @property
-    def nested(self) -> frozenset[tuple[str, str]]:
-        """Return the simpler effects at its place that are nested in the effect."""
-        return frozenset((name, self.at) for name in self.entry.nested)
-
-    @property
     def where(self) -> str:
         """Return where the effect sits; a delay sits in the actuators."""
         return "actuator" if self.effect == laws.DELAY else self.entry.where

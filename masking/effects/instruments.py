@@ -119,7 +119,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "actuator_offset",
-        "The actuator acts without a command.",
+        "The actuator acts at a command of zero.",
         "actuator",
         "u + u0",
         {"u0": EffectParameter("U", "offset", (-0.5, 0.5), 0.01)},
