@@ -25,7 +25,6 @@ from masking.declaration.units import dimension_of, factor_of
 from masking.discovery import laws
 from masking.discovery.augmented_model import Slot
 from masking.discovery.discovery import Discovery, Named
-from masking.discovery.localisation import where
 from masking.discovery.places import identifier, opened
 from masking.effects import LAG, attach
 from masking.errors import RecordError
@@ -144,7 +143,7 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     told["adjusted"] = list(discovery_text.adjusted(found))
     told["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
     told["page"] = str(files.page)
-    told["where"] = where(found).as_dict()
+    told["where"] = found.where.as_dict()
     return told
 
 

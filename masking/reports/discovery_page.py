@@ -13,7 +13,6 @@ import numpy as np
 
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
-from masking.discovery.localisation import where
 from masking.discovery.verdict import probabilities
 from masking.estimation.whiteness import DOUBTED
 from masking.reports import discovery_files, discovery_text, html, quantities
@@ -201,7 +200,7 @@ def _where(found: Discovery, names: set[str]) -> str:
 def _whiteness(found: Discovery, names: set[str]) -> str:
     """Tabulate whether the residuals of each sensor are white, before and after."""
     rows = []
-    for name, pair in where(found).whiteness.items():
+    for name, pair in found.where.whiteness.items():
         for what, one in zip(("adjusted alone", "with what was found"), pair, strict=True):
             if one is not None:
                 p = f"{one.p:.3f}" if one.p > 5e-4 else "< 0.001"

@@ -9,7 +9,7 @@ import numpy as np
 from masking.declaration.units import describe, dimension_of
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery, Named
-from masking.discovery.localisation import Lacking, Place, where
+from masking.discovery.localisation import Lacking, Place
 from masking.estimation.whiteness import Whiteness
 from masking.reports.quantities import much, number, percent, power, pretty, put_together, quantity, with_deviation
 
@@ -259,7 +259,7 @@ def beside(found: Discovery) -> str:
 def look(found: Discovery) -> str:
     """Say what is lacking, or is left beside the causes, looks like."""
     lacking = rest(found)
-    what = "It" if lacking is where(found).lacking else "What is left"
+    what = "It" if lacking is found.where.lacking else "What is left"
     place = lacking.best
     portrait, (unit, *_) = place.portrait, place.units
     of_command = max(lacking.actuators, key=lambda name: lacking.actuators[name], default="")
@@ -270,18 +270,18 @@ def look(found: Discovery) -> str:
 
 def rest(found: Discovery) -> Lacking:
     """Return what is lacking, or what is left where causes are told that do not explain it."""
-    seen = where(found)
+    seen = found.where
     return seen.lacking if seen.left is None or not offered(found) else seen.left
 
 
 def subject(found: Discovery) -> Lacking:
     """Return what is lacking, or what is left where the causes that are known do not explain it."""
-    return rest(found) if found.verdict == "unknown" else where(found).lacking
+    return rest(found) if found.verdict == "unknown" else found.where.lacking
 
 
 def whereabouts(found: Discovery) -> list[str]:
     """Say where it is lacking, and whether what is left is white; nothing where neither says anything."""
-    seen, lacking = where(found), where(found).lacking
+    seen, lacking = found.where, found.where.lacking
     told = []
     if found.verdict in {"named", "ambiguous"} and found.effects[-1].name in found.twin.dictionary:
         on, side = found.effects[-1].on, found.twin.dictionary[found.effects[-1].name].where
