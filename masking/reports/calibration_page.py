@@ -165,11 +165,11 @@ def _lumped(found: Calibration) -> str:
     """Return the kinds of effects of the plant file that the fitted model does not name, so that values hold them."""
     fitted = {effect.path for effect in found.best.fit.twin.effects}
     kinds = {
-        effect.kind
+        effect.entry.spoken
         for effect in found.twin.effects
         if effect.enabled and effect.entry.where == "element" and effect.path not in fitted
     }
-    return listed(sorted(kinds)).replace("_", " ") if kinds else ""
+    return listed(sorted(kinds)) if kinds else ""
 
 
 def _declared(found: Calibration, name: str) -> float:

@@ -12,9 +12,9 @@ import numpy as np
 from masking.declaration.quantities import number, percent, power, with_deviation
 from masking.declaration.units import pretty
 from masking.discovery import latent_force
-from masking.discovery.discovery import CLOSED, Discovery
-from masking.discovery.explanation import probabilities
-from masking.discovery.localisation import Lacking, where
+from masking.discovery.discovery import Discovery
+from masking.discovery.localisation import Lacking
+from masking.discovery.verdict import probabilities
 from masking.estimation.whiteness import DOUBTED
 from masking.reports import discovery_files, discovery_text, html
 from masking.reports.discovery_files import Files, Origin
@@ -96,8 +96,8 @@ def _tiles(found: Discovery) -> Iterator[Tile]:
         before, how = discovery_text.without(found)
         label = f"error in {worst} {'as declared' if how == 'as declared' else 'without it'}"
         yield Tile(label, percent(before[worst]), "unseen")
-    label = f"error in {worst}" + " with it" * bool(found.effects)
-    yield Tile(label, percent(after[worst]), f"noise {percent(floor[worst])}", after[worst] > CLOSED * floor[worst])
+    label, most = f"error in {worst}" + " with it" * bool(found.effects), found.evidence.rules.validation_noise_floor
+    yield Tile(label, percent(after[worst]), f"noise {percent(floor[worst])}", after[worst] > most * floor[worst])
 
 
 def _causes(found: Discovery) -> Iterator[tuple[str, ...]]:
@@ -109,7 +109,7 @@ def _causes(found: Discovery) -> Iterator[tuple[str, ...]]:
             if effect is None:
                 meaning = f"declared {number(float(found.rig.start[found.rig.names.index(name)]), 5)}"
             else:
-                meaning = effect.parameters[name].meaning if name in effect.parameters else "delay"
+                meaning = effect.parameters[name].meaning if name in effect.parameters else effect.spoken
             label = discovery_text.labelled(found, one.name, one.on)
             yield label, name, with_deviation(value, std, units.get(name, "")), meaning
 
@@ -119,7 +119,7 @@ def _gaps(found: Discovery) -> Iterator[tuple[str, ...]]:
     gap, share, own = found.gap, latent_force.energies(found), discovery_figures.own_gap(found)
     for name in found.twin.sensors:
         parts = (gap.train[0], own, gap.train[1], gap.floor)
-        unseen = (gap.validation[0], found.adjusted_gap, gap.validation[1], gap.validation_floor)
+        unseen = (gap.validation[0], found.gap.adjusted, gap.validation[1], gap.validation_floor)
         part_of = percent(share[name]) if sum(share.values()) else ""
         yield name, "record", *(percent(part[name]) for part in parts), part_of
         yield name, "unseen", *(percent(part[name]) for part in unseen), ""
@@ -162,7 +162,7 @@ def _sides(lacking: Lacking) -> str:
 
 def _whiteness(found: Discovery) -> Iterator[tuple[str, ...]]:
     """Yield whether the residuals of each sensor are white, before and after."""
-    for name, pair in where(found).whiteness.items():
+    for name, pair in found.where.whiteness.items():
         for what, one in zip(("adjusted alone", "with what was found"), pair, strict=True):
             if one is not None:
                 yield name, what, discovery_text.white(one), _probability(one.p), percent(one.beyond)
@@ -178,7 +178,8 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
     if len(rivals) < 2 or not found.effects:
         return []
     rows: dict[str, tuple[float, str, str]] = {}
-    for rival, probability in zip(rivals, map(float, probabilities(rivals, heat)), strict=True):
+    sure = map(float, probabilities([rival.score(heat) for rival in rivals]))
+    for rival, probability in zip(rivals, sure, strict=True):
         first, *more = rival.names
         told = " and ".join(
             [discovery_text.labelled(found, *first), *(discovery_text.spoken(found, *name) for name in more)]
@@ -239,7 +240,7 @@ def summary(found: Discovery, files: Files | None) -> str:
     table = [head]
     for what, part in (
         ("as declared", gap.validation[0]),
-        ("parameters adjusted alone", found.adjusted_gap),
+        ("parameters adjusted alone", found.gap.adjusted),
         ("with what was found", gap.validation[1]),
         ("noise alone", gap.validation_floor),
     ):
@@ -252,7 +253,7 @@ def summary(found: Discovery, files: Files | None) -> str:
         effect = found.twin.dictionary.get(one.name)
         if effect is not None and (effect.cause or effect.remedy):
             told = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]
-            lines.append(f"{discovery_text.titled(one.name)}: {'; '.join(told)}")
+            lines.append(f"{effect.spoken}: {'; '.join(told)}")
     if files is not None:
         told = [str(path) for path in (files.model, files.plant, files.numbers) if path]
         lines += [f"written: {', '.join(told)}", f"page: {files.page}"]

@@ -39,7 +39,7 @@ def save(found: Stability, folder: str | Path) -> Written:
         certificate=certificate,
         steps=[*steps, *(f"Equilibrium {point}." for point in certificate.others or ())],
         figures=figures,
-        equilibria=str(found.rest) if found.rest else found.untold,
+        equilibria=str(found.rest) if found.rest else found.reason,
         modes=list(_modes(found)),
     )
     numbers = json.dumps(found.as_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
