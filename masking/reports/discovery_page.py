@@ -13,7 +13,7 @@ import numpy as np
 
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
-from masking.discovery.verdict import probabilities
+from masking.discovery.verdict import noise_threshold, probabilities
 from masking.estimation.whiteness import DOUBTED
 from masking.reports import discovery_files, discovery_text, html, quantities
 from masking.reports.discovery_files import Files, Origin
@@ -100,7 +100,7 @@ def _tiles(found: Discovery, names: set[str]) -> list[str]:
             f"error in {worst}" + " with it" * bool(found.effects),
             quantities.percent(after[worst]),
             f"noise {quantities.percent(floor[worst])}",
-            is_wrong=after[worst] > found.evidence.rules.validation_noise_floor * floor[worst],
+            is_wrong=after[worst] > noise_threshold(len(found.judge), found.evidence.rules) * floor[worst],
             names=names,
         )
     )
