@@ -119,7 +119,7 @@ def _what_helps(found: Discovery) -> list[str]:
             if effect is None:
                 meaning = f"declared {quantities.number(float(found.rig.start[found.rig.names.index(name)]), 5)}"
             else:
-                meaning = effect.parameters[name].meaning if name in effect.parameters else "delay"
+                meaning = effect.parameters[name].meaning if name in effect.parameters else effect.spoken
             rows.append(
                 (
                     discovery_text.labelled(found, one.name, one.on),
@@ -329,7 +329,7 @@ def summary(found: Discovery, files: Files | None) -> str:
         effect = found.twin.dictionary.get(one.name)
         if effect is not None and (effect.cause or effect.remedy):
             told = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]
-            lines.append(f"{discovery_text.titled(one.name)}: {'; '.join(told)}")
+            lines.append(f"{effect.spoken}: {'; '.join(told)}")
     if files is not None:
         told = [str(path) for path in (files.model, files.plant, files.numbers) if path]
         lines += [f"written: {', '.join(told)}", f"page: {files.page}"]
