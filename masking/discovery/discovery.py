@@ -57,7 +57,7 @@ class Gap:
     adjusted: dict[str, float]
 
     def is_noise(self, readings: int, rules: DecisionRules) -> bool:
-        """Return whether each sensor, with so many readings in the validation record, is at the noise floor there."""
+        """Return whether each sensor is at the noise floor in the validation record, with its number of readings."""
         return at_noise_floor(self.validation[1].values(), self.validation_floor.values(), readings, rules)
 
     def as_dict(self) -> dict[str, Any]:
