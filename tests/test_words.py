@@ -155,7 +155,7 @@ def test_a_delay_of_the_only_actuator_is_told_once():
      ("stribeck_friction", "Stribeck friction")],
 )  # fmt: skip
 def test_effects_are_named_after_people(name, told):
-    assert discovery_text.titled(name) == told
+    assert EFFECTS[name].spoken == told
 
 
 def test_the_map_credits_each_law_with_its_own_part(discoveries):

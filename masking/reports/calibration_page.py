@@ -179,12 +179,12 @@ def _parameters(found: Calibration, symbols: set[str]) -> str:
         words.append("* is said by the model that was fitted; the plant file has no such parameter.")
     fitted = {effect.path for effect in fit.twin.effects}
     lacking = {
-        effect.kind
+        effect.entry.spoken
         for effect in declared.effects
         if effect.enabled and effect.entry.where == "element" and effect.path not in fitted
     }
     if lacking:
-        kinds = _listed(sorted(lacking)).replace("_", " ")
+        kinds = _listed(sorted(lacking))
         words.append(f"What the plant file declares as {kinds} is in the values: the fitted model does not name it.")
     made += html.paragraph(" ".join(words), "missing", symbols)
     items = [*fit.notes, *_pairs(found)]

@@ -25,9 +25,8 @@ from masking.declaration.units import dimension_of, factor_of
 from masking.discovery import laws
 from masking.discovery.augmented_model import Slot
 from masking.discovery.discovery import Discovery, Named
-from masking.discovery.localisation import where
 from masking.discovery.places import identifier, opened
-from masking.effects import attach
+from masking.effects import LAG, attach
 from masking.errors import RecordError
 from masking.modelling.model import Model
 from masking.reports import discovery_text
@@ -144,7 +143,7 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     told["adjusted"] = list(discovery_text.adjusted(found))
     told["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
     told["page"] = str(files.page)
-    told["where"] = where(found).as_dict()
+    told["where"] = found.where.as_dict()
     return told
 
 
@@ -284,7 +283,7 @@ def _add_delay(found: Discovery, slot: Slot, effects: dict[str, Any], taken: set
         effects[_free("delay_found", taken)] = {"effect": laws.DELAY, "parameters": {"samples": whole}}
     if rest * rate > WHOLE:
         at = [slot.at] if slot.at else list(found.twin.actuators)
-        lag = {"effect": "actuator_lag", "at": at, "parameters": {"tau": _rounded(rest)}}
+        lag = {"effect": LAG.name, "at": at, "parameters": {LAG.grows_with: _rounded(rest)}}
         effects[_free("rest_of_delay", {*taken, *effects})] = lag
 
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
-from masking.discovery.localisation import where
 from masking.discovery.verdict import probabilities
 from masking.estimation.whiteness import DOUBTED
 from masking.reports import discovery_files, discovery_text, html, quantities
@@ -120,7 +119,7 @@ def _what_helps(found: Discovery) -> list[str]:
             if effect is None:
                 meaning = f"declared {quantities.number(float(found.rig.start[found.rig.names.index(name)]), 5)}"
             else:
-                meaning = effect.parameters[name].meaning if name in effect.parameters else "delay"
+                meaning = effect.parameters[name].meaning if name in effect.parameters else effect.spoken
             rows.append(
                 (
                     discovery_text.labelled(found, one.name, one.on),
@@ -201,7 +200,7 @@ def _where(found: Discovery, names: set[str]) -> str:
 def _whiteness(found: Discovery, names: set[str]) -> str:
     """Tabulate whether the residuals of each sensor are white, before and after."""
     rows = []
-    for name, pair in where(found).whiteness.items():
+    for name, pair in found.where.whiteness.items():
         for what, one in zip(("adjusted alone", "with what was found"), pair, strict=True):
             if one is not None:
                 p = f"{one.p:.3f}" if one.p > 5e-4 else "< 0.001"
@@ -330,7 +329,7 @@ def summary(found: Discovery, files: Files | None) -> str:
         effect = found.twin.dictionary.get(one.name)
         if effect is not None and (effect.cause or effect.remedy):
             told = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]
-            lines.append(f"{discovery_text.titled(one.name)}: {'; '.join(told)}")
+            lines.append(f"{effect.spoken}: {'; '.join(told)}")
     if files is not None:
         told = [str(path) for path in (files.model, files.plant, files.numbers) if path]
         lines += [f"written: {', '.join(told)}", f"page: {files.page}"]

@@ -98,7 +98,7 @@ def laws_at(found: Discovery, lacking: latent_force.Lack) -> list[Slot]:
 def along(found: Discovery, lacking: latent_force.Lack, slots: Sequence[Slot]) -> Array:
     """Return what causes at the place that is looked at give together (m,): force, command or reading."""
     law = np.zeros_like(lacking.before)
-    motion, names = latent_force.smoothed(found).before, [place.name for place in found.rig.places]
+    motion, names = found.smoothed.before, [place.name for place in found.rig.places]
     for slot in slots:
         if lacking.where == "element":
             law += latent_force.along(found, slot, *motion.acted_on(slot.entry, names.index(lacking.place)))

@@ -40,7 +40,6 @@ else:
 Tell = Callable[[str, float], None]
 
 EXPERIMENT, NUMBERS, BEFORE, AFTER = "experiment.yaml", "refine.json", "before", "after"
-TOLD = frozenset({"noise", "quantisation", "delay"})  # effects of the plant file that a controller knows
 WORTH = 0.9  # of chi: what it must come down to, to be called truer
 _BEGIN, _FOUND = 0.1, 0.9  # parts done when the discovery begins and ends
 
@@ -229,7 +228,7 @@ def believed(experiment: Experiment) -> Twin:
     base = assembly.believed_model
     known = {}
     for name, use in assembly.plant.effects.items():
-        if use.effect in TOLD:
+        if experiment.twin.dictionary[use.effect].is_known_to_controller:
             change = experiment.declaration.effects.get(name)
             values: dict[str, Any] = {} if change is None else {"parameters": {**use.parameters, **change.parameters}}
             if change is not None and change.enabled is not None:
