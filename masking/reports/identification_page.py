@@ -138,7 +138,7 @@ def _page(measured: Measurement[Any], plates: list[style.Plate], images: dict[st
     sections.append(markup.section("Numbers", markup.table(head, rows, numbers=(1, 2))))
     sections += _notes(measured.notes)
     used: list[tuple[str, object]] = [("records", ", ".join(measured.records))]
-    used += [(what, channel.told) for what, channel in measured.channels.items()]
+    used += [(what, channel.label) for what, channel in measured.channels.items()]
     sections.append(markup.section("Records and columns", markup.provenance(used)))
     lead = f'<p class="lead">{html.escape(measured.sentence)}.</p>'
     return markup.document(_TITLES[measured.procedure], lead, [_tile(row) for row in first], sections)
