@@ -44,7 +44,7 @@ FLOORS: dict[str, set[str]] = {
         *("declaration", "effects", "modelling", "records", "analysis", "rig", "plants", "runs"),
         *("estimation", "discovery", "procedures", "reports"),
     },
-    "cli": {"records", "rig", "plants", "runs", "reports", "workflows"},
+    "cli": {"declaration", "records", "rig", "plants", "runs", "reports", "workflows"},
 }
 
 # Packages from outside, and the folders that may import them; all others are free.
@@ -179,6 +179,9 @@ def test_a_run_and_its_study_never_import_each_other(side, other):
 
 @EACH_FILE
 def test_no_function_imports_our_own_modules(path):
+    """The command line apart: a verb loads what it needs once it is asked for, so that the others start at once."""
+    if module_of(path) == "cli":
+        return
     for function in ast.walk(TREES[path]):
         if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
             inside = [n for n in ast.walk(function) if isinstance(n, ast.Import | ast.ImportFrom)]

@@ -26,7 +26,7 @@ from masking.declaration.fields import (
     refuse,
 )
 from masking.declaration.shorthand import Short
-from masking.errors import Place
+from masking.errors import DeclarationError, Place, Problem, nearest
 
 
 class Block(BaseModel):
@@ -481,6 +481,15 @@ KINDS: dict[str, type[Declaration]] = {
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """Give the JSON Schema of a kind of file, for editors."""
+    """Return the JSON Schema of a kind of declaration, for editors.
+
+    Args:
+        kind: one of `KINDS`.
+
+    Raises:
+        DeclarationError: there is no such kind.
+    """
+    if kind not in KINDS:
+        raise DeclarationError(Problem(None, "", f"there is no kind of declaration '{kind}'", nearest(kind, KINDS)))
     schema = KINDS[kind].model_json_schema(ref_template="#/$defs/{model}")
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
