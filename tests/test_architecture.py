@@ -32,17 +32,14 @@ FLOORS: dict[str, set[str]] = {
     },
     "estimation": {"numerics", "codegen", "records", "rig"},
     "discovery": {"numerics", "declaration", "effects", "codegen", "records", "signals", "rig", "estimation"},
-    "procedures": {
-        *("numerics", "declaration", "modelling", "records", "signals", "rig", "control", "plants", "runs"),
-        "estimation",
-    },
+    "procedures": {"numerics", "declaration", "modelling", "records", "rig", "estimation"},
     "reports": {
         *("numerics", "declaration", "effects", "modelling", "records", "analysis", "rig", "estimation"),
         *("discovery", "procedures"),
     },
     "workflows": {
-        *("declaration", "effects", "modelling", "records", "analysis", "rig", "plants", "runs"),
-        *("estimation", "discovery", "procedures", "reports"),
+        *("numerics", "declaration", "effects", "modelling", "records", "signals", "analysis", "rig", "control"),
+        *("plants", "runs", "estimation", "discovery", "procedures", "reports"),
     },
     "cli": {"declaration", "records", "rig", "plants", "runs", "reports", "workflows"},
 }
@@ -67,7 +64,7 @@ OUTSIDE: dict[str, set[str]] = {
 # A run and its study meet in the file on disk: only workflows and the command line know both. Mathematics on series,
 # such as synchronisation, which knows neither, serves both.
 ONLINE = {"control", "plants", "runs"}
-OFFLINE = {"estimation", "discovery"}
+OFFLINE = {"estimation", "discovery", "procedures", "reports"}
 
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "sympify", "parse_expr", "parse_latex", "lambdify", "__import__"}
 

@@ -11,9 +11,9 @@ from masking import cli
 from masking.discovery.discovery import Named
 from masking.errors import DeclarationError, RecordError
 from masking.plants.simulated import SimulatedPlant
-from masking.procedures import calibration_records
 from masking.records.recording import Recording
 from masking.runs.experiment import Experiment
+from masking.workflows import calibration_records
 from masking.workflows import refine as refinement
 from masking.workflows.refine import believed, refined
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,19 +10,42 @@ from typing import Any, Final
 
 import numpy as np
 
-from masking.control.instruments import Instruments
+from masking.estimation.data import Data
 from masking.estimation.fit import Fit
 from masking.estimation.simulation import noise_alone, simulate
 from masking.numerics.arrays import Array
-from masking.procedures.calibration_records import PERIOD, Records
 from masking.rig.twin import Twin
 
+PERIOD: Final = 20.0  # s, of the excitation; its lines are the harmonics
+HIGHEST: Final = 4.0  # Hz, of these lines
+NAMES: Final = ("small", "fit", "unseen")  # of the records
 PAGE: Final = "index.html"
 ALIKE: Final = 0.01  # part by which errors may differ for the simpler model to be taken
 STRAIGHT: Final = 1e-6  # of a spring's force: less than this from a straight line is rounding
 _POINTS = 121  # of a curve
 _MARGIN = 1.1  # times the displacement that was reached: how far a curve is drawn
 _STEP = 1e-4  # of a parameter, relative, for differences
+
+
+@dataclass(frozen=True)
+class Records:
+    """Records of a rig under multisines.
+
+    Args:
+        small: the first record.
+        fit: the record to fit.
+        unseen: the validation record.
+        size: part of the largest command that the last two reach.
+        limits: largest command of each actuator, in its unit (actuators,).
+        missed: samples of each record that were missed, by its name.
+    """
+
+    small: Data
+    fit: Data
+    unseen: Data
+    size: float
+    limits: Array
+    missed: Mapping[str, int]
 
 
 @dataclass(frozen=True)
@@ -141,13 +165,6 @@ class Calibration:
         return noise_alone(self.twin.sensors, [self.records.unseen])
 
     @cached_property
-    def instruments(self) -> Instruments:
-        """Return the sensors, actuators and limits of the plant file."""
-        return Instruments(
-            self.twin.declaration, self.twin.model, self.twin.kernels.meta["factors"], {}, self.twin.delay
-        )
-
-    @cached_property
     def residuals(self) -> dict[str, Array]:
         """Return what each stage leaves of the unseen record, measured less simulated (m, sensors), by its name."""
         unseen = self.records.unseen
@@ -156,7 +173,7 @@ class Calibration:
     @cached_property
     def excited(self) -> tuple[Excited, ...]:
         """Return what the actuators were told."""
-        record = self.records.fit
+        record, actuators = self.records.fit, self.twin.declaration.actuators or self.twin.model.declaration.inputs
         count = min(len(record), round(PERIOD * record.rate))
         t = np.arange(count) / record.rate
         frequencies = np.fft.rfftfreq(count, 1.0 / record.rate)
@@ -164,7 +181,7 @@ class Calibration:
         for i, name in enumerate(self.twin.actuators):
             values = record.commands[:count, i]
             spectrum = 2.0 * np.abs(np.fft.rfft(values)) / count
-            unit, limit = self.instruments.unit(name), float(self.records.limits[i])
+            unit, limit = actuators[name].unit, float(self.records.limits[i])
             found.append(
                 Excited(name, unit, t, values, np.asarray(frequencies, dtype=float), np.asarray(spectrum), limit)
             )
@@ -200,6 +217,20 @@ class Calibration:
         return "\n".join(lines)
 
 
+def reached(twin: Twin, record: Data) -> dict[str, tuple[float, float]]:
+    """Return how far coordinates with a limit went, and their limits, in SI units, by the limit's expression.
+
+    A coordinate is what the sensors that measure it read; one without a sensor is left out.
+    """
+    found = {}
+    for what, limit in twin.declaration.limits.coordinates.items():
+        for i, (name, sensor) in enumerate(twin.declaration.sensors.items()):
+            if sensor.measures.text.replace(" ", "") == what.text.replace(" ", ""):
+                far = float(np.abs(record.readings[:, i]).max() / abs(twin.gain(name)))
+                found[what.text] = far, limit.max * twin.size(limit.unit)
+    return found
+
+
 def _curve(found: Calibration, element: str) -> Curve | None:
     """Return the curve of a spring of the best model; None where it is straight, or no sensor measures it."""
     fit, declared = found.best.fit, found.best.fit.twin.base.elements[element]
@@ -208,7 +239,7 @@ def _curve(found: Calibration, element: str) -> Curve | None:
     at = next((i for i, s in enumerate(sensors) if s.measures.text.replace(" ", "") == text), None)
     if at is None:
         return None
-    seen = found.records.fit.readings[:, at] / found.instruments.gains()[at]
+    seen = found.records.fit.readings[:, at] / found.twin.gain(found.twin.sensors[at])
     far = _MARGIN * float(np.abs(seen).max())
     d = np.linspace(-far, far, _POINTS)
     force = _force(fit.twin, element, d)

@@ -13,8 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from masking.procedures.calibration_findings import Calibration, Curve, Excited
-from masking.procedures.calibration_records import HIGHEST
+from masking.procedures.calibration_findings import HIGHEST, Calibration, Curve, Excited
 from masking.procedures.measurement import percent
 from masking.reports.style import (
     BARE,

@@ -15,8 +15,7 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.errors import RecordError
-from masking.procedures import calibration_records
-from masking.procedures.calibration_findings import ALIKE, PAGE, Calibration, Stage
+from masking.procedures.calibration_findings import ALIKE, NAMES, PAGE, Calibration, Stage, reached
 from masking.reports import html
 from masking.reports.run_text import number
 
@@ -231,14 +230,14 @@ def _use(found: Calibration, symbols: set[str]) -> str:
     ]
     head = ["actuator", "meaning", "peak", "limit", "used", "crest factor", "lines"]
     made = html.table(head, rows, range(2, 6), symbols)
-    reached = calibration_records.reached(found.instruments, found.records.fit)
-    if not reached:
+    far_and_limit = reached(found.twin, found.records.fit)
+    if not far_and_limit:
         return made
     limits = found.twin.declaration.limits.coordinates
-    units = {what.text: (limit.unit, found.instruments.factors[limit.unit]) for what, limit in limits.items()}
+    units = {what.text: (limit.unit, found.twin.size(limit.unit)) for what, limit in limits.items()}
     rows = [
         [what, *(f"{x / units[what][1]:.3g} {units[what][0]}" for x in (far, most)), _percent(far / most)]
-        for what, (far, most) in reached.items()
+        for what, (far, most) in far_and_limit.items()
     ]
     return made + html.table(["coordinate", "reached", "limit", "used"], rows, range(1, 4), symbols)
 
@@ -251,7 +250,7 @@ def _provenance(found: Calibration, written: Sequence[str]) -> str:
             ("rig", twin.name),
             ("plant file", ", ".join(map(str, twin.files))),
             ("model files", ", ".join(map(str, found.best.fit.twin.base.files))),
-            ("records", f"{', '.join(calibration_records.NAMES)}; {every}, in {found.folder / 'records'}"),
+            ("records", f"{', '.join(NAMES)}; {every}, in {found.folder / 'records'}"),
             ("missed samples", ", ".join(f"{name}: {count}" for name, count in found.records.missed.items())),
             ("written", ", ".join(["model.yaml", "plant.yaml", "fit.json", "calibration.json", *written])),
             ("rounds of the fits", ", ".join(f"{stage.name}: {stage.fit.rounds}" for stage in found.stages)),

@@ -291,7 +291,7 @@ class Twin:
         """Return the parameter array: model, allocation, gains of the sensors, parameters of their effects."""
         rest = [self._value(effect, name) for effect in self._chain for name in effect.entry.parameters]
         switches = [float(effect.enabled) for effect in self._chain]
-        gains = [self._gain(name) for name in self.sensors]
+        gains = [self.gain(name) for name in self.sensors]
         return np.concatenate([self.model.values(), self.allocation.ravel(), gains, rest, switches])
 
     @cached_property
@@ -331,7 +331,8 @@ class Twin:
         actuators = [e for a in self.actuators for e in self._on("actuator", a)]
         return actuators + [e for s in self.sensors for e in self._on("sensor", s)]
 
-    def _gain(self, sensor: str) -> float:
+    def gain(self, sensor: str) -> float:
+        """Return the readings of a sensor per SI unit of what it measures."""
         declared = self.declaration.sensors[sensor]
         factors = self.kernels.meta["factors"]
         return float(declared.gain.value * factors[declared.gain.unit] / factors[declared.unit])

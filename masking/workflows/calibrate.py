@@ -14,11 +14,11 @@ from typing import Final
 from masking.errors import ModelError
 from masking.estimation.fit import fit, independent
 from masking.plants.interface import Plant
-from masking.procedures import calibration_records
-from masking.procedures.calibration_findings import Calibration, Stage
-from masking.procedures.calibration_records import PERIOD, Progress, Say
+from masking.procedures.calibration_findings import NAMES, PERIOD, Calibration, Stage
 from masking.reports import calibration_page, fit_files
 from masking.rig.twin import Twin
+from masking.workflows import calibration_records
+from masking.workflows.calibration_records import Progress, Say
 
 __all__ = ["Calibration", "Stage", "calibrate"]
 
@@ -80,7 +80,7 @@ def calibrate(
     twin.validate()
     folder, tell = Path(out), say or (lambda text: None)
     candidates = tuple(_candidates(twin, model))
-    costs = [len(calibration_records.NAMES) * (_LOCKSTEP if lockstep else 1.0)]
+    costs = [len(NAMES) * (_LOCKSTEP if lockstep else 1.0)]
     costs += [*(_PARAMETER * len(candidate.parameters) for candidate in candidates), _REPORT]
     parts = iter(_parts(progress or (lambda part: None), costs))
     made = calibration_records.make(

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,44 +24,21 @@ from masking.numerics.arrays import Array
 from masking.numerics.sampled_loop import LARGEST
 from masking.plants.interface import Plant
 from masking.plants.simulated import SimulatedPlant
+from masking.procedures.calibration_findings import HIGHEST, NAMES, PERIOD, Records, reached
 from masking.records.recording import MANIFEST, Recording
 from masking.rig.twin import Twin
 from masking.runs.realtime import FINISHED, check_channels, every, run_rig
 from masking.signals import Multisine, minimise_crest
 
 RATE: Final = 1000.0
-PERIOD: Final = 20.0  # s; the lines are its harmonics
-HIGHEST: Final = 4.0  # Hz
 PART: Final = 0.8  # of a limit that a record may reach
 SMALL: Final = 0.02  # of the largest command: the first record
 STARTS: Final = 5  # of the search for a small crest factor
-NAMES: Final = ("small", "fit", "unseen")
 _MEND = "calibrate that plant, or give the plant file of the one that is there"
 _DIGITS = 9  # of a number that tells whether a twin is the same
 
 Say = Callable[[str], None]
 Progress = Callable[[float], None]
-
-
-@dataclass(frozen=True)
-class Records:
-    """What a rig was recorded to do.
-
-    Args:
-        small: the first record.
-        fit: the record to fit.
-        unseen: the record to judge by.
-        size: part of the largest command that the last two reach.
-        limits: largest command of each actuator, in its unit (actuators,).
-        missed: samples of each record that were missed, by its name.
-    """
-
-    small: Data
-    fit: Data
-    unseen: Data
-    size: float
-    limits: Array
-    missed: Mapping[str, int]
 
 
 def make(
@@ -114,7 +90,7 @@ def make(
         missed[name] = int(recording.manifest["rig"]["counters"].get("missed", 0))
         made.append(Data.of(recording, twin, str(path)))
         if not number:
-            size = _larger(instruments, made[0])
+            size = _larger(twin, made[0])
             say(f"up to {size:.0%} of the largest command")
         progress((number + 1) / len(NAMES))
     small, fit, unseen = made
@@ -178,26 +154,11 @@ def _waves(count: int, number: int, seconds: float, seed: int) -> Array:
     return np.array(columns).T
 
 
-def reached(instruments: Instruments, record: Data) -> dict[str, tuple[float, float]]:
-    """Return how far coordinates with a limit went and how far they may, in SI units, by the limit's expression.
-
-    Coordinates are what the sensors that measure them read; those without a sensor are left out.
-    """
-    found = {}
-    gains = instruments.gains()
-    for what, limit in instruments.plant.limits.coordinates.items():
-        for i, sensor in enumerate(instruments.plant.sensors.values()):
-            if sensor.measures.text.replace(" ", "") == what.text.replace(" ", ""):
-                far = float(np.abs(record.readings[:, i]).max() / abs(gains[i]))
-                found[what.text] = far, limit.max * instruments.factors[limit.unit]
-    return found
-
-
-def _larger(instruments: Instruments, small: Data) -> float:
+def _larger(twin: Twin, small: Data) -> float:
     """Return the part of the largest command at which the first limit of a coordinate would be reached, and no more."""
     if not np.ptp(small.readings, axis=0).any():
         raise RecordError(f"{small.name}: the sensors read the same throughout; look at the rig's power and wiring")
-    pairs = reached(instruments, small).values()
+    pairs = reached(twin, small).values()
     size = min([PART, *(PART * SMALL * limit / max(far, 1e-300) for far, limit in pairs)])
     return max(size, SMALL)
 
