@@ -155,8 +155,10 @@ def test_packages_from_outside_are_imported_where_the_table_says(path):
 
 
 @pytest.mark.parametrize("folder", [name for name in FLOORS if name != "errors"])
-def test_a_folder_says_what_it_is(folder):
-    assert ast.get_docstring(ast.parse((ROOT / folder / "__init__.py").read_text(encoding="utf-8")))
+def test_a_folder_says_what_comes_in_what_goes_out_and_what_it_imports(folder):
+    lines = str(ast.get_docstring(TREES[ROOT / folder / "__init__.py"]))
+    said = re.search(r"^In: .+\.\nOut: .+\.\nImports: ([^.]+)\.$", lines, re.MULTILINE)
+    assert set(re.split(r",\s+", said[1])) == (FLOORS[folder] or {"nothing"})
 
 
 @pytest.mark.parametrize(("side", "other"), [(ONLINE, OFFLINE), (OFFLINE, ONLINE)], ids=["online", "offline"])

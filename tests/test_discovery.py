@@ -12,6 +12,7 @@ from scipy import io
 
 import masking
 from masking.cli import main
+from masking.discovery.settings import DiscoverySettings
 from masking.errors import DeclarationError, ModelError, RecordError
 from masking.estimation.data import Data
 from masking.estimation.simulation import simulate

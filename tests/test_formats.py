@@ -14,11 +14,12 @@ from scipy import io
 
 from masking.discovery.settings import DiscoverySettings
 from masking.errors import ModelError, RecordError
-from masking.estimation.data import Data, InputHold
+from masking.estimation.data import Data
 from masking.records import readers
+from masking.records.hold import InputHold
 from masking.records.recording import Recording
 from masking.records.time_slice import Part
-from masking.workflows import inputs
+from masking.workflows import choices, inputs
 
 # Version 7.3, as MATLAB marks it in the 512 bytes before an HDF5 file.
 HEADER = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
@@ -331,7 +332,7 @@ def test_smooth_inputs_become_straight_lines(mass):
 
 
 def test_the_command_line_knows_every_way_between_samples(mass):
-    assert get_args(InputHold) == inputs.HOLDS
+    assert get_args(InputHold) == choices.HOLDS
     words = "hold is 'cubic': give 'zero-order' for .*, 'first-order' for .*, or .* 'band-limited' for .* filter"
     with pytest.raises(ModelError, match=words):
         Data.of(Recording({"t": T, "f": T, "x": T}), mass, hold="cubic")

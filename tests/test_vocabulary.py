@@ -146,7 +146,6 @@ NOT_YET: dict[str, set[str]] = {
     "masking/workflows/discover.py": {"believed", "judge", "told"},
     "masking/workflows/inputs.py": {"believed", "judge", "judged"},
     "masking/workflows/refine.py": {"believed", "believes", "judge", "simulated anew", "tells", "told", "truer"},
-    "masking/workflows/verbs.py": {"judge", "told", "untold"},
     "plants/tue_rig.yaml": {"tells"},
 }
 

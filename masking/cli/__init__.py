@@ -1,4 +1,9 @@
-"""The command line: one sub-command for each verb, each a few lines over `masking.workflows`."""
+"""The command line: one sub-command for each verb, each a few lines over `masking.workflows`.
+
+In: a command line.
+Out: an exit status, and text or JSON.
+Imports: declaration, records, rig, plants, runs, reports, workflows.
+"""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from masking.cli.options import RECORD, Verb, add_json, add_of_tables, names
 from masking.cli.progress import Bar, raise_interrupts
+from masking.workflows.choices import TOLERANCE
 
 NUMBERS = "discovery.json"
 
@@ -34,14 +35,12 @@ def _add_refine(sub: argparse.ArgumentParser) -> None:
 
 def _add_settings(sub: argparse.ArgumentParser) -> None:
     """Add the fields of `DiscoverySettings`."""
-    from masking.workflows.discover import Discover
-
-    text = "validation record (default: the last 30 % of RECORD)"
+    text = "validation record (default: the last 30 %% of RECORD)"
     sub.add_argument("--validate", metavar="RECORD", help=text)
     text = "parameters to re-fit (default: all that appear in the equations)"
     sub.add_argument("--parameters", metavar="A,B", default="", help=text)
     text = "prior standard deviation, relative to its value, of a parameter that declares none (default: %(default)s)"
-    sub.add_argument("--tolerance", metavar="PART", type=float, default=Discover.tolerance, help=text)
+    sub.add_argument("--tolerance", metavar="PART", type=float, default=TOLERANCE, help=text)
     text = (
         "multiple-shooting interval in s, each with its own initial state (default: the whole record in one interval, "
         "or a twentieth of it for a model that does not settle)"

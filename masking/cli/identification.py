@@ -11,13 +11,12 @@ from typing import Any
 
 from masking.cli.options import RECORD, Verb, add_json, add_of_tables, add_verb, names
 from masking.cli.progress import Bar
+from masking.workflows.choices import METHODS
 
 Option = tuple[str, Callable[[str], Any], str]  # of a procedure: placeholder of its value, how it is read, help
 
 
 def _add_identify(sub: argparse.ArgumentParser) -> None:
-    from masking.workflows.identify import METHODS
-
     add_json(sub)
     sub.add_argument("records", metavar="RECORD", nargs="+", help=RECORD)
     sub.add_argument("--plant", metavar="PLANT", required=True, help="the plant that was recorded: a name or file")

@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from masking.workflows.choices import HOLDS
+
 RECORD = "folder of a recording, or a parquet, csv, mat or h5 file; FILE@10:20 is its part from 10 s to 20 s"
 
 
@@ -49,8 +51,6 @@ def add_json(sub: argparse.ArgumentParser, *, after: str = "") -> None:
 
 def add_of_tables(sub: argparse.ArgumentParser) -> None:
     """Add the options of records that other programs wrote, and of the inputs between their samples."""
-    from masking.workflows.inputs import HOLDS
-
     text = (
         "hold of the inputs between samples: zero-order for commands, first-order for measured inputs, band-limited "
         "for inputs measured behind an anti-alias filter (default: zero-order; first-order for a measured motion)"

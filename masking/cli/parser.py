@@ -14,6 +14,8 @@ from masking.cli.options import add_verb
 from masking.cli.progress import INTERRUPTED, NOTHING_SAVED
 from masking.errors import RENAMED, DeclarationError, MaskingError
 
+VERBS = tuple(one for module in (declarations, runs, identification, discovery, stability, rig) for one in module.VERBS)
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to mend first."""
@@ -60,7 +62,6 @@ def _parser(verb: str) -> argparse.ArgumentParser:
         prog="masking", description="Make an actuated rig move as if it were another machine."
     )
     found = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
-    for module in (declarations, runs, identification, discovery, stability, rig):
-        for one in module.VERBS:
-            add_verb(found, one, is_asked_for=one.name == verb)
+    for one in VERBS:
+        add_verb(found, one, is_asked_for=one.name == verb)
     return parser

@@ -9,13 +9,12 @@ from pathlib import Path
 from masking.cli.options import Verb, add_json
 from masking.cli.progress import Bar, raise_interrupts
 from masking.errors import DeclarationError, Problem
+from masking.workflows.choices import STUDIED
 
 
 def _add(sub: argparse.ArgumentParser) -> None:
-    from masking.workflows.stability import KINDS
-
     sub.add_argument("name", metavar="MODEL_OR_EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
-    sub.add_argument("--kind", choices=KINDS, help="which, if the name stands for both (default: the model)")
+    sub.add_argument("--kind", choices=STUDIED, help="which, if the name stands for both (default: the model)")
     sub.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="change a parameter of the system"
     )

@@ -19,8 +19,9 @@ from masking.discovery.augmented_model import OpenRig
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import Evidence
 from masking.errors import IntegrationError
-from masking.estimation.data import Data, Hold
+from masking.estimation.data import Data
 from masking.numerics.arrays import Array
+from masking.records.hold import Hold
 
 SECONDS = 30.0
 TELLING = 40.0  # of the cost: from here on two explanations are told apart

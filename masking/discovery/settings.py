@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from masking.errors import DeclarationError, Problem
-from masking.estimation.data import InputHold
+from masking.records.hold import InputHold
 
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
 

@@ -8,13 +8,13 @@ from pathlib import Path
 from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.estimation import fit as fits
 from masking.estimation import kalman
-from masking.estimation.data import Data, InputHold
+from masking.estimation.data import Data
 from masking.estimation.innovations import KalmanFit
+from masking.records.hold import InputHold
 from masking.reports import fit_figures, fit_files, identification_page
 from masking.rig.twin import Twin
+from masking.workflows.choices import METHODS
 from masking.workflows.outputs import check_folder
-
-METHODS = ("least-squares", "kalman")
 
 
 def identify(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 
@@ -15,13 +14,12 @@ from masking.declaration.expression import Expression
 from masking.declaration.schema import ModelDeclaration, PlantDeclaration, Sensor
 from masking.discovery.settings import DiscoverySettings
 from masking.errors import DeclarationError, Problem, RecordError, nearest
-from masking.estimation.data import Data, InputHold
+from masking.estimation.data import Data
 from masking.records import readers
 from masking.records.time_slice import Part
 from masking.reports.discovery_files import Origin
 from masking.rig.twin import Twin
 
-HOLDS = get_args(InputHold)
 FEWEST = 400  # samples of a record
 STILL = 1.2  # deviations of the noise: readings that vary by less do not move
 ALIKE = 1e-6  # relative difference of two rates that are the same

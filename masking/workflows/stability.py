@@ -16,9 +16,8 @@ from masking.modelling.model import Model, load_model
 from masking.reports import stability_page
 from masking.runs.experiment import Experiment
 from masking.runs.offline import rig_state
+from masking.workflows.choices import STUDIED
 from masking.workflows.outputs import check_folder
-
-KINDS = ("model", "experiment")
 
 
 def stability(
@@ -51,7 +50,7 @@ def stability(
     """
     check_folder(out)
     kind = kind or catalogue.kind_of(name_or_path)
-    if kind not in KINDS:
+    if kind not in STUDIED:
         message = f"{name_or_path} is a {kind}, which has no stability of its own"
         raise DeclarationError(Problem(None, "", message, "name a model or an experiment"))
     experiment = None if kind == "model" else Experiment.load(name_or_path, changes=changes)
