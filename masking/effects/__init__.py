@@ -4,6 +4,7 @@ In: the name of an effect, ours or a user's.
 Out: its law, parameters and states, and models with it attached.
 Imports: declaration.
 
+
 `EFFECTS` is the dictionary of all that come with the package, `load` reads a dictionary of one's own, and `dictionary`
 puts both together; `attach` puts one into an element of a declared model, `attach_all` several; `expressions`,
 `parameters` and `unit_of` give the parts from which those of a sensor or an actuator are compiled.

@@ -74,9 +74,9 @@ def identify(
             twin, train, names, validation=held_out, shooting_interval=shooting_interval, progress=progress
         )
     if out is not None:
-        plates, sentence = fit_figures.plates(found, train, held_out)
+        figures, sentence = fit_figures.figures(found, train, held_out)
         fit_files.save(found, out)
-        identification_page.save_fit(found, plates, sentence, out)
+        identification_page.save_fit(found, figures, sentence, out)
     return found
 
 
