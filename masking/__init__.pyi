@@ -1,7 +1,7 @@
 from .control.closed_loop import ClosedLoop as ClosedLoop
 from .control.law import Controller as Controller
 from .declaration.catalogue import catalogue as catalogue
-from .declaration.schema import json_schema as json_schema
+from .declaration.json_schema import json_schema as json_schema
 from .errors import ActuationError as ActuationError
 from .errors import DeclarationError as DeclarationError
 from .errors import IntegrationError as IntegrationError

@@ -82,7 +82,7 @@ def _add_schema(sub: argparse.ArgumentParser) -> None:
 
 
 def _schema(chosen: argparse.Namespace) -> int:
-    from masking.declaration.schema import json_schema
+    from masking.declaration.json_schema import json_schema
 
     print(json.dumps(json_schema(chosen.kind), indent=2))
     return 0

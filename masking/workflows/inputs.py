@@ -76,7 +76,7 @@ def read(twin: Twin, record: str | Path, settings: DiscoverySettings) -> Inputs:
 
 
 def _check_unseen(train: Data, judge: Data, origin: Origin) -> None:
-    """Refuse to judge by what is searched: the same record, or parts of one file that overlap.
+    """Refuse for validation what is searched: the same record, or parts of one file that overlap.
 
     Raises:
         RecordError: the two share samples.
