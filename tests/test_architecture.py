@@ -19,7 +19,7 @@ FLOORS: dict[str, set[str]] = {
     "declaration": set(),
     "effects": {"declaration"},
     "codegen": {"numerics"},
-    "modelling": {"declaration", "effects", "codegen"},
+    "modelling": {"numerics", "declaration", "effects", "codegen"},
     "records": {"numerics"},
     "signals": {"numerics", "records"},
     "analysis": {"numerics", "codegen", "modelling"},
@@ -50,6 +50,7 @@ OUTSIDE: dict[str, set[str]] = {
     "h5py": {"records"},
     "jinja2": {"reports"},
     "llvmlite": {"codegen"},
+    "markupsafe": {"reports"},
     "matplotlib": {"reports"},
     "numba": {"numerics", "codegen"},
     "pint": {"declaration"},
@@ -58,6 +59,7 @@ OUTSIDE: dict[str, set[str]] = {
     "pydantic": {"declaration"},
     "sympy": {"declaration", "codegen", "modelling", "rig", "control", "analysis", "discovery", "workflows"},
     "tqdm": {"cli"},
+    "uncertainties": {"declaration"},
     "yaml": {"declaration", "reports", "workflows"},
 }
 

@@ -13,7 +13,7 @@ from masking.declaration import schema
 from masking.errors import ActuationError, ModelError
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
-from masking.numerics.sampled_loop import HEATING, LARGEST, POWER, TIME
+from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME
 from masking.rig.allocation import allocation
 
 # Step of a difference quotient, relative to the size of what varies.
@@ -26,7 +26,7 @@ class Instruments:
 
     Args:
         plant: the content of the plant file.
-        model: what the controller believes the rig to be, in SI units.
+        model: the controller's model of the rig, in SI units.
         factors: size in SI units of each unit that the plant file uses.
         noise: standard deviation of a reading of each sensor for which it is known, in the sensor's unit.
         delay: samples between a reading and the first effect of the command that answers it.

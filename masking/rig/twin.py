@@ -30,11 +30,14 @@ from masking.rig.allocation import allocation
 
 if TYPE_CHECKING:
     import sympy as sp
+
+    from masking.numerics import integrators
 else:
+    integrators = lazy.load("masking.numerics.integrators", suppress_warning=True)
     sp = lazy.load("sympy")
 
 
-# Between samples at least so many: contacts and friction are not seen from rest.
+# Minimum integration steps per sample; the linearisation at rest sees neither contact nor friction.
 FEWEST_STEPS = 2
 
 
@@ -199,7 +202,7 @@ class Twin:
         What is simulated is compared with readings before it is rounded: rounding both would count it twice. Commands
         are known, so that what rounds them in the actuators stays.
         """
-        rounding = {e.path.removeprefix("effects.") for e in self.effects if e.kind == "quantisation"}
+        rounding = {e.path.removeprefix("effects.") for e in self._of("sensor") if e.entry.quantum}
         return self.changed({**self.changes, **dict.fromkeys(rounding, schema.EffectChange(enabled=False))})
 
     def _of(self, where: str) -> list[PlacedEffect]:
@@ -271,9 +274,9 @@ class Twin:
         found = {}
         for name in self.sensors:
             parts = [
-                self._value(e, "sigma") if e.kind == "noise" else self._value(e, "step") / np.sqrt(12.0)
+                Expression(e.entry.deviation).evaluate({key: self._value(e, key) for key in e.entry.parameters})
                 for e in self._on("sensor", name)
-                if e.enabled and e.kind in {"noise", "quantisation"}
+                if e.enabled and e.entry.deviation
             ]
             if parts:
                 found[name] = float(np.sqrt(sum(part**2 for part in parts)))
@@ -388,23 +391,14 @@ class Twin:
         """
         module.meta["factors"] = {unit: units.factor_of(unit) for unit in _units(self.declaration, self.base)}
         lowered = LoweredTwin(self)
-        module.add("sense_under(t, y, u, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
+        module.add("sense_under(t: float, y, u, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
         if not self.is_fed:
-            module.add("sense(t, y, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
-        module.add("twin_derivative(t, y, u, p, dy)", lowered.graph, lowered.derivatives, lowered.loads, lowered.health)
+            module.add("sense(t: float, y, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
+        module.add(
+            "twin_derivative(t: float, y, u, p, dy)", lowered.graph, lowered.derivatives, lowered.loads, lowered.health
+        )
         size = len(self.state_names)
-        module.add_kernel(ADVANCE.format(size=size), "", (5, size))
-
-
-ADVANCE = """
-_advance = integrators.runge_kutta_4(twin_derivative, {size})
-
-
-@compiled
-def advance(t, y, u, p, dt, substeps, work):
-    for i in range(substeps):
-        _advance(t + i * (dt / substeps), y, u, p, dt / substeps, work[:4], work[4])
-"""
+        module.add_factory("advance", integrators.steps_of_runge_kutta_4, "twin_derivative", size, work=(5, size))
 
 
 class LoweredTwin:
