@@ -172,7 +172,7 @@ def refine(
         experiment: whose controller's model is refined.
         record: a folder of a recording of the plant, or a parquet, csv, mat or h5 file; or a part of one, such as
             `record.csv@10:20`.
-        validation: another record to judge by; the last part of the record where none is given.
+        validation: another record for validation; the last part of the record where none is given.
         parameters: of the controller's model that may be off; all that its equations hold where none are given.
         tolerance: relative standard deviation of a parameter that declares none.
         shooting_interval: seconds after which the motion is simulated anew, as for `masking.discover`.
@@ -183,7 +183,7 @@ def refine(
         out: folder to save in: the files of a discovery, both runs in `before/` and `after/`, each with its report,
             `experiment.yaml` and `refine.json`; nothing is saved where none is given, and nothing half where it is
             interrupted.
-        tell: told what is done, and the part done.
+        tell: called with what is done, and the fraction done.
 
     Raises:
         MaskingError: a declaration, a name, a setting or a record is wrong, or the experiment cannot be run.
