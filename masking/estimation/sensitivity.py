@@ -29,7 +29,7 @@ _STEP = 1e-6  # relative, of the differences that tell how the parameters depend
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """What a record tells of parameters and initial state, the columns in this order.
+    """Normal equations of a record for parameters and initial state, the columns in this order.
 
     Args:
         matrix: J^T W J (k + states, k + states) for the derivatives J of the readings.
@@ -222,7 +222,7 @@ class Sensitivity:
         substeps: int,
         hold: Hold = "zero-order",
     ) -> NormalEquations:
-        """Return what a record tells, at values of the parameters and of the initial state.
+        """Return the normal equations at values of the parameters and of the initial state.
 
         Args:
             basis: what `basis` returns for values of the parameters.

@@ -10,8 +10,8 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from masking.discovery.places import identifier, opened
 from masking.effects import LAG, attach
 from masking.errors import RecordError
 from masking.modelling.model import Model
-from masking.reports import discovery_text
+from masking.reports import discovery_text, html
 from masking.rig.twin import Twin
 
 DIGITS = 10
@@ -67,7 +67,7 @@ def save(
     folder: str | Path,
     origin: Origin,
     page: str,
-    images: Mapping[str, bytes],
+    figures: Sequence[html.Picture],
     *,
     lies: Path | None = None,
 ) -> Files:
@@ -78,7 +78,7 @@ def save(
         folder: where to write.
         origin: of the records.
         page: the HTML page.
-        images: figures as PNG, by name.
+        figures: those that are drawn are written as PNG files.
         lies: the folder to which all will be moved, where that is another.
 
     Raises:
@@ -86,8 +86,9 @@ def save(
         DeclarationError: the model with its causes is not a sound one.
     """
     out = Path(folder)
-    files = paths(found, out, tuple(images))
-    contents = {files.page: page.encode(), **dict(zip(files.figures, images.values(), strict=True))}
+    images = html.images(figures, out)
+    files = replace(paths(found, out), figures=tuple(images))
+    contents = {files.page: page.encode(), **images}
     if files.model is not None and files.plant is not None:
         contents[files.model] = _yaml(model(found, files.model.parent, origin)).encode()
         contents[files.plant] = _yaml(plant(found, files.model.relative_to(out), origin, out)).encode()
@@ -119,15 +120,14 @@ def save(
     return files
 
 
-def paths(found: Discovery, out: Path, figures: tuple[str, ...] = ()) -> Files:
-    """Return where the files of a discovery lie."""
-    images = tuple(out / f"{name}.png" for name in figures)
+def paths(found: Discovery, out: Path) -> Files:
+    """Return where the files of a discovery lie, without its figures."""
     if not found.effects:
-        return Files(out / NUMBERS, out / PAGE, None, None, images)
+        return Files(out / NUMBERS, out / PAGE, None, None, ())
     base = found.twin.declaration.model
     stem = base if base in catalogue.names("model") else Path(base).stem
     causes = "+".join(dict.fromkeys(cause.name for cause in found.effects))
-    return Files(out / NUMBERS, out / PAGE, out / "models" / f"{Path(stem).name}+{causes}.yaml", out / PLANT, images)
+    return Files(out / NUMBERS, out / PAGE, out / "models" / f"{Path(stem).name}+{causes}.yaml", out / PLANT, ())
 
 
 def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:

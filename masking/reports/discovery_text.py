@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from masking.declaration.units import describe, dimension_of
+from masking.declaration.quantities import number, percent, power, quantity, with_deviation
+from masking.declaration.units import combined, describe, dimension_of, pretty
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.localisation import Lacking, Place
 from masking.estimation.whiteness import Whiteness
-from masking.reports.quantities import much, number, percent, power, pretty, put_together, quantity, with_deviation
+from masking.reports.text import alternatives, capital, listed, much
 
 NOTABLE = 0.15  # part of a force's energy from which a dependence is told
 ALIKE = 0.9  # part of it that turns round with the motion, or does not, from which it is called so
@@ -147,7 +146,7 @@ def beyond(value: float, declared: float) -> str:
     if not declared or not 0.1 < value / declared < 2.0:
         return f"where {number(declared, 5)} is declared"
     off = value / declared - 1.0
-    return f"{abs(off) * 100.0:.2g} % {'more' if off > 0.0 else 'less'} than declared"
+    return f"{percent(abs(off))} {'more' if off > 0.0 else 'less'} than declared"
 
 
 def experiment(found: Discovery) -> str:
@@ -408,22 +407,7 @@ def plain_units(found: Discovery, named: Named) -> dict[str, str]:
         known = {"S": twin.declaration.sensors[named.on].unit}
     else:
         known = {"U": latent_force.command_unit(found, named.on)}
-    made = {n: put_together(effect.parameters[n].unit, known) for n in named.parameters}
+    made = {n: combined(effect.parameters[n].unit, known) for n in named.parameters}
     if effect.is_inertia:  # kg, rather than N s²/m
         made = {n: describe(dimension_of(unit)) for n, unit in made.items()}
     return made
-
-
-def capital(text: str) -> str:
-    """Return a text that begins a sentence."""
-    return f"{text[:1].upper()}{text[1:]}"
-
-
-def alternatives(words: Sequence[str]) -> str:
-    """Write several words of which one holds."""
-    return words[0] if len(words) == 1 else f"either {', '.join(words[:-1])} or {words[-1]}"
-
-
-def listed(words: Sequence[str], between: str = ", ") -> str:
-    """Write several words as a list."""
-    return words[0] if len(words) == 1 else f"{between.join(words[:-1])} and {words[-1]}"
