@@ -153,7 +153,7 @@ def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discover
         told,
         demoted=is_demoted,
         rounded=not effects and any(is_much for _, is_much in rounded),
-        at_noise=gap.is_noise(rules),
+        at_noise=gap.is_noise(len(judge), rules),
     )
     coming = None
     if answer == "ambiguous":
