@@ -200,13 +200,23 @@ class OwnState(Block):
 
 
 class OwnEffect(Block):
-    """An effect of one's own: the force of an element, or what a sensor or actuator makes of its value."""
+    """A user's own effect: the force of an element, or the value that a sensor or actuator makes of its own.
+
+    `nested` names simpler effects that are special cases of it; `absorbed_by`, a parameter of the model that would do
+    the same; `linear` says that it keeps a linear rig linear. `label` is its name in a sentence, and `family` the row
+    of the error budget in which it counts.
+    """
 
     meaning: TextField
+    label: TextField = ""
+    family: TextField = ""
     where: Literal["element", "sensor", "actuator"]
     expression: Formula
     parameters: dict[Name, OwnParameter] = {}
     states: dict[Name, OwnState] = {}
+    nested: Annotated[tuple[TextField, ...], _SEVERAL] = ()
+    absorbed_by: TextField = ""
+    linear: Truth = False
     cause: TextField = ""
     remedy: TextField = ""
     source: TextField = ""

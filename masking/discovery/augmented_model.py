@@ -23,7 +23,7 @@ from masking.declaration.expression import Expression
 from masking.declaration.schema import EffectUse
 from masking.discovery import laws, steps
 from masking.discovery.places import Place, degrees, identifier, opened
-from masking.effects import EFFECTS, Effect
+from masking.effects import EFFECTS, FORCE, OFFSET, Effect
 from masking.estimation.sensitivity import Sensitivity
 from masking.numerics.arrays import Array
 from masking.rig.twin import LoweredTwin, Twin
@@ -43,19 +43,19 @@ class Slot:
         at: name of the place, sensor or actuator; '' for a delay of all actuators.
         values: of its parameters, in the order of the dictionary, in coherent units of the place.
         free: indices of those that are estimated.
-        own: what the effect is, where it does not come with the package.
+        known: its entry in the dictionary; by default that which comes with the package.
     """
 
     effect: str
     at: str
     values: tuple[float, ...]
     free: tuple[int, ...]
-    own: Effect | None = field(default=None, compare=False, repr=False)
+    known: Effect | None = field(default=None, compare=False, repr=False)
 
     @property
     def entry(self) -> Effect:
-        """Return what the effect is."""
-        return self.own or EFFECTS[self.effect]
+        """Return the effect's entry in the dictionary."""
+        return self.known or EFFECTS[self.effect]
 
     @property
     def where(self) -> str:
@@ -73,6 +73,10 @@ class Slot:
         for i, value in zip(at, values, strict=True):
             made[i] = float(value)
         return replace(self, values=tuple(made))
+
+    def with_free_times(self, factor: float) -> Slot:
+        """Return the slot with its estimated parameters multiplied."""
+        return self.with_values(self.free, (self.values[i] * factor for i in self.free))
 
     @property
     def begins(self) -> tuple[float, ...]:
@@ -119,10 +123,9 @@ class OpenRig:
     def _opened(self) -> tuple[Twin, tuple[Place, ...]]:
         base, found = opened(self.twin.base)
         ports = {
-            f"port_{identifier(p.name)}": _use("constant_force", p.name if p.declared else identifier(p.name), "f0")
-            for p in found
+            f"port_{identifier(p.name)}": _port(FORCE, p.name if p.declared else identifier(p.name)) for p in found
         }
-        commands = {f"port_{name}": _use("actuator_offset", name, "u0") for name in self.twin.actuators}
+        commands = {f"port_{name}": _port(OFFSET, name) for name in self.twin.actuators}
         effects = {**commands, **ports, **self.twin.declaration.effects}
         declaration = self.twin.declaration.model_copy(update={"effects": effects})
         return Twin(declaration, base, self.twin.changes, self.twin.chosen), found
@@ -165,8 +168,8 @@ class OpenRig:
     @cached_property
     def _sensitivity(self) -> Sensitivity:
         twin, found = self._opened
-        forces = [f"port_{identifier(p.name)}_f0" for p in found]
-        commands = [f"port_{name}_u0" for name in self.twin.actuators]
+        forces = [f"port_{identifier(p.name)}_{FORCE.factors[0]}" for p in found]
+        commands = [f"port_{name}_{OFFSET.factors[0]}" for name in self.twin.actuators]
         return Sensitivity(twin, (*self.names, *forces, *commands))
 
     @cached_property
@@ -378,5 +381,5 @@ def _rates(lowered: LoweredTwin, places: Sequence[Place], loads: Mapping[str, st
     return found
 
 
-def _use(effect: str, at: str, parameter: str) -> EffectUse:
-    return EffectUse(effect=effect, at=(at,), parameters={parameter: 0.0})
+def _port(effect: Effect, at: str) -> EffectUse:
+    return EffectUse(effect=effect.name, at=(at,), parameters=dict.fromkeys(effect.factors, 0.0))

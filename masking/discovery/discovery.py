@@ -9,6 +9,8 @@ from typing import Any
 from masking.discovery.augmented_model import OpenRig
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
+from masking.discovery.latent_force import Smoothed, smoothed
+from masking.discovery.localisation import Where, where
 from masking.discovery.next_experiment import NextExperiment
 from masking.discovery.problem import Evidence
 from masking.discovery.rules import DecisionRules
@@ -138,6 +140,18 @@ class Discovery:
     def whiteness(self) -> dict[str, Whiteness]:
         """Return how white what is left of each sensor is, on the record that judges."""
         return whiteness_of(self.judged, self.after.residuals)
+
+    @cached_property
+    def smoothed(self) -> Smoothed:
+        """Return the latent forces along the record, before and after the causes."""
+        return smoothed(self)
+
+    @cached_property
+    def where(self) -> Where:
+        """Return where the model error is: its coordinates, places, displacements, rates, times and sides."""
+        before, after = whiteness_of(self.judged, self.adjusted.residuals), self.whiteness
+        pairs = {name: (before[name], after[name] if self.effects else None) for name in self.twin.sensors}
+        return where(self, pairs)
 
     @property
     def within(self) -> bool:

@@ -25,13 +25,16 @@ class Fitted(Protocol):
     """A fitted hypothesis: its kind, its causes in the order in which they were found, and its cost."""
 
     @property
-    def kind(self) -> Kind: ...  # noqa: D102  # of a protocol
+    def kind(self) -> Kind:
+        """Return what it adds to the model."""
 
     @property
-    def names(self) -> tuple[Key, ...]: ...  # noqa: D102
+    def names(self) -> tuple[Key, ...]:
+        """Return the name and the place of each cause."""
 
     @property
-    def cost(self) -> float: ...  # noqa: D102
+    def cost(self) -> float:
+        """Return -2 log posterior density, up to a constant."""
 
 
 AnyFitted = TypeVar("AnyFitted", bound=Fitted)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import lazy_loader as lazy
 import numpy as np
 
+from masking.declaration.quantities import percent
 from masking.errors import ModelError, RecordError
 from masking.numerics.arrays import Array
 from masking.procedures.actuators import ActuatorRatio, actuator_ratio
@@ -428,11 +429,6 @@ def per(above: str, below: str) -> str:
     if not below:
         return above
     return f"{above or '1'}/{below}"
-
-
-def percent(part: float) -> str:
-    """Write a part in percent, in two digits."""
-    return f"{100.0 * part:.2g} %"
 
 
 def _plain(value: float | None) -> float | None:

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from masking.declaration.quantities import percent
 from masking.errors import RecordError
 from masking.numerics.arrays import Array
 from masking.procedures.channels import Channel, Source
-from masking.procedures.measurement import LEVEL, Measurement, Row, percent
+from masking.procedures.measurement import LEVEL, Measurement, Row
 from masking.procedures.response import (
     Distortion,
     FrequencyResponse,

@@ -15,7 +15,7 @@ from masking.analysis.masking_error import masking_error
 from masking.control.observer import Differences, Observer
 from masking.control.sampled import SampledLoop
 from masking.declaration import schema
-from masking.effects import EFFECTS
+from masking.effects import DELAY, EFFECTS, FAMILIES, SATURATION, Effect
 from masking.errors import MaskingError, ModelError
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
@@ -25,38 +25,7 @@ from masking.runs.offline import TwinRun, run_twin
 
 Progress = Callable[[float], None]
 
-# The effects that each cause stands for. A thermal state changes no motion: it is no cause.
-CAUSES: Final[Mapping[str, frozenset[str]]] = {
-    "springs": frozenset(
-        {"polynomial_spring", "hardening_spring", "linear_spring", "constant_force", "gravity_force", "stiffness_drift"}
-    ),
-    "damping": frozenset({"viscous_damping", "quadratic_damping"}),
-    "friction": frozenset(
-        {
-            "dry_friction",
-            "asymmetric_friction",
-            "stribeck_friction",
-            "dahl_friction",
-            "lugre_friction",
-            "local_friction",
-        }
-    ),
-    "hysteresis": frozenset({"hysteresis", "bouc_wen_hysteresis"}),
-    "mass": frozenset({"added_mass"}),
-    "backlash": frozenset({"backlash"}),
-    "end stop": frozenset({"stop"}),
-    "periodic force": frozenset({"periodic_force"}),
-    "actuator gains": frozenset({"actuator_gain", "actuator_offset", "actuator_cubic"}),
-    "actuator dynamics": frozenset({"actuator_lag", "dead_zone", "dac_quantisation"}),
-    "saturation": frozenset({"saturation", "thermal"}),
-    "sensor errors": frozenset(
-        {"sensor_offset", "sensor_gain", "sensor_saturation", "sensor_lag", "sensor_cubic", "sensor_rectification"}
-    ),
-    "quantisation": frozenset({"quantisation"}),
-    "noise": frozenset({"noise"}),
-    "delay": frozenset({"delay"}),
-}
-NOTHING, SATURATION, DELAY, SAMPLING, ALL = "nothing", "saturation", "delay", "sampling", "all of these"
+NOTHING, SAMPLING, ALL = "nothing", "sampling", "all of these"
 FASTER: Final = 10  # times the rate: so much faster is sampling that costs next to nothing
 LONGEST: Final = 10.0  # s that the runs of a budget may take where nobody has asked for one
 _PREPARING: Final = 0.15  # s before each of them
@@ -184,7 +153,7 @@ def in_full(experiment: Experiment, duration: float | None = None) -> Experiment
 
 
 def expected_time(experiment: Experiment, recording: Recording) -> float:
-    """Return how long a budget will take, in s, as the time of the run tells."""
+    """Return how long a budget will take, in s, from the time of the run."""
     timing = recording.manifest["timing"]
     slow, fast = 1 + len(causes(experiment.twin)), 2  # sampling, and all of these
     return float((timing["run"] + timing["ideal"]) * (slow + FASTER * fast) + _PREPARING * (slow + fast))
@@ -195,14 +164,13 @@ def causes(twin: Twin) -> dict[str, tuple[str, ...]]:
 
     The limits of the plant file count as saturation.
     """
-    found = {}
-    for cause, kinds in CAUSES.items():
-        names = [effect.path.partition(".")[2] for effect in twin.effects if effect.enabled and effect.kind in kinds]
-        if cause == SATURATION and (twin.declaration.limits.inputs or twin.declaration.limits.power):
-            names.append("limits")
-        if names:
-            found[cause] = tuple(dict.fromkeys(names))
-    return found
+    found: dict[str, list[str]] = {family: [] for family in FAMILIES}
+    for effect in twin.effects:
+        if effect.enabled:
+            found.setdefault(effect.entry.family or effect.kind, []).append(effect.path.partition(".")[2])
+    if twin.declaration.limits.inputs or twin.declaration.limits.power:
+        found[SATURATION].append("limits")
+    return {cause: tuple(dict.fromkeys(names)) for cause, names in found.items() if names}
 
 
 def budget(experiment: Experiment, progress: Progress | None = None) -> Budget:
@@ -269,8 +237,9 @@ class _Bench:
         self, cause: str, without: frozenset[str], effects: tuple[str, ...], note: str, progress: Progress
     ) -> tuple[Row, TwinRun | None]:
         """Run the experiment without some causes; return its row, and the run if it could go on."""
-        kinds = [use.effect for name, use in self.experiment.twin.declaration.effects.items() if name in effects]
-        remedy = _remedy(cause, kinds)
+        twin = self.experiment.twin
+        known = [twin.dictionary[use.effect] for name, use in twin.declaration.effects.items() if name in effects]
+        remedy = _remedy(cause, known)
         names = self.experiment.virtual.coordinates
         try:
             run = self.run(without, progress)
@@ -309,15 +278,15 @@ class _Bench:
         return SampledLoop(made, twin)
 
     def twin(self, without: frozenset[str], faster: int) -> Twin:
-        """Return the twin without some causes, which at so many times the rate has the same delay in seconds."""
+        """Return the twin without some causes, with the same delay in seconds at a multiple of the rate."""
         twin = self.experiment.twin
         off = {name for cause, effects in causes(twin).items() if cause in without for name in effects}
         twin = _switched(twin, lambda name, enabled: enabled and name not in off)
         if faster == 1 or not twin.delay:
             return twin
-        first, *more = causes(twin)[DELAY]
+        first, *more = causes(twin)[DELAY.family]
         changes = {**twin.changes, **{name: schema.EffectChange(enabled=False) for name in more}}
-        changes[first] = schema.EffectChange(parameters={"samples": float(faster * twin.delay)}, enabled=True)
+        changes[first] = schema.EffectChange(parameters={DELAY.grows_with: float(faster * twin.delay)}, enabled=True)
         return twin.changed(changes)
 
     def known(self, found: Mapping[str, tuple[str, ...]], run: TwinRun) -> frozenset[str]:
@@ -367,11 +336,12 @@ def _switched(twin: Twin, on: Callable[[str, bool], bool]) -> Twin:
     return twin.changed(changes)
 
 
-def _remedy(cause: str, kinds: Iterable[str]) -> str:
+def _remedy(cause: str, effects: Iterable[Effect]) -> str:
     if cause == SAMPLING:
         return "raise controller.rate"
-    told = [EFFECTS[kind].remedy for kind in kinds if kind in CAUSES.get(cause, ())]
-    return told[0] if told else EFFECTS["saturation"].remedy if cause == SATURATION else ""
+    told = [effect.remedy for effect in effects if cause in {effect.family, effect.name}]
+    usual = [effect.remedy for effect in EFFECTS.values() if cause == SATURATION == effect.family]
+    return next(iter([*told, *usual]), "")
 
 
 def _chi(value: float) -> str:

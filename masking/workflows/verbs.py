@@ -98,7 +98,7 @@ class Checked:
         kind: one of `KINDS`, or "file" where it cannot be told.
         problems: all that is wrong.
         feasibility: what a sound experiment asks of its rig; None for all else, and where that cannot be told.
-        untold: why that cannot be told.
+        untold: why that is unknown.
     """
 
     file: str
@@ -272,9 +272,9 @@ def identify(
             wanted, train, names, validation=unseen, shooting_interval=shooting_interval, progress=progress
         )
     if out is not None:
-        plates, sentence = fit_figures.plates(found, train, unseen)
+        figures, sentence = fit_figures.figures(found, train, unseen)
         fit_files.save(found, out)
-        identification_page.save_fit(found, plates, sentence, out)
+        identification_page.save_fit(found, figures, sentence, out)
     return found
 
 
