@@ -202,7 +202,7 @@ def test_without_limits_it_says_so(write, tmp_path, capsys):
         find(path)
     status, out, _ = check(capsys, path)
     assert status == 0
-    assert "a sound experiment\n  whether it fits cannot be told: " in out
+    assert "a sound experiment\n  whether it fits is unknown: " in out
     assert json.loads(check(capsys, path, "--json")[1])[0]["feasibility"] is None
 
 
@@ -245,7 +245,7 @@ def test_power_without_heating_is_noted(capsys):
     found = find("duffing")
     assert found.fits
     assert [use.kind for use in found.uses] == ["command"] * 3 + ["coordinate"] * 2
-    assert "mean power is not told: the plant file has no limits.power.heating" in str(found)
+    assert "mean power is unknown: the plant file has no limits.power.heating" in str(found)
 
 
 def test_the_mean_power_of_a_step_approaches_it_exponentially():

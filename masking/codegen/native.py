@@ -65,7 +65,7 @@ class NativeFunction:
     source: Callable[[], ModuleType]
     stem: Path
     links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
-    _call: Callable[..., None] | None = field(default=None, repr=False)
+    _call: Any = field(default=None, repr=False)
 
     def __call__(self, *given: Any) -> Any:  # noqa: ANN401
         """Call the machine code; arrays are read and written in place.
@@ -95,7 +95,7 @@ class NativeFunction:
         read = [int(x) if kind == "int" else x for kind, x in zip(self.results, found, strict=False)]
         return None if not read else read[0] if len(read) == 1 else tuple(read)
 
-    def prepare(self) -> Callable[..., None]:
+    def prepare(self) -> Any:  # noqa: ANN401  (a ctypes function)
         """Compile or load the function now; return its C interface."""
         if self._call is None:
             self._call = self._load()
@@ -185,7 +185,7 @@ def link(name: str, arguments: Mapping[str, str]) -> str:
 
 
 def _without_aliases(text: str) -> str:
-    """Return LLVM code in which the arrays that a function is given do not overlap; numba cannot be told so.
+    """Return LLVM code in which the arrays that a function is given do not overlap; numba has no option for that.
 
     No kernel is given overlapping arrays. measured: parameters then stay in registers through a loop.
     """

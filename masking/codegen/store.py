@@ -81,10 +81,11 @@ class Generated:
 
     def function(self, name: str) -> NativeFunction:
         """Return a function of the module, compiled when it is first called."""
-        told = self.meta["functions"][name]
-        work = tuple(told["work"]) if told["work"] else None
+        described = self.meta["functions"][name]
+        work = tuple(described["work"]) if described["work"] else None
         stem = self.path.parent.parent / "objects" / self.objects[name]
-        return NativeFunction(name, told["arguments"], told["results"], work, self.module, stem, self.links)
+        types = described["arguments"], described["results"]
+        return NativeFunction(name, *types, work, self.module, stem, self.links)
 
 
 def exists(name: str) -> bool:

@@ -165,7 +165,7 @@ class Actuator(Block):
 class EffectUse(Block):
     """A physical effect that a plant has: which, where (an element, sensor or actuator, or several) and how strong.
 
-    Each of its parameters is a number, in the unit that the dictionary of effects tells, or an expression over the
+    Each of its parameters is a number, in the unit of the dictionary of effects, or an expression over the
     parameters of the plant's model.
     """
 
@@ -264,7 +264,7 @@ class ObserverSettings(Block):
 
     `exact` takes the true state, as only a simulation can give it; `differences` differences the positions; `kalman`
     follows the model; `disturbance` also estimates what the model lacks. `bandwidth` is in rad/s; `noise` is the
-    standard deviation of a reading, in the sensors' units; `order` tells how a disturbance is expected to go on: 1 as
+    standard deviation of a reading, in the sensors' units; `order` says how a disturbance is expected to continue: 1 as
     a constant, 2 as a straight line.
     """
 
@@ -277,7 +277,7 @@ class ObserverSettings(Block):
 class Regulation(Block):
     """What is held besides the wanted dynamics: a virtual energy, and oscillators in or in anti-phase.
 
-    `energy` is in the virtual system's units, `rate` tells how fast it is approached and `coupling` how strongly the
+    `energy` is in the virtual system's units, `rate` says how fast it is approached and `coupling` how strongly the
     oscillators are drawn to each other, both per unit of virtual time.
     """
 
@@ -288,7 +288,7 @@ class Regulation(Block):
 
 
 class ControllerSettings(Block):
-    """How often the controller runs (`rate` in Hz, None for continuous) and what it believes the rig to be.
+    """How often the controller runs (`rate` in Hz, None for continuous) and its model of the rig.
 
     `homing` is the time in s in which it brings the rig from rest to the initial state; without it, a simulated rig
     is placed there.
@@ -488,9 +488,3 @@ KINDS: dict[str, type[Declaration]] = {
     "experiment": ExperimentDeclaration,
     "dictionary": DictionaryDeclaration,
 }
-
-
-def json_schema(kind: str) -> dict[str, Any]:
-    """Give the JSON Schema of a kind of file, for editors."""
-    schema = KINDS[kind].model_json_schema(ref_template="#/$defs/{model}")
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

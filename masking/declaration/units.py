@@ -117,8 +117,8 @@ def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
     columns = [dimension_of(scale) for scale in scales.values()]
     exponents = _solve(columns, wanted)
     if exponents is None:
-        lacking = [base for base, w, *c in zip(BASES, wanted, *columns, strict=True) if w != 0 and not any(c)]
-        what = f"no scale for {' and '.join(lacking)}" if lacking else "no product of the scales"
+        absent = [base for base, w, *c in zip(BASES, wanted, *columns, strict=True) if w != 0 and not any(c)]
+        what = f"no scale for {' and '.join(absent)}" if absent else "no product of the scales"
         message = f"the unit {unit} cannot be made dimensionless: {what}"
         raise DeclarationError(Problem(None, "scales", message, f"add one under scales; there are {', '.join(scales)}"))
     return Conversion(factor, {name: float(power) for name, power in zip(scales, exponents, strict=True)})

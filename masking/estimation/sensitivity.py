@@ -20,8 +20,9 @@ from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.codegen.tangent import derivatives
 from masking.errors import IntegrationError, ModelError, nearest
-from masking.estimation.data import Hold, is_first_order
+from masking.estimation.data import is_first_order
 from masking.numerics.arrays import Array
+from masking.records.hold import Hold
 from masking.rig.twin import LoweredTwin, Twin
 
 _STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other
@@ -29,7 +30,7 @@ _STEP = 1e-6  # relative, of the differences that tell how the parameters depend
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """What a record tells of parameters and initial state, the columns in this order.
+    """Normal equations of a record for parameters and initial state, the columns in this order.
 
     Args:
         matrix: J^T W J (k + states, k + states) for the derivatives J of the readings.
@@ -222,7 +223,7 @@ class Sensitivity:
         substeps: int,
         hold: Hold = "zero-order",
     ) -> NormalEquations:
-        """Return what a record tells, at values of the parameters and of the initial state.
+        """Return the normal equations at values of the parameters and of the initial state.
 
         Args:
             basis: what `basis` returns for values of the parameters.

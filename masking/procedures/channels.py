@@ -16,13 +16,12 @@ from masking.declaration import units
 from masking.errors import RecordError, nearest
 from masking.modelling.scales import Units
 from masking.numerics.arrays import Array
+from masking.records import clock
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
 
 # A command that changes by this part of its largest value, or less, does not move.
 STILL = 1e-12
-# A clock may be off by this part of a sample.
-UNEVEN = 0.01
 # Option of the command line that names a channel of each kind.
 OPTIONS = {"input": "--input", "sensor": "--sensor"}
 
@@ -34,7 +33,7 @@ class Channel:
     Args:
         name: of the input or sensor, such as V1.
         column: of the record, such as `input.V1`.
-        unit: of the values; "" where neither the record nor the plant tells.
+        unit: of the values; "" if neither the record nor the plant declares it.
         values: (samples,).
     """
 
@@ -44,14 +43,14 @@ class Channel:
     values: Array
 
     @property
-    def told(self) -> str:
+    def label(self) -> str:
         """Return the column with its unit, such as `input.V1 [V]`."""
         return f"{self.column} [{self.unit}]" if self.unit else self.column
 
 
 @dataclass(frozen=True)
 class Source:
-    """A record to measure on: its name for messages, what it holds, and the plant that it is of, if that is told."""
+    """A record to measure on: its name for messages, what it holds, and the plant that it is of, if given."""
 
     name: str
     recording: Recording
@@ -68,17 +67,7 @@ class Source:
         Raises:
             RecordError: the clock is not steady.
         """
-        t = self.times
-        if len(t) < 4:
-            raise RecordError(f"{self.name}: it has {len(t)} samples; record it longer")
-        step = float(t[-1] - t[0]) / (len(t) - 1)
-        off = np.flatnonzero(np.abs(np.diff(t) - step) > UNEVEN * step)
-        if len(off):
-            raise RecordError(
-                f"{self.name}: the clock is not steady: after t = {t[off[0]]:.9g} s it goes by "
-                f"{t[off[0] + 1] - t[off[0]]:.6g} s, in the mean by {step:.6g} s; take a stretch without gaps"
-            )
-        return 1.0 / step
+        return clock.rate(self.times, self.name)
 
     def choices(self, kind: str) -> tuple[str, ...]:
         """Return the names of a kind, input or sensor: those with its prefix, or every column where there is none."""
@@ -116,11 +105,11 @@ class Source:
         return tuple(self._channel(kind, name) for name in wanted or self._moving(kind))
 
     def displacement(self, wanted: str | None) -> Channel:
-        """Return what a sensor measures, in SI units, where the plant is told; otherwise its reading."""
+        """Return what a sensor measures, in SI units if the plant is given; otherwise its reading."""
         return self.measured(self.one("sensor", wanted))
 
     def measured(self, reading: Channel) -> Channel:
-        """Return what a sensor measures: its reading divided by its gain, where the plant is told.
+        """Return what a sensor measures: its reading divided by its gain, if the plant is given.
 
         Raises:
             RecordError: the plant has no such sensor.
@@ -153,9 +142,9 @@ class Source:
         if kind == "input":
             names = tuple(n for n in names if self._moves(np.asarray(self.recording[self._column(kind, n)])))
         if not names:
-            told = ", ".join(c for c in self.recording.columns if c != "t") or "none but t"
+            listed = ", ".join(c for c in self.recording.columns if c != "t") or "none but t"
             what = "no input that moves" if kind == "input" else "no column of a sensor"
-            raise RecordError(f"{self.name}: it has {what}; its columns are {told}")
+            raise RecordError(f"{self.name}: it has {what}; its columns are {listed}")
         return list(names)
 
     def _moves(self, values: Array) -> bool:
@@ -172,8 +161,8 @@ class Source:
                 f"{self.name}: there is no {kind} '{name}'; its {kind}s are {', '.join(choices) or 'none'}; "
                 f"{nearest(name, choices)}"
             )
-        told = self.recording.manifest.get("columns")
-        entry = told.get(column) if isinstance(told, dict) else None
+        columns = self.recording.manifest.get("columns")
+        entry = columns.get(column) if isinstance(columns, dict) else None
         unit = str(entry.get("unit", "")) if isinstance(entry, dict) else ""
         if not unit and self.twin is not None:
             plant = self.twin.declaration

@@ -9,12 +9,13 @@ from numpy.typing import ArrayLike
 
 from masking.errors import RecordError
 from masking.numerics.arrays import Array
+from masking.records import clock
 
 # Samples that are needed.
 LEAST_SAMPLES = 200
 # The force turns where it comes back by this part of its range: in saw-teeth, and in ramps.
 TURNED, SWEPT = 0.02, 0.05
-# Noise of the force makes no turns: they are larger than so many of its standard deviations.
+# Noise of the force makes no turns: they are larger than this many of its standard deviations.
 NOISE_FACTOR = 8.0
 # Both directions must cover this part of the travel.
 COVERED = 0.85
@@ -41,22 +42,14 @@ def columns(**values: ArrayLike) -> tuple[Array, ...]:
         found[name] = column
     lengths = {name: len(column) for name, column in found.items()}
     if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise RecordError(f"the columns differ in length: {told}; give all over the same samples")
+        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise RecordError(f"the columns differ in length: {listed}; give all over the same samples")
     times, *others = found
     if lengths[times] < LEAST_SAMPLES:
         raise RecordError(
             f"the record has {lengths[times]} samples, at least {LEAST_SAMPLES} are needed; record it longer"
         )
-    steps = np.diff(found[times])
-    usual = float(np.median(steps))
-    bad = np.flatnonzero(~(np.abs(steps - usual) <= 0.5 * usual))
-    if usual <= 0.0 or len(bad):
-        at = int(bad[0]) if len(bad) else 0
-        raise RecordError(
-            f"the clock does not go in equal steps: after sample {at} (counted from 0) it goes by {steps[at]:.6g} s, "
-            f"usually by {usual:.6g} s; take a stretch of the record without gaps"
-        )
+    clock.rate(found[times], "the record")
     for name in others:
         if np.ptp(found[name]) <= 1e-12 * np.abs(found[name]).max():
             raise RecordError(f"{name} is constant at {found[name][0]:.6g}; see that it is connected and excited")
@@ -112,5 +105,5 @@ def refuse_one_way(x: Array, direction: Array) -> None:
     if part < COVERED:
         raise RecordError(
             f"the force goes both up and down over only {100 * part:.0f} % of the travel, so that friction cannot be "
-            "told from the spring; let the ramp go up and down over all of it, such as 0, +A, -A, 0"
+            "distinguished from the spring; let the ramp go up and down over all of it, such as 0, +A, -A, 0"
         )

@@ -12,6 +12,7 @@ from masking.declaration.units import pretty
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
 from masking.discovery.screening import Promise
+from masking.discovery.verdict import noise_threshold
 from masking.reports import discovery_text, force_map
 from masking.reports.figure_parts import (
     DASHED,
@@ -177,7 +178,8 @@ def _coursed(found: Discovery, lacking: latent_force.Lack, command: str) -> str:
 def _residual(found: Discovery) -> CaptionedFigure:
     """Draw what is left of the record that judges, over time and frequency, before and after."""
     names = found.twin.sensors[:MOST_SENSORS]
-    sigma, record, most = found.judged.sigma, found.judge, found.evidence.rules.validation_noise_floor
+    sigma, record = found.judged.sigma, found.judge
+    most = noise_threshold(len(record), found.evidence.rules)
     more = [
         n for i, n in enumerate(found.twin.sensors) if found.after.squares[i] > most**2 * len(record) * sigma[i] ** 2
     ]

@@ -14,7 +14,7 @@ from masking.declaration.units import pretty
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
 from masking.discovery.localisation import Lacking
-from masking.discovery.verdict import probabilities
+from masking.discovery.verdict import noise_threshold, probabilities
 from masking.estimation.whiteness import DOUBTED
 from masking.reports import discovery_files, discovery_text, html
 from masking.reports.discovery_files import Files, Origin
@@ -96,7 +96,8 @@ def _tiles(found: Discovery) -> Iterator[Tile]:
         before, how = discovery_text.without(found)
         label = f"error in {worst} {'as declared' if how == 'as declared' else 'without it'}"
         yield Tile(label, percent(before[worst]), "unseen")
-    label, most = f"error in {worst}" + " with it" * bool(found.effects), found.evidence.rules.validation_noise_floor
+    label = f"error in {worst}" + " with it" * bool(found.effects)
+    most = noise_threshold(len(found.judge), found.evidence.rules)
     yield Tile(label, percent(after[worst]), f"noise {percent(floor[worst])}", after[worst] > most * floor[worst])
 
 

@@ -62,7 +62,7 @@ def save(measured: Measurement[Any], folder: str | Path) -> Written:
         remarks=measured.notes,
         records=[
             ("records", ", ".join(measured.records)),
-            *((what, channel.told) for what, channel in measured.channels.items()),
+            *((what, channel.label) for what, channel in measured.channels.items()),
         ],
     )
     numbers = json.dumps(measured.as_dict(), indent=2, ensure_ascii=False) + "\n"

@@ -107,7 +107,7 @@ class Twin:
         """Refuse effects and allocation that do not fit the model.
 
         Raises:
-            DeclarationError: tells of all effects or of all wires that do not.
+            DeclarationError: lists all effects and all lines of the allocation that do not.
         """
         _ = self.dictionary, self.effects, self.allocation, self.attached
 

@@ -94,7 +94,7 @@ class Budget:
     def as_dict(self) -> dict[str, Any]:
         """Return the budget as JSON can hold it; `change` is that of the rms of chi."""
 
-        def told(row: Row) -> dict[str, Any]:
+        def entry(row: Row) -> dict[str, Any]:
             change = 0.0 if row.rms == self.whole.rms else row.rms - self.whole.rms
             return {
                 "cause": row.cause,
@@ -112,8 +112,8 @@ class Budget:
             "chi": dict(self.whole.chi),
             "worst": self.whole.worst,
             "rms": self.whole.rms,
-            "rows": [told(row) for row in self.rows],
-            "without_all": told(self.without_all),
+            "rows": [entry(row) for row in self.rows],
+            "without_all": entry(self.without_all),
         }
 
 
@@ -141,8 +141,8 @@ def run(experiment: Experiment, wanted: bool | None = None, progress: Progress |
         return recording
     if (recording.manifest.get("stop") or {}).get("met"):  # the same length for all runs
         experiment = in_full(experiment, recording.manifest["stop"]["at"])
-    told = budget(experiment, progress).as_dict()
-    return replace(recording, manifest={**recording.manifest, "budget": told})
+    facts = budget(experiment, progress).as_dict()
+    return replace(recording, manifest={**recording.manifest, "budget": facts})
 
 
 def in_full(experiment: Experiment, duration: float | None = None) -> Experiment:
@@ -193,9 +193,9 @@ def budget(experiment: Experiment, progress: Progress | None = None) -> Budget:
     def row(cause: str, without: Iterable[str], effects: tuple[str, ...], note: str = "") -> tuple[Row, TwinRun | None]:
         without, before = frozenset(without), next(done)
         weight = FASTER if SAMPLING in without else 1
-        return bench.row(cause, without, effects, note, lambda part: told((before + weight * part) / total))
+        return bench.row(cause, without, effects, note, lambda part: report((before + weight * part) / total))
 
-    def told(part: float) -> None:
+    def report(part: float) -> None:
         if progress is not None:
             progress(part)
 
@@ -297,15 +297,15 @@ class _Bench:
         model, n = self.experiment.controller.model, len(twin.model.coordinates)
         rows = np.unique(np.linspace(0, len(run.times) - 1, _PROBES).astype(int))
         p, u, out = model.values(), np.zeros(len(model.inputs)), np.empty(run.estimates.shape[1])
-        believed = []
+        assumed = []
         for row in rows:
             state = np.concatenate([run.states[row, : 2 * n], run.estimates[row, 2 * n :]])
             model.kernels.derivative(0.0, state, u, p, out)
-            believed.append(out[n : 2 * n].copy())
+            assumed.append(out[n : 2 * n].copy())
 
         def error(effects: tuple[str, ...]) -> float:
             rig = _switched(twin, lambda name, enabled: enabled and name in effects)
-            return float(np.linalg.norm(_accelerations(rig, run.states[rows], n) - believed))
+            return float(np.linalg.norm(_accelerations(rig, run.states[rows], n) - assumed))
 
         bare = error(())
         kinds = {name: twin.dictionary[use.effect].where for name, use in twin.declaration.effects.items()}
@@ -339,9 +339,9 @@ def _switched(twin: Twin, on: Callable[[str, bool], bool]) -> Twin:
 def _remedy(cause: str, effects: Iterable[Effect]) -> str:
     if cause == SAMPLING:
         return "raise controller.rate"
-    told = [effect.remedy for effect in effects if cause in {effect.family, effect.name}]
+    remedies = [effect.remedy for effect in effects if cause in {effect.family, effect.name}]
     usual = [effect.remedy for effect in EFFECTS.values() if cause == SATURATION == effect.family]
-    return next(iter([*told, *usual]), "")
+    return next(iter([*remedies, *usual]), "")
 
 
 def _chi(value: float) -> str:

@@ -56,7 +56,7 @@ def calibrate(
         seconds: length of each record.
         lockstep: run as fast as both sides can, each waiting for the other.
         seed: of the phases.
-        say: told what is done.
+        say: called with what is done.
         progress: called with the part done, of recordings, fits and report together.
 
     Raises:
@@ -94,7 +94,7 @@ def calibrate(
 
 
 def _parts(progress: Progress, costs: list[float]) -> Iterator[Progress]:
-    """Give what tells of the part done of each of several steps."""
+    """Give a function that reports the fraction done of each of several steps."""
 
     def part(before: float, cost: float) -> Progress:
         return lambda done: progress((before + cost * done) / sum(costs))
