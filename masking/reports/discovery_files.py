@@ -274,7 +274,7 @@ def _terms(found: Discovery, whole: ModelDeclaration) -> dict[str, str]:
 
 
 def _add_delay(found: Discovery, slot: Slot, effects: dict[str, Any], taken: set[str]) -> None:
-    """Add a delay in whole samples, and what is left of it, or one of a single actuator, as a lag of the same time."""
+    """Add a delay in whole samples; its remainder, or a delay of a single actuator, becomes a lag of the same time."""
     rate, seconds = found.record.rate, slot.values[0]
     whole = 0 if slot.at else int(seconds * rate + WHOLE)
     rest = seconds - whole / rate
