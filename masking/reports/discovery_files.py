@@ -162,7 +162,7 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
     made: dict[str, Any] = {
         "name": f"{twin.base.name} with {_causes(found)}",
         "source": "; ".join(filter(None, (twin.base.source, origin.source(found)))),
-        "extends": model_files.reference(twin, folder),
+        "extends": registry.name_from(twin.base, folder),
     }
     parameters: dict[str, Any] = {
         name: model_files.parameter(value, std, STD_DIGITS) for name, value, std in refitted(found)

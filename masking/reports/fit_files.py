@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from masking.declaration import registry
 from masking.estimation.fit import Fit
 from masking.estimation.innovations import KalmanFit
 from masking.reports import html, model_files
@@ -37,7 +38,7 @@ def model(fit: Fit | KalmanFit, folder: Path) -> dict[str, Any]:
         for name, value, std in zip(fit.names, fit.values, fit.std, strict=True)
         if name in base.parameters
     }
-    heading = {"name": f"{base.name}, identified", "extends": model_files.reference(fit.twin, folder)}
+    heading = {"name": f"{base.name}, identified", "extends": registry.name_from(base, folder)}
     return {**heading, "parameters": values}
 
 

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from masking.declaration import catalogue, registry
+from masking.declaration import registry
 from masking.rig.twin import Twin
 
 DIGITS = 10
-
-
-def reference(twin: Twin, folder: Path) -> str:
-    """Return how a file in a folder names the model of a twin: by its packaged name, or by its path from there."""
-    name = twin.declaration.model
-    if name in catalogue.names("model"):
-        return name
-    (file, *_) = [*twin.base.files, name]
-    return os.path.relpath(Path(file).resolve(), folder.resolve())
 
 
 def rounded(value: float, digits: int = DIGITS) -> float:
