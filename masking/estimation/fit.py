@@ -8,14 +8,13 @@ Source: Ljung, System Identification (1999), chapters 7 to 10; Nocedal and Wrigh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from masking.errors import RecordError
-from masking.estimation import estimates
 from masking.estimation.data import Data
 from masking.estimation.least_squares import Arrow, Box, Damping, Linearised, minimise
 from masking.estimation.sensitivity import Sensitivity
@@ -25,6 +24,7 @@ from masking.rig.twin import Twin
 
 Progress = Callable[[float], None]
 
+Z_975 = 1.959963984540054  # quantile of the normal distribution
 MOST_ROUNDS = 60
 DAMPING = Damping(1e-3, least=1e-12, most=1e12)
 CONVERGED = 1e-9  # part of the cost that a step may still take off
@@ -34,6 +34,34 @@ INDEPENDENT = 1e-6  # part of its information that a parameter has for itself, t
 CLOSE = 0.999  # correlation from which two parameters are hardly distinguished
 COARSE = 30.0  # s of the first record that the fit of a longer one begins with
 FEWEST = 5  # samples of each sensor for each unknown
+
+
+class Estimate(Protocol):
+    """Parameters found by any method."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the parameters."""
+
+    @property
+    def values(self) -> Array:
+        """Return the values (k,)."""
+
+    @property
+    def std(self) -> Array:
+        """Return the standard deviations (k,)."""
+
+    @property
+    def chi(self) -> dict[str, float]:
+        """Return the relative error by sensor."""
+
+    @property
+    def validation(self) -> dict[str, float]:
+        """Return the relative error by sensor on validation records."""
+
+    @property
+    def floor(self) -> dict[str, float]:
+        """Return the relative error that the noise alone makes, by sensor."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +101,7 @@ class Fit:
     @property
     def intervals(self) -> Array:
         """Return the 95 % confidence intervals (k, 2)."""
-        half = estimates.Z_975 * self.std
+        half = Z_975 * self.std
         found: Array = np.array([self.values - half, self.values + half]).T
         return found
 
@@ -87,14 +115,14 @@ class Fit:
     def as_dict(self) -> dict[str, Any]:
         """Return the fit as JSON can hold it."""
         return {
-            "parameters": estimates.parameters(self),
+            "parameters": parameters(self),
             "chi": {"train": self.chi, "validation": self.validation},
             "floor": self.floor,
             "notes": list(self.notes),
         }
 
     def __str__(self) -> str:
-        return "\n".join([*estimates.lines(self), *self.notes])
+        return "\n".join([*lines(self), *self.notes])
 
 
 def fit(
@@ -280,3 +308,26 @@ def _flat(names: tuple[str, ...], direction: Array) -> str:
         return f"these records do not tell {strong[0]}; excite what it belongs to, or leave it out"
     listed = f"{', '.join(strong[:-1])} and {strong[-1]}"
     return f"{listed} cannot be distinguished from these records; fix one of them, or give records that excite each"
+
+
+def parameters(found: Estimate) -> dict[str, Any]:
+    """Return values and deviations as JSON can hold them."""
+    pairs = zip(found.names, found.values, found.std, strict=True)
+    return {name: {"value": float(value), "std": float(std)} for name, value, std in pairs}
+
+
+def lines(found: Estimate) -> list[str]:
+    """Return a line for each parameter, with half its 95 % interval, and one for the errors."""
+    width = max(map(len, found.names), default=0)
+    rows = [
+        f"  {name:{width}}  {value:<12.6g} +- {Z_975 * std:.2g}"
+        for name, value, std in zip(found.names, found.values, found.std, strict=True)
+    ]
+    text = [f"chi {_each(found.chi)}"]
+    if found.validation:
+        text.append(f"on unseen data {_each(found.validation)}")
+    return [*rows, "; ".join([*text, f"the noise alone {_each(found.floor)}"])]
+
+
+def _each(errors: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.3g}" for name, value in errors.items())
