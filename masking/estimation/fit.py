@@ -1,9 +1,9 @@
 """Fit: parameters of a twin that reproduce its records best, with how well they are known.
 
-Sensors are simulated over each record and compared with what they read: output error, by the Levenberg-Marquardt method
-with derivatives from the equations. The initial state of each record is estimated too. Cut into windows, each with an
-initial state of its own, a record is fitted even where the simulation of the whole would leave it.
-Source: Ljung, System Identification (1999), chapters 7 to 10; Nocedal and Wright (2006), section 10.3.
+Simulated readings are compared with measured ones (output error) by the Levenberg-Marquardt method, with derivatives
+from the equations; the initial state of each record is estimated too. Multiple shooting, with an initial state for each
+interval, fits a record that a simulation of the whole would diverge from.
+Source: Ljung, System Identification (1999), chapters 7 to 10; Bock (1981) for multiple shooting.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ Progress = Callable[[float], None]
 Z_975 = 1.959963984540054  # quantile of the normal distribution
 MOST_ROUNDS = 60
 DAMPING = Damping(1e-3, least=1e-12, most=1e12)
-CONVERGED = 1e-9  # part of the cost that a step may still take off
-REWEIGHTED = 3  # rounds in which the noise of each sensor is found from what is left
+CONVERGED = 1e-9  # fraction of the cost: a smaller reduction ends the fit
+REWEIGHTED = 3  # rounds in which the noise of each sensor is estimated from the residuals
 FLAT = 1e-7  # eigenvalue of the scaled information below which the record does not determine a direction
 INDEPENDENT = 1e-6  # part of its information that a parameter has for itself, to be fitted beside others
 CLOSE = 0.999  # correlation from which two parameters are hardly distinguished
@@ -73,10 +73,10 @@ class Fit:
         names: of the parameters.
         values: in the units in which they are declared (k,).
         covariance: of the values (k, k).
-        sigma: standard deviation of what is left in each reading (sensors,).
+        sigma: standard deviation of the residual of each sensor (sensors,).
         chi: relative error of each sensor in the records together, by name.
         floor: chi that the noise of the record alone makes, by name.
-        validation: chi in records that were not fitted, by name; empty where there are none.
+        validation: chi in records that were not fitted, by name; empty if there are none.
         rounds: of the method.
         notes: what must be known to trust the values.
     """
@@ -142,13 +142,14 @@ def fit(
         records: one or several.
         names: of the parameters, as `Twin.parameter_names` has them.
         validation: records that the fit is validated on.
-        shooting_interval: seconds of the windows into which records are cut at first; none by default.
+        shooting_interval: length of the intervals of multiple shooting with which the fit starts, s; by default
+            records are simulated whole.
         shared: parameters of other fits of the same twin, with which this one shares its compiled functions.
         progress: called with the part done.
 
     Raises:
         ModelError: a parameter is not known or named twice.
-        RecordError: the records are too short for so many parameters.
+        RecordError: the records are too short for the number of parameters.
         IntegrationError: the motion is not finite with the values to begin from; a shorter shooting interval may help.
     """
     records, unseen = _several(records), _several(validation)
@@ -179,7 +180,7 @@ def fit(
 
 
 def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ...]:
-    """Return parameters that together tell all that the named ones do, with the values that the twin has.
+    """Return those of some parameters that a record determines independently, at the values that the twin has.
 
     Later names are taken first: what a model adds is declared after what it extends.
 
@@ -207,7 +208,7 @@ def _several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
 
 
 def part_of(tell: Progress, number: int, count: int) -> Progress:
-    """Return what tells of the part done of one of several."""
+    """Return the progress of one of several parts as that of all of them."""
     return lambda part: tell((number + part) / count)
 
 
@@ -305,7 +306,7 @@ def _flat(names: tuple[str, ...], direction: Array) -> str:
     """Say which parameters a flat direction makes up."""
     strong = [name for name, part in zip(names, direction, strict=True) if abs(part) > 0.1 * np.abs(direction).max()]
     if len(strong) == 1:
-        return f"these records do not tell {strong[0]}; excite what it belongs to, or leave it out"
+        return f"these records do not determine {strong[0]}; excite what it belongs to, or leave it out"
     listed = f"{', '.join(strong[:-1])} and {strong[-1]}"
     return f"{listed} cannot be distinguished from these records; fix one of them, or give records that excite each"
 
