@@ -24,7 +24,7 @@ MOST_ROUNDS = 40
 MORE = 10.0  # times the damping after a step in vain, and so many times that after each further one
 GROWTH = 2.0  # times what is positive may become in a round
 HOPE, SLOW = 0.03, 6  # a fit ends that comes nearer to a better one by no more than this part so many times
-CONVERGED = 0.02  # of the cost, divided by the temperature, that a step may still take off
+CONVERGED = 0.02  # of the cost, divided by the tempering, that a step may still take off
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class _Problem:
         for _ in range(rounds):
             matrix, gradient = self._with_belief(found, at)
             step, gain = _step(matrix, gradient, damping, held)
-            enough = CONVERGED * self.evidence.temperature(self.evidence.record.readings - found.simulated)
+            enough = CONVERGED * self.evidence.tempering(self.evidence.record.readings - found.simulated)
             if gain < enough:
                 break
             then = at.moved(step, low, high, free)

@@ -29,7 +29,7 @@ POINTS = 5000  # of a cloud
 ALSO = 0.02  # part that all takes beyond what the laws at the place take, from which that is told
 
 
-def figure(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
+def figure(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigure:
     """Draw the lacking force over displacement and rate, before and after, with the laws that were found there."""
     has_after = lacking.after is not None and bool(found.explanation.hypothesis.slots)
     what = {"element": "force", "actuator": "command", "sensor": "reading"}[lacking.where]
@@ -86,7 +86,7 @@ def figure(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
     return CaptionedFigure("map", "What it looks like", caption, figure)
 
 
-def laws_at(found: Discovery, lacking: latent_force.Lack) -> list[Slot]:
+def laws_at(found: Discovery, lacking: latent_force.LatentForce) -> list[Slot]:
     """Return the causes that sit at the place that is looked at, and are told."""
     told = {(one.name, one.on) for one in discovery_text.offered(found)}
     return [
@@ -96,7 +96,7 @@ def laws_at(found: Discovery, lacking: latent_force.Lack) -> list[Slot]:
     ]
 
 
-def along(found: Discovery, lacking: latent_force.Lack, slots: Sequence[Slot]) -> Array:
+def along(found: Discovery, lacking: latent_force.LatentForce, slots: Sequence[Slot]) -> Array:
     """Return what causes at the place that is looked at give together (m,): force, command or reading."""
     law = np.zeros_like(lacking.before)
     motion, names = found.smoothed.before, [place.name for place in found.rig.places]
@@ -108,7 +108,7 @@ def along(found: Discovery, lacking: latent_force.Lack, slots: Sequence[Slot]) -
     return law
 
 
-def share(lacking: latent_force.Lack, law: Array | None) -> float:
+def share(lacking: latent_force.LatentForce, law: Array | None) -> float:
     """Return which part of the mean square of what is lacking a law takes away; without one, all that was found."""
     if law is None:
         assert lacking.after is not None  # noqa: S101  # asked only where something was found
@@ -120,7 +120,7 @@ def share(lacking: latent_force.Lack, law: Array | None) -> float:
     return max(1.0 - after / max(before, 1e-300), 0.0)
 
 
-def _seen(found: Discovery, lacking: latent_force.Lack, what: str, law: Array | None) -> str:
+def _seen(found: Discovery, lacking: latent_force.LatentForce, what: str, law: Array | None) -> str:
     """Say what the laws at the place take away there, and what all that was found does where that is more."""
     square = float((lacking.before**2).mean())
     is_small = lacking.where == "element" and square < SEEN * lacking.deviations[0] ** 2
