@@ -162,9 +162,9 @@ def test_columns_that_cannot_be_used_are_refused_with_the_mend(function):
         ((t, x, f[:-1]), r"the columns differ in length: times 6000, displacement 6000, force 5999"),
         (
             (gap, x, f),
-            r"the clock does not go in equal steps: after sample 499 .* it goes by 1.01 s, usually by 0.01 s",
+            r"100 samples are missing after t = 4.99 s",
         ),
-        ((t[::-1], x, f), r"the clock does not go in equal steps"),
+        ((t[::-1], x, f), r"time goes back after t = 59.99 s"),
         ((t, 0 * x + 1, f), r"displacement is constant at 1; see that it is connected"),
         ((t, x, 0 * f), r"force is constant at 0; see that it is connected"),
         ((t, np.column_stack([x, x]), f), r"displacement has shape \(6000, 2\); give one column"),

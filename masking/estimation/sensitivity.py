@@ -20,8 +20,9 @@ from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.codegen.tangent import derivatives
 from masking.errors import IntegrationError, ModelError, nearest
-from masking.estimation.data import Hold, is_first_order
+from masking.estimation.data import is_first_order
 from masking.numerics.arrays import Array
+from masking.records.hold import Hold
 from masking.rig.twin import LoweredTwin, Twin
 
 _STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other

@@ -9,13 +9,15 @@ import numpy as np
 
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
+from masking.estimation.least_squares import NO_BOUNDS, Damping, Dense, Linearised, minimise
 from masking.estimation.sensitivity import NormalEquations, Sensitivity
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
 FIRST_READINGS = 20  # readings that the initial state is guessed from
-ROUNDS = 6  # Gauss-Newton steps for the initial state, at most
-SETTLED = 1e-9  # part of the cost that a step must take off
+ROUNDS = 5  # steps for the initial state, at most
+DAMPING = Damping(1e-9, least=1e-12, most=1e6)
+SETTLED = 1e-9  # fraction of the cost that a step must take off
 
 
 @dataclass(frozen=True)
@@ -120,23 +122,24 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
         record: commands and readings.
         weights: of squared residuals of each sensor (sensors,).
     """
-    k, free = len(theta), np.array(sensing.twin.free, dtype=int)
-    substeps, basis, own = sensing.twin.substeps(record.rate), sensing.basis(theta), np.ix_(k + free, k + free)
-    y, best, least = first_start(sensing, record), None, np.inf
-    for _ in range(ROUNDS):
-        try:
-            found_so_far = sensing.normal_equations(
-                basis, y, record.acting, record.readings, weights, rate=record.rate, substeps=substeps,
-                hold=record.hold,
-            )  # fmt: skip
-        except IntegrationError:
-            break
-        cost = float(weights @ found_so_far.squares)
-        if not cost < least * (1.0 - SETTLED):
-            break
-        best, least, y = (y, found_so_far), cost, y.copy()
-        y[free] += np.linalg.lstsq(found_so_far.matrix[own], found_so_far.gradient[k + free], rcond=1e-12)[0]
-    return best
+    free, first, basis = np.array(sensing.twin.free, dtype=int), first_start(sensing, record), sensing.basis(theta)
+    substeps, at, acting = sensing.twin.substeps(record.rate), len(theta) + free, record.acting
+
+    def linearised(x: Array) -> Linearised[Dense, NormalEquations]:
+        first[free] = x
+        made = sensing.normal_equations(
+            basis, first, acting, record.readings, weights, rate=record.rate, substeps=substeps, hold=record.hold
+        )
+        return Linearised(float(weights @ made.squares), Dense(made.matrix[np.ix_(at, at)], made.gradient[at]), made)
+
+    try:
+        found = minimise(
+            linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost
+        )
+    except IntegrationError:
+        return None
+    first[free] = found.x
+    return first, found.at.found
 
 
 def first_start(sensing: Sensitivity, record: Data) -> Array:
