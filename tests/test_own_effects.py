@@ -85,7 +85,6 @@ MAGNET_ENTRY = Effect(
     },
     label="pull of a magnet",
     family="springs",
-    factors=("f0",),
 )
 
 

@@ -19,7 +19,6 @@ QUOTED = {
 # Words that are not gone yet, by file; the table may only shrink.
 NOT_YET: dict[str, set[str]] = {
     "README.md": {"believed"},
-    "docs/declarations.md": {"lacking", "so many", "tells", "what is left"},
     "docs/discovery.md": {
         "believed",
         "believes",
@@ -32,8 +31,6 @@ NOT_YET: dict[str, set[str]] = {
         "truly",
         "what is left",
     },
-    "docs/identification.md": {"judges", "told", "what is left"},
-    "docs/rig.md": {"tells", "told", "truly"},
     "masking/codegen/source.py": {"slots"},
     "masking/discovery/augmented_model.py": {"believed", "slot", "slots", "tells"},
     "masking/discovery/candidates.py": {"slots"},
