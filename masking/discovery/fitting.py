@@ -24,7 +24,7 @@ from masking.numerics.arrays import Array
 MOST_ROUNDS = 40
 DAMPING = Damping(1e-6, least=1e-9, most=1e8)
 HOPE, SLOW = 0.03, 6  # a fit ends that comes nearer to a better one by no more than this part so many times
-CONVERGED = 0.02  # of the cost, divided by the temperature, that a step may still take off
+CONVERGED = 0.02  # of the cost, divided by the tempering, that a step may still take off
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ class _Problem:
             return slow == SLOW
 
         def tolerance(at: Linearised[Dense, Equations]) -> float:
-            return CONVERGED * self.evidence.temperature(self.evidence.record.readings - at.found.simulated)
+            return CONVERGED * self.evidence.tempering(self.evidence.record.readings - at.found.simulated)
 
         belief, effects = self.evidence.belief, bounds(self.slots)
         low, high = np.concatenate([belief.low, effects.low]), np.concatenate([belief.high, effects.high])
