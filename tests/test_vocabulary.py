@@ -60,8 +60,6 @@ NOT_YET: dict[str, set[str]] = {
     "masking/discovery/smoothing.py": {"lacking", "told"},
     "masking/discovery/steps.py": {"begins anew", "slot", "slots"},
     "masking/workflows/discover.py": {"believed"},
-    "masking/workflows/inputs.py": {"believed", "judge", "judged"},
-    "masking/workflows/refine.py": {"believed", "believes", "simulated anew", "tells", "told", "truer"},
 }
 
 

@@ -203,7 +203,7 @@ class _Problem:
             return slow == SLOW
 
         def tolerance(at: Linearised[Dense, Equations]) -> float:
-            return CONVERGED * self.evidence.temperature(self.evidence.record.readings - at.found.simulated)
+            return CONVERGED * self.evidence.tempering(self.evidence.record.readings - at.found.simulated)
 
         belief, effects = self.evidence.belief, bounds(self.slots)
         low, high = np.concatenate([belief.low, effects.low]), np.concatenate([belief.high, effects.high])
