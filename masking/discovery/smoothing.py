@@ -21,9 +21,9 @@ from masking.effects import Effect
 from masking.errors import IntegrationError
 from masking.estimation.data import is_first_order
 from masking.numerics.arrays import Array
+from masking.numerics.steady_kalman import discretised, steady_filter
 
 WALKS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # intensities that are tried, of that which moves the sensors as their noise does
-DOUBLINGS = 24  # of the samples over which smoothing settles
 QUICK = 0.3  # rad, times the rate of a record: how fast forces on states and outputs are followed, to begin with
 FURTHER = (1e-6, 1e-4)  # intensities that are tried before the others where nothing but these is lacking
 SHORT = 8.0  # s of the record by which the intensity is chosen
@@ -166,40 +166,27 @@ def _unit(rig: OpenRig, theta: Array, sigma: Array, rate: float) -> Array:
 def _gains(rig: OpenRig, theta: Array, rate: float, sigma: Array, intensity: Array) -> _Gains:
     a, b, c, d = linearised(rig, theta)
     n, m = len(a), b.shape[1]
-    whole = np.zeros((n + m, n + m))
-    whole[:n, :n], whole[:n, n:] = a, b
-    moved = linalg.expm(whole / rate)
-    sensing = np.hstack([c, d])
-    # Van Loan: the noise of a random walk over a sample, seen by every state.
-    q = np.zeros_like(whole)
-    q[n:, n:] = np.diag(intensity)
-    block = np.zeros((2 * (n + m), 2 * (n + m)))
-    block[: n + m, : n + m], block[: n + m, n + m :], block[n + m :, n + m :] = -whole, q, whole.T
-    exp = linalg.expm(block / rate)
-    noise = exp[n + m :, n + m :].T @ exp[: n + m, n + m :]
-    noise = 0.5 * (noise + noise.T)
+    flow = np.zeros((n + m, n + m))
+    flow[:n, :n], flow[:n, n:] = a, b
+    moved, noise = discretised(flow, np.concatenate([np.zeros(n), intensity]), 1.0 / rate)
+    # In scaled states, and in readings of unit variance, the equation is well conditioned.
     scale = np.sqrt(np.maximum(np.diag(noise), 1e-300))
-    # In scaled states the equation is well conditioned.
-    size = np.concatenate([np.full(n, 1.0), np.ones(m)]) * np.maximum(scale, 1e-12 * scale.max())
-    f, h = moved * size / size[:, None], sensing * size
-    qs, r = noise / np.outer(size, size), np.diag(sigma**2)
+    size = np.maximum(scale, 1e-12 * scale.max())
+    step = moved * size / size[:, None]
     try:
-        ahead = linalg.solve_discrete_are(f.T, h.T, qs, r)
+        found = steady_filter(step, noise / np.outer(size, size), np.hstack([c, d]) * size / sigma[:, None])
     except (np.linalg.LinAlgError, ValueError) as error:
         what = "coordinates" if rig.coordinates else ", ".join(rig.degrees)
         raise IntegrationError(f"the sensors do not tell the motion of all {what} ({error})") from None
-    spread = h @ ahead @ h.T + r
-    gain = np.linalg.solve(spread, h @ ahead).T
-    now = ahead - gain @ h @ ahead
+    ahead, now = found.predicted, found.corrected
     try:
-        backward = np.linalg.solve(ahead, f @ now).T
+        backward = np.linalg.solve(ahead, step @ now).T
     except np.linalg.LinAlgError:  # a state that nothing moves at rest, such as that of a friction, is known
-        backward = (np.linalg.pinv(ahead, hermitian=True) @ f @ now).T
-    steady, power = now - backward @ ahead @ backward.T, backward
-    for _ in range(DOUBLINGS):  # the sum of all powers: Smith (1968), SIAM J. Appl. Math. 16(1), 198-201
-        steady, power = steady + power @ steady @ power.T, power @ power
+        backward = (np.linalg.pinv(ahead, hermitian=True) @ step @ now).T
+    steady = linalg.solve_discrete_lyapunov(backward, now - backward @ ahead @ backward.T)
     deviation = np.sqrt(np.maximum(np.diag(steady)[n:], 0.0)) * size[n:]
     return _Gains(
-        np.ascontiguousarray(gain * size[:, None]), np.ascontiguousarray(backward * size[:, None] / size),
-        deviation, spread,
+        np.ascontiguousarray(found.gain * size[:, None] / sigma),
+        np.ascontiguousarray(backward * size[:, None] / size),
+        deviation, found.innovation * np.outer(sigma, sigma),
     )  # fmt: skip
