@@ -1,8 +1,11 @@
 # make demo   run the Duffing experiment and write its report
 # make test   format, lint, types and tests: the gate
+# make quick  format, lint and the tests that need no long compilation: the inner loop, under a minute
+# make docs   build the documentation and the reference of the package into site/
+# make dist   build a wheel and an sdist into dist/
 # make bench  speed against other tools, side by side
-# make bench-discovery  name what is hidden in more than a thousand records, some made by MuJoCo, PySINDy beside: hours;
-#             an interrupted run goes on where it stopped; OPTIONS=--quick is about 30 records
+# make bench-discovery  identify hidden effects in more than a thousand records, some made by MuJoCo, with PySINDy beside:
+#             hours; an interrupted run resumes where it stopped; OPTIONS=--quick is about 30 records
 # Each sets itself up in .venv and needs nothing but Python 3.11 or newer.
 
 PYTHON ?= python3
@@ -10,9 +13,12 @@ BIN := .venv/bin
 READY := .venv/ready
 BENCH_READY := .venv/ready-bench
 DISCOVERY_READY := .venv/ready-bench-discovery
+DOCS_READY := .venv/ready-docs
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test bench bench-discovery clean
+QUICK := architecture vocabulary documentation declaration expression model scales components effects cli signals linear
+
+.PHONY: demo test quick docs dist bench bench-discovery clean
 
 demo: $(READY)
 	$(BIN)/masking run examples/duffing.yaml --out results/duffing
@@ -22,6 +28,17 @@ test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2
+
+quick: $(READY)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pytest -n 2 $(QUICK:%=tests/test_%.py)
+
+docs: $(DOCS_READY)
+	$(BIN)/mkdocs build --strict
+
+dist: $(READY)
+	$(BIN)/python -m build --no-isolation
 
 bench: $(BENCH_READY)
 	$(BIN)/python -m tests.benchmarks
@@ -42,10 +59,14 @@ $(BENCH_READY): $(READY)
 	-$(PIP) numbalsoda
 	@touch $@
 
+$(DOCS_READY): $(READY)
+	$(PIP) --editable '.[docs]'
+	@touch $@
+
 # Where PySINDy cannot be installed, its columns stay empty and the page says so.
 $(DISCOVERY_READY): $(READY)
 	-$(PIP) pysindy
 	@touch $@
 
 clean:
-	rm -rf .venv results .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv results dist site .mypy_cache .ruff_cache .hypothesis
