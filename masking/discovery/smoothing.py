@@ -89,7 +89,7 @@ def smooth(evidence: Evidence, theta: Array, start: Array) -> Motion:
         costs.append((whitened**2).mean() + 2.0 * np.log(np.diag(linalg.cholesky(gains.spread))).mean())
     gains = _gains(rig, theta, record.rate, sigma, walks[int(np.argmin(costs))] * unit)
     innovations, states, predicted = _filter(evidence, theta, start, gains)
-    rig.kernels.back(len(record), gains.backward, states, predicted)
+    rig.kernels.smooth_backward(len(record), gains.backward, states, predicted)
     n = len(rig.twin.state_names)
     placed = np.empty((len(record), 3 * len(rig.places)))
     acting = np.ascontiguousarray(record.acting)

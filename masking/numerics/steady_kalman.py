@@ -1,7 +1,8 @@
 """Steady Kalman filter of a linear system that is driven by white noise and read at equal times.
 
 Source: Gelb (ed.), Applied Optimal Estimation (1974), chapter 4; Van Loan, IEEE Trans. Autom. Control 23 (1978),
-395-404, for the noise over a sample; Chu, Fan, Lin and Wang, Int. J. Control 77 (2004), 767-788, for the Riccati equation.
+395-404, for the noise over a sample; Chu, Fan, Lin and Wang, Int. J. Control 77 (2004), 767-788, for the Riccati
+equation.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def steady_filter(step: Array, noise: Array, reading: Array) -> SteadyFilter:
     """
     predicted = _predicted(step, reading, noise)
     innovation = reading @ predicted @ reading.T + np.eye(len(reading))
-    gain = np.linalg.solve(innovation, reading @ predicted).T
+    gain: Array = np.linalg.solve(innovation, reading @ predicted).T
     return SteadyFilter(gain, predicted, predicted - gain @ reading @ predicted, innovation)
 
 
