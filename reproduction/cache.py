@@ -16,7 +16,7 @@ from pathlib import Path
 
 import masking
 from masking.codegen import store
-from masking.codegen.files import write_once
+from masking.codegen.files import write_whole
 from masking.declaration import catalogue
 from reproduction.comparison import Entry, Value
 
@@ -35,7 +35,7 @@ def cached(number: str, make: Callable[[], Entry]) -> Entry:
     if path.exists():
         return _read(path.read_text(encoding="utf-8"))
     made = make()
-    write_once(path, _written(made).encode())
+    write_whole(path, _written(made).encode())
     return made
 
 

@@ -3,11 +3,16 @@
 import os
 import subprocess
 import sys
+from functools import cache
 
 import numpy as np
 import pytest
 
 import masking
+from masking.codegen import native, store
+from masking.codegen.files import read_sealed
+from masking.codegen.graph import Graph
+from masking.codegen.source import Module
 
 RUN = """
 import sys, numpy as np
@@ -58,3 +63,60 @@ def test_a_wrong_number_of_arguments_is_refused():
 def test_an_unknown_function_is_refused_with_the_nearest_name():
     with pytest.raises(AttributeError, match="did you mean 'accelerations'"):
         _ = masking.load_model("duffing").kernels.acceleration
+
+
+def number(value):
+    """Return a module with one function that returns a number."""
+    module = Module("test", {})
+    module.add_kernel(f"@compiled\ndef f(t: float):\n    return {value}", "d")
+    return module
+
+
+CHANGES = {
+    "cut off": lambda code, other: code[:-1],
+    "empty": lambda code, other: b"",
+    "one bit": lambda code, other: code[:99] + bytes([code[99] ^ 1]) + code[100:],
+    "one bit of the checksum": lambda code, other: bytes([code[0] ^ 1]) + code[1:],
+    "another function": lambda code, other: other,
+    "no machine code": lambda code, other: b"text",
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_a_file_that_does_not_hold_what_its_name_says_is_made_anew(tmp_path, monkeypatch, change):
+    monkeypatch.setenv("MASKING_CACHE", str(tmp_path))
+    monkeypatch.setattr(native, "_libraries", {})
+    monkeypatch.setattr(native, "_linker", cache(native._linker.__wrapped__))
+    paths = {}
+    for value in (1.5, 2.5):
+        made = store.load(f"{value}", lambda value=value: number(value))
+        assert made.function("f")(0.0) == value
+        (paths[value],) = tmp_path.glob(f"objects/{made.objects['f']}.*.o")
+    whole = paths[1.5].read_bytes()
+    paths[1.5].write_bytes(change(whole, paths[2.5].read_bytes()))
+    native._libraries.clear()
+    native._linker.cache_clear()
+    assert store.load("1.5", lambda: number(1.5)).function("f")(0.0) == 1.5
+    assert read_sealed(paths[1.5]) is not None
+    for folder in ("modules", "texts"):
+        for file in (tmp_path / folder).iterdir():
+            file.write_bytes(change(file.read_bytes(), b"print()"))
+    assert not store.exists("1.5")
+    assert store.load("1.5", lambda: number(1.5)).function("f")(0.0) == 1.5
+    assert store.exists("1.5")
+
+
+def test_equal_functions_of_different_modules_are_compiled_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("MASKING_CACHE", str(tmp_path))
+    for key in ("a", "b"):
+        module = number(3.5)
+        module.add_kernel(f"@compiled\ndef {key}(t: float):\n    return t", "d")
+        assert store.load(key, lambda module=module: module).function("f")(0.0) == 3.5
+    assert len(list(tmp_path.glob("texts/*"))) == 2
+    assert len(list(tmp_path.glob("objects/*"))) == 1
+
+
+def test_an_argument_of_a_kernel_says_its_type():
+    module = Module("test", {})
+    with pytest.raises(TypeError, match="f: t is of the type 'str'; give float, int, Vector, Matrix"):
+        module.add("f(t: str)", Graph(), [], {})

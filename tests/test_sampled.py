@@ -19,7 +19,7 @@ from masking.control.sampled import SampledLoop
 from masking.declaration import registry, schema
 from masking.errors import ModelError, SingularityError
 from masking.numerics import sampled_loop as sampling
-from masking.numerics.sampled_loop import Sizes
+from masking.numerics.sizes import Sizes
 from masking.runs.experiment import Experiment
 from masking.runs.offline import run_twin
 

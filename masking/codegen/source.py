@@ -1,10 +1,34 @@
-"""Functions and modules of generated Python, compiled by numba when first called."""
+"""Functions and modules of generated Python, compiled by numba when first called.
+
+A module is made of two kinds of functions. Both say the types of their arguments in their signature: `float`, `int`,
+`Vector` and `Matrix` (C-contiguous arrays of float64).
+
+* Expressions: `Module.add("energy(t: float, q, v, p)", graph, ...)` prints graph nodes; what has no type is a `Vector`.
+* Kernels: plain functions that a factory closes over sizes and over functions of the module, such as
+
+      def along(transform: Kernel, count: int) -> Kernel:
+          @compiled
+          def transforms(times: Vector, states: Matrix, p: Vector, virtual: Matrix) -> None:
+              for i in range(times.size):
+                  transform(times[i], states[i, :count], states[i, count:], p, virtual[i])
+
+          return transforms
+
+  `Module.add_factory("transforms", kernels.along, "transform", 2)` adds what it returns under the name `transforms`:
+  text names a function of the module, all else is written as it is. The factory lives in a module that has
+  `from __future__ import annotations` and takes `compiled` from `masking.numerics.integrators`; import it by
+  `lazy_loader`, so that numba is not imported where nothing is compiled. With `work=(rows, width)` the last argument
+  is work space that callers need not give. With `exported=False` only other functions of the module call it, and its
+  arguments need no types.
+"""
 
 from __future__ import annotations
 
+import ast
+import inspect
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, is_dataclass
 from typing import Any
 
 from masking.codegen import native
@@ -28,13 +52,15 @@ LARGEST_TAYLOR_COST = 40
 
 HEADER = '''"""Generated from {title!r}; do not edit."""
 
+from __future__ import annotations
+
 import math
 
 import numba
 import numpy as np
 from numba import carray
 
-from masking.numerics import integrators, sampled_loop
+from masking.numerics.arrays import Matrix, Vector
 '''
 
 
@@ -47,17 +73,18 @@ def taylor_order(products: int) -> int:
 class Module:
     """A generated module: what it was made from, what it says of itself, and the text of its functions.
 
-    `meta["functions"]` holds for each function the names of its arguments, the kinds of its results and the shape of
-    its work space, as `native` reads them.
+    `meta["functions"]` holds for each exported function the types of its arguments and results and the shape of its
+    work space, as `native` reads them.
     """
 
     title: str
     meta: dict[str, Any]
     functions: list[str] = field(default_factory=list)
+    _imports: set[str] = field(default_factory=set)
 
     def text(self) -> str:
         """Return the whole source."""
-        return "\n\n".join([HEADER.format(title=self.title), *self.functions]) + "\n"
+        return "\n\n".join([HEADER.format(title=self.title) + "".join(sorted(self._imports)), *self.functions]) + "\n"
 
     def add(
         self,
@@ -70,7 +97,7 @@ class Module:
         """Add a function that computes nodes.
 
         Args:
-            signature: name and arguments, such as `energy(t, q, v, p)`.
+            signature: name and arguments, such as `energy(t: float, q, v, p)`; what has no type is a `Vector`.
             graph: the graph that holds the nodes.
             results: assignable texts and the nodes they get.
             loads: for each symbol text, the text that reads it from the arguments.
@@ -99,7 +126,43 @@ class Module:
         body += coefficients(graph, states, derivatives, time, order)
         body += [f"c[{k}, {i}] = y{i}_{k}" for k in range(order + 1) for i in range(len(states))]
         body += statements(graph, [("health", health)])
-        self._function("coefficients(t, y, u, p, c)", [*body, "return health"], FREE_DECORATOR)
+        self._function("coefficients(t: float, y, u, p, c: Matrix)", [*body, "return health"], FREE_DECORATOR)
+
+    def add_factory(
+        self,
+        name: str,
+        factory: Callable[..., Any],
+        *given: object,
+        work: tuple[int, int] | None = None,
+        exported: bool = True,
+    ) -> None:
+        """Add the function that a factory returns.
+
+        Args:
+            name: of the function in this module.
+            factory: returns the function, decorated by `compiled`.
+            given: arguments of the factory; text names a function of this module, all else is written as it is.
+            work: the shape of the work space, which is the last argument of the function.
+            exported: whether the function is called from outside of the module.
+        """
+        written = [one if isinstance(one, str) else self._written(one) for one in given]
+        self.functions.append(f"{name} = {self._name(factory)}({', '.join(written)})")
+        if exported:
+            function = factory(*(None if isinstance(one, str) else one for one in given)).py_func
+            types = {argument: str(kind) for argument, kind in inspect.get_annotations(function).items()}
+            self._export(name, types, types.pop("return", "None"), work)
+
+    def _written(self, value: object) -> str:
+        if not is_dataclass(value):
+            return repr(value)
+        module, dot, _ = self._name(type(value)).rpartition(".")
+        return module + dot + repr(value)
+
+    def _name(self, one: Any) -> str:  # noqa: ANN401
+        """Return the name of a class or function, whose module is imported."""
+        package, _, module = one.__module__.rpartition(".")
+        self._imports.add(f"from {package} import {module}\n")
+        return f"{module}.{one.__qualname__}"
 
     def add_kernel(self, text: str, results: str, work: tuple[int, int] | None = None) -> None:
         """Add a function written out as text, in which the line `@compiled` stands for the decorator.
@@ -110,20 +173,52 @@ class Module:
             work: the shape of its work space.
         """
         self.functions.append(text.strip().replace("@compiled", DECORATOR))
-        self._export(re.findall(r"^def (\w+\(.*?\)):$", text, re.MULTILINE | re.DOTALL)[-1], results, work)
+        signature = re.findall(r"^def (\w+\(.*?\)):$", text, re.MULTILINE | re.DOTALL)[-1]
+        kinds = {"d": "float", "i": "int"}
+        returned = ", ".join(kinds[one] for one in results) or "None"
+        self._export(*_read(signature), f"tuple[{returned}]" if len(results) > 1 else returned, work)
 
     def _function(self, signature: str, body: Sequence[str], decorator: str = DECORATOR) -> None:
-        self.functions.append(
-            "\n".join([decorator, f"def {signature}:", *(f"    {line}" for line in body or ["pass"])])
-        )
-        self._export(signature, "d" if body and body[-1].startswith("return") else "")
+        returned = "float" if body and body[-1].startswith("return") else "None"
+        name, types = _read(signature)
+        typed = ", ".join(f"{argument}: {kind}" for argument, kind in types.items())
+        lines = [decorator, f"def {name}({typed}) -> {returned}:", *(f"    {line}" for line in body or ["pass"])]
+        self.functions.append("\n".join(lines))
+        self._export(name, types, returned)
 
-    def _export(self, signature: str, results: str, work: tuple[int, int] | None = None) -> None:
+    def _export(
+        self, name: str, arguments: Mapping[str, str], returned: str, work: tuple[int, int] | None = None
+    ) -> None:
         """Add the C interface of a function, and tell of it in `meta`."""
-        name, _, rest = signature.rstrip(")").partition("(")
-        arguments = [part.strip() for part in rest.split(",") if part.strip()]
+        for argument, kind in arguments.items():
+            if kind not in native.C_TYPES:
+                raise TypeError(f"{name}: {argument} is of the type '{kind}'; give {', '.join(native.C_TYPES)}")
+        results = [] if returned == "None" else re.findall(r"float|int", returned)
         self.functions.append(native.interface(name, arguments, results))
         self.meta.setdefault("functions", {})[name] = {"arguments": arguments, "results": results, "work": work}
+
+
+def _read(signature: str) -> tuple[str, dict[str, str]]:
+    """Return the name of a function and the types of its arguments by their names."""
+    (function,) = ast.parse(f"def {signature}: pass").body
+    assert isinstance(function, ast.FunctionDef)  # noqa: S101
+    return function.name, {
+        a.arg: ast.unparse(a.annotation) if a.annotation else LEGACY.get(a.arg, "Vector") for a in function.args.args
+    }
+
+
+# Types of arguments of functions that do not say them yet.
+LEGACY: dict[str, str] = {
+    **dict.fromkeys(("t", "tolerance", "fixed_step", "dt", "first", "since"), "float"),
+    **dict.fromkeys(("begin", "count", "substeps", "every", "straight", "kind", "state"), "int"),
+    **dict.fromkeys(("y", "q", "v", "u", "p", "out", "dy", "times"), "Vector"),
+    **dict.fromkeys(("s", "x", "d", "r", "g", "noise", "control_p", "demanded", "applied", "command"), "Vector"),
+    **dict.fromkeys(("c", "states", "virtual", "inputs", "out_y", "out_u", "work"), "Matrix"),
+    **dict.fromkeys(("jy", "jp", "sens", "basis", "matrix", "simulated"), "Matrix"),
+    **dict.fromkeys(("weights", "gradient", "squares", "theta", "rate"), "Vector"),
+    **dict.fromkeys(("gain", "table", "queue", "noises", "estimates", "readings", "demands", "commands"), "Matrix"),
+    **dict.fromkeys(("slots", "columns", "features"), "Matrix"),
+}
 
 
 def _loads(graph: Graph, nodes: Sequence[Node], loads: Mapping[str, str]) -> list[str]:

@@ -1,39 +1,31 @@
 """Generated modules on disk, found again by the hash of what they were made from.
 
-A module is written once: its source, what it says of itself (json), and the machine code of each function that was
-ever called. What a module was made from, the versions of the libraries and the sources of this package that shape
-it all enter the hash, so a stale module is never found.
+`modules/` holds for each key what the module says of itself and which text and objects are its own; `texts/` the
+printed modules, named by their hash; `objects/` the machine code of each function that was ever called, named by the
+hash of its content. A file that does not hold what its name says is made anew.
 """
 
 from __future__ import annotations
 
-import hashlib
-import importlib.metadata
 import importlib.util
 import json
 import os
 import sys
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import platformdirs
 
-from masking.codegen.files import write_once
+from masking.codegen.content import DIGITS, contents, digest, sources
+from masking.codegen.files import read_sealed, write_sealed, write_whole
 from masking.codegen.native import NativeFunction
 from masking.codegen.source import Module
 
-PACKAGE = Path(__file__).parent.parent
 _importing = threading.Lock()
-# Sources of this package whose text shapes the generated code.
-SHAPING = (
-    *("declaration", "effects", "codegen", "numerics", "modelling", "rig", "control", "estimation", "discovery"),
-    "analysis/stability",
-)
 
 
 def directory() -> Path:
@@ -43,20 +35,26 @@ def directory() -> Path:
 
 
 def key(made_from: Mapping[str, object]) -> str:
-    """Return the hash of what a module is made from (anything that json can write) and of what shapes it.
+    """Return the hash of what a module is made from (anything that json can write) and of what prints it.
 
     The order of keys counts: that of parameters and coordinates is the order of the arrays.
     """
-    text = json.dumps({"made_from": made_from, "shaped_by": _shaped_by()})
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
+    return digest(json.dumps(made_from), sources())
 
 
 @dataclass(frozen=True)
 class Generated:
-    """A generated module on disk: its path without ending, and what it says of itself."""
+    """A generated module on disk.
 
-    stem: Path
+    Args:
+        path: of its text.
+        meta: what it says of itself.
+        objects: the content hash of each function.
+    """
+
+    path: Path
     meta: Mapping[str, Any]
+    objects: Mapping[str, str] = field(repr=False)
 
     def module(self) -> ModuleType:
         """Import the module, and numba with it."""
@@ -64,12 +62,12 @@ class Generated:
             return self._imported()
 
     def _imported(self) -> ModuleType:
-        name = self.stem.name
+        name = self.path.stem
         if name in sys.modules:
             return sys.modules[name]
-        specification = importlib.util.spec_from_file_location(name, self.stem.with_suffix(".py"))
+        specification = importlib.util.spec_from_file_location(name, self.path)
         if specification is None or specification.loader is None:
-            raise ImportError(f"cannot import the generated module {self.stem}.py")
+            raise ImportError(f"cannot import the generated module {self.path}")
         module = importlib.util.module_from_spec(specification)
         sys.modules[name] = module  # numba looks functions up by the name of their module
         try:
@@ -83,36 +81,46 @@ class Generated:
         """Return a function of the module, compiled when it is first called."""
         told = self.meta["functions"][name]
         work = tuple(told["work"]) if told["work"] else None
-        return NativeFunction(name, told["arguments"], told["results"], work, self.module, self.stem)
+        stem = self.path.parent.parent / "objects" / self.objects[name]
+        return NativeFunction(name, told["arguments"], told["results"], work, self.module, stem)
 
 
 def exists(name: str) -> bool:
     """Tell whether the generated module of a key is on disk."""
-    return _stem(name).with_suffix(".json").exists()
+    return _read(name) is not None
 
 
 def load(name: str, build: Callable[[], Module]) -> Generated:
-    """Return the generated module of a key; `build` makes it if it is not on disk yet."""
-    stem = _stem(name)
-    described = stem.with_suffix(".json")
-    if not described.exists():
-        made = build()
-        write_once(stem.with_suffix(".py"), made.text().encode())
-        write_once(described, json.dumps(made.meta).encode())  # last: where it is, all is
-    return Generated(stem, json.loads(described.read_bytes()))
+    """Return the generated module of a key; `build` makes it if it is not on disk yet, or not as it was written."""
+    found = _read(name)
+    if found is not None:
+        return found
+    made = build()
+    text = made.text()
+    objects = contents(text, made.meta.get("functions", ()))
+    write_whole(_text_path(digest(text)), text.encode())
+    described = json.dumps({"text": digest(text), "meta": made.meta, "objects": objects})
+    write_sealed(_path(name), described.encode())  # last: if it is there, all is
+    return _generated(described)
 
 
-def _stem(name: str) -> Path:
-    return directory() / f"masking_generated_{name}"
+def _read(name: str) -> Generated | None:
+    described = read_sealed(_path(name))
+    if described is None:
+        return None
+    found = _generated(described)
+    is_whole = found.path.exists() and digest(found.path.read_text(encoding="utf-8")) == found.path.stem[-DIGITS:]
+    return found if is_whole else None
 
 
-@cache
-def _shaped_by() -> dict[str, str]:
-    digest = hashlib.sha256()
-    for entry in SHAPING:
-        path = PACKAGE / entry
-        for file in sorted(path.glob("*.py")) if path.is_dir() else [path]:
-            if file.exists():
-                digest.update(file.read_bytes())
-    versions = {name: importlib.metadata.version(name) for name in ("numba", "sympy", "numpy")}
-    return {**versions, "python": sys.version, "sources": digest.hexdigest()}
+def _generated(described: str | bytes) -> Generated:
+    found = json.loads(described)
+    return Generated(_text_path(found["text"]), found["meta"], found["objects"])
+
+
+def _path(name: str) -> Path:
+    return directory() / "modules" / f"{name}.json"
+
+
+def _text_path(content: str) -> Path:
+    return directory() / "texts" / f"masking_generated_{content}.py"

@@ -17,13 +17,17 @@ from masking.codegen.source import Module
 from masking.control.blocks import check_actuation
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols
 from masking.errors import ModelError
-from masking.modelling.lowering import SOLVE_RUNGE_KUTTA, LoweredEquations
+from masking.modelling.lowering import LoweredEquations
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 
 if TYPE_CHECKING:
     import control
+
+    from masking.numerics import integrators, sampled_loop
 else:
+    integrators = lazy.load("masking.numerics.integrators", suppress_warning=True)
+    sampled_loop = lazy.load("masking.numerics.sampled_loop", suppress_warning=True)
     control = lazy.load("control")
 
 
@@ -205,32 +209,15 @@ def _module(loop: ClosedLoop) -> Module:
         reads = joined if ", y," in signature else split
         module.add(signature, graph, [(f"{target}[{i}]", x) for i, x in enumerate(nodes)], reads, returns)
 
-    add("transform(t, q, v, p, out)", "out", [*law.eta, *law.rate])
-    add("desired(t, q, v, p, out)", "out", law.desired)
-    add("cancel(t, q, v, p, out)", "out", law.cancel)
-    add("drive(t, q, v, p, out)", "out", law.drive)
-    add("input_matrix(t, q, v, p, out)", "out", [x for row in law.input_matrix for x in row])
-    add("step(t, q, v, u, p)", "u", law.inputs, law.health)
-    add("plant_derivative(t, y, u, p, dy)", "dy", [*rig.v, *plant.accelerations, *plant.rates], plant.health)
-    add("derivative(t, y, u, p, dy)", "dy", derivatives, health)
-    module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=size), "idi", (24, size))
-    module.add_kernel(RUN_SAMPLED.format(size=size, count=n), "iid", (5, size))
-    module.add_kernel(ALONG.format(count=n), "")
+    add("transform(t: float, q, v, p, out)", "out", [*law.eta, *law.rate])
+    add("desired(t: float, q, v, p, out)", "out", law.desired)
+    add("cancel(t: float, q, v, p, out)", "out", law.cancel)
+    add("drive(t: float, q, v, p, out)", "out", law.drive)
+    add("input_matrix(t: float, q, v, p, out)", "out", [x for row in law.input_matrix for x in row])
+    add("step(t: float, q, v, u, p)", "u", law.inputs, law.health)
+    add("plant_derivative(t: float, y, u, p, dy)", "dy", [*rig.v, *plant.accelerations, *plant.rates], plant.health)
+    add("derivative(t: float, y, u, p, dy)", "dy", derivatives, health)
+    module.add_factory("solve_runge_kutta", integrators.runge_kutta, "derivative", size, work=(24, size))
+    module.add_factory("run_sampled", integrators.sampled, "step", "plant_derivative", size, n, work=(5, size))
+    module.add_factory("along", sampled_loop.along, "transform", "step", n)
     return module
-
-
-RUN_SAMPLED = """
-_sampled = integrators.sampled(step, plant_derivative, {size}, {count})
-
-
-@compiled
-def run_sampled(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work):
-    return _sampled(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work)
-"""
-ALONG = """
-@compiled
-def along(times, states, p, virtual, inputs):
-    for i in range(times.size):
-        transform(times[i], states[i, :{count}], states[i, {count}:], p, virtual[i])
-        step(times[i], states[i, :{count}], states[i, {count}:], inputs[i], p)
-"""

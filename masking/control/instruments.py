@@ -13,7 +13,7 @@ from masking.declaration import schema
 from masking.errors import ActuationError, ModelError
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
-from masking.numerics.sampled_loop import HEATING, LARGEST, POWER, TIME
+from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME
 from masking.rig.allocation import allocation
 
 # Step of a difference quotient, relative to the size of what varies.

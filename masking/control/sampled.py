@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
+import lazy_loader as lazy
 import numpy as np
 
 from masking.codegen import store
@@ -23,8 +25,14 @@ from masking.control.observer import Differences, Observer
 from masking.errors import ModelError
 from masking.modelling.lowering import LoweredEquations
 from masking.numerics.arrays import Array
-from masking.numerics.sampled_loop import HEATING, LARGEST, TIME, Sizes
+from masking.numerics.sizes import HEATING, LARGEST, TIME, Sizes
 from masking.rig.twin import Twin
+
+if TYPE_CHECKING:
+    from masking.numerics import integrators, sampled_loop
+else:
+    integrators = lazy.load("masking.numerics.integrators", suppress_warning=True)
+    sampled_loop = lazy.load("masking.numerics.sampled_loop", suppress_warning=True)
 
 
 @dataclass(frozen=True)
@@ -135,15 +143,16 @@ class SampledController:
         for signature, results, returns in lowered.functions():
             loads = lowered.loads if "q, v" not in signature else lowered.apart
             module.add(signature, lowered.graph, results, loads, returns)
-        text = CONTROL_WITH_MODEL if self.has_model else CONTROL_WITH_DIFFERENCES
         sizes = self.sizes
-        module.functions.append(text.format(sizes=sizes).strip())
         rows, width = sizes.work
         work = (rows, max(width, len(self.instruments.sensors)))
-        module.add_kernel(CONTROL, "d", work)
-        if not self.has_model:
-            module.add_kernel(SKIP, "", work)
-        module.add_kernel(TRANSFORMS.format(count=sizes.coordinates), "")
+        if self.has_model:
+            parts = ("law", "rate", "measure", "allocate", "wire")
+            module.add_factory("control", sampled_loop.control_with_model, *parts, sizes, work=work)
+        else:
+            module.add_factory("control", sampled_loop.control_with_differences, "law", "allocate", sizes, work=work)
+            module.add_factory("skip", sampled_loop.skip_with_differences, sizes, work=work)
+        module.add_factory("transforms", sampled_loop.transforms, "transform", sizes.coordinates)
 
     def begin(self, readings: Array) -> Memory:
         """Return the memory of a controller that starts on a rig at rest, which it holds where it is.
@@ -176,7 +185,7 @@ class Memory:
 
     Args:
         controller: the controller.
-        x: its memory, as `masking.numerics.sampled_loop.Sizes.power` says.
+        x: its memory, as `masking.numerics.sizes.Sizes.power` says.
         p: its parameter array.
         holding: the commands (actuators,) that hold the rig where it was found.
 
@@ -236,29 +245,6 @@ class Memory:
         return self.x[: self.controller.sizes.states]
 
 
-TRANSFORMS = """
-@compiled
-def transforms(times, states, p, virtual):
-    for i in range(times.size):
-        transform(times[i], states[i, :{count}], states[i, {count}:], p, virtual[i])
-"""
-CONTROL_WITH_MODEL = """
-_control = sampled_loop.control_with_model(law, rate, measure, allocate, wire, sampled_loop.{sizes})
-"""
-CONTROL_WITH_DIFFERENCES = """
-_control = sampled_loop.control_with_differences(law, allocate, sampled_loop.{sizes})
-_skip = sampled_loop.skip_with_differences(sampled_loop.{sizes})
-"""
-CONTROL = """
-@compiled
-def control(t, dt, s, x, p, gain, table, demanded, applied, work):
-    return _control(t, dt, s, x, p, gain, table, demanded, applied, work)
-"""
-SKIP = """
-@compiled
-def skip(t, dt, x, p, table, command, work):
-    _skip(t, dt, x, p, table, command, work)
-"""
 Results = list[tuple[str, Node]]
 
 
@@ -315,13 +301,13 @@ class _Lowered:
 
         motion = into("u", law.inputs) + into("r", law.given) + into("g", law.driven)
         return [
-            ("law(t, since, y, d, p, u, r, g)", motion, law.health),
-            ("rate(t, y, u, p, dy)", into("dy", self.rates), None),
-            ("measure(t, y, p, s)", into("s", self.readings), None),
+            ("law(t: float, since: float, y, d, p, u, r, g)", motion, law.health),
+            ("rate(t: float, y, u, p, dy)", into("dy", self.rates), None),
+            ("measure(t: float, y, p, s)", into("s", self.readings), None),
             ("allocate(u, p, out)", into("out", self.commands), None),
             ("wire(out, p, u)", into("u", self.inputs), None),
-            ("transform(t, q, v, p, out)", into("out", [*law.eta, *law.rate]), None),
-            ("still(t, y, p, u)", into("u", self.still_law.cancel), None),
+            ("transform(t: float, q, v, p, out)", into("out", [*law.eta, *law.rate]), None),
+            ("still(t: float, y, p, u)", into("u", self.still_law.cancel), None),
         ]
 
     @property
@@ -387,22 +373,7 @@ class SampledLoop:
         module = Module(f"{self.twin.declaration.name}, masked as {controller.virtual.name}", meta)
         self.twin.add_to(module)
         self.sampled.add_to(module)
-        text = RUN.format(size=len(self.twin.state_names))
-        module.add_kernel(text, "iid", (self.sampled.sizes.work[0], self.width))
+        size, work = len(self.twin.state_names), (self.sampled.sizes.work[0], self.width)
+        module.add_factory("step_rig", integrators.runge_kutta_4, "twin_derivative", size, exported=False)
+        module.add_factory("run", sampled_loop.run, "sense", "control", "step_rig", size, work=work)
         return module
-
-
-RUN = """
-_run = sampled_loop.run(sense, _control, _advance, {size})
-
-
-@compiled
-def run(
-    begin, count, dt, substeps, every, y, x, p, control_p, gain, table, queue, noises, first, states, estimates,
-    readings, demands, commands, work,
-):
-    return _run(
-        begin, count, dt, substeps, every, y, x, p, control_p, gain, table, queue, noises, first, states, estimates,
-        readings, demands, commands, work,
-    )
-"""

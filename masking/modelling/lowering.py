@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import lazy_loader as lazy
+
 from masking.codegen.graph import Graph, Node
 from masking.codegen.linear import solve
 from masking.codegen.source import LARGEST_TAYLOR_COST, Module, taylor_order
@@ -15,6 +17,10 @@ from masking.modelling.scales import Units
 
 if TYPE_CHECKING:
     import sympy as sp
+
+    from masking.numerics import integrators
+else:
+    integrators = lazy.load("masking.numerics.integrators", suppress_warning=True)
 
 
 @dataclass
@@ -34,11 +40,7 @@ class LoweredEquations:
 
     @classmethod
     def of(
-        cls,
-        equations: Equations,
-        graph: Graph,
-        prefix: str = "",
-        known: Mapping[sp.Symbol, Node] | None = None,
+        cls, equations: Equations, graph: Graph, prefix: str = "", known: Mapping[sp.Symbol, Node] | None = None
     ) -> LoweredEquations:
         """Lower a model's equations into a graph.
 
@@ -129,38 +131,20 @@ def module(equations: Equations) -> Module:
     split = lowered.loads("q[{i}]", "v[{i}]")
     joined = lowered.joined()
     results = [(f"out[{i}]", a) for i, a in enumerate(lowered.accelerations)]
-    module.add("accelerations(t, q, v, u, p, out)", graph, results, split, returns=lowered.health)
+    module.add("accelerations(t: float, q, v, u, p, out)", graph, results, split, returns=lowered.health)
     module.add(
-        "derivative(t, y, u, p, dy)",
+        "derivative(t: float, y, u, p, dy)",
         graph,
         [(f"dy[{i}]", d) for i, d in enumerate(derivatives)],
         joined,
         returns=lowered.health,
     )
     lowered_outputs = [(f"out[{i}]", lowered.lower(e)) for i, e in enumerate(outputs.values())]
-    module.add("outputs(t, q, v, u, p, out)", graph, lowered_outputs, split)
+    module.add("outputs(t: float, q, v, u, p, out)", graph, lowered_outputs, split)
     if energy is not None:
-        module.add("energy(t, q, v, p)", graph, [], split, returns=lowered.lower(energy))
+        module.add("energy(t: float, q, v, p)", graph, [], split, returns=lowered.lower(energy))
     if use_taylor:
         module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined, order=order)
-        module.add_kernel(SOLVE_TAYLOR.format(order=order, size=size), "idi", (order + 1, size))
-    module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=size), "idi", (24, size))
+        module.add_factory("solve_taylor", integrators.taylor, "coefficients", order, size, work=(order + 1, size))
+    module.add_factory("solve_runge_kutta", integrators.runge_kutta, "derivative", size, work=(24, size))
     return module
-
-
-SOLVE_TAYLOR = """
-_taylor = integrators.taylor(coefficients, {order}, {size})
-
-
-@compiled
-def solve_taylor(t, y, times, u, p, tolerance, fixed_step, states, work):
-    return _taylor(t, y, times, u, p, tolerance, fixed_step, states, work)
-"""
-SOLVE_RUNGE_KUTTA = """
-_runge_kutta = integrators.runge_kutta(derivative, {size})
-
-
-@compiled
-def solve_runge_kutta(t, y, times, u, p, tolerance, fixed_step, states, work):
-    return _runge_kutta(t, y, times, u, p, tolerance, fixed_step, states, work)
-"""

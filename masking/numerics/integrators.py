@@ -20,6 +20,7 @@ from typing import Any
 
 import numba
 
+from masking.numerics.arrays import Matrix, Vector
 from masking.numerics.dop853 import E3, E5, STAGES, A, C, D
 from masking.numerics.stop_codes import NOT_FINITE, REACHED, SINGULAR, TOO_MANY_STEPS, TOO_SMALL_STEP
 
@@ -113,7 +114,10 @@ def taylor(coefficients: Kernel, order: int, size: int) -> Kernel:
         return part * radius
 
     @compiled
-    def solve(t, y, times, u, p, tolerance, fixed_step, states, work):
+    def solve(
+        t: float, y: Vector, times: Vector, u: Vector, p: Vector, tolerance: float, fixed_step: float, states: Matrix,
+        work: Matrix,
+    ) -> tuple[int, float, int]:  # fmt: skip
         m = times.size
         if m == 0:
             return REACHED, t, 0
@@ -240,7 +244,10 @@ def runge_kutta(derivative: Kernel, size: int) -> Kernel:
             state[i] = y[i] + x * value
 
     @compiled
-    def solve(t, y, times, u, p, tolerance, fixed_step, states, work):
+    def solve(
+        t: float, y: Vector, times: Vector, u: Vector, p: Vector, tolerance: float, fixed_step: float, states: Matrix,
+        work: Matrix,
+    ) -> tuple[int, float, int]:  # fmt: skip
         m = times.size
         if m == 0:
             return REACHED, t, 0
@@ -326,6 +333,22 @@ def runge_kutta_4(derivative: Kernel, size: int) -> Kernel:
     return advance
 
 
+def steps_of_runge_kutta_4(derivative: Kernel, size: int) -> Kernel:
+    """Make equal steps of the classical Runge-Kutta method.
+
+    Returns:
+        `advance(t, y, u, p, dt, substeps, work)`, which moves y over dt in `substeps` steps; `work` (5, n).
+    """
+    step = runge_kutta_4(derivative, size)
+
+    @compiled
+    def advance(t: float, y: Vector, u: Vector, p: Vector, dt: float, substeps: int, work: Matrix) -> None:
+        for i in range(substeps):
+            step(t + i * (dt / substeps), y, u, p, dt / substeps, work[:4], work[4])
+
+    return advance
+
+
 def sampled(step: Kernel, derivative: Kernel, size: int, coordinates: int) -> Kernel:
     """Make the loop of a controller at a fixed rate, its outputs held between samples, and a plant.
 
@@ -348,7 +371,10 @@ def sampled(step: Kernel, derivative: Kernel, size: int, coordinates: int) -> Ke
     advance = runge_kutta_4(derivative, size)
 
     @compiled
-    def run(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work):
+    def run(
+        begin: int, count: int, dt: float, substeps: int, every: int, y: Vector, u: Vector, p: Vector, first: float,
+        out_y: Matrix, out_u: Matrix, work: Matrix,
+    ) -> tuple[int, int, float]:  # fmt: skip
         k, state = work[:4], work[4]
         h = dt / substeps
         row = 0

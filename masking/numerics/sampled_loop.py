@@ -17,59 +17,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
+from masking.numerics.arrays import Matrix, Vector
 from masking.numerics.integrators import compiled, copy, fault
+from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME, Sizes
 from masking.numerics.stop_codes import NOT_FINITE, REACHED
 
 Kernel = Callable[..., Any]
-
-# Columns of the table of limits, one row for each actuator.
-LARGEST, HEATING, POWER, TIME = range(4)
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """Sizes of a sampled controller.
-
-    Args:
-        coordinates: n.
-        states: length of [q, v, s].
-        inputs: of the rig's model.
-        actuators: channels that are commanded.
-        order: derivatives of a disturbance that are estimated: 0 for none, 1 for a constant one, 2 for a straight line.
-    """
-
-    coordinates: int
-    states: int
-    inputs: int
-    actuators: int
-    order: int
-
-    @property
-    def estimate(self) -> int:
-        """Return the length of the estimate z = [q, v, s, d, d', ...]."""
-        return self.states + self.order * self.coordinates
-
-    @property
-    def power(self) -> slice:
-        """Return where the mean powers of the actuators are in the memory.
-
-        The memory holds the estimate at the last sample, these, the estimate for the next sample, and the inputs under
-        way, oldest first: as many as there are samples of delay, which its length tells.
-        """
-        return slice(self.estimate, self.estimate + self.actuators)
-
-    @property
-    def fixed(self) -> int:
-        """Return the length of the memory without inputs under way."""
-        return 2 * self.estimate + self.actuators
-
-    @property
-    def work(self) -> tuple[int, int]:
-        """Return the shape of the work space, whose rows must also hold the readings and the rig's states."""
-        return 22, max(self.estimate, self.inputs, self.actuators)
 
 
 def predict(rate: Kernel, sizes: Sizes) -> Kernel:
@@ -237,7 +192,10 @@ def control_with_model(
     step, held, limit = predict(rate, sizes), hold(law, sizes), limiter(sizes)
 
     @compiled
-    def control(t, h, s, x, p, gain, table, demanded, applied, work):
+    def control(
+        t: float, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
+        applied: Vector, work: Matrix,
+    ) -> float:  # fmt: skip
         now, power, z, queue = x[:length], x[length:next_one], x[next_one:fixed], x[fixed:]
         delay = queue.size // m
         ahead, u, k, y, expected = work[11], work[12][:m], work[13:17], work[17], work[18]
@@ -274,7 +232,7 @@ def skip_with_differences(sizes: Sizes) -> Kernel:
     next_one, warm = length + sizes.actuators, heat(sizes)
 
     @compiled
-    def skip(t, h, x, p, table, command, work):
+    def skip(t: float, h: float, x: Vector, p: Vector, table: Matrix, command: Vector, work: Matrix) -> None:
         now, power, z = x[:length], x[length:next_one], x[next_one:fixed]
         for i in range(n):
             z[i] += h * z[n + i]
@@ -298,7 +256,10 @@ def control_with_differences(law: Kernel, allocate: Kernel, sizes: Sizes) -> Ker
     limit = limiter(sizes)
 
     @compiled
-    def control(t, h, s, x, p, gain, table, demanded, applied, work):
+    def control(
+        t: float, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
+        applied: Vector, work: Matrix,
+    ) -> float:  # fmt: skip
         now, power, z = x[:length], x[length:next_one], x[next_one:fixed]
         d, u, r, g = work[1][:n], work[2][:m], work[5][:n], work[8][:n]
         for i in range(n):
@@ -340,9 +301,10 @@ def run(sense: Kernel, control: Kernel, advance: Kernel, size: int) -> Kernel:
 
     @compiled
     def loop(
-        begin, count, h, substeps, every, y, x, p, c, gain, table, queue, noise, first, states, estimates, sensed,
-        demanded, applied, work,
-    ):  # fmt: skip
+        begin: int, count: int, h: float, substeps: int, every: int, y: Vector, x: Vector, p: Vector, c: Vector,
+        gain: Matrix, table: Matrix, queue: Matrix, noise: Matrix, first: float, states: Matrix, estimates: Matrix,
+        sensed: Matrix, demanded: Matrix, applied: Matrix, work: Matrix,
+    ) -> tuple[int, int, float]:  # fmt: skip
         sensors, channels, under_way = noise.shape[1], queue.shape[1], queue.shape[0] - 1
         s, wanted, given = work[19][:sensors], work[20][:channels], work[21][:channels]
         row = 0
@@ -372,3 +334,37 @@ def run(sense: Kernel, control: Kernel, advance: Kernel, size: int) -> Kernel:
         return REACHED, count, first
 
     return loop
+
+
+def transforms(transform: Kernel, count: int) -> Kernel:
+    """Make `transforms(times, states, p, virtual)`, which transforms each state [q, v, s] of a rig with n coordinates.
+
+    Args:
+        transform: `transform(t, q, v, p, out)` writes the virtual state.
+        count: number n of coordinates.
+    """
+
+    @compiled
+    def every(times: Vector, states: Matrix, p: Vector, virtual: Matrix) -> None:
+        for i in range(times.size):
+            transform(times[i], states[i, :count], states[i, count:], p, virtual[i])
+
+    return every
+
+
+def along(transform: Kernel, step: Kernel, count: int) -> Kernel:
+    """Make `along(times, states, p, virtual, inputs)`: virtual states and inputs of a controller along a motion.
+
+    Args:
+        transform: as for `transforms`.
+        step: `step(t, q, v, u, p)` writes the inputs.
+        count: number n of coordinates.
+    """
+
+    @compiled
+    def every(times: Vector, states: Matrix, p: Vector, virtual: Matrix, inputs: Matrix) -> None:
+        for i in range(times.size):
+            transform(times[i], states[i, :count], states[i, count:], p, virtual[i])
+            step(times[i], states[i, :count], states[i, count:], inputs[i], p)
+
+    return every

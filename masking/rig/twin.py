@@ -30,7 +30,10 @@ from masking.rig.allocation import allocation
 
 if TYPE_CHECKING:
     import sympy as sp
+
+    from masking.numerics import integrators
 else:
+    integrators = lazy.load("masking.numerics.integrators", suppress_warning=True)
     sp = lazy.load("sympy")
 
 
@@ -388,23 +391,14 @@ class Twin:
         """
         module.meta["factors"] = {unit: units.factor_of(unit) for unit in _units(self.declaration, self.base)}
         lowered = LoweredTwin(self)
-        module.add("sense_under(t, y, u, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
+        module.add("sense_under(t: float, y, u, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
         if not self.is_fed:
-            module.add("sense(t, y, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
-        module.add("twin_derivative(t, y, u, p, dy)", lowered.graph, lowered.derivatives, lowered.loads, lowered.health)
+            module.add("sense(t: float, y, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
+        module.add(
+            "twin_derivative(t: float, y, u, p, dy)", lowered.graph, lowered.derivatives, lowered.loads, lowered.health
+        )
         size = len(self.state_names)
-        module.add_kernel(ADVANCE.format(size=size), "", (5, size))
-
-
-ADVANCE = """
-_advance = integrators.runge_kutta_4(twin_derivative, {size})
-
-
-@compiled
-def advance(t, y, u, p, dt, substeps, work):
-    for i in range(substeps):
-        _advance(t + i * (dt / substeps), y, u, p, dt / substeps, work[:4], work[4])
-"""
+        module.add_factory("advance", integrators.steps_of_runge_kutta_4, "twin_derivative", size, work=(5, size))
 
 
 class LoweredTwin:

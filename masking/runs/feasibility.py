@@ -21,7 +21,7 @@ from masking.declaration.expression import Expression
 from masking.declaration.operations import CONSTANTS, OPERATIONS, Step
 from masking.errors import DeclarationError, IntegrationError, MaskingError, Problem, SingularityError
 from masking.numerics.arrays import Array
-from masking.numerics.sampled_loop import HEATING, LARGEST, POWER, TIME
+from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME
 from masking.runs.experiment import Experiment
 from masking.runs.offline import INVERTIBLE, rig_state
 

@@ -13,7 +13,7 @@ from masking.analysis.synchronisation import Watch
 from masking.control.sampled import Memory, SampledController
 from masking.errors import MaskingError, ModelError
 from masking.numerics.arrays import Array
-from masking.numerics.sampled_loop import LARGEST
+from masking.numerics.sizes import LARGEST
 from masking.plants import serve as serving
 from masking.plants.interface import Plant, Settings, Stop
 from masking.plants.simulated import SimulatedPlant

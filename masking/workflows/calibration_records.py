@@ -21,7 +21,7 @@ from masking.errors import MaskingError, RecordError
 from masking.estimation.data import Data
 from masking.estimation.fit import part_of
 from masking.numerics.arrays import Array
-from masking.numerics.sampled_loop import LARGEST
+from masking.numerics.sizes import LARGEST
 from masking.plants.interface import Plant
 from masking.plants.simulated import SimulatedPlant
 from masking.procedures.calibration_findings import HIGHEST, NAMES, PERIOD, Records, reached

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
+import lazy_loader as lazy
 import numpy as np
 
 from masking.codegen import store
@@ -20,9 +22,14 @@ from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.codegen.tangent import derivatives
 from masking.errors import ModelError
-from masking.modelling.lowering import SOLVE_RUNGE_KUTTA, LoweredEquations
+from masking.modelling.lowering import LoweredEquations
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
+
+if TYPE_CHECKING:
+    from masking.numerics import integrators
+else:
+    integrators = lazy.load("masking.numerics.integrators", suppress_warning=True)
 
 
 @dataclass(frozen=True)
@@ -79,9 +86,9 @@ class Variational:
         }
         module = Module(f"{self.model.name}, with its variational equations", meta)
         nodes = [(f"dy[{i}]", node) for i, node in enumerate([*rates, *flow])]
-        module.add("derivative(t, y, u, p, dy)", graph, nodes, lowered.joined() | at, returns=lowered.health)
+        module.add("derivative(t: float, y, u, p, dy)", graph, nodes, lowered.joined() | at, returns=lowered.health)
         every = size * (1 + columns)
-        module.add_kernel(SOLVE_RUNGE_KUTTA.format(size=every), "idi", (24, every))
+        module.add_factory("solve_runge_kutta", integrators.runge_kutta, "derivative", every, work=(24, every))
         return module
 
     def along(
