@@ -1,7 +1,7 @@
 """Functions and modules of generated Python, compiled by numba when first called.
 
 A module is made of two kinds of functions. Both say the types of their arguments in their signature: `float`, `int`,
-`Vector` and `Matrix` (C-contiguous arrays of float64).
+`Vector` and `Matrix` (C-contiguous arrays of float64), `IntVector` and `IntMatrix` (of int64).
 
 * Expressions: `Module.add("energy(t: float, q, v, p)", graph, ...)` prints graph nodes; what has no type is a `Vector`.
 * Kernels: plain functions that a factory closes over sizes and over functions of the module, such as
