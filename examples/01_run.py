@@ -1,4 +1,4 @@
-"""Make the rig move as two coupled Duffing oscillators, and see how truly it does."""
+"""Make the rig move as two coupled Duffing oscillators, and see how accurately it does."""
 
 import masking
 

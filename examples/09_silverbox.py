@@ -90,8 +90,8 @@ if FILE.exists():
     print(f"\n{'rms error':>22}", *(f"{name + ' mV':>16}" for name in TESTS), f"{'fitted %':>10}")
     for name, values in errors.items():
         print(f"{name:>22}", *(f"{value:16.2f}" for value in values[:-1]), f"{values[-1]:10.2f}")
-    for name, told in PUBLISHED.items():
-        print(f"{name:>22}  {told}")
+    for name, published in PUBLISHED.items():
+        print(f"{name:>22}  {published}")
 else:
     errors = {}
     print(f"the Silverbox is not at {FILE}: get SNLS80mV.mat from nonlinearbenchmark.org, and name it in SILVERBOX")

@@ -1,8 +1,8 @@
-"""Find what a controller's model is missing, name it, put it into the control law, and mask more truly.
+"""Find the effect that a controller's model is missing, put it into the control law, and reduce the masking error.
 
-The rig's beam rubs; the rig's damping is 5 % larger than its controller believes, and its gains are 5 % smaller. It is
-excited by multisines within its limits, once to find out and once to judge by. From these records alone come the name
-of what is missing, and how large it is; with that in the block L, the rig is masked more truly.
+The rig's beam rubs; its damping is 5 % larger than in its controller's model, and its gains are 5 % smaller. It is
+excited by multisines within its limits, once for estimation and once for validation. From these records alone come the
+missing effect and its size; with both in block L, the masking error falls.
 The page of the discovery, and the reports of both runs, are written to `results/refined`.
 """
 
@@ -19,7 +19,7 @@ name: Duffing oscillators on a rig that rubs
 plant: linear_rig
 virtual: duffing
 controller: {rate: 1 kHz, observer: disturbance}
-effects:  # what the rig does and its controller is not told
+effects:  # of the rig, and not in its controller's model
   damping1: true  # 5 % more of each
   damping2: true
   damping3: true

@@ -19,7 +19,7 @@ FLOORS: dict[str, set[str]] = {
     "declaration": set(),
     "effects": {"declaration"},
     "codegen": {"numerics"},
-    "modelling": {"declaration", "effects", "codegen"},
+    "modelling": {"numerics", "declaration", "effects", "codegen"},
     "records": {"numerics"},
     "signals": {"numerics", "records"},
     "analysis": {"numerics", "codegen", "modelling"},

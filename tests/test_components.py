@@ -146,7 +146,7 @@ def test_what_is_hidden_is_named_where_it_is(discovered, name):
     assert told == pytest.approx(parameters, rel=0.02)
     assert f"<Discovery: named, {found.effects[0].name} in {on}; error on unseen data: " in repr(found)
     for sensor, after in found.gap.validation[1].items():
-        assert after < 1.1 * components.NOISE < found.adjusted_gap[sensor]
+        assert after < 1.1 * components.NOISE < found.gap.adjusted[sensor]
 
 
 @pytest.mark.parametrize("name", ["damper/none", "motor/none", "tank/none"])

@@ -88,7 +88,7 @@ def test_friction_is_named_where_it_is(discovered):
     assert (told["verdict"], effect["name"], effect["on"]) == ("named", "dry_friction", "spring1")
     truth = CASES["friction"].parameters["fc"]
     assert effect["parameters"]["fc"]["value"] == pytest.approx(truth, rel=0.02)
-    assert found.gap.validation[1]["s1"] < 1.1 * found.gap.validation_floor["s1"] < found.adjusted_gap["s1"]
+    assert found.gap.validation[1]["s1"] < 1.1 * found.gap.validation_floor["s1"] < found.gap.adjusted["s1"]
 
 
 def test_nothing_hidden_is_nothing_missing(discovered, folder):

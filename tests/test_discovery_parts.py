@@ -11,7 +11,7 @@ from masking.declaration.dimensions import is_plain
 from masking.discovery import fitting
 from masking.discovery.augmented_model import OpenRig, Slot
 from masking.discovery.candidates import candidates
-from masking.discovery.composites import is_patched
+from masking.discovery.composites import is_composite
 from masking.discovery.explanation import occam
 from masking.discovery.noise import steps_of
 from masking.discovery.places import opened, places
@@ -279,4 +279,4 @@ def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, evidence
     ],
 )
 def test_laws_of_one_kind_at_one_place_are_a_patchwork(rig, causes, patched):
-    assert is_patched(causes, rig) is patched
+    assert is_composite(causes, rig) is patched

@@ -345,9 +345,10 @@ def discoveries(rig):
         found = Found(first, ((chosen,),), motion)
         parameters = {n: (slot.values[i], 0.0) for n, i in zip(slot.names, slot.free, strict=True)}
         named = (Named(slot.effect, slot.at, parameters, 1.0),)
-        gap = Gap(*[(dict.fromkeys(rig.twin.sensors, 0.1),) * 2] * 2, *[dict.fromkeys(rig.twin.sensors, 0.1)] * 2)
+        each = dict.fromkeys(rig.twin.sensors, 0.1)
+        gap = Gap((each, each), (each, each), each, each, each)
         return Discovery(
-            "named", named, gap, 0.0, rig.twin, chosen, (chosen,), 1.0, found, evidence, evidence, base, known
+            "named", named, gap, 0.0, rig.twin, chosen, (chosen,), 1.0, found, evidence, evidence, base, known, base
         )
 
     known = {}

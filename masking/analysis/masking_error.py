@@ -1,4 +1,4 @@
-"""Fidelity: how truly the masked rig moves as the virtual system does by itself."""
+"""Masking error: the relative distance between the virtual motion of a rig and the ideal motion."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ from masking.numerics.arrays import Matrix, Vector
 
 
 def taylor_order(products: int) -> int:
-    """Return the order of the Taylor series for dynamics of so many products of series."""
+    """Return the order of the Taylor series for dynamics with this number of products of series."""
     return TAYLOR_ORDERS[products > MOST_PRODUCTS_OF_HIGH_ORDER]
 
 

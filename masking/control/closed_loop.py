@@ -70,18 +70,18 @@ class ClosedLoop:
     plant: Model
 
     def __post_init__(self) -> None:
-        believed = self.controller.model
+        assumed = self.controller.model
         for what in ("coordinates", "inputs"):
-            ours, theirs = getattr(believed, what), getattr(self.plant, what)
+            ours, theirs = getattr(assumed, what), getattr(self.plant, what)
             if ours != theirs:
                 raise ModelError(
-                    f"the controller's model {believed.name} has the {what} {', '.join(ours)}, the plant "
+                    f"the controller's model {assumed.name} has the {what} {', '.join(ours)}, the plant "
                     f"{self.plant.name} has {', '.join(theirs)}; both must have the same, in the same order"
                 )
-        unknown = [name for name in believed.declaration.states if name not in self.plant.declaration.states]
+        unknown = [name for name in assumed.declaration.states if name not in self.plant.declaration.states]
         if unknown:
             raise ModelError(
-                f"the controller's model {believed.name} has the internal states {', '.join(unknown)}, which the plant "
+                f"the controller's model {assumed.name} has the internal states {', '.join(unknown)}, which the plant "
                 f"{self.plant.name} does not have: a controller that knows the true state needs them there; let it "
                 "estimate them with an observer, or take another controller.model"
             )

@@ -26,7 +26,7 @@ class Instruments:
 
     Args:
         plant: the content of the plant file.
-        model: what the controller believes the rig to be, in SI units.
+        model: the controller's model of the rig, in SI units.
         factors: size in SI units of each unit that the plant file uses.
         noise: standard deviation of a reading of each sensor for which it is known, in the sensor's unit.
         delay: samples between a reading and the first effect of the command that answers it.

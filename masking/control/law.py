@@ -29,7 +29,7 @@ class Controller:
     """A control law that makes a rig move as a virtual system.
 
     Args:
-        model: what the controller believes the rig to be, in SI units.
+        model: the controller's model of the rig, in SI units.
         virtual: what the rig shall move as.
         transform: how virtual coordinates follow from rig coordinates.
         time_scale: seconds of the rig per unit of the virtual system's time.
@@ -112,8 +112,8 @@ class ControlLaw:
         desired = controller.desired.lower(graph, time, mapped.eta, rate, p.virtual, regulation=p.regulation)  # D
         state = [*rig.v, *rig.s]
         free, gain, health = Cancellation(controller.model).lower(graph, rig.t, rig.q, state, p.model)  # L, G
-        if rig.lacking:
-            free = [graph.add(a, d) for a, d in zip(free, rig.lacking, strict=True)]
+        if rig.disturbance:
+            free = [graph.add(a, d) for a, d in zip(free, rig.disturbance, strict=True)]
         jacobian = [[graph.div(j, length) for j, length in zip(row, p.lengths, strict=True)] for row in mapped.jacobian]
         squared = graph.mul(p.time_scale, p.time_scale)
         wanted = [graph.sub(graph.div(d, squared), b) for d, b in zip(desired, mapped.bias, strict=True)]
@@ -139,7 +139,7 @@ class RigSymbols:
     q: list[Node]
     v: list[Node]
     s: list[Node] = field(default_factory=list)
-    lacking: list[Node] = field(default_factory=list)
+    disturbance: list[Node] = field(default_factory=list)
 
 
 # The reference reaches its end at this part of the homing phase; the rest is for settling.

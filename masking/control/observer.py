@@ -32,7 +32,7 @@ else:
 # A command that is late by a sample for each of delay and hold turns the phase of a signal at the bandwidth by 0.7
 # radian (40 degrees) where the bandwidth is this part of the rate over the samples of lateness.
 FASTEST_PART = 0.7
-# Beyond this part, an observer is refused: it would estimate faster than it is told.
+# Beyond this part, an observer is refused: it would estimate faster than it reads.
 REFUSED_PART = 1.0
 # The noise of a command that the observer's noise makes, as a part of the actuator's largest command.
 NOISE_PART = 0.02
@@ -269,10 +269,10 @@ def check_sensing(sensing: Array, coordinates: Sequence[str], sensors: Sequence[
         sensors: names.
 
     Raises:
-        ModelError: names the coordinates that are not told.
+        ModelError: names the coordinates that are not observed.
     """
-    told = np.linalg.pinv(sensing) @ sensing if len(sensing) else np.zeros((len(coordinates),) * 2)
-    missed = [name for i, name in enumerate(coordinates) if abs(told[i, i] - 1.0) > 1e-8]
+    observed = np.linalg.pinv(sensing) @ sensing if len(sensing) else np.zeros((len(coordinates),) * 2)
+    missed = [name for i, name in enumerate(coordinates) if abs(observed[i, i] - 1.0) > 1e-8]
     if missed:
         have = ", ".join(sensors) or "none"
         raise ModelError(

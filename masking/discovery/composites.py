@@ -1,34 +1,33 @@
-"""Patches: several laws that are put together to one that the dictionary lacks."""
+"""Composites: explanations by several effects that imitate one that is not in the dictionary."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from masking.declaration.expression import Expression
+from masking.discovery import verdict
 from masking.discovery.augmented_model import OpenRig
+from masking.discovery.rules import RULES, DecisionRules
+from masking.discovery.verdict import Key, Law
 from masking.effects import Effect
 
 LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "added_mass", "actuator_gain", "constant_force")
 LINEAR = (*LIKE_PARAMETERS, "delay", "actuator_lag", "sensor_lag", "sensor_gain")
-ENOUGH = 3  # linear causes that together are any linear system
 
 
-def is_patched(causes: Sequence[tuple[str, str]], rig: OpenRig) -> bool:
-    """Return whether several laws are put together to one that the dictionary lacks.
+def is_composite(causes: Sequence[Key], rig: OpenRig, rules: DecisionRules = RULES) -> bool:
+    """Return whether several effects imitate one that the dictionary lacks, see `verdict.is_composite`.
 
-    Such are laws of one kind at one place, or at an element and at a coordinate that is its alone, and linear laws of
-    which so many can make any linear system.
+    A coordinate that only one element moves counts as that element.
 
     Args:
         causes: the effect and the place of each.
         rig: the rig.
+        rules: how many linear effects are too many.
     """
-    if sum(name in LINEAR for name, _ in causes) >= ENOUGH:
-        return True
     known = rig.twin.dictionary
-    kinds = [(_seat(rig, at), _kind(known[name])) for name, at in causes if name in known]
-    kinds = [kind for kind in kinds if kind[1]]
-    return len(set(kinds)) < len(kinds)
+    laws = [Law(n in LINEAR, _seat(rig, at), _kind(known[n]) if n in known else "") for n, at in causes]
+    return verdict.is_composite(laws, rules)
 
 
 def _seat(rig: OpenRig, name: str) -> str:

@@ -6,25 +6,27 @@ and 16; the terms are physical effects with parameters and states of their own.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import fitting, shooting
+from masking.discovery import fitting, shooting, verdict
 from masking.discovery.augmented_model import OpenRig
-from masking.discovery.composites import LIKE_PARAMETERS, is_patched
-from masking.discovery.discovery import Discovery, Gap, Named, Verdict
-from masking.discovery.explanation import Explanation, probabilities
+from masking.discovery.composites import LIKE_PARAMETERS, is_composite
+from masking.discovery.discovery import Discovery, Gap, Named
+from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.next_experiment import next_experiment
 from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.prior import prior_of, train_validation_split
 from masking.discovery.problem import Evidence
-from masking.discovery.search import CLEAN, REST, SAME, SHARE, SMALL, TRACE, Found, Search
+from masking.discovery.rules import DecisionRules
+from masking.discovery.search import Found, Search
 from masking.discovery.settings import DiscoverySettings
+from masking.discovery.verdict import Scored
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
 from masking.estimation.simulation import relative
@@ -32,15 +34,6 @@ from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
 Tell = Callable[[str, float], None]
-
-FAINT = 0.7  # part of the gap beyond noise that causes that are named may leave where that is less than `SMALL`
-SURE = 0.9  # probability from which a name is given
-SURELY = 2.0  # deviations from which a parameter is off, or an effect is there, where something else is left
-NEAR = 60.0  # of the score: rivals that the record that judges may decide between
-ROUNDED = 0.3  # part of the noise's variance, or of what is left, that rounding must make to be named
-LOST = 0.5  # part of a reading that the model leaves from which its motion is out of step with the record
-MEASURED = 0.2  # part of what is left from which commands were measured, and not held, where they leave no more
-BELIEVED = 0.5  # part of what a cause takes off the cost from which it is parameters that need not be off
 
 
 def discover(
@@ -74,12 +67,13 @@ def discover(
     rig = rig or OpenRig(twin, settings.parameters or twin.equation_parameters())
     say = tell or (lambda text, part: None)
     say("preparing the rig; the first time, it is compiled", 0.0)
-    train, judge = train_validation_split(record) if validation is None else (record, validation)
-    belief, most = prior_of(twin, rig, settings.tolerance), max(1, twin.substeps(train.rate) // 2)
-    whole = Evidence(rig, train, belief, noise_of(rig, train), most)
+    rules = settings.rules
+    train, judge = train_validation_split(record, rules.held_out) if validation is None else (record, validation)
+    prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
+    whole = Evidence(rig, train, prior, noise_of(rig, train, rules), most, rules=rules)
     evidence = replace(whole, horizon=shooting.horizon(whole, settings.shooting_interval))
     evidence = replace(evidence, substeps=shooting.substeps(evidence))
-    noise = noise_of(rig, judge)
+    noise = noise_of(rig, judge, rules)
     found = _explained(evidence, judge, noise, say)
     if settings.shooting_interval is None and not evidence.horizon and _is_out_of_step(found):
         for seconds in shooting.shorter(whole):
@@ -100,7 +94,7 @@ def _as_measured(found: Discovery) -> dict[str, float] | None:
     with threadpool_limits(1), suppress(IntegrationError):
         other = fitting.fit(evidence)
         size = found.record.readings.size
-        if other.cost - size < MEASURED * (known.cost - size):
+        if other.cost - size < evidence.rules.first_order_hold_fraction * (known.cost - size):
             return _chi(evidence, other)
     return None
 
@@ -108,7 +102,7 @@ def _as_measured(found: Discovery) -> dict[str, float] | None:
 def _is_out_of_step(found: Discovery) -> bool:
     """Return whether nothing is found by simulating the whole record in one, whose motion the model does not follow."""
     left = relative(found.twin.sensors, [found.record], found.found.base.hypothesis.squares)
-    return found.verdict == "unknown" and max(left.values()) > LOST
+    return found.verdict == "unknown" and max(left.values()) > found.evidence.rules.phase_loss
 
 
 def _explained(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discovery:
@@ -126,44 +120,52 @@ def _explained(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Disc
 
 def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discovery:
     """Return what explains a record; its noise is that of the record that judges (sensors,)."""
-    rig, train = evidence.rig, evidence.record
-    judged = replace(evidence, record=judge, sigma=noise)
+    rig, rules = evidence.rig, evidence.rules
+    judged, size = replace(evidence, record=judge, sigma=noise), evidence.record.readings.size
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
         found = Search(evidence, say).run()
         say("comparing explanations on data that were not used", 0.95)
         found = replace(found, steps=tuple(_reordered(step, evidence, judged) for step in found.steps))
-        rivals = _chosen(found, judged, train.readings.size)
+        adjusted = fitting.judged(judged, found.base.hypothesis)
+        rivals = _needed(found, judged, adjusted)
         heat = evidence.temperature(rivals[0].hypothesis.residuals)
-        is_put_off = _is_put_off(rivals, heat, train.readings.size)
-        if is_put_off:
+        is_demoted = verdict.is_demoted([_scored(rival, evidence, heat) for rival in rivals], size, rules)
+        if is_demoted:
             rivals = tuple(sorted(rivals, key=lambda rival: rival.score(heat)))
         chosen = rivals[0]
         declared = fitting.fit(evidence, theta=evidence.belief.mean, frozen=True)
         before, after = fitting.judged(judged, declared), fitting.judged(judged, chosen.hypothesis)
-    size, heat = train.readings.size, evidence.temperature(chosen.hypothesis.residuals)
-    excess, left = (max(e.hypothesis.cost - size, 0.0) for e in (found.base, chosen))
+    heat = evidence.temperature(chosen.hypothesis.residuals)
+    excess, left = (verdict.excess_cost(one.cost, size) for one in (found.base, chosen))
     rest = left / excess if excess > 0.0 else 0.0
     gap = Gap(
         (_chi(evidence, declared), _chi(evidence, chosen.hypothesis)),
         (_chi(judged, before), _chi(judged, after)),
         _floor(evidence),
         _floor(judged),
+        _chi(judged, adjusted),
     )
-    verdict, effects = _with_rounding(evidence, chosen.hypothesis, *_verdict(rig, rivals, heat, rest, size))
-    if is_put_off and verdict not in {"none", "parameter"}:
-        verdict = "unknown"
+    scored = [_scored(rival, evidence, heat) for rival in rivals]
+    told = verdict.decide(scored, rest, size, rules, composite=is_composite(chosen.names, rig, rules))
+    effects, rounded = _causes(rig, rivals, heat, scored, rules), _rounded(evidence, chosen.hypothesis)
+    answer = verdict.revised(
+        told,
+        demoted=is_demoted,
+        rounded=not effects and any(is_much for _, is_much in rounded),
+        at_noise=gap.is_noise(rules),
+    )
     coming = None
-    if verdict == "ambiguous":
+    if answer == "ambiguous":
         say("looking for an experiment that tells them apart", 0.95)
         first, second = rivals[:2]
         names_of = (_name(first), _name(second))
         with threadpool_limits(1):
             coming = next_experiment(evidence, first.hypothesis, second.hypothesis, names_of, _limits(rig.twin))
-    answer = Discovery(
-        verdict, effects, gap, rest, rig.twin, chosen, rivals, heat, found, evidence, judged, before, after, coming
-    )
-    # What the record does not show may be missing in the one that judges, which moves further or faster.
-    return replace(answer, verdict="unknown") if verdict == "none" and not answer.within else answer
+    causes = (*effects, *(cause for cause, _ in rounded))
+    return Discovery(
+        answer, causes, gap, rest, rig.twin, chosen, rivals, heat, found, evidence, judged, before, after, adjusted,
+        coming,
+    )  # fmt: skip
 
 
 def _name(explanation: Explanation) -> str:
@@ -189,8 +191,8 @@ def _cost(evidence: Evidence, hypothesis: Hypothesis) -> float:
 
 def _reordered(rivals: tuple[Explanation, ...], evidence: Evidence, judged: Evidence) -> tuple[Explanation, ...]:
     """Return explanations that are nearly as good as the best, ordered by how well they explain another record, too."""
-    heat = evidence.temperature(rivals[0].hypothesis.residuals)
-    near = [rival for rival in rivals if rival.score(heat) <= rivals[0].score(heat) + NEAR]
+    heat, margin = evidence.temperature(rivals[0].hypothesis.residuals), evidence.rules.validation_margin
+    near = [rival for rival in rivals if rival.score(heat) <= rivals[0].score(heat) + margin]
     if len(near) < 2 or any(rival.score(heat) < rivals[0].score(heat) for rival in near):
         return rivals
     both: list[Explanation] = []
@@ -202,95 +204,82 @@ def _reordered(rivals: tuple[Explanation, ...], evidence: Evidence, judged: Evid
     return tuple(sorted(both, key=lambda rival: rival.score(heat)))
 
 
-def _chosen(found: Found, judged: Evidence, size: int) -> tuple[Explanation, ...]:
-    """Return the explanations of the last step that is needed, and that shrinks the gap in the record that judges."""
-    chosen: tuple[Explanation, ...] = (found.base,)
-    excess = start = max(found.base.hypothesis.cost - size, 0.0)
-    before = _cost(judged, found.base.hypothesis)
-    closed = bool(found.steps) and found.steps[-1][0].hypothesis.cost <= CLEAN**2 * size
-    for step in found.steps:
-        best = step[0]
-        left, after = max(best.hypothesis.cost - size, 0.0), _cost(judged, best.hypothesis)
-        little = (SMALL - 1.0) * size if closed else max((SMALL - 1.0) * size, TRACE * start)
-        explained = chosen[0] is not found.base and excess <= min(REST * start, little)
-        enough = left <= (1.0 - SHARE) * excess or left < (CLEAN**2 - 1.0) * size
-        like = best.kind == "parameter" or _is_like_parameter(best.names[-1][0], best)
-        told = float((chosen[0].hypothesis.squares - best.hypothesis.squares) @ judged.weights)
-        together = told < BELIEVED * (chosen[0].hypothesis.cost - best.hypothesis.cost)
-        # Its error is in what was fitted before, too; so is what several parameters could only have together.
-        wrong = (like or together) and after < CLEAN * before
-        if not (after < before or wrong) or (explained and not enough):
-            break
-        chosen, excess, before = step, left, after
-    return chosen
+def _needed(found: Found, judged: Evidence, adjusted: Hypothesis) -> tuple[Explanation, ...]:
+    """Return the explanations of the last step that is needed, and that the validation record supports."""
+    size = found.base.hypothesis.residuals.size
+
+    def plain(explanation: Explanation, cost: float) -> Scored:
+        misfit = float(explanation.hypothesis.squares @ judged.weights)
+        return replace(_plain(explanation), misfit=misfit, validation_cost=cost)
+
+    steps = (plain(step[0], _cost(judged, step[0].hypothesis)) for step in found.steps)
+    base = plain(found.base, float(adjusted.squares @ judged.weights))
+    last = found.steps[-1][0].cost if found.steps else found.base.cost
+    count = verdict.steps_needed(base, steps, last, size, judged.rules)
+    return found.steps[count - 1] if count else (found.base,)
 
 
-def _is_put_off(rivals: tuple[Explanation, ...], heat: float, size: int) -> bool:
-    """Return whether a far likelier explanation was put off for what a simpler law leaves, and nothing came of it."""
-    if rivals[0].kind != "effects" or rivals[0].hypothesis.cost <= CLEAN**2 * size:
-        return False
-    return bool(probabilities(rivals, heat)[0] < 1.0 - SURE)
+def _plain(explanation: Explanation) -> Scored:
+    """Return an explanation as plain data, without what takes another record or a tempering factor."""
+    names = explanation.names
+    absorbed = tuple(name in LIKE_PARAMETERS for name, _ in names)
+    return Scored(explanation.kind, names, explanation.cost, absorbed=absorbed, unique=explanation.own)
 
 
-def _verdict(
-    rig: OpenRig, rivals: tuple[Explanation, ...], heat: float, rest: float, size: int
-) -> tuple[Verdict, tuple[Named, ...]]:
-    chosen = rivals[0]
-    closed = chosen.hypothesis.cost <= CLEAN**2 * size
-    if chosen.kind == "none":
-        return ("none" if closed else "unknown"), ()
-    weights = [float(weight) for weight in probabilities(rivals, heat)]
-    others = [(*r.names[-1], weight) for r, weight in zip(rivals[1:], weights[1:], strict=True) if weight > 1e-4]
-    causes = _causes(rig, chosen, heat, weights[0], tuple(others))
-    most = REST if chosen.hypothesis.cost > SMALL * size else FAINT
-    if (rest > most and not closed) or is_patched([(cause.name, cause.on) for cause in causes], rig):
-        return "unknown", causes
-    usual = rig.start[rig.names.index(causes[0].name)] if chosen.kind == "parameter" else 0.0
-    if not closed and all(abs(x - usual) < SURELY * std for x, std in causes[-1].parameters.values()):
-        return "unknown", causes
-    if chosen.kind == "parameter" or all(_is_like_parameter(c.name, chosen) for c in causes):
-        return "parameter", causes
-    return ("named" if weights[0] >= SURE else "ambiguous"), causes
+def _scored(explanation: Explanation, evidence: Evidence, heat: float) -> Scored:
+    """Return an explanation as plain data, with its score and the estimates of its last cause."""
+    rig, estimates = evidence.rig, _estimates(evidence.rig, explanation, heat)
+    usual = rig.start[rig.names.index(explanation.names[0][0])] if explanation.kind == "parameter" else 0.0
+    last = tuple((value - float(usual), std) for value, std in estimates[-1].values()) if estimates else ()
+    return replace(_plain(explanation), score=explanation.score(heat), estimates=last)
 
 
-def _with_rounding(
-    evidence: Evidence, hypothesis: Hypothesis, verdict: Verdict, causes: tuple[Named, ...]
-) -> tuple[Verdict, tuple[Named, ...]]:
-    """Add the rounding of sensors, which is seen in the readings themselves, where the rig does not declare it."""
-    twin = evidence.rig.twin
+def _rounded(evidence: Evidence, hypothesis: Hypothesis) -> list[tuple[Named, bool]]:
+    """Return the rounding of each sensor that makes much of its noise, and whether it makes much of the residual, too.
+
+    It is seen in the readings themselves, and named if the rig does not declare it.
+    """
+    twin, least = evidence.rig.twin, evidence.rules.rounding_fraction
     known = {effect.at for effect in twin.effects if effect.kind == "quantisation" and effect.enabled}
     left = hypothesis.squares / len(evidence.record)
-    rounded, is_much = [], False
-    for i, (name, step) in enumerate(zip(twin.sensors, steps_of(evidence.record), strict=True)):
-        if name not in known and step**2 / 12.0 > ROUNDED * evidence.sigma[i] ** 2:
-            rounded.append(Named("quantisation", name, {"step": (float(step), 0.0)}, 1.0))
-            is_much = is_much or step**2 / 12.0 > ROUNDED * left[i]
-    return ("named" if is_much and not causes else verdict), (*causes, *rounded)
+    found = []
+    steps = steps_of(evidence.record, evidence.rules.rounded_values)
+    for i, (name, step) in enumerate(zip(twin.sensors, steps, strict=True)):
+        variance = step**2 / 12.0
+        if name not in known and variance > least * evidence.sigma[i] ** 2:
+            cause = Named("quantisation", name, {"step": (float(step), 0.0)}, 1.0)
+            found.append((cause, bool(variance > least * left[i])))
+    return found
 
 
-def _is_like_parameter(effect: str, chosen: Explanation) -> bool:
-    """Return whether an effect is what parameters of the rig could be, too."""
-    return effect in LIKE_PARAMETERS and chosen.own < SAME
+def _estimates(rig: OpenRig, explanation: Explanation, heat: float) -> list[dict[str, tuple[float, float]]]:
+    """Return the estimated parameters of each cause: values and standard deviations by name."""
+    hypothesis, deviations = explanation.hypothesis, explanation.deviations(heat)
+    if explanation.kind == "parameter":
+        ((name, _),) = explanation.names
+        i = rig.names.index(name)
+        return [{name: (float(hypothesis.theta[i]), float(deviations[i]))}]
+    found, used = [], len(rig.names)
+    for slot in hypothesis.slots:
+        own = deviations[used : used + len(slot.free)]
+        values = (float(slot.values[i]) for i in slot.free)
+        found.append(dict(zip(slot.names, zip(values, map(float, own), strict=True), strict=True)))
+        used += len(slot.free)
+    return found
 
 
 def _causes(
-    rig: OpenRig, chosen: Explanation, heat: float, probability: float, others: tuple[tuple[str, str, float], ...]
+    rig: OpenRig, rivals: Sequence[Explanation], heat: float, scored: Sequence[Scored], rules: DecisionRules
 ) -> tuple[Named, ...]:
-    hypothesis, k = chosen.hypothesis, len(rig.names)
-    deviations = chosen.deviations(heat)
-    if chosen.kind == "parameter":
-        ((name, _),) = chosen.names
-        i = rig.names.index(name)
-        return (Named(name, "", {name: (float(hypothesis.theta[i]), float(deviations[i]))}, probability, others),)
-    causes, used = [], k
-    for number, slot in enumerate(hypothesis.slots):
-        values = {}
-        for name, i in zip(slot.names, slot.free, strict=True):
-            values[name] = (float(slot.values[i]), float(deviations[used]))
-            used += 1
-        last = number == len(hypothesis.slots) - 1
-        causes.append(Named(slot.effect, slot.at, values, probability if last else 1.0, others if last else ()))
-    return tuple(causes)
+    """Return the causes of the chosen explanation; the last one with its probability and its alternatives."""
+    chosen, weights = rivals[0], [float(weight) for weight in verdict.probabilities([one.score for one in scored])]
+    estimates = _estimates(rig, chosen, heat)
+    if not estimates:
+        return ()
+    pairs = zip(rivals[1:], weights[1:], strict=True)
+    others = tuple((*r.names[-1], weight) for r, weight in pairs if weight > rules.listed_probability)
+    causes = [Named(*name, values, 1.0) for name, values in zip(chosen.names, estimates, strict=True)]
+    return (*causes[:-1], replace(causes[-1], probability=weights[0], alternatives=others))
 
 
 def _chi(evidence: Evidence, hypothesis: Hypothesis) -> dict[str, float]:

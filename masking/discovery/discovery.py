@@ -4,26 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
-
-from threadpoolctl import threadpool_limits
+from typing import Any
 
 from masking.discovery.augmented_model import OpenRig
 from masking.discovery.explanation import Explanation
-from masking.discovery.fitting import Hypothesis, judged
+from masking.discovery.fitting import Hypothesis
 from masking.discovery.next_experiment import NextExperiment
 from masking.discovery.problem import Evidence
+from masking.discovery.rules import DecisionRules
 from masking.discovery.search import Found
+from masking.discovery.verdict import Verdict, at_noise_floor, is_closed
 from masking.estimation.data import Data
-from masking.estimation.simulation import relative
 from masking.estimation.whiteness import Whiteness, whiteness
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
-
-Verdict = Literal["none", "parameter", "named", "ambiguous", "unknown"]
-
-CLOSED = 1.1  # of the noise: a gap from here on is more than noise
-BEGUN = 1e-3  # initial states per reading above which residuals are no longer as white as their noise
 
 
 @dataclass(frozen=True)
@@ -49,12 +43,20 @@ class Named:
 
 @dataclass(frozen=True)
 class Gap:
-    """Relative error of each sensor, by name: before and after, in the record and in the one that judges; and noise."""
+    """Relative error of each sensor, by name: before and after, in the record and in the one that judges; and noise.
+
+    `adjusted` is that of the model with its parameters adjusted alone, in the record that judges.
+    """
 
     train: tuple[dict[str, float], dict[str, float]]
     validation: tuple[dict[str, float], dict[str, float]]
     floor: dict[str, float]
     validation_floor: dict[str, float]
+    adjusted: dict[str, float]
+
+    def is_noise(self, rules: DecisionRules) -> bool:
+        """Return whether no more than the noise of any sensor is left in the validation record."""
+        return at_noise_floor(self.validation[1].values(), self.validation_floor.values(), rules.validation_noise_floor)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the gap as JSON can hold it."""
@@ -83,6 +85,7 @@ class Discovery:
         evidence: the record that was explained.
         judged: the record that it was judged by.
         before, after: the rig without and with the causes on the record that judges.
+        adjusted: the rig without causes, its parameters adjusted within belief, on the record that judges.
         next_experiment: that tells the two likeliest explanations apart, where the record does not.
         as_measured: relative error of each sensor that adjusted parameters alone leave in the record where commands go
             in straight lines between samples, where that is far less than what was found leaves.
@@ -101,6 +104,7 @@ class Discovery:
     judged: Evidence
     before: Hypothesis
     after: Hypothesis
+    adjusted: Hypothesis
     next_experiment: NextExperiment | None = None
     as_measured: dict[str, float] | None = None
 
@@ -131,17 +135,6 @@ class Discovery:
         return self.explanation.deviations(self.temperature)
 
     @cached_property
-    def adjusted(self) -> Hypothesis:
-        """Return the rig without causes, its parameters adjusted within belief, on the record that judges."""
-        with threadpool_limits(1):
-            return judged(self.judged, self.found.base.hypothesis)
-
-    @cached_property
-    def adjusted_gap(self) -> dict[str, float]:
-        """Return the relative error of each sensor that adjusted parameters alone leave, where it is judged."""
-        return relative(self.twin.sensors, [self.judge], self.adjusted.squares)
-
-    @cached_property
     def whiteness(self) -> dict[str, Whiteness]:
         """Return how white what is left of each sensor is, on the record that judges."""
         return whiteness_of(self.judged, self.after.residuals)
@@ -149,12 +142,13 @@ class Discovery:
     @property
     def within(self) -> bool:
         """Return whether what was found leaves no more than the noise of any sensor, on the record that judges."""
-        return _is_noise(self.gap.validation[1], self.gap.validation_floor)
+        return self.gap.is_noise(self.evidence.rules)
 
     @property
     def is_hidden(self) -> bool:
         """Return whether something is missing that shows in the record that judges alone."""
-        is_seen = not _is_noise(self.gap.train[1], self.gap.floor)
+        gap, threshold = self.gap, self.evidence.rules.validation_noise_floor
+        is_seen = not at_noise_floor(gap.train[1].values(), gap.floor.values(), threshold)
         return self.verdict == "unknown" and self.explanation.kind == "none" and not is_seen and not self.within
 
     @cached_property
@@ -165,8 +159,10 @@ class Discovery:
         """
         fitted = self.explanation.hypothesis
         seen = [*self.whiteness.values(), *whiteness_of(self.evidence, fitted.residuals).values()]
-        is_begun = max(fitted.start.size, self.after.start.size) > BEGUN * self.judge.readings.size
-        return self.within and (is_begun or all(one.white for one in seen))
+        states = max(fitted.start.size, self.after.start.size)
+        gap, white = self.gap, (one.white for one in seen)
+        estimated = states / self.judge.readings.size
+        return is_closed(gap.validation[1], gap.validation_floor, white, estimated, self.evidence.rules)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the discovery as JSON can hold it."""
@@ -179,10 +175,6 @@ class Discovery:
             "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
             "as_measured": self.as_measured,
         }
-
-
-def _is_noise(after: dict[str, float], floor: dict[str, float]) -> bool:
-    return all(after[name] <= CLOSED * floor[name] for name in floor)
 
 
 def whiteness_of(evidence: Evidence, residuals: Array) -> dict[str, Whiteness]:

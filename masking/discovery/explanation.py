@@ -5,7 +5,6 @@ Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +14,7 @@ from masking.discovery.augmented_model import Slot
 from masking.discovery.candidates import FACTORS
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import Evidence
+from masking.discovery.verdict import Key, Kind
 from masking.numerics.arrays import Array
 
 
@@ -30,17 +30,23 @@ class Explanation:
         judged: the hypothesis fitted to this and another record, where it has been judged by one.
     """
 
-    kind: str
-    names: tuple[tuple[str, str], ...]
+    kind: Kind
+    names: tuple[Key, ...]
     hypothesis: Hypothesis
     own: float = 1.0
     judged: Hypothesis | None = None
+
+    @property
+    def cost(self) -> float:
+        """Return the cost of the record to which it was fitted."""
+        return self.hypothesis.cost
 
     def believed(self, evidence: Evidence) -> Evidence:
         """Return evidence in which the parameter that is off, where one is, may be anything."""
         if self.kind != "parameter":
             return evidence
-        return replace(evidence, belief=evidence.belief.released(evidence.rig.names.index(self.names[0][0])))
+        index = evidence.rig.names.index(self.names[0][0])
+        return replace(evidence, belief=evidence.belief.freed(index, evidence.rules.freed_factor))
 
     def score(self, temperature: float) -> float:
         """Return its cost, divided by a temperature, with what its parameters pay."""
@@ -89,11 +95,3 @@ def _expected(slot: Slot) -> list[float]:
         return [0.0]
     declared = [slot.entry.parameters[name] for name in slot.names]
     return [0.5 * (p.prior[1] - p.prior[0]) if p.unit == "1" and p.prior else 0.0 for p in declared]
-
-
-def probabilities(explanations: Sequence[Explanation], temperature: float) -> Array:
-    """Return the probability of each explanation among these (e,)."""
-    scores = np.array([e.score(temperature) for e in explanations])
-    weights = np.exp(-0.5 * (scores - scores.min()))
-    found: Array = weights / weights.sum()
-    return found

@@ -18,12 +18,12 @@ from masking.discovery import fitting
 from masking.discovery.augmented_model import OpenRig
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import Evidence
+from masking.discovery.rules import RULES
 from masking.errors import IntegrationError
 from masking.estimation.data import Data, Hold
 from masking.numerics.arrays import Array
 
 SECONDS = 30.0
-TELLING = 40.0  # of the cost: from here on two explanations are told apart
 FACTORS = (1.0, 3.0)  # of the record's own size, as far as limits allow
 BANDS = ((0.05, 0.5), (0.5, 3.0), (3.0, 12.0))  # Hz
 PERIOD = 10.0  # s
@@ -40,6 +40,7 @@ class NextExperiment:
         separation: of the two explanations, as a difference of -2 log likelihood; the smaller of both ways.
         between: their names.
         commands: of the actuators (m, actuators).
+        threshold: separation from which it tells them apart.
     """
 
     excitation: str
@@ -47,11 +48,12 @@ class NextExperiment:
     separation: float
     between: tuple[str, str]
     commands: Array
+    threshold: float = RULES.separation
 
     @property
     def separates(self) -> bool:
         """Return whether it tells them apart."""
-        return self.separation > TELLING
+        return self.separation > self.threshold
 
     def as_dict(self) -> dict[str, Any]:
         """Return the experiment as JSON can hold it."""
@@ -106,7 +108,7 @@ def next_experiment(
         separation = min(
             _left(evidence, commands, first, second), _left(evidence, commands, second, first)
         )  # fmt: skip
-        found = NextExperiment(name, settings, separation, names, commands)
+        found = NextExperiment(name, settings, separation, names, commands, evidence.rules.separation)
         if best is None or found.separation > best.separation:
             best = found
     assert best is not None  # noqa: S101  # there are always excitations

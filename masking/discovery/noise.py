@@ -8,16 +8,16 @@ from __future__ import annotations
 import numpy as np
 
 from masking.discovery.augmented_model import OpenRig
+from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import RecordError
 from masking.estimation.data import Data
 from masking.numerics.arrays import Array
 from masking.records.noise import white_noise
 
-LATTICE = 0.1  # different values per reading below which readings may be rounded
 MEDIAN = 0.6745  # magnitude that half of all samples of a standard normal distribution stay below
 
 
-def noise_of(rig: OpenRig, record: Data) -> Array:
+def noise_of(rig: OpenRig, record: Data, rules: DecisionRules = RULES) -> Array:
     """Return the standard deviation of the noise of each reading (sensors,), from the record.
 
     What a force changes at once may jump, as that of a friction does: there the noise is that of most readings, and
@@ -37,7 +37,7 @@ def noise_of(rig: OpenRig, record: Data) -> Array:
             raise RecordError(
                 f"{record.name}: {name} reads 0 throughout; look at its wiring, or leave it out of the plant"
             )
-    rounding = np.array([step / np.sqrt(12.0) for step in steps_of(record)])
+    rounding = np.array([step / np.sqrt(12.0) for step in steps_of(record, rules.rounded_values)])
     floor: Array = np.maximum.reduce([found, 1e-6 * size, rounding])
     return floor
 
@@ -49,13 +49,14 @@ def _smooth(table: Array) -> Array:
     return np.asarray(np.minimum(usual, white_noise(table)))
 
 
-def steps_of(record: Data) -> Array:
+def steps_of(record: Data, rounded_values: float = RULES.rounded_values) -> Array:
     """Return the step of which all readings of a sensor are multiples (sensors,); 0 where they are not rounded."""
     steps = []
     for column in record.readings.T:
         values = np.unique(column)
         apart = np.diff(values)
         step = float(np.median(apart[apart <= 1.5 * apart.min()])) if len(apart) else 0.0
-        rounded = len(values) < LATTICE * len(column) and np.allclose(values / step, np.round(values / step), atol=1e-3)
+        is_coarse = len(values) < rounded_values * len(column)
+        rounded = is_coarse and np.allclose(values / step, np.round(values / step), atol=1e-3)
         steps.append(step if rounded else 0.0)
     return np.array(steps)

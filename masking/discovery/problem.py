@@ -9,12 +9,11 @@ import numpy as np
 
 from masking.discovery.augmented_model import NEARLY_ZERO, Equations, OpenRig, Slot
 from masking.discovery.prior import Prior
+from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import IntegrationError
 from masking.estimation.data import Data, is_first_order
 from masking.estimation.sensitivity import spans
 from masking.numerics.arrays import Array
-
-BLOCK = 32  # samples: what is left is averaged over these to see whether it changes slowly
 
 
 @dataclass(frozen=True)
@@ -28,6 +27,7 @@ class Evidence:
         sigma: standard deviation of the noise of each reading (sensors,).
         substeps: integration steps between samples.
         horizon: samples after which the motion begins anew, from a state of its own; 0 for none.
+        rules: the thresholds of all decisions.
     """
 
     rig: OpenRig
@@ -36,6 +36,7 @@ class Evidence:
     sigma: Array
     substeps: int
     horizon: int = 0
+    rules: DecisionRules = RULES
 
     @property
     def begin(self) -> int:
@@ -114,11 +115,11 @@ class Evidence:
         Args:
             residuals: of the readings (m, sensors).
         """
-        found = 1.0
+        found, block = 1.0, self.rules.tempering_block
         for column, sigma in zip(residuals.T, self.sigma, strict=True):
             found = max(found, float((column**2).mean() / sigma**2))
-            for length in {BLOCK, self.horizon or BLOCK}:
+            for length in {block, self.horizon or block}:
                 blocks = column[: len(column) // length * length].reshape(-1, length).mean(axis=1)
                 slow = float((blocks**2).mean() * length / sigma**2)
-                found = max(found, slow if slow > 1.3 else 1.0)
+                found = max(found, slow if slow > self.rules.slow_excess else 1.0)
         return found

@@ -16,13 +16,14 @@ from functools import partial
 import numpy as np
 from scipy import signal
 
-from masking.discovery import fitting
+from masking.discovery import fitting, verdict
 from masking.discovery.augmented_model import Slot
 from masking.discovery.candidates import FACTORS, PARTS, Candidate, Span, candidates
-from masking.discovery.composites import is_patched
+from masking.discovery.composites import is_composite
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import Evidence
+from masking.discovery.rules import DecisionRules
 from masking.discovery.screening import Along, Promise, Screen
 from masking.discovery.smoothing import Motion, smooth
 from masking.errors import IntegrationError
@@ -31,22 +32,7 @@ from masking.numerics.arrays import Array
 Tell = Callable[[str, float], None]
 Job = Callable[[float], "Explanation"]  # given the cost of a rival
 
-FEWEST, FITTED = 3, 8  # candidates that are fitted in full in each round
-WORTH = 2.5  # a candidate is fitted where it leaves at most so many times what the best leaves, beyond noise
-SIGN = 20.0  # of the cost, beyond what its parameters must pay, from which anything is said to be there
-WRONG = 9.0  # of the cost, from which a parameter is said to be wrong: three of its deviations
-MOST_EFFECTS = 4
-SAME = 0.03  # part of its effect that a candidate must have for itself, not to be a parameter under another name
-TONES = 4
-REST = 0.3  # part of the gap beyond noise that may be left by causes that are named
-CLEAN = 1.05  # of the noise: a gap that is closed
-SHARE = 0.7  # part of what is left that each further cause must take
-LITTLE = 0.2  # the same while most of the gap is not explained
-SWAPS = 3
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
-TRACE = 0.05  # of the gap: so little of what is never closed may be of anything
-FAR = 100.0  # cost per reading above which one more cause does not bring a gap near to its end
-KIN = 0.8  # of what an effect takes: a simpler one that takes as much comes first while more is left
 SIMPLER = {  # of what each is nearly the same where its further parameters do little
     "polynomial_spring": ("hardening_spring",),
     "stop": ("constant_force",),
@@ -57,10 +43,7 @@ SIMPLER = {  # of what each is nearly the same where its further parameters do l
     "local_friction": ("dry_friction",),
     "lugre_friction": ("dry_friction", "stribeck_friction"),
 }
-IDLE = 2.0  # of the cost: further parameters that take no more do nothing
-FINE = 1e-7  # of what a law takes off the cost: so little may be of how it is integrated
 SIMPLE = {effect for kin in SIMPLER.values() for effect in kin}
-SMALL = 4.0  # cost per reading below which what is left of a fit is small enough to be looked at by itself
 
 
 @dataclass(frozen=True)
@@ -110,9 +93,19 @@ class Search:
     tell: Tell = lambda text, part: None
 
     @property
+    def rules(self) -> DecisionRules:
+        """Return the thresholds of all decisions."""
+        return self.evidence.rules
+
+    @property
+    def size(self) -> int:
+        """Return the number of readings."""
+        return self.evidence.record.readings.size
+
+    @property
     def price(self) -> float:
         """Return what each added parameter must pay."""
-        return float(np.log(self.evidence.record.readings.size))
+        return float(np.log(self.size))
 
     def run(self) -> Found:
         """Search for causes, one after the other, until nothing pays."""
@@ -126,8 +119,8 @@ class Search:
         tried: tuple[Promise, ...] = ()
         now = settled = base
         number = 0
-        while number < MOST_EFFECTS:
-            if is_patched(now.names, self.evidence.rig):
+        while number < self.rules.most_effects:
+            if is_composite(now.names, self.evidence.rig, self.rules):
                 # One more law would leave it a patchwork; another one in the place of these may not.
                 if now is settled:
                     break
@@ -137,12 +130,12 @@ class Search:
                     steps[-1] = (now,)
                 continue
             self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
-            near = now.hypothesis.cost < SMALL * self.evidence.record.readings.size
+            near = now.cost < self.rules.small_residual * self.size
             screen = self._screen(ground, now.hypothesis if near else base.hypothesis, now.hypothesis.slots, taken=near)
             promises = screen.promises(ground.every)
             tried = tried or tuple(promises)
             found = self._round(now, promises, screen, parameters=number == 0)
-            if not found or self._is_little(base, now, found[0]):
+            if not found or self._is_too_little(base, now, found[0]):
                 break
             if len(now.names) > 1 and now is not settled:
                 # What was named first may be only like what is there: it was compared while the others were lacking.
@@ -168,19 +161,19 @@ class Search:
         self, now: Explanation, promises: Sequence[Promise], screen: Screen, *, parameters: bool
     ) -> list[Explanation]:
         """Return explanations with one more cause, best first; none where the best is no better than chance."""
-        gains = self._releases(now.hypothesis)
+        rules, gains = self.rules, self._releases(now.hypothesis)
         best = max([promise.gain for promise in promises] + [*gains], default=0.0)
         most = self._worth(screen, screen.total - best)
         chosen: list[Promise] = []
         for promise in promises:
-            pays = promise.gain > self.price * len(promise.candidate.free) + 0.5 * SIGN
-            if promise.candidate.key in now.names or not pays or len(chosen) == FITTED:
+            pays = promise.gain > self.price * len(promise.candidate.free) + 0.5 * rules.effect_evidence
+            if promise.candidate.key in now.names or not pays or len(chosen) == rules.most_fits:
                 continue
-            if screen.total - promise.gain < most or len(chosen) < FEWEST:
+            if screen.total - promise.gain < most or len(chosen) < rules.fewest_fits:
                 chosen.append(promise)
-        excess = now.hypothesis.cost - self.evidence.record.readings.size
-        if now.names and self._closes(now) and self._is_excess(excess):
-            chosen = [promise for promise in chosen if promise.gain > LITTLE * excess]
+        excess = now.cost - self.size
+        if now.names and self._closes(now) and verdict.is_excess(now.cost, self.size, rules):
+            chosen = [promise for promise in chosen if promise.gain > rules.gain_fraction * excess]
         keys = _keys(chosen)
         simpler = set().union(*map(_simple, keys)) - keys - {*now.names}
         kin = simpler | {key for key in keys if key[0] in SIMPLE}
@@ -189,7 +182,8 @@ class Search:
         variants = [p for p in others if all(p is not one for one in chosen)]
         jobs = [partial(self._added, now, promise, screen) for promise in chosen]
         if parameters:
-            jobs += [partial(self._released, now, int(i)) for i in np.argsort(-gains)[:3] if gains[i] > WRONG]
+            wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
+            jobs += [partial(self._released, now, i) for i in wrong]
         self.tell(f"fitting {len(jobs)} of them", 0.3)
         found: list[Explanation] = []
         for some in (jobs[:2], jobs[2:]):  # the most promising set the mark for the others
@@ -199,7 +193,7 @@ class Search:
             return []
         # Other shapes of a kin are looked at where one takes a part of what the best does.
         rival = min(e.hypothesis.cost for e in found)
-        least = now.hypothesis.cost - KIN * (now.hypothesis.cost - rival)
+        least = now.hypothesis.cost - rules.nested_fraction * (now.hypothesis.cost - rival)
         near = {e.names[-1] for e in found if e.hypothesis.cost < least}
         again = [partial(self._added, now, promise, screen) for promise in variants if promise.candidate.key in near]
         found += [e for e in self._tried(again, rival) if e is not None]
@@ -208,12 +202,19 @@ class Search:
         merged: dict[tuple[tuple[str, str], ...], Explanation] = {}
         for explanation in sorted(found, key=lambda e: e.score(heat)):
             merged.setdefault(tuple(sorted(explanation.names)), explanation)
-        telling = [e for e in merged.values() if not _is_idle(e, merged.values(), now, heat)]
+        every = merged.values()
+
+        def is_redundant(e: Explanation) -> bool:
+            return verdict.is_redundant(e, every, _simple(e.names[-1]), now.cost, rules, tempering=heat)
+
+        telling = [e for e in every if not is_redundant(e)]
         # Of what is the same, a parameter of the rig comes first.
-        ranked = sorted(telling, key=lambda e: e.score(heat) - 0.5 * self.price * (e.kind == "parameter"))
-        if now.score(heat) - ranked[0].score(heat) < (WRONG if ranked[0].kind == "parameter" else SIGN):
+        bonus = rules.parameter_preference * self.price
+        ranked = sorted(telling, key=lambda e: e.score(heat) - bonus * (e.kind == "parameter"))
+        least = rules.parameter_evidence if ranked[0].kind == "parameter" else rules.effect_evidence
+        if now.score(heat) - ranked[0].score(heat) < least:
             return []
-        return self._simplest_first(now, ranked)
+        return verdict.simplest_first(ranked, now.cost, SIMPLER, self.size, rules)
 
     def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
         """Return simpler kin of the best fit, fitted from where that is, where this begins better than they end."""
@@ -236,33 +237,11 @@ class Search:
 
     def _worth(self, screen: Screen, left: float) -> float:
         """Return what a candidate may leave of a screen's cost to be fitted, where the best leaves so much."""
-        noise = float(self.evidence.record.readings.size // screen.every)
-        return WORTH * max(left - noise, 0.05 * noise) + 1.3 * noise
-
-    def _simplest_first(self, now: Explanation, ranked: list[Explanation]) -> list[Explanation]:
-        """Return explanations without the richer ones, where a simpler kin of the best takes nearly as much.
-
-        What it leaves may be of another cause, which the richer one would only imitate. Where the best leaves nothing,
-        it stays.
-        """
-        best = ranked[0]
-        if self._closes(best) or best.kind != "effects":
-            return ranked
-        _, at = best.names[-1]
-        simpler = _simple(best.names[-1])
-        most = now.hypothesis.cost - best.hypothesis.cost
-        kin = [e for e in ranked if e.names[-1] in simpler and now.hypothesis.cost - e.hypothesis.cost > KIN * most]
-        if not kin:
-            return ranked
-        richer = {(e, at) for e, simple in SIMPLER.items() if kin[0].names[-1][0] in simple}
-        return [kin[0], *(e for e in ranked if e is not kin[0] and e.names[-1] not in richer)]
-
-    def _is_excess(self, left: float) -> bool:
-        """Return whether what is left beyond noise is more than chance makes, such as errors of integration."""
-        return left > 3.0 * float(np.sqrt(2.0 * self.evidence.record.readings.size))
+        rules, noise = self.rules, float(self.size // screen.every)
+        return rules.fit_ratio * max(left - noise, rules.screen_resolution * noise) + rules.screen_noise * noise
 
     def _closes(self, explanation: Explanation) -> bool:
-        return explanation.hypothesis.cost <= CLEAN**2 * self.evidence.record.readings.size
+        return verdict.reaches_noise(explanation.cost, self.size, self.rules)
 
     @staticmethod
     def _tried(jobs: Sequence[Job], rival: float) -> list[Explanation | None]:
@@ -280,17 +259,9 @@ class Search:
     def _screen(self, ground: _Ground, looked_at: Hypothesis, found: Sequence[Slot], *, taken: bool = False) -> Screen:
         return Screen(self.evidence, looked_at, ground.motion, found, taken=taken, along=ground.along)
 
-    def _is_little(self, base: Explanation, now: Explanation, then: Explanation) -> bool:
-        """Return whether one more cause would take too little of what is left, as what only resembles it does."""
-        size = self.evidence.record.readings.size
-        start, before, after = (max(e.hypothesis.cost - size, 0.0) for e in (base, now, then))
-        if then.kind == "parameter":
-            return False
-        if self._closes(then):
-            return now is not base and after > (1.0 - LITTLE) * before and self._is_excess(before)
-        little = max((SMALL - 1.0) * size, TRACE * start if after > FAR * size else 0.0)
-        explained = now is not base and before <= min(REST * start, little)
-        return after > (1.0 - (SHARE if explained else LITTLE)) * before
+    def _is_too_little(self, base: Explanation, now: Explanation, then: Explanation) -> bool:
+        """Return whether one more cause takes too little of the excess cost."""
+        return verdict.is_too_little(base.cost, now, then, self.size, self.rules)
 
     def _settled(self, best: Explanation, ground: _Ground) -> Explanation:
         """Return an explanation in which no other effect would do better in the place of one, and none is idle."""
@@ -304,7 +275,7 @@ class Search:
             screen = self._screen(ground, ground.base.hypothesis, _without(best, i)[1])
             most = self._worth(screen, best.hypothesis.cost / screen.every)
             promises = [p for p in screen.promises(ground.every) if p.candidate.key not in best.names]
-            chosen = [p for p in promises if screen.total - p.gain < most][:SWAPS]
+            chosen = [p for p in promises if screen.total - p.gain < most][: self.rules.most_exchanges]
             jobs = [partial(self._in_place, best, i, promise) for promise in chosen]
             others = [
                 e for e in self._tried(jobs, best.hypothesis.cost) if e and self._is_better(ground.base, e, best, i)
@@ -324,10 +295,10 @@ class Search:
     def _is_better(self, base: Explanation, other: Explanation, best: Explanation, i: int) -> bool:
         """Return whether an explanation is better than the best with another effect in the place of one."""
         richer = best.names[i][0] in SIMPLER.get(other.names[0][0], ())
-        if richer and self._is_little(base, best, other):
+        if richer and self._is_too_little(base, best, other):
             return False
         heat = self.evidence.temperature(other.hypothesis.residuals)
-        return other.score(heat) < best.score(heat) - 2.0
+        return other.score(heat) < best.score(heat) - self.rules.indifferent
 
     def _reduced(self, best: Explanation) -> Explanation:
         """Leave out each cause in turn: where the rest is as good without it, it goes."""
@@ -336,7 +307,7 @@ class Search:
         heat = self.evidence.temperature(best.hypothesis.residuals)
         jobs = [partial(self._less, best, i) for i in reversed(range(len(best.names)))]
         for fewer in self._tried(jobs, best.hypothesis.cost):
-            if fewer and fewer.score(heat) < best.score(heat) + SIGN:
+            if fewer and fewer.score(heat) < best.score(heat) + self.rules.effect_evidence:
                 return self._reduced(fewer)
         return best
 
@@ -417,12 +388,13 @@ class Search:
         if isinstance(power, int):
             return ()
         frequencies = np.fft.rfftfreq(many, 1.0 / self.evidence.record.rate)
-        power = np.where((frequencies > 0.05) & (frequencies < 0.4 * self.evidence.record.rate), power, 0.0)
+        (low, high), width = self.rules.tone_band, self.rules.tone_width
+        power = np.where((frequencies > low) & (frequencies < high * self.evidence.record.rate), power, 0.0)
         found = []
-        for _ in range(TONES):
+        for _ in range(self.rules.tones):
             i = int(np.argmax(power))
             found.append(float(frequencies[i]))
-            power[max(0, i - 12) : i + 13] = 0.0
+            power[max(0, i - width) : i + width + 1] = 0.0
         return tuple(found)
 
 
@@ -440,14 +412,6 @@ def _without(explanation: Explanation, i: int) -> tuple[tuple[tuple[str, str], .
     """Return names and slots of an explanation without one of its causes."""
     names, slots = explanation.names, explanation.hypothesis.slots
     return (*names[:i], *names[i + 1 :]), (*slots[:i], *slots[i + 1 :])
-
-
-def _is_idle(richer: Explanation, others: Iterable[Explanation], now: Explanation, heat: float) -> bool:
-    """Return whether a simpler law at the same place does all that a richer one does, which is then that law itself."""
-    simple = _simple(richer.names[-1])
-    taken = now.hypothesis.cost - richer.hypothesis.cost
-    most = richer.hypothesis.cost + max(IDLE * heat, FINE * taken)
-    return any(other.names[-1] in simple and other.hypothesis.cost < most for other in others)
 
 
 def _scaled(slot: Slot, part: float) -> Slot:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import DeclarationError, Problem
 from masking.estimation.data import InputHold
 
@@ -30,6 +31,7 @@ class DiscoverySettings:
         columns: columns of the files by the names that they get, such as `{"t": "time", "u": "V1"}`.
         dt: time between samples in s, for a table without a clock.
         effects: dictionary of own effects, a file or a packaged name, whose effects are tried, too.
+        rules: the thresholds of all decisions.
 
     Raises:
         DeclarationError: the tolerance is not between 0 and 1.
@@ -45,6 +47,7 @@ class DiscoverySettings:
     columns: Mapping[str, str] = field(default_factory=dict)
     dt: float | None = None
     effects: str | Path | None = None
+    rules: DecisionRules = RULES
 
     def __post_init__(self) -> None:
         if not 0.0 < self.tolerance < 1.0:

@@ -21,15 +21,6 @@ from masking.discovery.smoothing import linearised
 from masking.errors import RecordError
 from masking.numerics.arrays import Array
 
-RESTLESS = 10.0  # eigenvalue times the length of a record: what is slower does not come to rest in it
-SHARES = 20  # windows of a record of what does not come to rest
-FEWEST = 200  # samples of a window
-PERIODS = (4.0, 1.0)  # of the slowest oscillation: windows in which motion does not come out of step with its record
-STIFF = 8  # steps between samples at least where forces act on states: friction stops these within a sample
-UNSEEN = 0.1  # of the noise: what integration may add to the readings of the model as declared
-FINE = 0.05  # of the noise: what integration may add with a law that was found
-FINER = 16  # times as many steps at most
-
 
 def horizon(evidence: Evidence, seconds: float | None) -> int:
     """Return the samples of a window, in whole blocks of the screening: as asked, or as the model needs; 0 for none.
@@ -37,15 +28,15 @@ def horizon(evidence: Evidence, seconds: float | None) -> int:
     Raises:
         RecordError: the windows asked for are too short.
     """
-    rate, count = evidence.record.rate, len(evidence.record)
+    rate, count, rules = evidence.record.rate, len(evidence.record), evidence.rules
     if seconds is None:
         speeds = _speeds(evidence) * count / rate
-        if not ((np.abs(speeds) < RESTLESS) | (speeds.real > 1.0)).any():
+        if not ((np.abs(speeds) < rules.settling_rates) | (speeds.real > 1.0)).any():
             return 0
-        seconds = count / rate / SHARES
-    elif not seconds * rate >= FEWEST:
-        least = FEWEST / rate
-        raise RecordError(f"the shooting interval is {seconds:g} s; give {least:g} s or more: {FEWEST} samples")
+        seconds = count / rate / rules.intervals
+    elif not seconds * rate >= rules.fewest_samples:
+        few = rules.fewest_samples
+        raise RecordError(f"the shooting interval is {seconds:g} s; give {few / rate:g} s or more: {few} samples")
     if seconds * rate >= count:
         return 0
     _, block = thinning(evidence.rig, rate)
@@ -57,8 +48,9 @@ def shorter(evidence: Evidence) -> Iterator[float]:
     """Give horizons in s, the longest first, for a motion that comes out of step with its record."""
     speeds = np.abs(_speeds(evidence).imag)
     slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
-    least, last = FEWEST / evidence.record.rate, len(evidence.record) / evidence.record.rate
-    for seconds in (max(periods * 2.0 * np.pi / slowest, least) for periods in PERIODS):
+    rules, rate = evidence.rules, evidence.record.rate
+    least, last = rules.fewest_samples / rate, len(evidence.record) / rate
+    for seconds in (max(periods * 2.0 * np.pi / slowest, least) for periods in rules.interval_periods):
         if seconds < 0.5 * last:
             last = seconds
             yield seconds
@@ -66,7 +58,7 @@ def shorter(evidence: Evidence) -> Iterator[float]:
 
 def substeps(evidence: Evidence) -> int:
     """Return how many integration steps between samples simulate the readings within their noise."""
-    least = STIFF if len(evidence.rig.twin.free) > 2 * len(evidence.rig.coordinates) else 1
+    least = evidence.rules.stiff_steps if len(evidence.rig.twin.free) > 2 * len(evidence.rig.coordinates) else 1
     theta, most = evidence.belief.mean, max(least, evidence.substeps)
     start = fitting.first_states(evidence, theta)
 
@@ -76,7 +68,8 @@ def substeps(evidence: Evidence) -> int:
     steps, before = least, simulated(least)
     while steps < most:
         after = simulated(min(2 * steps, most))
-        if bool((np.sqrt(((after - before) ** 2).mean(axis=0)) < UNSEEN * evidence.sigma).all()):
+        change = np.sqrt(((after - before) ** 2).mean(axis=0))
+        if bool((change < evidence.rules.integration_error * evidence.sigma).all()):
             break
         steps, before = min(2 * steps, most), after
     return steps
@@ -85,7 +78,7 @@ def substeps(evidence: Evidence) -> int:
 def finer(evidence: Evidence, found: Hypothesis) -> int:
     """Return how many steps simulate a law that was found: friction that turns round fast, a stop, a gap.
 
-    Steps are enough where four times as many change the readings by no more than `FINE` of their noise.
+    Steps are enough where four times as many change the readings by no more than `law_error` of their noise.
     """
     if not found.slots:
         return evidence.substeps
@@ -95,10 +88,10 @@ def finer(evidence: Evidence, found: Hypothesis) -> int:
         fine = replace(evidence, substeps=number)
         return fitting.fit(fine, found.slots, theta=found.theta, start=found.start, frozen=True).residuals
 
-    steps, most = evidence.substeps, FINER * evidence.substeps
+    steps, most = evidence.substeps, evidence.rules.most_refinement * evidence.substeps
     while steps < most:
         change = np.sqrt(((left(4 * steps) - left(steps)) ** 2).mean(axis=0))
-        if bool((change < FINE * evidence.sigma).all()):
+        if bool((change < evidence.rules.law_error * evidence.sigma).all()):
             break
         steps *= 2
     return steps

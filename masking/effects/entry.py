@@ -5,7 +5,7 @@ Expressions are in the language of declarations, over the effect's own parameter
 * in an element: `d`, its displacement, `d_rate`, the rate of that, and the time `t`; they give the force f. That of an
   inertia is in proportion to `d_acc`, the acceleration of the displacement, and to nothing else of the motion;
 * in a sensor: `s`, the value that it should give, and for noise `xi`, a sample of the standard normal distribution;
-* in an actuator: `u`, the value that it is told.
+* in an actuator: `u`, the commanded value.
 
 Units are written with the units of the place: `F` of force and `D` of displacement of an element, `S` of a sensor, `U`
 of an actuator, and `s` of time; `prior` and `nominal` are in coherent SI units for a rig the size of a hand.

@@ -100,7 +100,7 @@ INSTRUMENTS: dict[str, Effect] = {
     ),
     "actuator_offset": Effect(
         "actuator_offset",
-        "The actuator acts where it is told nothing.",
+        "The actuator acts at a command of zero.",
         "actuator",
         "u + u0",
         {"u0": EffectParameter("U", "offset", (-0.5, 0.5), 0.01)},

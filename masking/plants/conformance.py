@@ -37,7 +37,7 @@ def check(make_plant: MakePlant, settings: Settings = STANDARD, *, amplitude: fl
         except Exception as error:  # an adapter may raise anything
             found.append(f"{_sentence(rule)}, but it raised {type(error).__name__}: {error}")
         finally:
-            with contextlib.suppress(Exception):  # told by its own rule
+            with contextlib.suppress(Exception):  # reported by its own rule
                 plant.deactivate()
     return list(dict.fromkeys(found))
 
@@ -210,10 +210,10 @@ def _must_refuse(what: str, call: Callable[[], object]) -> Iterator[str]:
 
 
 def _not_zero(plant: Plant, verb: str) -> Iterator[str]:
-    """Tell which outputs are not zero, as far as the plant tells them."""
-    told = plant.telemetry() if isinstance(plant, Telling) else {}
+    """Tell which outputs are not zero, as far as the plant reports them."""
+    telemetry = plant.telemetry() if isinstance(plant, Telling) else {}
     for name in plant.actuators:
-        value = told.get(f"{APPLIED}{name}", 0.0)
+        value = telemetry.get(f"{APPLIED}{name}", 0.0)
         if value != 0.0:
             yield f"the output {name} is {value} after {verb}; it must be 0"
 

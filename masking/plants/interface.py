@@ -5,7 +5,7 @@ Every plant goes through three states, and each run through all of them:
     UNCONFIGURED --configure--> INACTIVE --activate--> ACTIVE (read, write) --deactivate--> UNCONFIGURED
 
 so that no run begins from what another left behind. An adapter may keep a `LifeCycle` to enforce this order, and
-`masking.plants.conformance.check` tells what an adapter lacks.
+`masking.plants.conformance.check` reports the rules that an adapter breaks.
 
 Whoever runs a plant that does not own its clock keeps the time with `Deadlines`, `undisturbed` by what can be kept
 away, until `asked_to_stop`.
@@ -118,7 +118,7 @@ class Plant(Protocol):
 
 @runtime_checkable
 class Telling(Protocol):
-    """A plant that tells more than its sensors show, for its own record."""
+    """A plant that reports more than its sensors show, for its own record."""
 
     def telemetry(self) -> Mapping[str, float]:
         """Return finite numbers by name, the same names at each call; legal in every state once configured."""
@@ -198,7 +198,7 @@ class Deadlines:
         self._start, self._tick = time.monotonic_ns(), 0
 
     def wait(self, stop: Stop) -> float:
-        """Wait for the next instant, or until told to stop; return how late it was missed or met, in seconds.
+        """Wait for the next instant, or until asked to stop; return how late it was missed or met, in seconds.
 
         Where it passed more than a period ago, it and those after it are left out up to the next one to come.
         """
@@ -246,17 +246,17 @@ def undisturbed(*, priority: bool) -> Iterator[str]:
             yield ""
             return
         policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-        lacking = []
+        missing = []
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
         except OSError:
-            lacking.append("real-time priority (ulimit -r)")
+            missing.append("real-time priority (ulimit -r)")
         # What is in use stays in memory. Not MCL_FUTURE: under a limit it makes an allocation fail in mid-run. With
         # MCL_ONFAULT the unused parts of libraries are left alone; measured: 2.8 s without it where pyarrow is loaded.
         if _LIBC.mlockall(_MCL_CURRENT | _MCL_ONFAULT):
-            lacking.append("locked memory (ulimit -l)")
+            missing.append("locked memory (ulimit -l)")
         try:
-            yield f"not permitted here: {', '.join(lacking)}; ticks may be late" if lacking else ""
+            yield f"not permitted here: {', '.join(missing)}; ticks may be late" if missing else ""
         finally:
             _LIBC.munlockall()
             os.sched_setscheduler(0, policy, parameters)
@@ -267,7 +267,7 @@ def undisturbed(*, priority: bool) -> Iterator[str]:
 
 @contextlib.contextmanager
 def asked_to_stop() -> Iterator[Stop]:
-    """Give a function that tells whether SIGINT, SIGTERM or SIGHUP came; they do nothing else while inside.
+    """Give a function that returns whether SIGINT, SIGTERM or SIGHUP came; they do nothing else while inside.
 
     A signal that is ignored, as under nohup, stays so. Outside the main thread no signal is looked at.
     """

@@ -69,7 +69,7 @@ def serve(
     patience: float = 5.0,
     after_latch: float = 1.0,
 ) -> tuple[Path, ...]:
-    """Serve a plant until told to stop; SIGINT, SIGTERM and SIGHUP end it with the record saved.
+    """Serve a plant until asked to stop; SIGINT, SIGTERM and SIGHUP end it with the record saved.
 
     Args:
         plant: any that does not own its clock.
@@ -186,7 +186,7 @@ class _Server:
         self.plant, self.line, self.clock, self.stop, self.tell = plant, line, clock, stop, tell
         self.patience, self.after_latch = patience, after_latch
         self.pending: tuple[Frame, tuple[str, int]] | None = None  # a hello that ended a latched session
-        self.told: set[str] = set()
+        self.reported: set[str] = set()
 
     def run(self, record: Path | None, stop_after: int | None) -> tuple[Path, ...]:
         """Hold one session after another; return the folders that they were saved in."""
@@ -311,7 +311,7 @@ class _Server:
             self.listen(session, tick, POLL)
 
     def listen(self, session: _Session, tick: int, wait: float) -> None:
-        """Take in what has arrived by a tick, or else arrives within so many seconds."""
+        """Take in what has arrived by a tick, or else arrives within a number of seconds."""
         for frame, address in self.arrived(wait, session.counters):
             if frame.kind is Kind.HELLO:
                 if session.latch is not None and frame.session != session.number:
@@ -332,7 +332,7 @@ class _Server:
                 session.counters["unexpected"] += 1
 
     def arrived(self, wait: float, counters: Counter[str] | None = None) -> Iterator[tuple[Frame, tuple[str, int]]]:
-        """Give every sound frame that waits to be read; wait for the first so many seconds."""
+        """Give every sound frame that waits to be read; wait at most a number of seconds for the first."""
         if self.pending is not None:
             hello, self.pending = self.pending, None
             yield hello
@@ -369,9 +369,9 @@ class _Server:
             self.line.sendto(datagram, address)
 
     def tell_once(self, note: str) -> None:
-        """Tell what was not told before."""
-        if note and note not in self.told:
-            self.told.add(note)
+        """Report what was not reported before."""
+        if note and note not in self.reported:
+            self.reported.add(note)
             self.tell(note)
 
 
@@ -383,8 +383,8 @@ class _Rows:
         self.names = [*_FIXED, *(f"sensor.{name}" for name in plant.sensors)]
         self.inputs = slice(len(self.names), len(self.names) + len(plant.actuators))
         self.names += [f"input.{name}" for name in plant.actuators]
-        self.told = tuple(plant.telemetry()) if isinstance(plant, Telling) else ()
-        self.names += [f"plant.{name}" for name in self.told]
+        self.telemetry = tuple(plant.telemetry()) if isinstance(plant, Telling) else ()
+        self.names += [f"plant.{name}" for name in self.telemetry]
         self.sensors = slice(len(_FIXED), self.inputs.start)
         self.count = 0
         self.is_open = False
@@ -411,13 +411,13 @@ class _Rows:
         row[self.sensors] = sample.values
 
     def finish(self, session: _Session, plant: Plant) -> None:
-        """Complete the row with the command that held after the sample, and with what the plant tells of it."""
+        """Complete the row with the command that held after the sample, and with what the plant reports of it."""
         row = self.row
         row[4:6] = session.fresh, session.latch is not None
         row[self.inputs] = session.command
         if isinstance(plant, Telling):
-            told = plant.telemetry()
-            row[self.inputs.stop :] = [told[name] for name in self.told]
+            values = plant.telemetry()
+            row[self.inputs.stop :] = [values[name] for name in self.telemetry]
         self.is_open = False
 
     def close(self, session: _Session, plant: Plant) -> None:

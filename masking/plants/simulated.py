@@ -92,5 +92,5 @@ class SimulatedPlant:
 
     def telemetry(self) -> dict[str, float]:
         """Return the outputs that acted last and the twin's states, by name."""
-        told = {APPLIED + name: float(value) for name, value in zip(self.actuators, self._acting, strict=True)}
-        return told | {name: float(value) for name, value in zip(self.twin.state_names, self._y, strict=True)}
+        applied = {APPLIED + name: float(value) for name, value in zip(self.actuators, self._acting, strict=True)}
+        return applied | {name: float(value) for name, value in zip(self.twin.state_names, self._y, strict=True)}

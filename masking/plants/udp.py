@@ -19,7 +19,7 @@ from masking.plants.wire import Frame, Kind
 
 TRY = 0.25  # seconds before a request is sent again
 LOCKSTEP_TIMEOUT = 5.0  # seconds; a plant in lockstep answers when it is ready
-PERIODS = 20  # a plant that is silent for so many samples is lost
+PERIODS = 20  # samples of silence after which a plant is lost
 _LARGEST_DATAGRAM = 65_535
 
 
@@ -28,7 +28,7 @@ class UdpPlant:
     """The plant that `masking.plants.serve` serves at `udp://host:port`.
 
     The controller gets the newest sample: where several wait, because it was held up, all but the last are skipped.
-    How old the sample is that a command answers is judged by the plant, on its own clock. `counters` counts the frames
+    The plant checks, on its own clock, the age of the sample that a command answers. `counters` counts the frames
     that were refused, by cause, and those `skipped`, from one configuration to the next.
 
     Args:
@@ -154,7 +154,7 @@ class UdpPlant:
         raise PlantLostError(f"no plant answers at {self._address}; {mend}")
 
     def _following(self, wait: float) -> Frame | None:
-        """Return what came in answer to the start, else the next frame within so many seconds."""
+        """Return what came in answer to the start, else the next frame within a number of seconds."""
         first, self._first = self._first, None
         return first or self._receive(wait)
 
@@ -172,9 +172,9 @@ class UdpPlant:
         return False
 
     def _receive(self, wait: float) -> Frame | None:
-        """Return the next sound frame of this session, waiting for it so many seconds; None where none comes."""
+        """Return the next sound frame of this session, or None if none comes within a number of seconds."""
         until = time.monotonic() + wait
-        gone: ConnectionError | None = None  # the socket tells it before what the plant said last
+        gone: ConnectionError | None = None  # the socket reports it before the plant's last words
         while self._waits(0.0 if gone else until - time.monotonic()):
             try:
                 frame = wire.decode(self._open.recv(_LARGEST_DATAGRAM))
@@ -193,7 +193,7 @@ class UdpPlant:
         return None
 
     def _waits(self, wait: float) -> bool:
-        """Tell whether a datagram waits to be read, or comes within so many seconds."""
+        """Tell whether a datagram waits to be read, or comes within a number of seconds."""
         return bool(select.select([self._open], [], [], max(0.0, wait))[0])
 
     def _send(self, kind: Kind, index: int = 0, values: Array | None = None, *, text: str = "") -> None:

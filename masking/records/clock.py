@@ -1,7 +1,7 @@
 """Clock: the samples per second of a record, and what is wrong with one whose samples are not equally far apart.
 
 Stamps that are rounded or jitter return to a line; a gap shifts all that follow by whole samples; a change of the rate
-is a kink. The simplest of these that explains the stamps is told, and that they wander where none does.
+is a kink. The simplest of these that explains the stamps is reported; if none does, that they wander.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class _Gap:
     """Samples that are missing after sample `at`."""
 
     at: int
-    lacking: int
+    missing: int
 
 
 def rate(t: Array, name: str) -> float:
@@ -133,10 +133,10 @@ def _gaps_in_jitter(t: Array) -> list[_Gap]:
         since = whole[first:last] - whole[at]
         (start, period, shift), *_ = np.linalg.lstsq(columns, since, rcond=None)
         off = np.sqrt(np.mean((since - columns @ (start, period, shift)) ** 2))
-        lacking = round(float(shift / period))
-        is_alike = abs(steps[at] / period - 1.0 - lacking) < 3.0 * _NEAR
-        if lacking > 0 and max(abs(shift / period - lacking), off / period) < _NEAR and is_alike:
-            found.append(_Gap(at, lacking))
+        missing = round(float(shift / period))
+        is_alike = abs(steps[at] / period - 1.0 - missing) < 3.0 * _NEAR
+        if missing > 0 and max(abs(shift / period - missing), off / period) < _NEAR and is_alike:
+            found.append(_Gap(at, missing))
             whole[at + 1 :] -= shift
     return found
 
@@ -145,7 +145,7 @@ def _without(t: Array, gaps: list[_Gap]) -> Array:
     """Return the instants as if nothing were missing."""
     steps = np.diff(t)
     for gap in gaps:
-        steps[gap.at] /= gap.lacking + 1
+        steps[gap.at] /= gap.missing + 1
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
@@ -158,7 +158,7 @@ def _line(t: Array) -> tuple[float, Array]:
 
 
 def _bends(t: Array) -> list[int]:
-    """Return the samples at which the rate changes; none where it does not, or too often to be told.
+    """Return the samples at which the rate changes; none where it does not, or too often to be listed.
 
     The line from the first stamp to the last is parted where it is furthest off, again and again (Douglas and Peucker
     1973), until all are as near as the jitter of stamps that are next to each other lets them be.
@@ -208,11 +208,11 @@ def _of_rates(t: Array, whole: Array, bends: list[int], name: str) -> str:
 
 
 def _of_gaps(t: Array, gaps: list[_Gap], name: str) -> str:
-    lacking, others = gaps[0].lacking, len(gaps) - 1
+    missing, others = gaps[0].missing, len(gaps) - 1
     more = "" if not others else f", and there {'are' if others > 1 else 'is'} {others} more gap{'s' * (others > 1)}"
     mend = "cut the record there, and" if others < _MANY else "resample the record to one rate, or"
     return (
-        f"{lacking} sample{'s are' if lacking > 1 else ' is'} missing after t = {t[gaps[0].at]:.9g} s{more}; {mend} "
+        f"{missing} sample{'s are' if missing > 1 else ' is'} missing after t = {t[gaps[0].at]:.9g} s{more}; {mend} "
         f"use one part{_such_as(t, [0, *(gap.at + 1 for gap in gaps), len(t)], name)}"
     )
 

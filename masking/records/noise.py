@@ -10,7 +10,7 @@ from masking.numerics.arrays import Array
 FEWEST = 256
 # Bands that a spectrum is cut into, and lines in each, at least as far as there are lines.
 FEWEST_BANDS, MOST_BANDS, LINES = 4, 32, 64
-# A band is louder than others where it is so many deviations above their mean.
+# A band is louder than others if it is this many deviations above their mean.
 LOUDER = 4.0
 # Variance of the mean over lines of a spectrum by the window sin^4, in parts of that of independent lines.
 ALIKE = 2.63

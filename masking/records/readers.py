@@ -146,9 +146,9 @@ def _text(file: Path) -> dict[str, Column]:
     try:
         table = np.genfromtxt(io.StringIO(body), delimiter=separator, usecols=used, ndmin=2)
     except ValueError as error:
-        told = str(error).strip().splitlines()[-1].strip()
+        reason = str(error).strip().splitlines()[-1].strip()
         raise RecordError(
-            f"{file}: the lines do not hold one number for each of {len(names)} columns: {told}"
+            f"{file}: the lines do not hold one number for each of {len(names)} columns: {reason}"
         ) from None
     repeated = sorted({names[i] for i in used if names.count(names[i]) > 1})
     if repeated:
@@ -258,11 +258,11 @@ def _of_one_length(
     """
     lengths = {name: len(column) for name, column in columns.items() if name in wanted}
     if len({*lengths.values()}) > 1:
-        told = ", ".join(
+        listed = ", ".join(
             f"{name} ({names[name]}) has {count}" if name in names else f"{name} has {count}"
             for name, count in lengths.items()
         )
-        raise RecordError(f"{file}: columns of different lengths: {told} samples; give those of one run, with --map")
+        raise RecordError(f"{file}: columns of different lengths: {listed} samples; give those of one run, with --map")
     length = max(lengths.values() or map(len, columns.values()), default=0)
     return {name: column for name, column in columns.items() if len(column) == length}
 

@@ -119,8 +119,8 @@ class Recording:
     def load(cls, path: str | Path) -> Recording:
         """Read a recording from its folder or its parquet file.
 
-        The manifest inside the table is what counts; a `manifest.json` beside it that is lacking, broken or different
-        is told in `notes`.
+        The manifest inside the table is what counts; a `manifest.json` beside it that is absent, broken or different
+        is reported in `notes`.
         """
         path = Path(path)
         if path.is_dir():

@@ -12,9 +12,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from masking.discovery import latent_force
-from masking.discovery.discovery import CLOSED, Discovery
+from masking.discovery.discovery import Discovery
 from masking.discovery.screening import Promise
-from masking.discovery.search import SIGN
 from masking.numerics.arrays import Array
 from masking.reports import discovery_text, force_map, quantities
 from masking.reports.force_map import AFTER, BEFORE, CLOUD, POINTS, scale
@@ -53,7 +52,7 @@ def _gap(found: Discovery) -> Plate:
     own = own_gap(found)
     sides = (
         ((gap.train[0], own, gap.train[1], gap.floor), "record"),
-        ((gap.validation[0], found.adjusted_gap, gap.validation[1], gap.validation_floor), "data that were not used"),
+        ((gap.validation[0], found.gap.adjusted, gap.validation[1], gap.validation_floor), "data that were not used"),
     )
     every = [v for parts, _ in sides for part in parts for v in part.values() if 0.0 < v < np.inf]
     low, high = 100.0 * min(every) / 1.6, 100.0 * max(every) * 1.6
@@ -168,9 +167,9 @@ def _coursed(found: Discovery, lacking: latent_force.Lack, command: str) -> str:
 def _residual(found: Discovery) -> Plate:
     """Draw what is left of the record that judges, over time and frequency, before and after."""
     names = found.twin.sensors[:MOST_SENSORS]
-    sigma, record = found.judged.sigma, found.judge
+    sigma, record, most = found.judged.sigma, found.judge, found.evidence.rules.validation_noise_floor
     more = [
-        n for i, n in enumerate(found.twin.sensors) if found.after.squares[i] > CLOSED**2 * len(record) * sigma[i] ** 2
+        n for i, n in enumerate(found.twin.sensors) if found.after.squares[i] > most**2 * len(record) * sigma[i] ** 2
     ]
     said = (
         f"What is left of {discovery_text.listed(found.twin.sensors)} on data that were not used is noise"
@@ -291,9 +290,9 @@ def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
             best[told] = promise
     size = found.record.readings.size
     whole = max(found.found.base.hypothesis.cost - size, *(p.gain for p in best.values()), 1e-300)
-    price = float(np.log(size))
+    price, least = float(np.log(size)), found.evidence.rules.effect_evidence
     return [
-        (*p.candidate.key, p.gain / whole, p.gain / (price * len(p.candidate.free) + SIGN))
+        (*p.candidate.key, p.gain / whole, p.gain / (price * len(p.candidate.free) + least))
         for p in sorted(best.values(), key=lambda promise: -promise.gain)
     ]
 

@@ -12,9 +12,9 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.discovery import latent_force
-from masking.discovery.discovery import CLOSED, Discovery
-from masking.discovery.explanation import probabilities
+from masking.discovery.discovery import Discovery
 from masking.discovery.localisation import where
+from masking.discovery.verdict import probabilities
 from masking.estimation.whiteness import DOUBTED
 from masking.reports import discovery_files, discovery_text, html, quantities
 from masking.reports.discovery_files import Files, Origin
@@ -101,7 +101,7 @@ def _tiles(found: Discovery, names: set[str]) -> list[str]:
             f"error in {worst}" + " with it" * bool(found.effects),
             quantities.percent(after[worst]),
             f"noise {quantities.percent(floor[worst])}",
-            is_wrong=after[worst] > CLOSED * floor[worst],
+            is_wrong=after[worst] > found.evidence.rules.validation_noise_floor * floor[worst],
             names=names,
         )
     )
@@ -147,7 +147,7 @@ def _gaps(found: Discovery, names: set[str]) -> str:
         for share_of in (quantities.percent(share[name]) if sum(share.values()) else "",)
         for what, parts in (
             ("record", (gap.train[0], own, gap.train[1], gap.floor)),
-            ("unseen", (gap.validation[0], found.adjusted_gap, gap.validation[1], gap.validation_floor)),
+            ("unseen", (gap.validation[0], found.gap.adjusted, gap.validation[1], gap.validation_floor)),
         )
     ]
     head = ("sensor", "data", "as declared", "adjusted alone", "with what was found", "noise alone", "share of the gap")
@@ -221,7 +221,7 @@ def _rivals(found: Discovery) -> str:
     if len(rivals) < 2 or not found.effects:
         return ""
     rows: dict[str, tuple[float, str, str]] = {}
-    sure = probabilities(rivals, heat)
+    sure = probabilities([rival.score(heat) for rival in rivals])
     for rival, probability in zip(rivals, sure, strict=True):
         first, *more = rival.names
         told = " and ".join(
@@ -317,7 +317,7 @@ def summary(found: Discovery, files: Files | None) -> str:
     table = [head]
     for what, part in (
         ("as declared", gap.validation[0]),
-        ("parameters adjusted alone", found.adjusted_gap),
+        ("parameters adjusted alone", found.gap.adjusted),
         ("with what was found", gap.validation[1]),
         ("noise alone", gap.validation_floor),
     ):

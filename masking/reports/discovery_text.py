@@ -106,7 +106,7 @@ def offered(found: Discovery) -> list[Named]:
 
 def hardly(found: Discovery) -> str:
     """Say which readings the model hardly follows at all; '' where there are none."""
-    remains = found.adjusted_gap if found.verdict == "unknown" else found.gap.validation[1]
+    remains = found.gap.adjusted if found.verdict == "unknown" else found.gap.validation[1]
     floor = found.gap.validation_floor
     lost = [f"{name} ({percent(part)} is left)" for name, part in remains.items() if part >= LOST > 2.0 * floor[name]]
     if not lost:
@@ -245,7 +245,7 @@ def without(found: Discovery) -> tuple[dict[str, float], str]:
     """Return the error of each sensor on the record that judges, without what was found, and how that is."""
     if found.verdict == "parameter":
         return found.gap.validation[0], "as declared"
-    return found.adjusted_gap, "with parameters adjusted alone"
+    return found.gap.adjusted, "with parameters adjusted alone"
 
 
 def worst(found: Discovery) -> str:

@@ -69,7 +69,7 @@ def _page(found: Stability, drawn: Sequence[style.Plate], images: dict[str, byte
             cells = (f"{mode.eigenvalue.real:.6g}", f"{mode.frequency:.6g}", f"{mode.damping:.4g}")
             rows.append((where, verdict, *cells, shape))
     head = ("where", "verdict", "real part", "frequency", "damping ratio", "shape")
-    sentence = str(found.rest) if found.rest else found.untold
+    sentence = str(found.rest) if found.rest else found.reason
     table = html.table(head, rows, numbers=(2, 3, 4), names=names) if rows else ""
     text = html.paragraph(f"{sentence[:1].upper()}{sentence[1:]}.", "lead", names)
     sections.append(html.section("Equilibria and modes", text + table))

@@ -37,7 +37,7 @@ else:
     sp = lazy.load("sympy")
 
 
-# Between samples at least so many: contacts and friction are not seen from rest.
+# Minimum integration steps per sample; the linearisation at rest sees neither contact nor friction.
 FEWEST_STEPS = 2
 
 

@@ -184,7 +184,7 @@ def in_full(experiment: Experiment, duration: float | None = None) -> Experiment
 
 
 def expected_time(experiment: Experiment, recording: Recording) -> float:
-    """Return how long a budget will take, in s, as the time of the run tells."""
+    """Return how long a budget will take, in s, from the time of the run."""
     timing = recording.manifest["timing"]
     slow, fast = 1 + len(causes(experiment.twin)), 2  # sampling, and all of these
     return float((timing["run"] + timing["ideal"]) * (slow + FASTER * fast) + _PREPARING * (slow + fast))
@@ -309,7 +309,7 @@ class _Bench:
         return SampledLoop(made, twin)
 
     def twin(self, without: frozenset[str], faster: int) -> Twin:
-        """Return the twin without some causes, which at so many times the rate has the same delay in seconds."""
+        """Return the twin without some causes, with the same delay in seconds at a multiple of the rate."""
         twin = self.experiment.twin
         off = {name for cause, effects in causes(twin).items() if cause in without for name in effects}
         twin = _switched(twin, lambda name, enabled: enabled and name not in off)

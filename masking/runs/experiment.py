@@ -31,7 +31,7 @@ from masking.rig.twin import PlacedEffect, Twin
 from masking.runs.offline import TwinRun, rig_state, run_continuous, run_sampled, run_twin
 from masking.runs.stopping import SYNCHRONISED, Ending, cut
 
-# A continuous run is recorded so many times per unit of virtual time, where nothing else is asked for.
+# Rows per unit of virtual time in the record of a continuous run, by default.
 ROWS_PER_UNIT = 10
 LIBRARIES = ("masking", "numpy", "numba", "sympy")
 
@@ -336,26 +336,26 @@ class Experiment:
         )
         return found.states[1:]
 
-    def record_rig(self, run: TwinRun, *, lockstep: bool, told: Mapping[str, object]) -> Recording:
+    def record_rig(self, run: TwinRun, *, lockstep: bool, outcome: Mapping[str, object]) -> Recording:
         """Return the recording of a run on a plant that runs by itself.
 
         Args:
             run: what happened since the release; `states` are estimates.
             lockstep: whether controller and plant waited for each other.
-            told: how the run ended and what was counted, for the manifest.
+            outcome: how the run ended and what was counted, for the manifest.
         """
-        made = self._record(self.sampled_columns(run), {}, is_stopped=told["end"] == SYNCHRONISED)
-        made.manifest.update(mode="lockstep" if lockstep else "real time", states="estimated", rig=dict(told))
+        made = self._record(self.sampled_columns(run), {}, is_stopped=outcome["end"] == SYNCHRONISED)
+        made.manifest.update(mode="lockstep" if lockstep else "real time", states="estimated", rig=dict(outcome))
         return made
 
     def _record(self, made: Columns, timing: Mapping[str, float], *, is_stopped: bool) -> Recording:
         columns = made.columns
         at = float(columns["t"][-1]) / self.time_scale if is_stopped else None
-        stop = {"stop": self.ending.told(at)} if self.ending else {}
+        stop = {"stop": self.ending.entry(at)} if self.ending else {}
         chi = {c: masking_error(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in self.virtual.coordinates}
-        return Recording(columns, {**self._manifest(made.units, chi, timing), **self._start_told(columns), **stop})
+        return Recording(columns, {**self._manifest(made.units, chi, timing), **self._start_entry(columns), **stop})
 
-    def _start_told(self, columns: Mapping[str, Array]) -> dict[str, Any]:
+    def _start_entry(self, columns: Mapping[str, Array]) -> dict[str, Any]:
         """Return where homing should have brought the rig, and where it did, for the manifest."""
         if self.declaration.controller.homing is None:
             return {}
@@ -364,19 +364,19 @@ class Experiment:
         reached = {name: float(columns[f"virtual.{name}"][0]) for name in names}
         return {"start": {"wanted": dict(zip(names, map(float, wanted), strict=False)), "reached": reached}}
 
-    def _observer_told(self) -> dict[str, Any]:
+    def _observer_entry(self) -> dict[str, Any]:
         """Return what the observer is, for the manifest."""
         sampled, settings = self.sampled, self.observer_settings
-        told: dict[str, Any] = {"kind": settings.kind, "delay": sampled.delay}
+        entry: dict[str, Any] = {"kind": settings.kind, "delay": sampled.delay}
         if sampled.has_model:
             plan = self.instruments.plan(sampled.rate, sampled.noise)
             speeds = self.observer.bandwidths(plan)
-            told |= {"order": self.observer.order, "fastest": plan.fastest}
-            told["noise"] = dict(zip(self.instruments.sensors, plan.noise, strict=True))
-            told["bandwidth"] = dict(zip(self.plant.coordinates, speeds, strict=True))
-        return told
+            entry |= {"order": self.observer.order, "fastest": plan.fastest}
+            entry["noise"] = dict(zip(self.instruments.sensors, plan.noise, strict=True))
+            entry["bandwidth"] = dict(zip(self.plant.coordinates, speeds, strict=True))
+        return entry
 
-    def _limit_told(self, name: str, limit: schema.Limit) -> dict[str, Any]:
+    def _limit_entry(self, name: str, limit: schema.Limit) -> dict[str, Any]:
         """Return a limit of an actuator in the unit of its commands, for the manifest."""
         instruments = self.instruments
         unit = instruments.unit(name) if name in instruments.actuators else limit.unit
@@ -418,9 +418,9 @@ class Experiment:
             "oscillators": list(self.virtual.oscillators),
             "mode": "continuous" if rate is None else "sampled",
             "rate": rate,
-            "limits": {name: self._limit_told(name, limit) for name, limit in limits.items()},
+            "limits": {name: self._limit_entry(name, limit) for name, limit in limits.items()},
             "effects": {effect.label: effect.enabled and self._acts(effect) for effect in self.twin.effects},
-            "observer": self._observer_told() if self.has_observer else None,
+            "observer": self._observer_entry() if self.has_observer else None,
             "masking_error": dict(chi),
             "timing": dict(timing),
         }

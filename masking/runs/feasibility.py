@@ -126,7 +126,7 @@ class Feasibility:
         name: of the experiment.
         uses: each limit and how much of it is used.
         mends: what was tried where a limit is passed; empty where the motion fits.
-        notes: what could not be told.
+        notes: what could not be determined.
     """
 
     name: str
@@ -185,7 +185,7 @@ class Feasibility:
 def feasibility(experiment: Experiment) -> Feasibility:
     """Compare what the ideal motion of an experiment needs with the limits of its plant.
 
-    A limit of mean power is compared where the plant file tells the heating of an actuator: the power `heating c^2` of
+    A limit of mean power is compared if the plant file gives the heating of an actuator: the power `heating c^2` of
     a command c, averaged as the sampled controller does it, with the time constant of the plant file, from rest.
 
     Args:
@@ -245,7 +245,7 @@ class Motion:
         power = self.experiment.assembly.plant.limits.power
         if power is None or power.heating is not None:
             return ()
-        return ("mean power is not told: the plant file has no limits.power.heating",)
+        return ("mean power is unknown: the plant file has no limits.power.heating",)
 
     def resolve(self) -> tuple[tuple[Use, ...], int, bool]:
         """Return the uses of the limits, the rows of the simulation that show them, and whether these were enough."""

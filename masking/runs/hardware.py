@@ -45,7 +45,7 @@ def serve(
     ready: Callable[[str], None] | None = None,
     stop: Stop | None = None,
 ) -> tuple[Path, ...]:
-    """Serve the twin of a plant to a controller in another process, until told to stop.
+    """Serve the twin of a plant to a controller in another process, until asked to stop.
 
     Args:
         plant: a packaged plant, or a plant file.
@@ -123,7 +123,9 @@ def run(
 
     def made(ran: RigRun) -> Recording:
         reason = keeper.reason if ran.reason in {STOPPED, FINISHED} and keeper.is_over else ran.reason
-        return experiment.record_rig(keeper.rows(ran, experiment.every), lockstep=lockstep, told=_told(ran, reason))
+        return experiment.record_rig(
+            keeper.rows(ran, experiment.every), lockstep=lockstep, outcome=_outcome(ran, reason)
+        )
 
     def on_end(ran: RigRun) -> None:
         if ran.reason in {LOST, REFUSED, FAILED} and keep is not None and keeper.is_released:
@@ -171,12 +173,12 @@ def _prepare(sampled: SampledController) -> None:
     _ = sampled.gain
 
 
-def _told(ran: RigRun, reason: str) -> dict[str, object]:
-    """Return what the manifest tells of a run on a plant, and why it ended."""
-    told: dict[str, object] = {"end": reason, "counters": dict(ran.counters)}
+def _outcome(ran: RigRun, reason: str) -> dict[str, object]:
+    """Return the manifest's entries for a run on a plant, and why it ended."""
+    outcome: dict[str, object] = {"end": reason, "counters": dict(ran.counters)}
     if ran.note:
-        told["note"] = ran.note
-    return told
+        outcome["note"] = ran.note
+    return outcome
 
 
 @dataclass
@@ -281,7 +283,7 @@ class _Keeper:
         return applied
 
     def rows(self, ran: RigRun, every: int) -> TwinRun:
-        """Return what happened from the release to the planned end, of `every` so many samples one."""
+        """Return what happened from the release to the planned end, one sample of each `every`."""
         index = self.index[: self.row]
         kept = np.flatnonzero((index >= 0) & (index < self.after) & (index % every == 0))
         return TwinRun(

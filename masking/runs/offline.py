@@ -102,7 +102,7 @@ def run_sampled(
         state: rig coordinates then velocities (2 n,) at time 0.
         rate: samples per second.
         duration: seconds.
-        every: record one sample of so many.
+        every: record one sample of this many.
         substeps: integration steps of the plant between samples; by default as many as its motion about the initial
             state asks for.
         progress: called with the part done.
@@ -159,7 +159,7 @@ def run_twin(
         start: the twin's coordinates (n,) at the start, SI units.
         duration: seconds after the release.
         seed: of the sensors' noise.
-        every: record one sample of so many.
+        every: record one sample of this many.
         progress: called with the part done.
 
     Raises:

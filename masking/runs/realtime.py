@@ -153,11 +153,11 @@ def every(progress: Callable[[float], None], samples: int) -> Callable[[int], No
     """Return what tells the part done some hundred times, within the time of a tick."""
     step = max(1, samples // 100)
 
-    def told(row: int) -> None:
+    def report(row: int) -> None:
         if row % step == 0:
             progress((row + 1) / samples)
 
-    return told
+    return report
 
 
 def _loop(

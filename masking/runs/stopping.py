@@ -78,7 +78,7 @@ class Ending:
         a, b = (virtual[:, column].tolist() for column in self.columns)
         return next((i for i, (x, y) in enumerate(zip(a, b, strict=True)) if step(x, y)), None)
 
-    def told(self, at: float | None) -> dict[str, Any]:
+    def entry(self, at: float | None) -> dict[str, Any]:
         """Return why the run ended, for the manifest; `at` is the virtual time of synchronisation, None for none."""
         detector = self.detector
         return {

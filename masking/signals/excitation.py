@@ -154,10 +154,10 @@ class Excitation:
     def recording(self) -> Recording:
         """Return the excitation as a recording: columns t and input.<channel>, with units and meta in the manifest."""
         columns = {"t": self.times, **{f"{PREFIX}{name}": self[name] for name in self.channels}}
-        told = {"t": {"unit": "s", "meaning": "time"}}
+        described = {"t": {"unit": "s", "meaning": "time"}}
         for name, unit in zip(self.channels, self.units, strict=True):
-            told[f"{PREFIX}{name}"] = {"unit": unit, "meaning": f"{self.name} on {name}"}
-        manifest = {"name": self.name, "kind": KIND, "rate": self.rate, "columns": told, "meta": dict(self.meta)}
+            described[f"{PREFIX}{name}"] = {"unit": unit, "meaning": f"{self.name} on {name}"}
+        manifest = {"name": self.name, "kind": KIND, "rate": self.rate, "columns": described, "meta": dict(self.meta)}
         return Recording(columns, manifest)
 
     def save(self, path: str | Path) -> Path:

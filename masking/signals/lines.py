@@ -32,7 +32,7 @@ NEWTON_STEPS = 6
 # this, to this relative error, a thousand times what rounding does.
 LARGEST_DENOMINATOR = 1000
 RATIO_ERROR = 1e-12
-BASE_ERROR = 1e-9  # of a line that is told to be a multiple of a base
+BASE_ERROR = 1e-9  # of a line that is given as a multiple of a base
 HIGHEST_HARMONIC = 1_000_000  # 32 million samples of a period
 MOST_POINTS = 50_000_000  # samples times lines of a record: 2500 s of 25 lines to 25 Hz
 

@@ -18,7 +18,7 @@ from masking.signals.arguments import below_nyquist, count, names, positive, rea
 from masking.signals.excitation import Excitation
 from masking.signals.lines import TURN, Multisine
 
-LEAST_SAMPLES = 8  # of a step, a slope or a period, for its shape to be told
+LEAST_SAMPLES = 8  # of a step, a slope or a period, for its shape to be seen
 WHOLE = 1e-9  # a period is a whole number of samples to this part of a sample and of the period
 
 
@@ -56,7 +56,7 @@ def multisine(
         size = count("periods", periods) * _whole_period(signal, rate)
     else:
         size = samples("a multisine", positive("duration", duration, "s"), rate, 1)
-    told = {
+    meta = {
         "frequencies": signal.frequencies.tolist(),
         "amplitudes": signal.amplitudes.tolist(),
         "phases": signal.phases.tolist(),
@@ -64,7 +64,7 @@ def multisine(
         "periods": periods,
     }
     return _made(
-        "multisine", rate, signal.sample(np.arange(size) / rate), channels=channel, unit=unit, limits=limits, meta=told
+        "multisine", rate, signal.sample(np.arange(size) / rate), channels=channel, unit=unit, limits=limits, meta=meta
     )
 
 
@@ -100,8 +100,8 @@ def steps(
     held = samples("a step", positive("hold", hold, "s"), rate, LEAST_SAMPLES)
     sizes = amplitude * np.arange(1, count("number", number) + 1) / number
     levels = np.concatenate([[0.0], *([a, 0.0, -a, 0.0] for a in sizes)])
-    told = {"amplitude": amplitude, "number": number, "hold": hold}
-    return _made("steps", rate, np.repeat(levels, held), channels=channel, unit=unit, limits=limits, meta=told)
+    meta = {"amplitude": amplitude, "number": number, "hold": hold}
+    return _made("steps", rate, np.repeat(levels, held), channels=channel, unit=unit, limits=limits, meta=meta)
 
 
 def ramp(
@@ -155,8 +155,8 @@ def sawtooth(
 ) -> Excitation:
     """Return saw-teeth of growing amplitude: n periods of a triangle, of amplitudes A/n, 2A/n, ..., A.
 
-    Each goes from zero up, down, and up to zero, so that where the rig rests tells hysteresis and dry friction against
-    the travel. Source: appendix C.6.2.
+    Each goes from zero up, down, and up to zero: the shift of the equilibrium over the travel separates hysteresis from
+    dry friction. Source: appendix C.6.2.
 
     Args:
         amplitude: A, of the last saw-tooth, in `unit`.
@@ -175,8 +175,8 @@ def sawtooth(
     samples("a saw-tooth", period, rate, LEAST_SAMPLES)
     turns = np.arange(round(number * period * rate)) / (rate * period)
     sizes = amplitude * np.minimum(np.floor(turns) + 1.0, number) / number
-    told = {"amplitude": amplitude, "number": number, "period": period}
-    return _made("sawtooth", rate, sizes * _triangle(turns), channels=channel, unit=unit, limits=limits, meta=told)
+    meta = {"amplitude": amplitude, "number": number, "period": period}
+    return _made("sawtooth", rate, sizes * _triangle(turns), channels=channel, unit=unit, limits=limits, meta=meta)
 
 
 def opposed_sines(
@@ -226,9 +226,9 @@ def opposed_sines(
     sine = amplitude * np.sin(TURN * frequency * times)
     swept = first + (last - first) * times / duration
     other = swept * sine if wired_opposed else -swept * sine
-    told = {"amplitude": amplitude, "frequency": frequency, "gain": [first, last], "wired_opposed": wired_opposed}
+    meta = {"amplitude": amplitude, "frequency": frequency, "gain": [first, last], "wired_opposed": wired_opposed}
     return _made(
-        "opposed_sines", rate, np.column_stack([sine, other]), channels=channels, unit=unit, limits=limits, meta=told
+        "opposed_sines", rate, np.column_stack([sine, other]), channels=channels, unit=unit, limits=limits, meta=meta
     )
 
 
@@ -263,8 +263,8 @@ def linear_chirp(
     times = _sweep_times(first, last, duration, rate)
     turns = first * times + (last - first) * times**2 / (2.0 * duration)
     values = positive("amplitude", amplitude, unit) * np.sin(TURN * turns)
-    told = {"amplitude": amplitude, "first": first, "last": last, "duration": duration}
-    return _made("linear_chirp", rate, values, channels=channel, unit=unit, limits=limits, meta=told)
+    meta = {"amplitude": amplitude, "first": first, "last": last, "duration": duration}
+    return _made("linear_chirp", rate, values, channels=channel, unit=unit, limits=limits, meta=meta)
 
 
 def logarithmic_chirp(
@@ -299,8 +299,8 @@ def logarithmic_chirp(
     ratio = math.log(last / first)
     turns = first * (times if ratio == 0.0 else duration / ratio * np.expm1(ratio * times / duration))
     values = positive("amplitude", amplitude, unit) * np.sin(TURN * turns)
-    told = {"amplitude": amplitude, "first": first, "last": last, "duration": duration}
-    return _made("logarithmic_chirp", rate, values, channels=channel, unit=unit, limits=limits, meta=told)
+    meta = {"amplitude": amplitude, "first": first, "last": last, "duration": duration}
+    return _made("logarithmic_chirp", rate, values, channels=channel, unit=unit, limits=limits, meta=meta)
 
 
 def _whole_period(signal: Multisine, rate: float) -> int:

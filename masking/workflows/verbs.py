@@ -98,7 +98,7 @@ class Checked:
         kind: one of `KINDS`, or "file" where it cannot be told.
         problems: all that is wrong.
         feasibility: what a sound experiment asks of its rig; None for all else, and where that cannot be told.
-        untold: why that cannot be told.
+        untold: why that is unknown.
     """
 
     file: str

@@ -61,7 +61,7 @@ def basins(
         first: a coordinate or velocity (`x1'`), and its values in declared units.
         second: another.
         duration: of each motion, in units of the model's time.
-        last: the last part of it, over which the end is told: some periods.
+        last: the last part of it, some periods, from which the end is classified.
         initial: of all other states; as declared where not given.
         tolerance: local relative error of integration.
         near: in phase where |a - b|, in anti-phase where |a + b| of the oscillations a and b about their means stays

@@ -190,7 +190,7 @@ def _without_set(lost: Dissipation, bounded: Boundedness) -> tuple[str, tuple[st
 def _conclusion(  # noqa: PLR0911  # one way each
     bounded: Boundedness, found: InvariantSet, others: tuple[RestPoint, ...] | None
 ) -> tuple[str, tuple[str, ...]]:
-    """Return what every motion does, and what is left to say."""
+    """Return what every motion does, and the open points."""
     who = "every motion" if bounded.is_shown else "every motion that is bounded"
     if not found.is_found:
         return (

@@ -250,7 +250,7 @@ class _Rest:
         return self._distinct(roots), unproved[kept] if len(unproved) else unproved
 
     def _contract(self, boxes: Interval, roots: list[tuple[Array, Array]]) -> Interval:
-        """Return what is left of boxes: parts that Krawczyk's operator does not rule out; note boxes with one root."""
+        """Return the parts of boxes that Krawczyk's operator does not rule out; note boxes with one root."""
         image, is_regular = self._krawczyk(boxes)
         low, high = np.maximum(boxes.low, image.low), np.minimum(boxes.high, image.high)
         one = is_regular & np.all((image.low > boxes.low) & (image.high < boxes.high), axis=1)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 else:
     sp = lazy.load("sympy")
 
-_DISTINCT = 1e-20  # a number that is no fraction is told from 0 by 30 digits
+_DISTINCT = 1e-20  # a number that is no fraction is distinguished from 0 by 30 digits
 
 
 @dataclass
@@ -124,7 +124,7 @@ class Hypotheses:
             strictly: whether 0 is excluded; else 1 stands for >= 0 and -1 for <= 0.
 
         Returns:
-            1, -1, or 0 where it is 0 whatever the values; None where it cannot be told, or changes.
+            1, -1, or 0 where it is 0 whatever the values; None if it is unknown or changes.
         """
         return self._sign(expression, strictly, lambda factor: self._sign_of_factor(factor, strictly))
 

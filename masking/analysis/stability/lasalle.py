@@ -54,7 +54,7 @@ class InvariantSet:
         is_found: whether the elimination came to an end.
         families: sets of motions in it.
         equilibria: whether all else in it are equilibria; False where there is nothing else.
-        known: values of coordinates at those equilibria, as far as elimination tells.
+        known: values of coordinates at those equilibria, as far as elimination determines them.
         steps: the argument, sentence by sentence.
     """
 
@@ -150,7 +150,7 @@ class _OpenError(ModelError):
 
 @dataclass
 class _Elimination:
-    """What is left of the equations of a model while forms of its coordinates are constant."""
+    """The residual equations of a model while forms of its coordinates are constant."""
 
     motion: Motion
     forms: tuple[sp.Expr, ...]
@@ -257,7 +257,7 @@ class _Elimination:
         if not left:
             raise _OpenError("no equation is left over that ties what moves")
         names = ", ".join(str(self.motion.q[i]) for i in self.frozen[0])
-        self.steps.append(f"What is left of the equation of {names} is 0 = {' and 0 = '.join(map(str, left))}.")
+        self.steps.append(f"The remaining equation of {names} is 0 = {' and 0 = '.join(map(str, left))}.")
         relation, constants = left[0], list(self.constants)
         for _ in range(_MOST_RULES):
             if _is_affine(relation, (r1, r2)):
@@ -306,23 +306,23 @@ class _Elimination:
         if not self.given.is_nonzero(factor):
             raise _OpenError(f"{relation} = 0 may hold because {factor} = 0")
         constant = normal(constant / factor)
-        told = solve_constants([constant], constants, self.given)
-        if told.values is None:
+        solved = solve_constants([constant], constants, self.given)
+        if solved.values is None:
             raise _OpenError(f"{constant} = 0 cannot be")
         if constant == 0 and any(
             total.has(r) and not _only_in_waves(total, r) for r in pair if r in self.motion.circles
         ):
             return None
-        words = ", ".join(f"{c} = {x}" for c, x in told.values.items()) or "nothing new"
+        words = ", ".join(f"{c} = {x}" for c, x in solved.values.items()) or "nothing new"
         unbounded = any(total.has(r) and not _only_in_waves(total, r) for r in pair if r in self.motion.circles)
         what = f"the second derivative of {total} is {normal(-constant)}, constant, and its first derivative is bounded"
         self.steps.append(f"Hence {what}: the constant is 0, so {words}.")
         for q, c in self._single_constants():
-            if c in told.values:
-                self.known[q] = told.values[c]
-        rest = [c for c in constants if c not in told.values]
+            if c in solved.values:
+                self.known[q] = solved.values[c]
+        rest = [c for c in constants if c not in solved.values]
         if unbounded:
-            return (normal(relation.subs(told.values)), rest) if told.values else None
+            return (normal(relation.subs(solved.values)), rest) if solved.values else None
         self.steps.append(f"{total} is bounded, so that it is a constant, {self.bound}.")
         return total - self.bound, [*rest, self.bound]
 
@@ -353,7 +353,7 @@ class _Elimination:
                 raise _OpenError(f"{equation} = 0 holds velocities, too")
         conditions = [c for equation in equations for c in coefficients(equation, (r,)).values()]
         if not conditions:
-            told = solve_constants([], unknown, self.given)
+            solved = solve_constants([], unknown, self.given)
         else:
             shown = {radical(c, self.given): c for c in reversed(conditions)}
             words = (
@@ -362,15 +362,15 @@ class _Elimination:
                 else ", ".join(f"{c} = 0" for c in sorted(shown, key=sp.count_ops))
             )
             self.steps.append(f"Either {r} is constant, which is an equilibrium, or this holds for every {r}: {words}.")
-            told = solve_constants(conditions, unknown, self.given)
-        if told.left:
-            raise _OpenError(f"{' and '.join(f'{x} = 0' for x in told.left)} could not be solved")
-        if told.values is None:
+            solved = solve_constants(conditions, unknown, self.given)
+        if solved.left:
+            raise _OpenError(f"{' and '.join(f'{x} = 0' for x in solved.left)} could not be solved")
+        if solved.values is None:
             self.steps.append("That cannot be: only equilibria are left.")
             return
-        values = told.values | {c: self.known[q] for q, c in self._single_constants() if q in self.known}
+        values = solved.values | {c: self.known[q] for q, c in self._single_constants() if q in self.known}
         if conditions:
-            words = ", ".join(f"{c} = {x}" for c, x in told.values.items())
+            words = ", ".join(f"{c} = {x}" for c, x in solved.values.items())
             self.steps.append(f"It holds for {words}." if words else "It holds.")
         self._add_family(values, tied)
 

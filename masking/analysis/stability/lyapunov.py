@@ -22,7 +22,7 @@ from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 
 INTERVALS = 2000  # that the record is cut into where no length is given
-_BATCHES = 20  # of which the spread tells the error
+_BATCHES = 20  # whose spread gives the error
 _GROWTH = 10.0  # e-folds in the second half; the tangent of a regular motion grows by 2 there, as t does
 _SURE = 3.0  # standard errors
 _OFF = 0.3  # of the e-folds by which neighbours part, those by which an unbounded motion grows

@@ -14,7 +14,7 @@ from masking.numerics.arrays import Array, Complex
 _MOST_STEPS = 30
 _ERROR = 1e-10  # of the size of the orbit, in closing
 _STILL = 1e-6  # of the size of a state: what moves less in a period is an equilibrium
-_NEUTRAL = 1e-6  # from 1: a multiplier within this neither grows nor decays, as far as integration tells
+_NEUTRAL = 1e-6  # from 1: a multiplier within this neither grows nor decays, to the accuracy of the integration
 
 
 @dataclass(frozen=True)

@@ -13,28 +13,28 @@ _SAMPLES_PER_RADIAN = 20.0
 
 
 def settling_time(
-    model: Model, *, eps: float = 1e-4, horizon: float = 2e4, fastest: float = 2.0, tolerance: float = 1e-11
+    model: Model, *, eps: float = 1e-4, longest: float = 2e4, fastest: float = 2.0, tolerance: float = 1e-11
 ) -> float:
     """Return tau_s from the declared initial state: the first time after which |a + b| stays below eps.
 
     Args:
         model: with two oscillators a and b.
         eps: in the unit of the oscillators, SI or in the model's scales.
-        horizon: the longest time that is simulated, in units of the model's time.
+        longest: the longest time that is simulated, in units of the model's time.
         fastest: the largest frequency of the motion, in rad per unit of time, which sets the sampling.
         tolerance: local relative error of integration.
 
     Returns:
-        in units of the model's time; NaN where |a + b| was not below eps over the last half of the horizon.
+        in units of the model's time; NaN where |a + b| was not below eps over the last half of that time.
 
     Raises:
-        ModelError: there are not two oscillators, or the horizon is not positive.
+        ModelError: there are not two oscillators, or `longest` is not positive.
         IntegrationError: the integrator could not go on.
     """
     first, second = pair_of(model)
-    if not horizon > 0.0:
-        raise ModelError(f"the horizon is {horizon:g}; it must be positive")
-    length = min(horizon, 100.0)
+    if not longest > 0.0:
+        raise ModelError(f"the longest time is {longest:g}; it must be positive")
+    length = min(longest, 100.0)
     while True:
         run = model.simulate(
             np.linspace(0.0, length, round(length * fastest * _SAMPLES_PER_RADIAN) + 1), tolerance=tolerance
@@ -42,6 +42,6 @@ def settling_time(
         found = synchronisation_time(run.times, run[first] + run[second], eps)
         if found <= 0.5 * length:  # it has stayed below for as long again
             return found
-        if length >= horizon:
+        if length >= longest:
             return float("nan")
-        length = min(2.0 * length, horizon)
+        length = min(2.0 * length, longest)

@@ -37,13 +37,13 @@ class Stability:
     Args:
         name: of the model.
         coordinates: its coordinates.
-        rest: its equilibria; None where they cannot be looked for, and `untold` then says why.
+        rest: its equilibria; None where they cannot be looked for, and `reason` then says why.
         modes: at each of the equilibria.
         upsilon: 1/|Re| of the slowest eigenvalue of the sum of two oscillators that are alike (8.13), at the first
             equilibrium in which they rest at 0; None where there is no such sum.
         certificate: what the energy proves.
         loop: eigenvalues of the closed loop of an experiment; None for a model.
-        untold: why there is less than that.
+        reason: why there is less than that.
         exponent: the largest Lyapunov exponent of the motion from the declared initial state; None where not asked for.
     """
 
@@ -54,7 +54,7 @@ class Stability:
     upsilon: float | None
     certificate: Certificate
     loop: LoopModes | None = None
-    untold: str = ""
+    reason: str = ""
     exponent: Exponent | None = None
 
     @property
@@ -64,7 +64,7 @@ class Stability:
 
     def __str__(self) -> str:
         lines = [self.name, ""]
-        lines += [f"equilibria: {self.rest}" if self.rest else f"equilibria: {self.untold}"]
+        lines += [f"equilibria: {self.rest}" if self.rest else f"equilibria: {self.reason}"]
         for point, found in self.points:
             lines.append(f"  {position_words(point)}: {point.verdict}" + " (proved)" * point.is_unstable)
             lines += [f"    {mode_words(mode)}" for mode in found.modes]
@@ -89,7 +89,7 @@ class Stability:
                 "box": self.rest.box,
                 "points": [_point(point, found) for point, found in self.points],
             },
-            "untold": self.untold,
+            "reason": self.reason,
             "upsilon": self.upsilon if self.upsilon is None or math.isfinite(self.upsilon) else None,
             "exponent": self.exponent and self.exponent.as_dict(),
             "certificate": self.certificate.as_dict(),
@@ -112,17 +112,17 @@ def study(model: Model, box: Box | None = None) -> Stability:
     """
     check_box(model, box or {})
     places = {name: sides for name, sides in (box or {}).items() if name in model.coordinates}
-    rest, untold, found = None, "", []
+    rest, reason, found = None, "", []
     try:
         rest = equilibria(model, places)
     except ModelError as error:
         if places:
             raise
-        untold = str(error)
+        reason = str(error)
     for point in rest.points if rest else ():
         found.append(modes(state_matrix(model, point.position), model.coordinates))
     proof = certificate(model, box)
-    return Stability(model.name, model.coordinates, rest, tuple(found), _upsilon(model, rest), proof, untold=untold)
+    return Stability(model.name, model.coordinates, rest, tuple(found), _upsilon(model, rest), proof, reason=reason)
 
 
 def loop_modes(loop: Driven, state: Array, lengths: Array, time_scale: float, virtual: Complex) -> LoopModes:

@@ -1,4 +1,4 @@
-"""Detector: tells along a run, at a fixed cost for each sample, that two oscillators have synchronised.
+"""Detects during a run, at a fixed cost for each sample, that two oscillators have synchronised.
 
 The phase of each oscillator is that of its Fourier coefficient over half a period. Where the oscillators have nothing
 to do with each other, the difference of the phases is as likely to be one as another, so that it lies within delta of
@@ -24,7 +24,7 @@ PHASES: Final = {"in": 0.0, "anti": math.pi}  # rad, of a against b
 _LEAST_SAMPLES: Final = 8  # of a period
 _FORGETTING: Final = 1 / 64  # of the mean, for each half period: drift slower than some 30 periods is followed
 _PULL: Final = 0.2  # part of a wrong frequency that is mended in each half period
-_RANGE: Final = 0.25  # relative, about the period that was told, in which that of a is followed
+_RANGE: Final = 0.25  # relative, about the declared period, in which that of a is followed
 
 
 @final
@@ -99,7 +99,7 @@ class Detector:
         """Return the relative difference of two frequencies up to which a beat may pass as synchronisation.
 
         Over the half periods that are needed, such a beat turns the phase by no more than 2 delta; a longer `memory`
-        tells frequencies that are nearer to each other.
+        separates frequencies that are nearer to each other.
         """
         return 2.0 * self.tolerance / (math.pi * max(1, self.needed - 1))
 
@@ -113,7 +113,7 @@ class Detector:
 class Watch:
     """What a detector has seen so far.
 
-    After a step, `is_synchronised` tells whether it has been found, from then on; `phase` is the last phase of a minus
+    After a step, `is_synchronised` is whether it has been found, from then on; `phase` is the last phase of a minus
     that of b, rad, NaN before the first half period; `count` the half periods in a row that were near enough.
     """
 

@@ -34,8 +34,8 @@ _STEADY: Final = 0.9  # length of the mean unit vector of a phase that is locked
 _TURN: Final = 0.1  # rad, by which a locked phase may drift over the end of the record
 _PARTS: Final = 10  # of a record, in each of which a phase is averaged against noise
 _STRAIGHT: Final = 0.1  # of its whole drift, what a phase that drifts all along may stray from a line
-_SURE: Final = 3.0  # times what it strays, that a drift must be to be no chance
-_REGULAR: Final = 0.5  # rad, by which the phase of a regular oscillation strays from a line
+_SURE: Final = 3.0  # times its scatter: a smaller drift may be chance
+_REGULAR: Final = 0.5  # rad, by which the phase of a regular oscillation deviates from a line
 _SLOW: Final = 0.3  # of the mean frequency: a difference of two that is still heard as a beat
 _DEPTH: Final = 0.3  # rms of the exchange of power, relative, in a beat
 _SINGLE: Final = 0.5  # of the power of that exchange, in its largest line
@@ -121,7 +121,7 @@ def synchronisation(
         t: time (samples,), strictly increasing, any unit.
         a: one motion (samples,), about any constant or slow drift, any unit.
         b: the other, likewise, same unit.
-        eps: part of the amplitude within which `time` is told (definition 8.1).
+        eps: part of the amplitude for which `time` is given (definition 8.1).
         fraction: of the record, its end that is looked at; longer where that is less than five periods.
         names: of the two, for the sentence.
 
@@ -243,7 +243,7 @@ class _Turn:
 
 
 def _line(t: Series, phase: Series) -> tuple[float, float]:
-    """Return the slope of the line that fits a phase best, and the rms of what is left."""
+    """Return the slope of the line that fits a phase best, and the rms of the residual."""
     centred = t - np.mean(t)
     slope = float(centred @ phase / (centred @ centred))
     return slope, float(np.std(phase - slope * centred))

@@ -1,0 +1,319 @@
+"""Verdict: what fitted hypotheses say of a record. Pure functions of plain data; nothing is fitted or simulated here.
+
+A search adds one cause after the other. `is_too_little` and `simplest_first` decide in each step, `steps_needed` how
+many steps the validation record supports, and `decide` what is said of the last one.
+Source: Kass and Raftery (1995), JASA 90(430), 773-795; see `rules` for each threshold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeVar
+
+import numpy as np
+
+from masking.discovery.rules import DecisionRules
+from masking.numerics.arrays import Array
+
+Verdict = Literal["none", "parameter", "named", "ambiguous", "unknown"]
+Kind = Literal["none", "parameter", "effects"]
+Key = tuple[str, str]  # an effect and its place, or a parameter and ''
+
+
+class Fitted(Protocol):
+    """A fitted hypothesis: its kind, its causes in the order in which they were found, and its cost."""
+
+    @property
+    def kind(self) -> Kind: ...  # noqa: D102  # of a protocol
+
+    @property
+    def names(self) -> tuple[Key, ...]: ...  # noqa: D102
+
+    @property
+    def cost(self) -> float: ...  # noqa: D102
+
+
+AnyFitted = TypeVar("AnyFitted", bound=Fitted)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A fitted and scored hypothesis as plain data.
+
+    Args:
+        kind: 'none' for the model with its parameters adjusted, 'parameter' for one parameter that is off, or
+            'effects'.
+        names: (parameter, '') or (effect, place) of each cause, in the order in which they were found.
+        cost: -2 log posterior density up to a constant: squared residuals over noise variances, and priors.
+        score: the cost over the tempering factor, and the Occam factor of the effects.
+        misfit: of the cost, the part of the residuals, with the noise of the validation record.
+        validation_cost: squared residuals over noise variances in the validation record; infinite if the simulation
+            does not stay finite there.
+        estimates: of the last cause: each parameter's value less its reference (0 for an effect, the declared value
+            for a parameter), and its standard deviation.
+        absorbed: of each cause, whether free parameters of the model could have the form of its law.
+        unique: fraction of the response of the effects outside of the span of the parameters' responses.
+    """
+
+    kind: Kind
+    names: tuple[Key, ...] = ()
+    cost: float = 0.0
+    score: float = 0.0
+    misfit: float = 0.0
+    validation_cost: float = 0.0
+    estimates: tuple[tuple[float, float], ...] = ()
+    absorbed: tuple[bool, ...] = ()
+    unique: float = 1.0
+
+    def is_like_parameter(self, cause: int, rules: DecisionRules) -> bool:
+        """Return whether a cause, by its number, is a parameter of the model or has the effect of one."""
+        return self.kind == "parameter" or (self.absorbed[cause] and self.unique < rules.unique_fraction)
+
+    def is_significant(self, rules: DecisionRules) -> bool:
+        """Return whether a parameter of the last cause differs from its reference by more than its deviation allows."""
+        return any(not abs(off) < rules.significant_deviations * std for off, std in self.estimates)
+
+
+@dataclass(frozen=True)
+class Law:
+    """A cause as part of an explanation.
+
+    Args:
+        is_linear: whether its law is linear.
+        seat: the element that it acts on, or the coordinate, sensor or actuator.
+        follows: what its force is a function of, such as 'd' or 'd and d_rate'; '' if that does not matter.
+    """
+
+    is_linear: bool
+    seat: str
+    follows: str
+
+
+def at_noise_floor(residual: Iterable[float], noise: Iterable[float], threshold: float) -> bool:
+    """Return whether residuals are at the noise floor: none larger than its noise by more than a factor.
+
+    Args:
+        residual: rms of each residual, or of all together.
+        noise: standard deviation of the noise of each, in the same unit.
+        threshold: the factor, `DecisionRules.noise_floor` or `DecisionRules.validation_noise_floor`.
+    """
+    return all(size <= threshold * floor for size, floor in zip(residual, noise, strict=True))
+
+
+def reaches_noise(cost: float, readings: int, rules: DecisionRules) -> bool:
+    """Return whether a fit with a cost leaves residuals at the noise floor, all readings together."""
+    return at_noise_floor([float(np.sqrt(cost))], [float(np.sqrt(readings))], rules.noise_floor)
+
+
+def is_closed(
+    residual: Mapping[str, float],
+    noise: Mapping[str, float],
+    white: Iterable[bool],
+    estimated: float,
+    rules: DecisionRules,
+) -> bool:
+    """Return whether an explanation is complete: validation residuals at the noise floor, and white in both records.
+
+    Args:
+        residual: rms of the validation residual of each sensor.
+        noise: its noise, in the same unit.
+        white: whether the residual of each sensor is white, in either record.
+        estimated: initial states that were estimated, per reading; many of them colour a residual.
+        rules: the thresholds.
+    """
+    if not at_noise_floor(residual.values(), (noise[n] for n in residual), rules.validation_noise_floor):
+        return False
+    return estimated > rules.initial_state_share or all(white)
+
+
+def probabilities(scores: Sequence[float]) -> Array:
+    """Return the posterior probabilities of hypotheses with equal priors, from their scores (h,)."""
+    found = np.asarray(scores, dtype=float)
+    weights = np.exp(-0.5 * (found - found.min()))
+    return np.asarray(weights / weights.sum())
+
+
+def excess_cost(cost: float, readings: int) -> float:
+    """Return the part of a cost beyond that of noise, which is the number of readings."""
+    return max(cost - readings, 0.0)
+
+
+def is_excess(cost: float, readings: int, rules: DecisionRules) -> bool:
+    """Return whether a cost exceeds that of noise by more than chance, whose standard deviation is sqrt(2 m)."""
+    return cost - readings > rules.excess_deviations * float(np.sqrt(2.0 * readings))
+
+
+def is_composite(laws: Sequence[Law], rules: DecisionRules) -> bool:
+    """Return whether laws together imitate one that is not in the dictionary.
+
+    Such are laws that follow the same quantity at one seat, and linear laws enough to make any linear system.
+    """
+    if sum(law.is_linear for law in laws) >= rules.linear_laws:
+        return True
+    seats = [(law.seat, law.follows) for law in laws if law.follows]
+    return len(set(seats)) < len(seats)
+
+
+def is_redundant(
+    richer: Fitted,
+    others: Iterable[Fitted],
+    nested: Collection[Key],
+    now: float,
+    rules: DecisionRules,
+    *,
+    tempering: float,
+) -> bool:
+    """Return whether a nested model does all that a richer one does, which then is that nested model.
+
+    Args:
+        richer: the richer model.
+        others: all that were fitted.
+        nested: names of last causes that are nested in that of the richer model.
+        now: cost without the last cause.
+        rules: the thresholds.
+        tempering: tempering factor.
+    """
+    margin = max(rules.indifferent * tempering, rules.redundant_fraction * (now - richer.cost))
+    return any(other.names[-1] in nested and other.cost < richer.cost + margin for other in others)
+
+
+def simplest_first(
+    ranked: Sequence[AnyFitted], now: float, nested: Mapping[str, Collection[str]], readings: int, rules: DecisionRules
+) -> list[AnyFitted]:
+    """Return ranked explanations with a nested model of the best first if it takes nearly as much of the cost.
+
+    The remainder may have another cause, which the richer law would imitate; all laws that contain the nested one at
+    its place are left out. If the best reaches the noise floor, it stays the best.
+
+    Args:
+        ranked: explanations with one more cause, the best first.
+        now: cost without it.
+        nested: the effects that are nested in each.
+        readings: of the record.
+        rules: the thresholds.
+    """
+    best = ranked[0]
+    if best.kind != "effects" or reaches_noise(best.cost, readings, rules):
+        return [*ranked]
+    effect, at = best.names[-1]
+    simpler = {(name, at) for name in nested.get(effect, ())}
+    least = rules.nested_fraction * (now - best.cost)
+    chosen = next((one for one in ranked if one.names[-1] in simpler and now - one.cost > least), None)
+    if chosen is None:
+        return [*ranked]
+    richer = {(name, at) for name, inside in nested.items() if chosen.names[-1][0] in inside}
+    return [chosen, *(one for one in ranked if one is not chosen and one.names[-1] not in richer)]
+
+
+def is_too_little(base: float, now: Fitted, then: Fitted, readings: int, rules: DecisionRules) -> bool:
+    """Return whether one more cause takes too little of the excess cost, as one that only resembles the missing effect.
+
+    Args:
+        base: cost of the model with its parameters adjusted.
+        now: the explanation without the further cause.
+        then: the explanation with it.
+        readings: of the record.
+        rules: the thresholds.
+    """
+    if then.kind == "parameter":
+        return False
+    start, before, after = (excess_cost(cost, readings) for cost in (base, now.cost, then.cost))
+    is_first = now.kind == "none"
+    if reaches_noise(then.cost, readings, rules):
+        few = after > (1.0 - rules.gain_fraction) * before
+        return not is_first and few and is_excess(now.cost, readings, rules)
+    trace = rules.trace_fraction * start if after > rules.far_cost * readings else 0.0
+    is_late = not is_first and _is_explained(start, before, trace, readings, rules)
+    return after > (1.0 - (rules.late_gain_fraction if is_late else rules.gain_fraction)) * before
+
+
+def _is_explained(start: float, before: float, trace: float, readings: int, rules: DecisionRules) -> bool:
+    """Return whether the excess before a further cause is small, both of that at the start and by itself."""
+    small = max((rules.small_residual - 1.0) * readings, trace)
+    return before <= min(rules.unexplained_fraction * start, small)
+
+
+def steps_needed(base: Scored, steps: Iterable[Scored], last: float, readings: int, rules: DecisionRules) -> int:
+    """Return how many steps of a search are needed, and supported by the validation record.
+
+    A step is also supported if its error is in the causes that were fitted before, too: a parameter that is off, or
+    what several parameters could only have together.
+
+    Args:
+        base: the model with its parameters adjusted.
+        steps: the best explanation of each step; read only as far as needed.
+        last: cost of the last step; that of the base if there is none.
+        readings: of the estimation record.
+        rules: the thresholds.
+    """
+    chosen, count, start = base, 0, excess_cost(base.cost, readings)
+    trace = 0.0 if reaches_noise(last, readings, rules) else rules.trace_fraction * start
+    for best in steps:
+        before, after = excess_cost(chosen.cost, readings), excess_cost(best.cost, readings)
+        is_late = chosen.kind != "none" and _is_explained(start, before, trace, readings, rules)
+        is_enough = after <= (1.0 - rules.late_gain_fraction) * before
+        is_enough = is_enough or after < (rules.noise_floor**2 - 1.0) * readings
+        of_prior = chosen.misfit - best.misfit < rules.likelihood_fraction * (chosen.cost - best.cost)
+        is_tolerated = best.is_like_parameter(-1, rules) or of_prior
+        is_tolerated = is_tolerated and best.validation_cost < rules.validation_tolerance * chosen.validation_cost
+        if not (best.validation_cost < chosen.validation_cost or is_tolerated) or (is_late and not is_enough):
+            break
+        chosen, count = best, count + 1
+    return count
+
+
+def is_demoted(rivals: Sequence[Scored], readings: int, rules: DecisionRules) -> bool:
+    """Return whether parsimony has put a far likelier explanation behind the first, and nothing came of the remainder.
+
+    Args:
+        rivals: explanations of the last step, the chosen one first.
+        readings: of the estimation record.
+        rules: the thresholds.
+    """
+    if rivals[0].kind != "effects" or reaches_noise(rivals[0].cost, readings, rules):
+        return False
+    return bool(probabilities([one.score for one in rivals])[0] < 1.0 - rules.named_probability)
+
+
+def decide(
+    rivals: Sequence[Scored], unexplained: float, readings: int, rules: DecisionRules, *, composite: bool = False
+) -> Verdict:
+    """Return what is said of the explanations of the last step.
+
+    Args:
+        rivals: explanations, the chosen one first.
+        unexplained: part of the excess cost that the chosen one leaves.
+        readings: of the estimation record.
+        rules: the thresholds.
+        composite: whether the chosen one is a composite explanation, see `is_composite`.
+    """
+    chosen = rivals[0]
+    is_complete = reaches_noise(chosen.cost, readings, rules)
+    if chosen.kind == "none":
+        return "none" if is_complete else "unknown"
+    is_small = chosen.cost <= rules.small_residual * readings
+    most = rules.small_unexplained_fraction if is_small else rules.unexplained_fraction
+    if composite or (not is_complete and (unexplained > most or not chosen.is_significant(rules))):
+        return "unknown"
+    if all(chosen.is_like_parameter(i, rules) for i in range(len(chosen.names))):
+        return "parameter"
+    is_sure = probabilities([one.score for one in rivals])[0] >= rules.named_probability
+    return "named" if is_sure else "ambiguous"
+
+
+def revised(verdict: Verdict, *, demoted: bool, rounded: bool, at_noise: bool) -> Verdict:
+    """Return a verdict in the light of what is known beside the hypotheses.
+
+    Args:
+        verdict: of the hypotheses.
+        demoted: whether a likelier explanation was put behind, see `is_demoted`; then no name is given.
+        rounded: whether nothing else is found, and the rounding of readings makes much of the residual.
+        at_noise: whether the validation residual is at the noise floor. If nothing is missing in the estimation record,
+            an effect that shows in the validation record alone is unknown.
+    """
+    if rounded:
+        verdict = "named"
+    if demoted and verdict not in {"none", "parameter"}:
+        return "unknown"
+    return "unknown" if verdict == "none" and not at_noise else verdict
