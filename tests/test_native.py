@@ -67,8 +67,8 @@ def test_an_unknown_function_is_refused_with_the_nearest_name():
 
 def number(value):
     """Return a module with one function that returns a number."""
-    module = Module("test", {})
-    module.add_kernel(f"@compiled\ndef f(t: float):\n    return {value}", "d")
+    module, graph = Module("test", {}), Graph()
+    module.add("f(t: float)", graph, [], {}, graph.number(value))
     return module
 
 
@@ -110,7 +110,8 @@ def test_equal_functions_of_different_modules_are_compiled_once(tmp_path, monkey
     monkeypatch.setenv("MASKING_CACHE", str(tmp_path))
     for key in ("a", "b"):
         module = number(3.5)
-        module.add_kernel(f"@compiled\ndef {key}(t: float):\n    return t", "d")
+        graph = Graph()
+        module.add(f"{key}(t: float)", graph, [], {}, graph.number(4.5))
         assert store.load(key, lambda module=module: module).function("f")(0.0) == 3.5
     assert len(list(tmp_path.glob("texts/*"))) == 2
     assert len(list(tmp_path.glob("objects/*"))) == 1

@@ -1,7 +1,7 @@
 """Augmented model: how a rig moves with trial effects at its places, and how that depends on all parameters.
 
 A force port at each place and an offset of each actuator are entries of the rig's parameter array. Instances of effects
-(`instances`) drive these ports; they are laws that know no rig, told apart by a number:
+(`instances`) drive these ports; they are laws that know no rig, each with a number:
 `law(number, t, x, rate, z, values, rows)`. States of effects follow those of the rig in y. At an instant, the effects
 act first: forces, commands and rates of their states. Then the equations of the rig are evaluated. Sensors that read a
 force or a command at once see what the effects do, too.

@@ -70,7 +70,7 @@ def steady_filter(step: Array, noise: Array, reading: Array) -> SteadyFilter:
     """
     predicted = _predicted(step, reading, noise)
     innovation = reading @ predicted @ reading.T + np.eye(len(reading))
-    gain: Array = np.linalg.solve(innovation, reading @ predicted).T
+    gain = np.asarray(np.linalg.solve(innovation, reading @ predicted).T, dtype=np.float64)
     return SteadyFilter(gain, predicted, predicted - gain @ reading @ predicted, innovation)
 
 

@@ -242,7 +242,7 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, sizes: RigSizes)
     Returns:
         `accumulate(count, dt, substeps, interval, is_linear, starts, y, columns, given, commands, readings, weights,
         matrix, gradient, squares, simulated, work) -> status`, which is 1 if the motion is no longer finite. Every
-        `interval` samples (multiple shooting) the motion begins anew at a row of `starts`; each shooting interval has
+        `interval` samples (multiple shooting) the motion starts again at a row of `starts`; each shooting interval has
         `width` rows of `matrix` (J^T W J, its lower triangle) and entries of `gradient` (J^T W r). `squares` gets
         squared residuals (sensors,), `simulated` the readings. States beyond n go on from one interval to the next.
     """
