@@ -22,8 +22,7 @@ from masking.analysis.stability.orbits import orbit
 from masking.analysis.stability.settling import settling_time
 from masking.analysis.synchronisation import period
 from masking.modelling.model import Model, load_model
-from masking.reports.stability_figures import basins_plate, sweep_plate
-from masking.reports.style import png
+from masking.reports.stability_figures import basins_figure, sweep_figure
 
 CLOCKS = """
 name: two clocks on a beam
@@ -59,7 +58,7 @@ print(f"damping: fastest at z3 = {best:.2f}, upsilon = {slowest.min():.1f}")
 print(f"simulated: tau_s is least at z3 = {least:.2f}, and {later:.1%} longer at {best:.2f}")
 words = ("damping", "Damping of the middle disc", "Fig. 8.4: upsilon (8.13), and tau_s by definition 8.1.")
 curves = {r"$\upsilon$": (slowest, best), r"$\tau_s$": (settled, least)}
-(OUT / "damping.png").write_bytes(png(sweep_plate("z3", z3, curves, words)))
+(OUT / "damping.png").write_bytes(sweep_figure("z3", z3, curves, words).png)
 
 # 2. Coupling
 with TemporaryDirectory() as folder:
@@ -87,7 +86,7 @@ words = (
     "Difference of the frequencies of two clocks over the mass of a clock per that of the beam.",
 )
 (OUT / "coupling.png").write_bytes(
-    png(sweep_plate("mu", mu, {"difference of frequencies": (differences, onset)}, words))
+    sweep_figure("mu", mu, {"difference of frequencies": (differences, onset)}, words).png
 )
 
 # 3. Basins
@@ -101,7 +100,7 @@ span = np.linspace(-1.5, 1.5, 24)
 found = basins(clocks, ("x1", span), ("x2", span + 1e-3), duration=600.0, last=20.0, near=0.2)
 print("basins:", ", ".join(f"{label} {share:.0%}" for label, share in found.shares().items() if share))
 words = ("basins", "Basins", "Where two clocks end that begin at rest in these places.")
-(OUT / "basins.png").write_bytes(png(basins_plate(found, words)))
+(OUT / "basins.png").write_bytes(basins_figure(found, words).png)
 
 # 4. What is proved
 for name in ("setup_identical", "duffing", "discs", "huygens", "discs_eccentric"):

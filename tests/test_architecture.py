@@ -50,6 +50,7 @@ OUTSIDE: dict[str, set[str]] = {
     "h5py": {"records"},
     "jinja2": {"reports"},
     "llvmlite": {"codegen"},
+    "markupsafe": {"reports"},
     "matplotlib": {"reports"},
     "numba": {"numerics", "codegen"},
     "pint": {"declaration"},
@@ -58,6 +59,7 @@ OUTSIDE: dict[str, set[str]] = {
     "pydantic": {"declaration"},
     "sympy": {"declaration", "codegen", "modelling", "rig", "control", "analysis", "discovery", "workflows"},
     "tqdm": {"cli"},
+    "uncertainties": {"declaration"},
     "yaml": {"declaration", "reports", "workflows"},
 }
 

@@ -11,10 +11,11 @@ from masking.discovery import rules as module
 from masking.discovery import verdict
 from masking.discovery.rules import DecisionRules
 from masking.discovery.verdict import Law, Scored
+from masking.records.noise import white_noise
 
 RULES = DecisionRules()
-M = 10_000  # readings: the cost of pure noise
-FLOOR = RULES.noise_floor**2 * M  # largest cost at the noise floor
+M = 1_000_000  # readings: the cost of pure noise
+FLOOR = verdict.noise_threshold(M, RULES) ** 2 * M  # largest cost at the noise floor
 SMALL = RULES.small_residual * M
 FRICTION, SPRING = ("dry_friction", "spring1"), ("linear_spring", "spring1")
 NESTED = {"stribeck_friction": ("dry_friction",), "lugre_friction": ("dry_friction", "stribeck_friction")}
@@ -54,7 +55,7 @@ def test_every_rule_says_why():
 
 
 def test_rules_do_not_contradict_each_other():
-    assert 1.0 < RULES.noise_floor <= RULES.validation_noise_floor < np.sqrt(RULES.small_residual)
+    assert 1.0 < RULES.noise_floor < np.sqrt(RULES.small_residual)
     assert RULES.gain_fraction < RULES.late_gain_fraction
     assert RULES.unexplained_fraction < RULES.small_unexplained_fraction
     assert RULES.indifferent < RULES.parameter_evidence < RULES.effect_evidence < RULES.separation
@@ -150,20 +151,28 @@ def test_probabilities_are_those_of_likelihood_ratios():
 
 
 def test_the_noise_floor():
-    assert verdict.at_noise_floor([1.05, 2.1], [1.0, 2.0], 1.05)
-    assert not verdict.at_noise_floor([1.05, 2.11], [1.0, 2.0], 1.05)
+    limit = verdict.noise_threshold(M, RULES)
+    assert verdict.at_noise_floor([limit, 2.0 * limit], [1.0, 2.0], M, RULES)
+    assert not verdict.at_noise_floor([limit, 2.01 * limit], [1.0, 2.0], M, RULES)
     assert verdict.reaches_noise(0.999 * FLOOR, M, RULES)
     assert not verdict.reaches_noise(1.001 * FLOOR, M, RULES)
 
 
+def test_few_readings_know_their_noise_less():
+    # the spread of the estimate in 2000 records of white noise with as many readings
+    readings = 4000
+    noise = white_noise(np.random.default_rng(5).standard_normal((readings, 2000)))
+    spread = RULES.noise_deviations * noise.std()
+    assert verdict.noise_threshold(readings, RULES) == pytest.approx(RULES.noise_floor + spread, rel=0.01)
+    assert verdict.noise_threshold(10**9, RULES) == pytest.approx(RULES.noise_floor, rel=1e-3)
+
+
 def test_closed_is_noise_that_is_white():
-    limit = RULES.validation_noise_floor
+    def closed(at_noise=True, white=(True, True), estimated=0.0):
+        return verdict.is_closed(at_noise=at_noise, white=white, estimated=estimated, rules=RULES)
 
-    def closed(size=1.0, white=(True, True), estimated=0.0):
-        return verdict.is_closed({"a": 1.0, "b": size}, {"b": 1.0, "a": 1.0}, white, estimated, RULES)
-
-    assert closed(0.999 * limit)
-    assert not closed(1.001 * limit)
+    assert closed()
+    assert not closed(at_noise=False)
     assert not closed(white=(True, False))
     assert not closed(white=(True, False), estimated=0.999 * RULES.initial_state_share)
     assert closed(white=(True, False), estimated=1.001 * RULES.initial_state_share)
@@ -219,7 +228,7 @@ def test_once_little_is_left_a_step_must_take_most_of_it():
     assert needed(first, far, start=start) == 2
     # what reaches the noise floor is enough in itself
     almost = step(1.15, 1.15)
-    assert needed(almost, step(1.11, 1.0)) == 1
+    assert needed(almost, step(1.12, 1.0)) == 1
     assert needed(almost, step(0.999 * FLOOR / M, 1.0)) == 2
 
 
@@ -256,7 +265,7 @@ def test_a_trace_far_above_noise_is_little():
 
 
 def test_at_the_noise_floor_a_further_effect_is_judged_by_chance():
-    assert not too_little(1.01, 1.009)  # an excess of 100 is chance: three deviations are 424
+    assert not too_little(1.004, 1.0039)  # an excess of 4000 is chance: three deviations are 4243
     assert too_little(1.10, 1.099)
     assert not too_little(1.10, 1.0 + 0.1 * (1.0 - 1.001 * RULES.gain_fraction))
     assert not too_little(1.10, 1.099, start=1.10)  # the first cause
@@ -265,7 +274,7 @@ def test_at_the_noise_floor_a_further_effect_is_judged_by_chance():
 def test_a_richer_law_that_does_no_more_is_redundant():
     richer = effect(M, names=(("stribeck_friction", "spring1"),))
 
-    def redundant(other, now=100.0 * M, tempering=1.0):
+    def redundant(other, now=2.0 * M, tempering=1.0):
         return verdict.is_redundant(richer, [other, richer], {FRICTION}, now, RULES, tempering=tempering)
 
     edge = RULES.indifferent

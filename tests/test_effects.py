@@ -1,7 +1,9 @@
 """Effects, elements and internal states: what physics says of each, from closed forms and other integrators."""
 
+import ast
 import itertools
 import math
+from pathlib import Path
 
 import control
 import numpy as np
@@ -18,10 +20,11 @@ from masking.declaration.dimensions import check_dimensions, dimension_in
 from masking.declaration.expression import Expression
 from masking.declaration.schema import ModelDeclaration
 from masking.declaration.units import describe, dimension_of
-from masking.effects import EFFECTS
+from masking.effects import EFFECTS, Span
 from masking.errors import DeclarationError, IntegrationError, ModelError
 from masking.modelling.model import Model, load_model
 
+PACKAGE = Path(effects.__file__).parent.parent
 IN_ELEMENTS = [name for name, effect in EFFECTS.items() if effect.where == "element"]
 OUTSIDE = [name for name, effect in EFFECTS.items() if effect.where in {"sensor", "actuator"}]
 LETTERS = {"element": ("d", "d_rate", "d_acc", "t"), "sensor": ("s", "xi"), "actuator": ("u",), "loop": ()}
@@ -758,6 +761,42 @@ def test_floor_is_flat_between_its_steps(declared):
         equations={"x''": "-floor(3*x) - x + u"},
     )
     np.testing.assert_array_equal(model.linearise(at={"x": 0.4}).A, [[0.0, 1.0], [-1.0, 0.0]])
+
+
+# Names of effects that are words of the language, too: keys of experiment files and manifests, rows and labels.
+ALSO_WORDS = {
+    "codegen/native.py": {"noise"},
+    "declaration/catalogue.py": {"stop"},
+    "declaration/cross_checks.py": {"stop"},
+    "procedures/measurement.py": {"hysteresis"},
+    "procedures/response.py": {"noise"},
+    "procedures/responses.py": {"noise"},
+    "reports/procedure_figures.py": {"noise"},
+    "reports/run_text.py": {"delay", "stop"},
+    "runs/error_budget.py": {"stop"},
+    "runs/experiment.py": {"delay", "noise", "stop"},
+}
+
+
+@pytest.mark.parametrize("path", sorted({*PACKAGE.rglob("*.py")} - {*PACKAGE.glob("effects/*")}))
+def test_no_effect_is_named_outside_of_the_dictionary(path):
+    constants = [
+        node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Constant)
+    ]
+    named = {node.value for node in constants if isinstance(node.value, str)} & EFFECTS.keys()
+    assert named <= ALSO_WORDS.get(path.relative_to(PACKAGE).as_posix(), set())
+
+
+def test_what_an_entry_names_is_there():
+    for effect in EFFECTS.values():
+        named = {*effect.factors, *effect.scaled, *effect.calibrated, effect.grows_with, effect.quantum} - {""}
+        span = Span(-1.0, 1.0, 1.0, 1.0, (1.0,))
+        for is_measured in (True, False):
+            for trial in effect.trials_at(is_measured):
+                named |= {*trial.factors, *trial.free}.union(*trial.starts(span))
+        assert named <= effect.parameters.keys()
+        assert all(EFFECTS[simpler].where == effect.where for simpler in effect.nested)
+        assert effect.is_linear or not effect.absorbed_by
 
 
 def test_no_two_effects_are_the_same():

@@ -245,7 +245,7 @@ def test_power_without_heating_is_noted(capsys):
     found = find("duffing")
     assert found.fits
     assert [use.kind for use in found.uses] == ["command"] * 3 + ["coordinate"] * 2
-    assert "mean power is not told: the plant file has no limits.power.heating" in str(found)
+    assert "mean power is unknown: the plant file has no limits.power.heating" in str(found)
 
 
 def test_the_mean_power_of_a_step_approaches_it_exponentially():

@@ -97,7 +97,7 @@ def measured(capsys, out, *arguments):
     told = json.loads(printed)
     written = json.loads((out / f"{arguments[0]}.json").read_text(encoding="utf-8"))
     assert written["values"] == told["values"]
-    assert told["summary"] in (out / f"{arguments[0]}.html").read_text(encoding="utf-8").replace("&#x27;", "'")
+    assert told["summary"] in (out / f"{arguments[0]}.html").read_text(encoding="utf-8").replace("&#39;", "'")
     assert (out / f"{arguments[0]}.png").read_bytes().startswith(PNG)
     return told["values"], written
 

@@ -17,12 +17,13 @@ from masking.declaration import registry
 from masking.declaration.dictionary import factors
 from masking.declaration.schema import OwnEffect
 from masking.discovery.augmented_model import OpenRig
-from masking.discovery.candidates import Span, candidates
-from masking.effects import EFFECTS
+from masking.discovery.candidates import candidates
+from masking.effects import EFFECTS, Effect, EffectParameter, Span
 from masking.errors import DeclarationError
 from masking.modelling.model import load_model
-from masking.reports import fit_files
+from masking.reports import discovery_text, fit_files
 from masking.rig.twin import Twin
+from masking.runs.error_budget import causes
 from masking.workflows import inputs, verbs
 
 RATE, SECONDS, SUBSTEPS = 500.0, 12.0, 4
@@ -72,6 +73,20 @@ effects:
   pull: {effect: magnet, at: leaf, parameters: {f0: 0.8, x0: 0.02}}
   error: {effect: ripple, at: x, parameters: {a: 4e-5, p: 1e-3}}
 """
+
+MAGNET_ENTRY = Effect(
+    "magnet",
+    "A magnet beside the leaf pulls it in.",
+    "element",
+    "f0*(x0/(x0 + d))**2",
+    {
+        "f0": EffectParameter("F", "force at rest"),
+        "x0": EffectParameter("D", "distance at rest", bounds=(1e-6, None), tried=(1.2, 2.0, 4.0)),
+    },
+    label="pull of a magnet",
+    family="springs",
+    factors=("f0",),
+)
 
 
 def record(seed, magnet=None, ripple=None):
@@ -163,6 +178,15 @@ class TestDiscovery:
             assert abs(value - truth) < 4.0 * std
         assert found.gap.validation[1]["x"] < 1.1 * found.gap.validation_floor["x"]
 
+    def test_a_law_is_one_entry_also_in_the_dictionary_of_the_package(self, folder, own, magnet, monkeypatch):
+        for entry in (MAGNET_ENTRY, effects.load(own)["ripple"]):  # in this order its kernels are those of the file's
+            monkeypatch.setitem(EFFECTS, entry.name, entry)
+        found = masking.discover(folder / "magnet.csv", model=folder / "leaf.yaml")
+        (effect,) = found.effects
+        assert (found.verdict, effect.name, effect.on) == ("named", "magnet", "leaf")
+        assert effect.parameters == magnet[0].effects[0].parameters
+        assert discovery_text.sentence(found).startswith("Pull of a magnet in leaf, f0 = ")
+
     def test_the_model_that_is_written_needs_no_dictionary(self, magnet):
         _, out = magnet
         model, plant = out / "models" / "leaf+magnet.yaml", out / "plant.yaml"
@@ -226,6 +250,13 @@ class TestPlants:
             twin.kernels.sense(0.0, np.array([2.5e-4, 0.0]), twin.values(), np.zeros(1), found)
             read += [float(found[0])]
         assert read == pytest.approx([2.5e-4 + RIPPLE["a"], 2.5e-4 - RIPPLE["a"]])
+
+    def test_an_effect_without_a_family_has_a_row_of_its_own_in_the_error_budget(self, folder):
+        twin = Twin.load(folder / "rig" / "plant.yaml")
+        assert causes(twin) == {"magnet": ("pull",), "ripple": ("error",)}
+        lab = write(folder / "lab.yaml", DICTIONARY.replace("    where: e", "    family: springs\n    where: e"))
+        plant = write(folder / "sprung.yaml", PLANT.replace("../leaf", "leaf").replace("lab/own.yaml", str(lab)))
+        assert causes(Twin.load(plant)) == {"springs": ("pull",), "ripple": ("error",)}
 
     def test_it_is_attached_to_a_model(self, folder, own):
         made = load_model(folder / "leaf.yaml").attach(effects.load(own)["magnet"], "leaf", **MAGNET)
@@ -297,7 +328,7 @@ class TestDictionaries:
             ("tried: [1.2, 2, 4]", "value: 0",
              "9:77: dictionary.magnet.parameters.x0.value: 0 is below its lower bound 1e-06"),
             ("tried: [1.2, 2, 4]", f"tried: {[*range(61)]}",
-             "7:5: dictionary.magnet.parameters: 61 combinations of what is tried are too many; try at most 60"),
+             "7:5: dictionary.magnet.parameters: 61 combinations of values to try are too many; try at most 60"),
             ("f0: {unit: F,", "k: {value: 1}\n      f0: {unit: F,",
              "8:7: dictionary.magnet.parameters.k: the parameter 'k' is not used; remove it or use it"),
             ("    parameters:\n      f0", "    states: {y: {rate: d_rate, unit: D}, z: {rate: d_rate, unit: D}}\n"
@@ -307,6 +338,12 @@ class TestDictionaries:
              + "      f0", "8:11: dictionary.magnet.parameters.p0: must be a mapping"),
             ("f0: {unit: F,", "".join(f"p{i}: {{value: 1}}\n      " for i in range(5)) + "f0: {unit: F,",
              "7:5: dictionary.magnet.parameters: 7 parameters are too many; an effect has at most 6 parameters and 1"),
+            ("    where: e", "    family: sprigs\n    where: e",
+             "5:13: dictionary.magnet.family: there is no family 'sprigs'; did you mean 'springs'?"),
+            ("    where: e", "    nested: dry_fricton\n    where: e",
+             "5:13: dictionary.magnet.nested: there is no effect 'dry_fricton'; did you mean 'dry_friction'?"),
+            ("    where: e", "    nested: [ripple]\n    where: e",
+             "5:13: dictionary.magnet.nested: 'ripple' cannot be nested in 'magnet'; remove it"),
             ("dictionary:", "dictionary: {}\nno:", "2:13: dictionary: the dictionary is empty; declare an effect in"),
         ],
     )  # fmt: skip
@@ -314,6 +351,17 @@ class TestDictionaries:
         text = DICTIONARY.replace(old, new)
         assert text != DICTIONARY
         assert problems(write(tmp_path / "bad.yaml", text))[0].startswith(expected)
+
+    def test_an_entry_of_a_file_has_the_form_of_the_package_s(self, tmp_path):
+        text = DICTIONARY.replace("    where: e", "    label: pull of a magnet\n    family: springs\n    where: e")
+        assert effects.load(write(tmp_path / "own.yaml", text))["magnet"] == MAGNET_ENTRY
+
+    def test_simpler_effects_are_nested_in_it(self, tmp_path):
+        text = DICTIONARY.replace("    where: e", "    nested: [linear_spring, hardening_spring]\n    where: e")
+        assert effects.load(write(tmp_path / "own.yaml", text))["magnet"].nested == (
+            "linear_spring",
+            "hardening_spring",
+        )
 
     def test_rates_and_sizes_of_states_have_units(self, tmp_path):
         states = "    states: {z: {rate: d_rate*z/x0, unit: D, size: f0}}\n    parameters:\n      f0"

@@ -236,7 +236,7 @@ def test_inputs_that_cannot_be_told_apart_are_refused():
     first, second = multisine(LINES, 1, periods=4), multisine(LINES, 2, periods=4)
     both = np.column_stack([first, second])
     assert "1 experiments for 2 inputs; record 2 in which the inputs differ" in refused(RecordError, u=both)
-    assert "cannot be told apart at the harmonic 1, 0.5 Hz" in refused(RecordError, u=np.array([both, both]))
+    assert "cannot be distinguished at the harmonic 1, 0.5 Hz" in refused(RecordError, u=np.array([both, both]))
     assert "the inputs 0 and 1 share the harmonic 1, 0.5 Hz" in refused(RecordError, zippered_response, u=both)
     silent = "input 0 (counted from 0) is not excited at the harmonic 60, 30 Hz"
     assert silent in refused(RecordError, harmonics=[60])
@@ -249,6 +249,6 @@ def test_a_multisine_without_detection_lines_is_refused():
     assert "the even harmonic 2 is excited, 1 Hz" in refused(RecordError, nonlinear_distortion, u=even)
     assert "every odd harmonic up to 39 is excited" in refused(RecordError, nonlinear_distortion, u=full)
     both = np.column_stack([full, full])
-    assert "2 inputs and 2 outputs; distortion is told apart for one" in refused(
+    assert "2 inputs and 2 outputs; distortion is determined for one" in refused(
         ModelError, nonlinear_distortion, u=both
     )

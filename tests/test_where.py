@@ -1,6 +1,5 @@
 """Where a model lacks something: forces in closed form along known motions, white and other noise, and a real rig."""
 
-import gc
 import json
 from dataclasses import replace
 
@@ -14,8 +13,6 @@ from masking.discovery.discovery import Discovery, Gap, Named
 from masking.discovery.explanation import Explanation
 from masking.discovery.force_decomposition import followed, portrait
 from masking.discovery.harmonics import Periods, period
-from masking.discovery.localisation import where
-from masking.discovery.memory import once
 from masking.discovery.prior import prior_of
 from masking.discovery.problem import Evidence
 from masking.discovery.search import Found
@@ -290,24 +287,6 @@ def test_residuals_that_are_zero_are_white():
     assert whiteness(np.zeros(1000), X[:1000], 1.0, RATE).white
 
 
-def test_memory_forgets():
-    class Thing:
-        calls = 0
-
-    @once
-    def count(thing):
-        thing.calls += 1
-        return thing.calls
-
-    one, other = Thing(), Thing()
-    assert [count(one), count(one), count(other)] == [1, 1, 1]
-    known = count.__closure__[1].cell_contents
-    assert len(known) == 2
-    del one
-    gc.collect()
-    assert len(known) == 1
-
-
 NOISE = 1e-3
 SLOTS = {
     "friction": Slot("dry_friction", "spring1", (0.0055, 1e-3), (0,)),
@@ -377,8 +356,8 @@ def test_what_is_left_is_closed_where_it_is_white_on_both_records(discoveries, r
 
 def test_friction_is_where_it_is(discoveries):
     found = discoveries("friction")
-    seen = where(found)
-    assert where(found) is seen
+    seen = found.where
+    assert found.where is seen
     assert seen.lacking.coordinates["x1"] > 0.95
     assert sum(seen.lacking.coordinates.values()) == pytest.approx(1.0)
     best = seen.lacking.best
@@ -408,7 +387,7 @@ def test_what_is_said_of_friction(discoveries):
 
 
 def test_a_quadratic_spring_is_even(discoveries):
-    best = where(discoveries("square")).lacking.best
+    best = discoveries("square").where.lacking.best
     assert best.name == "spring2"
     assert best.portrait.parts.displacement > 0.9
     assert best.portrait.parts.odd < 0.05
@@ -418,7 +397,7 @@ def test_a_quadratic_spring_is_even(discoveries):
 
 def test_a_gap_on_the_side_of_actuators_follows_a_command(discoveries):
     found = discoveries("limit")
-    lacking = where(found).lacking
+    lacking = found.where.lacking
     assert lacking.actuators["V3"] > 0.9 > 2.0 * lacking.best.explained
     assert "follows the command of V3" in discovery_text.whereabouts(found)[0]
     assert "follows the command of V3" in discovery_text.look(replace(found, verdict="unknown", effects=()))
@@ -426,14 +405,14 @@ def test_a_gap_on_the_side_of_actuators_follows_a_command(discoveries):
 
 def test_a_gap_on_the_side_of_sensors_follows_a_reading(discoveries):
     found = discoveries("bent")
-    lacking = where(found).lacking
+    lacking = found.where.lacking
     assert lacking.sensors["s1"] > 0.95
     assert max(lacking.sensors["s2"], lacking.sensors["s3"]) < 0.1
     assert discovery_text.whereabouts(found)[0].endswith("of what is lacking of s1 follows its reading")
 
 
 def test_it_goes_into_json(discoveries):
-    told = json.loads(json.dumps(where(discoveries("square")).as_dict(), allow_nan=False))
+    told = json.loads(json.dumps(discoveries("square").where.as_dict(), allow_nan=False))
     assert told.keys() == {"lacking", "left", "whiteness"}
     spring = told["lacking"]["places"]["spring2"]
     assert spring["energy"]["even"] > 0.95

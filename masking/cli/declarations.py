@@ -54,24 +54,24 @@ def _show(chosen: argparse.Namespace) -> int:
 def _check(chosen: argparse.Namespace) -> int:
     results = verbs.check(*chosen.files, compiling=say_compiling)
     if chosen.json:
-        told = [
+        results_as_json = [
             {
                 "file": r.file,
                 "kind": r.kind,
                 "problems": [p.as_dict() for p in r.problems],
                 "feasibility": r.feasibility.as_dict() if r.feasibility else None,
-                "untold": r.untold,
+                "unknown": r.unknown,
             }
             for r in results
         ]
-        print(json.dumps(told, indent=2))
+        print(json.dumps(results_as_json, indent=2))
     else:
         for result in results:
             print("\n".join(map(str, result.problems)) or f"{result.file}: a sound {result.kind}")
             if result.feasibility is not None:
                 print(result.feasibility)
-            elif result.untold:
-                print(f"  whether it fits cannot be told: {result.untold}")
+            elif result.unknown:
+                print(f"  whether it fits is unknown: {result.unknown}")
     return max(result.exit_status for result in results)
 
 

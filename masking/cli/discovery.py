@@ -28,7 +28,7 @@ def add_discover(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     text = "find out which physical effect a model is missing, from a record of the rig, and add it"
     sub = found.add_parser("discover", help=text, description=f"{text[0].upper()}{text[1:]}.")
     sub.add_argument("record", metavar="RECORD", help=RECORD)
-    sub.add_argument("--model", metavar="MODEL", help="what is believed of the rig: a name or a YAML file")
+    sub.add_argument("--model", metavar="MODEL", help="model of the rig: a name or a YAML file")
     text = "its sensors and actuators (default: the outputs or coordinates of the model, and its inputs)"
     sub.add_argument("--plant", metavar="PLANT", help=text)
     _add_of_records(sub)
@@ -54,7 +54,7 @@ def add_refine(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
 
 def _add_of_records(sub: argparse.ArgumentParser) -> None:
     """Add what is said of records, and of the model that is held against them."""
-    text = "another record, to judge by (default: the last part of the record)"
+    text = "another record, for validation (default: the last part of the record)"
     sub.add_argument("--validate", metavar="RECORD", help=text)
     sub.add_argument("--parameters", metavar="A,B", default="", help="that may be off (default: all of the equations)")
     text = "relative standard deviation of a parameter that declares none (default: %(default)s)"
@@ -109,11 +109,11 @@ def _settings(chosen: argparse.Namespace) -> dict[str, Any]:
 
 def _tell(wanted: str | bool, numbers: Path, summary: Callable[[], str]) -> int:
     """Print the numbers that were written as JSON, or a summary; write them to a further file where one is named."""
-    told = numbers.read_text(encoding="utf-8")
+    text_of_numbers = numbers.read_text(encoding="utf-8")
     if wanted is True:
-        print(told, end="")
+        print(text_of_numbers, end="")
         return 0
     if wanted:
-        Path(wanted).write_text(told, encoding="utf-8")
+        Path(wanted).write_text(text_of_numbers, encoding="utf-8")
     print(summary())
     return 0

@@ -29,7 +29,7 @@ def add(verb: Add) -> None:
     identify.add_argument("--plant", metavar="PLANT", required=True, help="the plant that was recorded: a name or file")
     identify.add_argument("--model", metavar="MODEL", help="fit this model instead of the plant's own")
     identify.add_argument("--parameters", metavar="A,B", default="", help="what to fit (default: all of the equations)")
-    identify.add_argument("--validate", metavar="RECORD", action="append", default=[], help="judge by this recording")
+    identify.add_argument("--validate", metavar="RECORD", action="append", default=[], help="validate on it")
     text = "length of the intervals of multiple shooting with which the fit starts (default: each record whole)"
     identify.add_argument("--shooting-interval", metavar="SECONDS", type=float, help=text)
     text = "least squares, or one pass of the extended Kalman filter (default: %(default)s)"
@@ -91,7 +91,7 @@ def add_measure(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     response: dict[str, Option] = {
         "inputs": ("V1,V2", names, "the inputs (default: all that move)"),
         "sensors": ("s1,s2", names, "the sensors (default: all)"),
-        "period": ("SECONDS", float, "of the excitation (default: what the record tells or repeats with)"),
+        "period": ("SECONDS", float, "of the excitation (default: as the record states, or as it repeats)"),
         "discard": ("N", int, "periods at the start that are left out (default: 1)"),
     }
     add(
@@ -134,9 +134,9 @@ def _measure(chosen: argparse.Namespace) -> int:
     found = verbs.measure(chosen.procedure, *chosen.records, plant=chosen.plant, out=out, **given)
     page = out / f"{chosen.procedure}.html"
     if chosen.json:
-        told = found.as_dict()
-        del told["series"]  # which the file has
-        print(json.dumps({**told, "page": str(page), "numbers": str(page.with_suffix(".json"))}, indent=2))
+        result = found.as_dict()
+        del result["series"]  # which the file has
+        print(json.dumps({**result, "page": str(page), "numbers": str(page.with_suffix(".json"))}, indent=2))
     else:
         print("\n".join([found.sentence, *(f"note: {note}" for note in found.notes)]))
         print(f"page: {page}")

@@ -44,12 +44,12 @@ def add_rig(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     serving.add_argument("--address", default="udp://127.0.0.1:5005", help="udp://host:port (default: %(default)s)")
     serving.add_argument("--record", metavar="DIR", help="folder for the twin's own record of each session")
     serving.add_argument("--seed", type=int, default=0, help="of the sensors' noise (default: 0)")
-    serving.add_argument("--sessions", type=int, metavar="N", help="end after so many sessions")
+    serving.add_argument("--sessions", type=int, metavar="N", help="end after N sessions")
     running = add_to_rig(_rig_run, "run", "run an experiment on a plant that runs by itself, and write its report")
     running.add_argument("experiment", metavar="EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
     running.add_argument("--plant", metavar="ADDRESS", required=True, help="such as udp://127.0.0.1:5005")
     running.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT_rig)")
-    text = "excite a rig, fit its plant file to the records, and judge the fit by one it has not seen"
+    text = "excite a rig, fit its plant file to the records, and validate the fit on another"
     calibrating = add_to_rig(_rig_calibrate, "calibrate", text)
     calibrating.add_argument("plant", metavar="PLANT", help="the rig's plant file, or a packaged plant")
     calibrating.add_argument("--at", metavar="ADDRESS", help="such as udp://127.0.0.1:5005 (default: the plant's twin)")
@@ -85,12 +85,12 @@ def _rig_run(chosen: argparse.Namespace) -> int:
         recording.save(out)
         written = run_report.report(recording, out)
         if chosen.json:
-            told = {
+            result = {
                 "masking_error": recording.manifest["masking_error"],
                 "rig": recording.manifest["rig"],
                 "recording": str(out),
             }
-            print(json.dumps(told, indent=2))
+            print(json.dumps(result, indent=2))
         else:
             print(written.summary)
             print(f"report: {written.path}")

@@ -61,14 +61,14 @@ def _run(chosen: argparse.Namespace) -> int:
     recording.save(out)
     written = run_report.report(recording, out)
     if chosen.json:
-        told = {
+        result = {
             "masking_error": recording.manifest["masking_error"],
             "limits_used": run_report.limits_used(recording),
             "warnings": run_report.warnings(recording),
             "recording": str(out),
             "report": str(written.path),
         }
-        print(json.dumps(told, indent=2))
+        print(json.dumps(result, indent=2))
     else:
         print(written.summary)
         print(f"report: {written.path}" + (f" (replaces the run of {before})" if before else ""))

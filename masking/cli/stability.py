@@ -41,12 +41,12 @@ def _stability(chosen: argparse.Namespace) -> int:
     with Bar("deriving") as bar:
         settings = {"kind": chosen.kind, "changes": changes, "box": box, "exponent": chosen.exponent}
         found = verbs.stability(chosen.name, **settings, out=out, tell=bar.tell)
-    told = json.dumps(found.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+    result = json.dumps(found.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
     if chosen.json is True:
-        print(told)
+        print(result)
         return 0
     if chosen.json:
-        Path(chosen.json).write_text(told + "\n", encoding="utf-8")
+        Path(chosen.json).write_text(result + "\n", encoding="utf-8")
     print(found)
     print(f"page: {out / 'stability.html'}")
     return 0

@@ -158,7 +158,7 @@ def interface(name: str, arguments: Mapping[str, str], results: Sequence[str]) -
 
 
 def _without_aliases(text: str) -> str:
-    """Return LLVM code in which the arrays that a function is given do not overlap; numba cannot be told so.
+    """Return LLVM code in which the arrays that a function is given do not overlap; numba has no option for that.
 
     No kernel is given overlapping arrays. measured: parameters then stay in registers through a loop.
     """

@@ -79,10 +79,10 @@ class Generated:
 
     def function(self, name: str) -> NativeFunction:
         """Return a function of the module, compiled when it is first called."""
-        told = self.meta["functions"][name]
-        work = tuple(told["work"]) if told["work"] else None
+        described = self.meta["functions"][name]
+        work = tuple(described["work"]) if described["work"] else None
         stem = self.path.parent.parent / "objects" / self.objects[name]
-        return NativeFunction(name, told["arguments"], told["results"], work, self.module, stem)
+        return NativeFunction(name, described["arguments"], described["results"], work, self.module, stem)
 
 
 def exists(name: str) -> bool:

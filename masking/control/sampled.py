@@ -102,7 +102,7 @@ class SampledController:
         parts = [
             self.controller.values(),
             self.instruments.gains(),
-            self.instruments.allocation.ravel(),
+            self.instruments.allocation_inverse.ravel(),
             self.instruments.allocation.ravel(),
         ]
         if self.homing:

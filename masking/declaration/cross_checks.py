@@ -75,8 +75,8 @@ def check_experiment(
     """
     problems = check_plant(plant, plant_model)
     problems += _overrides(experiment, "parameters", experiment.parameters, virtual_model)
-    believed = believed_model or plant_model
-    problems += _overrides(experiment, "controller.parameters", experiment.controller.parameters, believed)
+    assumed = believed_model or plant_model
+    problems += _overrides(experiment, "controller.parameters", experiment.controller.parameters, assumed)
     problems += _initial(experiment, virtual_model)
     problems += _effects(experiment, plant)
     problems += _sampling(experiment)
@@ -225,7 +225,7 @@ def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
 
 
 def _regulation(experiment: ExperimentDeclaration) -> Iterator[Problem]:
-    """Check that something is regulated, and that what tells how is about something that is."""
+    """Check that something is regulated, and that its settings are about something that is."""
     wanted = experiment.controller.regulate
     if wanted is None:
         return

@@ -1,6 +1,7 @@
-"""What a dictionary of own effects must fulfil beyond its schema: names, symbols, units, and what a discovery tries.
+"""Checks of a user's dictionary of effects beyond its schema: names, symbols, units, and starts of fits.
 
-Of the parameters, a discovery solves for factors, begins from what is `tried`, and holds what has a `value`.
+A discovery solves for the parameters that are factors, starts from values that are `tried`, and holds those with a
+`value`.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ MOST_PARAMETERS = 6
 MOST_STATES = 1
 MOST_STARTS = 60
 SYMBOLS = {"element": ("d", "d_rate", "t"), "sensor": ("s",), "actuator": ("u",)}
-# What the names of parameters and states would clash with where an effect is put into a model, or used from Python.
+# Names that would clash in a model with the effect, or in Python.
 TAKEN = frozenset({"d", "d_rate", "v", "f", "s", "u", "xi", "on", "at", "effect", "label"})
 # The units of a place, each with one that no template holds, so that dimensions tell them apart.
 _UNITS = {
@@ -58,10 +59,10 @@ def check_dictionary(declaration: DictionaryDeclaration, whole: bool, lost: Coll
 
 
 def factors(effect: OwnEffect) -> tuple[str, ...]:
-    """Return the parameters that are factors of what an effect does: that is a sum of terms with one of them each.
+    """Return the parameters that are factors of an effect: its force is a sum of terms with one of them each.
 
-    For a sensor or actuator it is what is added to the value. Rates of states hold no factor. Parameters with a `value`
-    or with values that are `tried` are none.
+    Of a sensor or actuator the sum is added to the value. Rates of states hold no factor. Parameters with a `value` or
+    with values to try are none.
     """
     held = set().union(*(state.rate.names for state in effect.states.values()))
     found: list[str] = []
@@ -79,10 +80,7 @@ _Rest = float | str | None  # a number, a symbol, or anything else
 
 @dataclass(frozen=True, slots=True)
 class _Factors:
-    """Reads an expression: its degree in some symbols, infinite where it is no polynomial, and what it is at 0 of them.
-
-    It looks at how the expression is written and does not simplify it.
-    """
+    """Reads an expression as written: its degree in some symbols, infinite if no polynomial, and its rest at 0."""
 
     factors: Collection[str]
 
@@ -122,7 +120,7 @@ def _product(a: _Rest, b: _Rest) -> _Rest:
 
 
 def _refusals(expression: Expression) -> tuple[Problem, ...]:
-    """Return what is wrong with an expression once it is simplified, such as a division by x - x."""
+    """Return the problems of an expression that show once it is simplified, such as a division by x - x."""
     try:
         expression.to_sympy({symbol: sp.Symbol(symbol, real=True) for symbol in expression.symbols})
     except DeclarationError as error:
@@ -132,7 +130,7 @@ def _refusals(expression: Expression) -> tuple[Problem, ...]:
 
 @dataclass(frozen=True)
 class _Checker:
-    """Looks at one effect of a dictionary; `path` is where it stands."""
+    """Checks one effect of a dictionary; `path` is its place."""
 
     declaration: DictionaryDeclaration
     path: str
@@ -156,7 +154,7 @@ class _Checker:
                     yield self._problem(f"{section}.{name}", message, "rename one of them", at_key=True)
 
     def symbols(self) -> Iterator[Problem]:
-        """Check what the expressions are made of, and that they can be compiled."""
+        """Check the symbols of expressions, and that they can be compiled."""
         effect = self.effect
         rates = [state.rate for state in effect.states.values()]
         allowed = [*SYMBOLS[effect.where], *effect.parameters, *effect.states]
@@ -167,7 +165,7 @@ class _Checker:
             yield from state.size.check_symbols([*effect.parameters]) if state.size is not None else ()
 
     def numbers(self) -> Iterator[Problem]:
-        """Check that all is used, bounds and values, and that a discovery can do something with each parameter."""
+        """Check that all is used, bounds and values, and that a discovery can estimate or hold each parameter."""
         effect, found = self.effect, factors(self.effect)
         used = effect.expression.names.union(*(state.rate.names for state in effect.states.values()))
         for name in {**effect.parameters, **effect.states}.keys() - used:
@@ -183,7 +181,7 @@ class _Checker:
                 yield self._problem(path, message, mend, at_key=True)
         starts = math.prod(len(parameter.tried) for parameter in effect.parameters.values() if parameter.tried)
         if starts > MOST_STARTS:
-            message, mend = f"{starts} combinations of what is tried are too many", f"try at most {MOST_STARTS}"
+            message, mend = f"{starts} combinations of values to try are too many", f"try at most {MOST_STARTS}"
             yield self._problem("parameters", message, mend, at_key=True)
 
     def _bounded(self, path: str, parameter: OwnParameter) -> Iterator[Problem]:
@@ -220,9 +218,9 @@ class _Checker:
         for name, state in effect.states.items():
             own = symbols[name] or NONE
             rate = tuple(a - b for a, b in zip(own, dimension_of("s"), strict=True))
-            yield from self._same(state.rate, symbols, rate, f"the rate of '{name}' is {self._told(describe(rate))}")
+            yield from self._same(state.rate, symbols, rate, f"the rate of '{name}' is {self._shown(describe(rate))}")
             if state.size is not None:
-                yield from self._same(state.size, symbols, own, f"the state '{name}' is {self._told(describe(own))}")
+                yield from self._same(state.size, symbols, own, f"the state '{name}' is {self._shown(describe(own))}")
 
     def _dimension(self, unit: str) -> Dimension:
         """Give the dimension of a unit, with those that stand for the place's."""
@@ -238,19 +236,19 @@ class _Checker:
         self, expression: Expression, symbols: Mapping[str, Dimension | None], wanted: Dimension, said: str
     ) -> Iterator[Problem]:
         if expression.unknown(symbols):
-            return  # told already
+            return  # it has its own problem
         try:
             found = dimension_in(expression, symbols)
         except DeclarationError as error:
             for problem in error.problems:
-                yield Problem(problem.place, problem.path, self._told(problem.message), problem.mend, problem.excerpt)
+                yield Problem(problem.place, problem.path, self._shown(problem.message), problem.mend, problem.excerpt)
             return
         if found is not None and found != wanted:
-            is_number = "a number without unit" if found == NONE else self._told(describe(found))
+            is_number = "a number without unit" if found == NONE else self._shown(describe(found))
             yield expression.problem((0, len(expression.text)), f"{said}, the expression {is_number}")
 
-    def _told(self, text: str) -> str:
-        """Write a text with the units of the place instead of what stands for them."""
+    def _shown(self, text: str) -> str:
+        """Write a text with the units of the place instead of their stand-ins."""
         for letter, unit in _UNITS[self.effect.where].items():
             text = re.sub(rf"\b{unit}\b", letter, text)
         return text

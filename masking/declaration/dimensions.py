@@ -1,7 +1,7 @@
 """The dimensions of a model: what is added, compared or equated must have one dimension, and scales must span it.
 
 The dimension of an expression follows from the declared units of its symbols; a derivative divides by time, a literal
-is a pure number, and a literal 0 fits everything. Units of one dimension, such as m and mm, are not told apart here.
+is a pure number, and a literal 0 fits everything. Units of one dimension, such as m and mm, are not distinguished here.
 """
 
 from __future__ import annotations

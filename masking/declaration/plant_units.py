@@ -1,6 +1,6 @@
 """The units of a plant: its limits are in units of what they bound, and its sensors give what they say.
 
-Nothing is converted: units of one dimension, such as V and mV, are not told apart. A unit that is not written is not
+Nothing is converted: units of one dimension, such as V and mV, are not distinguished. A unit that is not written is not
 checked, nor is anything against a model without units. Needs pint, so a run of what is compiled does not come here.
 """
 

@@ -178,8 +178,8 @@ def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Ass
     rig = load_plant(plant) if plant else load_plant(experiment.plant, refer(experiment, "plant"))
     plant_model = load_model(rig.model, refer(rig, "model"))
     virtual_model = load_model(experiment.virtual, refer(experiment, "virtual"))
-    believed = experiment.controller.model
-    believed_model = load_model(believed, refer(experiment, "controller.model")) if believed else plant_model
+    assumed = experiment.controller.model
+    believed_model = load_model(assumed, refer(experiment, "controller.model")) if assumed else plant_model
     problems = check_experiment(experiment, rig, plant_model, virtual_model, believed_model)
     if problems:
         raise DeclarationError(in_order(problems))

@@ -165,7 +165,7 @@ class Actuator(Block):
 class EffectUse(Block):
     """A physical effect that a plant has: which, where (an element, sensor or actuator, or several) and how strong.
 
-    Each of its parameters is a number, in the unit that the dictionary of effects tells, or an expression over the
+    Each of its parameters is a number, in the unit of the dictionary of effects, or an expression over the
     parameters of the plant's model.
     """
 
@@ -200,13 +200,23 @@ class OwnState(Block):
 
 
 class OwnEffect(Block):
-    """An effect of one's own: the force of an element, or what a sensor or actuator makes of its value."""
+    """A user's own effect: the force of an element, or the value that a sensor or actuator makes of its own.
+
+    `nested` names simpler effects that are special cases of it; `absorbed_by`, a parameter of the model that would do
+    the same; `linear` says that it keeps a linear rig linear. `label` is its name in a sentence, and `family` the row
+    of the error budget in which it counts.
+    """
 
     meaning: TextField
+    label: TextField = ""
+    family: TextField = ""
     where: Literal["element", "sensor", "actuator"]
     expression: Formula
     parameters: dict[Name, OwnParameter] = {}
     states: dict[Name, OwnState] = {}
+    nested: Annotated[tuple[TextField, ...], _SEVERAL] = ()
+    absorbed_by: TextField = ""
+    linear: Truth = False
     cause: TextField = ""
     remedy: TextField = ""
     source: TextField = ""
@@ -254,7 +264,7 @@ class ObserverSettings(Block):
 
     `exact` takes the true state, as only a simulation can give it; `differences` differences the positions; `kalman`
     follows the model; `disturbance` also estimates what the model lacks. `bandwidth` is in rad/s; `noise` is the
-    standard deviation of a reading, in the sensors' units; `order` tells how a disturbance is expected to go on: 1 as
+    standard deviation of a reading, in the sensors' units; `order` says how a disturbance is expected to continue: 1 as
     a constant, 2 as a straight line.
     """
 
@@ -267,7 +277,7 @@ class ObserverSettings(Block):
 class Regulation(Block):
     """What is held besides the wanted dynamics: a virtual energy, and oscillators in or in anti-phase.
 
-    `energy` is in the virtual system's units, `rate` tells how fast it is approached and `coupling` how strongly the
+    `energy` is in the virtual system's units, `rate` says how fast it is approached and `coupling` how strongly the
     oscillators are drawn to each other, both per unit of virtual time.
     """
 
@@ -278,7 +288,7 @@ class Regulation(Block):
 
 
 class ControllerSettings(Block):
-    """How often the controller runs (`rate` in Hz, None for continuous) and what it believes the rig to be.
+    """How often the controller runs (`rate` in Hz, None for continuous) and its model of the rig.
 
     `homing` is the time in s in which it brings the rig from rest to the initial state; without it, a simulated rig
     is placed there.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -35,6 +36,7 @@ BASES: dict[str, str] = {
     "substance": "mol",
     "luminosity": "cd",
 }
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NONE: Dimension = (Fraction(0),) * len(BASES)
 TIME: Dimension = tuple(Fraction(int(base == "time")) for base in BASES)
 
@@ -58,15 +60,49 @@ def factor_of(unit: str) -> float:
 
 def describe(dimension: Dimension) -> str:
     """Write a dimension in plain SI base units, such as kg*m/s**2."""
+    return _product(dict(zip(BASES.values(), dimension, strict=True)))
+
+
+def combined(template: str, known: Mapping[str, str]) -> str:
+    """Put units in place of letters, and keep each name as it is written.
+
+    Args:
+        template: a unit in which letters may stand for others, such as F/D.
+        known: the unit of each letter, such as {"F": "m/s**2", "D": "m"}, which gives 1/s**2.
+    """
+    powers: dict[str, Fraction] = {}
+    for letter, power in _powers(template).items():
+        for name, inner in _powers(known.get(letter, letter)).items():
+            powers[name] = powers.get(name, Fraction(0)) + power * inner
+    return _product(powers)
+
+
+def pretty(unit: str) -> str:
+    """Write a unit for people, such as 1/(m² s²) for 1/m**2/s**2; "" for 1.
+
+    pint's own format writes 1/m²/s² and sorts N m to m·N, which is why it is not used.
+    """
+    raised = re.sub(r"\*\*(\d+)", lambda found: found[1].translate(RAISED), _product(_powers(unit)))
+    first, *below = raised.replace("*", " ").split("/")
+    return "" if raised == "1" else "/".join([first, *([f"({' '.join(below)})"] if len(below) > 1 else below)])
+
+
+def _product(powers: Mapping[str, Fraction]) -> str:
+    """Write powers of names as a product and quotients."""
 
     def factor(name: str, power: Fraction) -> str:
         exponent = str(power) if power.denominator == 1 else f"({power})"
         return name if power == 1 else f"{name}**{exponent}"
 
-    pairs = list(zip(BASES.values(), dimension, strict=True))
-    above = "*".join(factor(name, power) for name, power in pairs if power > 0)
-    below = "".join("/" + factor(name, -power) for name, power in pairs if power < 0)
+    above = "*".join(factor(name, power) for name, power in powers.items() if power > 0)
+    below = "".join("/" + factor(name, -power) for name, power in powers.items() if power < 0)
     return (above or "1") + below
+
+
+def _powers(unit: str) -> dict[str, Fraction]:
+    """Return the names in a unit with their powers, without looking them up."""
+    expression = Expression(unit or "1", path="unit")
+    return expression.walk(_Names(expression))[0]
 
 
 def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
@@ -81,8 +117,8 @@ def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
     columns = [dimension_of(scale) for scale in scales.values()]
     exponents = _solve(columns, wanted)
     if exponents is None:
-        lacking = [base for base, w, *c in zip(BASES, wanted, *columns, strict=True) if w != 0 and not any(c)]
-        what = f"no scale for {' and '.join(lacking)}" if lacking else "no product of the scales"
+        absent = [base for base, w, *c in zip(BASES, wanted, *columns, strict=True) if w != 0 and not any(c)]
+        what = f"no scale for {' and '.join(absent)}" if absent else "no product of the scales"
         message = f"the unit {unit} cannot be made dimensionless: {what}"
         raise DeclarationError(Problem(None, "scales", message, f"add one under scales; there are {', '.join(scales)}"))
     return Conversion(factor, {name: float(power) for name, power in zip(scales, exponents, strict=True)})
@@ -110,6 +146,36 @@ def _named(name: str) -> tuple[float, Dimension]:
 def _unit(text: str) -> tuple[float, Dimension]:
     expression = Expression(text, path="unit")
     return expression.walk(_Units(expression))[:2]
+
+
+@dataclass(frozen=True, slots=True)
+class _Names:
+    """Reads a unit: (powers of the names in it, number if it is one)."""
+
+    expression: Expression
+
+    def number(self, step: Step) -> tuple[dict[str, Fraction], Fraction | None]:
+        return {}, Fraction(step.value)
+
+    def symbol(self, step: Step) -> tuple[dict[str, Fraction], Fraction | None]:
+        return {step.value: Fraction(1)}, None
+
+    def apply(
+        self, step: Step, args: Sequence[tuple[dict[str, Fraction], Fraction | None]]
+    ) -> tuple[dict[str, Fraction], Fraction | None]:
+        powers, number = args[0]
+        if step.operation == "negative" and number is not None:
+            return {}, -number
+        if step.operation == "**" and args[1][1] is not None:
+            return {name: power * args[1][1] for name, power in powers.items()}, None
+        if step.operation in {"*", "/"}:
+            sign = 1 if step.operation == "*" else -1
+            joined = {
+                n: powers.get(n, Fraction(0)) + sign * args[1][0].get(n, Fraction(0)) for n in {**powers, **args[1][0]}
+            }
+            ratio = None if number is None or args[1][1] is None else number * args[1][1] ** sign
+            return joined, ratio
+        raise DeclarationError(self.expression.problem(step, "a unit is a product of powers of units"))
 
 
 @dataclass(frozen=True, slots=True)

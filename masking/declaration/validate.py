@@ -1,4 +1,4 @@
-"""From a tree of nodes to a declaration, with pydantic's errors told in the file's own terms."""
+"""From a tree of nodes to a declaration, with pydantic's errors reported in the file's own terms."""
 
 from __future__ import annotations
 

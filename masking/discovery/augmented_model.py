@@ -1,8 +1,8 @@
-"""Open rig: a twin whose places are open, so that any effect can be put anywhere in it without compiling anew.
+"""Augmented model: a twin with force ports, so that any effect can act at any place without compiling again.
 
-A force port at each place and an offset in front of each actuator are compiled in; effects are laws of their own, which
-drive these ports while the rig is simulated, together with the derivatives by all parameters.
-Source: as `masking.estimation.sensitivity`.
+A force port at each place and an offset before each actuator are compiled in; effects are laws of their own, which
+drive these ports in the simulation, together with the derivatives by all parameters.
+Source: as `masking.numerics.augmented`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from masking.declaration.expression import Expression
 from masking.declaration.schema import EffectUse
 from masking.discovery import laws
 from masking.discovery.places import Place, degrees, identifier, opened
-from masking.effects import EFFECTS, Effect
+from masking.effects import EFFECTS, FORCE, OFFSET, Effect
 from masking.estimation.sensitivity import Sensitivity, add_slopes
 from masking.numerics.arrays import Array, IntMatrix, IntVector
 from masking.numerics.instances import ACTUATOR, COLUMNS, ELEMENT, INERTIA, SENSOR
@@ -54,19 +54,19 @@ class Slot:
         at: name of the place, sensor or actuator; '' for a delay of all actuators.
         values: of its parameters, in the order of the dictionary, in coherent units of the place.
         free: indices of those that are estimated.
-        own: what the effect is, where it does not come with the package.
+        known: its entry in the dictionary; by default that which comes with the package.
     """
 
     effect: str
     at: str
     values: tuple[float, ...]
     free: tuple[int, ...]
-    own: Effect | None = field(default=None, compare=False, repr=False)
+    known: Effect | None = field(default=None, compare=False, repr=False)
 
     @property
     def entry(self) -> Effect:
-        """Return what the effect is."""
-        return self.own or EFFECTS[self.effect]
+        """Return the effect's entry in the dictionary."""
+        return self.known or EFFECTS[self.effect]
 
     @property
     def where(self) -> str:
@@ -85,6 +85,10 @@ class Slot:
             made[i] = float(value)
         return replace(self, values=tuple(made))
 
+    def with_free_times(self, factor: float) -> Slot:
+        """Return the slot with its estimated parameters multiplied."""
+        return self.with_values(self.free, (self.values[i] * factor for i in self.free))
+
     @property
     def begins(self) -> tuple[float, ...]:
         """Return how far from 0 its state may begin; 0 where it begins there, and nothing where it has none."""
@@ -102,7 +106,7 @@ class Slot:
 
 @dataclass(frozen=True)
 class Equations:
-    """What a record tells: J^T W J (w, w), J^T W r (w,), squared residuals (sensors,), and what is simulated.
+    """Normal equations of a record: J^T W J (w, w), J^T W r (w,), squared residuals (sensors,), simulated readings.
 
     Columns: parameters of the rig, free parameters of the slots, where their states begin, then what each window may
     begin with, as `Twin.free` has it.
@@ -142,7 +146,7 @@ class OpenRig:
     """A twin with open places.
 
     Args:
-        twin: the rig as it is believed to be.
+        twin: the rig with its declared values.
         names: its parameters that may be adjusted.
     """
 
@@ -153,10 +157,9 @@ class OpenRig:
     def _opened(self) -> tuple[Twin, tuple[Place, ...]]:
         base, found = opened(self.twin.base)
         ports = {
-            f"port_{identifier(p.name)}": _use("constant_force", p.name if p.declared else identifier(p.name), "f0")
-            for p in found
+            f"port_{identifier(p.name)}": _port(FORCE, p.name if p.declared else identifier(p.name)) for p in found
         }
-        commands = {f"port_{name}": _use("actuator_offset", name, "u0") for name in self.twin.actuators}
+        commands = {f"port_{name}": _port(OFFSET, name) for name in self.twin.actuators}
         effects = {**commands, **ports, **self.twin.declaration.effects}
         declaration = self.twin.declaration.model_copy(update={"effects": effects})
         return Twin(declaration, base, self.twin.changes, self.twin.chosen), found
@@ -199,8 +202,8 @@ class OpenRig:
     @cached_property
     def _sensitivity(self) -> Sensitivity:
         twin, found = self._opened
-        forces = [f"port_{identifier(p.name)}_f0" for p in found]
-        commands = [f"port_{name}_u0" for name in self.twin.actuators]
+        forces = [f"port_{identifier(p.name)}_{FORCE.factors[0]}" for p in found]
+        commands = [f"port_{name}_{OFFSET.factors[0]}" for name in self.twin.actuators]
         return Sensitivity(twin, (*self.names, *forces, *commands))
 
     @cached_property
@@ -413,5 +416,5 @@ def _rates(lowered: LoweredTwin, places: Sequence[Place], loads: Mapping[str, st
     return found
 
 
-def _use(effect: str, at: str, parameter: str) -> EffectUse:
-    return EffectUse(effect=effect, at=(at,), parameters={parameter: 0.0})
+def _port(effect: Effect, at: str) -> EffectUse:
+    return EffectUse(effect=effect.name, at=(at,), parameters=dict.fromkeys(effect.factors, 0.0))

@@ -11,9 +11,6 @@ from masking.discovery.rules import RULES, DecisionRules
 from masking.discovery.verdict import Key, Law
 from masking.effects import Effect
 
-LIKE_PARAMETERS = ("linear_spring", "viscous_damping", "added_mass", "actuator_gain", "constant_force")
-LINEAR = (*LIKE_PARAMETERS, "delay", "actuator_lag", "sensor_lag", "sensor_gain")
-
 
 def is_composite(causes: Sequence[Key], rig: OpenRig, rules: DecisionRules = RULES) -> bool:
     """Return whether several effects imitate one that the dictionary lacks, see `verdict.is_composite`.
@@ -26,7 +23,7 @@ def is_composite(causes: Sequence[Key], rig: OpenRig, rules: DecisionRules = RUL
         rules: how many linear effects are too many.
     """
     known = rig.twin.dictionary
-    laws = [Law(n in LINEAR, _seat(rig, at), _kind(known[n]) if n in known else "") for n, at in causes]
+    laws = [Law(known[n].is_linear, _seat(rig, at), _kind(known[n])) for n, at in causes if n in known]
     return verdict.is_composite(laws, rules)
 
 
@@ -41,7 +38,7 @@ def _seat(rig: OpenRig, name: str) -> str:
 
 def _kind(effect: Effect) -> str:
     """Return what the force of an element follows; '' where it follows neither displacement nor rate."""
-    if effect.where != "element" or effect.name in LIKE_PARAMETERS:
+    if effect.where != "element" or effect.absorbed_by:
         return ""
     if effect.states:
         return "memory"

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from masking.discovery import fitting, shooting, verdict
 from masking.discovery.augmented_model import OpenRig
-from masking.discovery.composites import LIKE_PARAMETERS, is_composite
+from masking.discovery.composites import is_composite
 from masking.discovery.discovery import Discovery, Gap, Named
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
@@ -27,6 +27,7 @@ from masking.discovery.rules import DecisionRules
 from masking.discovery.search import Found, Search
 from masking.discovery.settings import DiscoverySettings
 from masking.discovery.verdict import Scored
+from masking.effects import ROUNDING
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
 from masking.estimation.simulation import relative
@@ -152,7 +153,7 @@ def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discover
         told,
         demoted=is_demoted,
         rounded=not effects and any(is_much for _, is_much in rounded),
-        at_noise=gap.is_noise(rules),
+        at_noise=gap.is_noise(len(judge), rules),
     )
     coming = None
     if answer == "ambiguous":
@@ -221,9 +222,8 @@ def _needed(found: Found, judged: Evidence, adjusted: Hypothesis) -> tuple[Expla
 
 def _plain(explanation: Explanation) -> Scored:
     """Return an explanation as plain data, without what takes another record or a tempering factor."""
-    names = explanation.names
-    absorbed = tuple(name in LIKE_PARAMETERS for name, _ in names)
-    return Scored(explanation.kind, names, explanation.cost, absorbed=absorbed, unique=explanation.own)
+    absorbed = tuple(bool(slot.entry.absorbed_by) for slot in explanation.hypothesis.slots)
+    return Scored(explanation.kind, explanation.names, explanation.cost, absorbed=absorbed, unique=explanation.own)
 
 
 def _scored(explanation: Explanation, evidence: Evidence, heat: float) -> Scored:
@@ -240,14 +240,14 @@ def _rounded(evidence: Evidence, hypothesis: Hypothesis) -> list[tuple[Named, bo
     It is seen in the readings themselves, and named if the rig does not declare it.
     """
     twin, least = evidence.rig.twin, evidence.rules.rounding_fraction
-    known = {effect.at for effect in twin.effects if effect.kind == "quantisation" and effect.enabled}
+    known = {effect.at for effect in twin.effects if effect.kind == ROUNDING.name and effect.enabled}
     left = hypothesis.squares / len(evidence.record)
     found = []
     steps = steps_of(evidence.record, evidence.rules.rounded_values)
     for i, (name, step) in enumerate(zip(twin.sensors, steps, strict=True)):
         variance = step**2 / 12.0
         if name not in known and variance > least * evidence.sigma[i] ** 2:
-            cause = Named("quantisation", name, {"step": (float(step), 0.0)}, 1.0)
+            cause = Named(ROUNDING.name, name, {ROUNDING.quantum: (float(step), 0.0)}, 1.0)
             found.append((cause, bool(variance > least * left[i])))
     return found
 

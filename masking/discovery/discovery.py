@@ -9,6 +9,8 @@ from typing import Any
 from masking.discovery.augmented_model import OpenRig
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
+from masking.discovery.latent_force import Smoothed, smoothed
+from masking.discovery.localisation import Where, where
 from masking.discovery.next_experiment import NextExperiment
 from masking.discovery.problem import Evidence
 from masking.discovery.rules import DecisionRules
@@ -54,9 +56,9 @@ class Gap:
     validation_floor: dict[str, float]
     adjusted: dict[str, float]
 
-    def is_noise(self, rules: DecisionRules) -> bool:
-        """Return whether no more than the noise of any sensor is left in the validation record."""
-        return at_noise_floor(self.validation[1].values(), self.validation_floor.values(), rules.validation_noise_floor)
+    def is_noise(self, readings: int, rules: DecisionRules) -> bool:
+        """Return whether each sensor is at the noise floor in the validation record, with its number of readings."""
+        return at_noise_floor(self.validation[1].values(), self.validation_floor.values(), readings, rules)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the gap as JSON can hold it."""
@@ -139,16 +141,28 @@ class Discovery:
         """Return how white what is left of each sensor is, on the record that judges."""
         return whiteness_of(self.judged, self.after.residuals)
 
+    @cached_property
+    def smoothed(self) -> Smoothed:
+        """Return the latent forces along the record, before and after the causes."""
+        return smoothed(self)
+
+    @cached_property
+    def where(self) -> Where:
+        """Return where the model error is: its coordinates, places, displacements, rates, times and sides."""
+        before, after = whiteness_of(self.judged, self.adjusted.residuals), self.whiteness
+        pairs = {name: (before[name], after[name] if self.effects else None) for name in self.twin.sensors}
+        return where(self, pairs)
+
     @property
     def within(self) -> bool:
         """Return whether what was found leaves no more than the noise of any sensor, on the record that judges."""
-        return self.gap.is_noise(self.evidence.rules)
+        return self.gap.is_noise(len(self.judge), self.evidence.rules)
 
     @property
     def is_hidden(self) -> bool:
         """Return whether something is missing that shows in the record that judges alone."""
-        gap, threshold = self.gap, self.evidence.rules.validation_noise_floor
-        is_seen = not at_noise_floor(gap.train[1].values(), gap.floor.values(), threshold)
+        after, floor = self.gap.train[1].values(), self.gap.floor.values()
+        is_seen = not at_noise_floor(after, floor, len(self.record), self.evidence.rules)
         return self.verdict == "unknown" and self.explanation.kind == "none" and not is_seen and not self.within
 
     @cached_property
@@ -160,9 +174,8 @@ class Discovery:
         fitted = self.explanation.hypothesis
         seen = [*self.whiteness.values(), *whiteness_of(self.evidence, fitted.residuals).values()]
         states = max(fitted.start.size, self.after.start.size)
-        gap, white = self.gap, (one.white for one in seen)
-        estimated = states / self.judge.readings.size
-        return is_closed(gap.validation[1], gap.validation_floor, white, estimated, self.evidence.rules)
+        estimated, white = states / self.judge.readings.size, (one.white for one in seen)
+        return is_closed(at_noise=self.within, white=white, estimated=estimated, rules=self.evidence.rules)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the discovery as JSON can hold it."""

@@ -11,7 +11,6 @@ import numpy as np
 
 from masking.discovery import laws
 from masking.discovery.augmented_model import Slot
-from masking.discovery.candidates import FACTORS
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import Evidence
 from masking.discovery.verdict import Key, Kind
@@ -78,7 +77,7 @@ def occam(hypothesis: Hypothesis, temperature: float = 1.0) -> float:
     strength = np.abs(added) / size * np.sqrt(np.maximum(np.diag(information), 0.0))  # each by itself, in deviations
     widths, used = np.abs(added) / size, 0
     for slot in hypothesis.slots:
-        own = [used + i for i, name in enumerate(slot.names) if name in FACTORS.get(slot.effect, slot.entry.factors)]
+        own = [used + i for i, name in enumerate(slot.names) if name in slot.entry.factors]
         for i, width in enumerate(_expected(slot)):
             widths[used + i] = max(widths[used + i], width / size[used + i])
         used += len(slot.free)

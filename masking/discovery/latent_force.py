@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -18,13 +19,17 @@ from masking.declaration.dimensions import dimension_in, displacement_dimension,
 from masking.declaration.expression import Expression
 from masking.declaration.units import Dimension, describe
 from masking.discovery import laws
-from masking.discovery.augmented_model import Slot
-from masking.discovery.discovery import Discovery
-from masking.discovery.memory import once
+from masking.discovery.augmented_model import OpenRig, Slot
+from masking.discovery.explanation import Explanation
 from masking.discovery.places import is_of_one
+from masking.discovery.problem import Evidence
+from masking.discovery.search import Found
 from masking.discovery.smoothing import Motion, smooth
+from masking.discovery.verdict import Verdict
 from masking.errors import IntegrationError
+from masking.estimation.data import Data
 from masking.numerics.arrays import Array
+from masking.rig.twin import Twin
 
 BINS = 24  # of a range, with equally many samples each
 FEWEST = 30  # samples of a bin
@@ -78,7 +83,43 @@ class Smoothed:
     gap: Array
 
 
-def lack(found: Discovery, most: str) -> Lack:
+class Explained(Protocol):
+    """What latent forces are found of: a record with its explanation, as a `Discovery` holds them."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Return the verdict."""
+
+    @property
+    def twin(self) -> Twin:
+        """Return the rig as its model declares it."""
+
+    @property
+    def rig(self) -> OpenRig:
+        """Return its augmented model."""
+
+    @property
+    def record(self) -> Data:
+        """Return the estimation record."""
+
+    @property
+    def evidence(self) -> Evidence:
+        """Return the estimation problem."""
+
+    @property
+    def explanation(self) -> Explanation:
+        """Return the explanation that was chosen."""
+
+    @property
+    def found(self) -> Found:
+        """Return the result of the search."""
+
+    @property
+    def smoothed(self) -> Smoothed:
+        """Return the latent forces along the record."""
+
+
+def lack(found: Explained, most: str) -> Lack:
     """Return what is lacking at the place of the last cause.
 
     Args:
@@ -103,7 +144,7 @@ def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Arra
     return places[enough] / counts[enough], sums[enough] / counts[enough], counts[enough].astype(float)
 
 
-def energies(found: Discovery) -> dict[str, float]:
+def energies(found: Explained) -> dict[str, float]:
     """Return the share of each sensor in what is beyond noise in the record, by name."""
     m, sigma = len(found.record), found.evidence.sigma
     beyond = np.maximum(found.found.base.hypothesis.squares / sigma**2 - m, 0.0)
@@ -111,8 +152,8 @@ def energies(found: Discovery) -> dict[str, float]:
     return dict(zip(found.twin.sensors, (float(part / whole) for part in beyond), strict=True))
 
 
-def _force(found: Discovery, where: str, name: str) -> Lack:
-    rig, seen, known = found.rig, smoothed(found), (True, True)
+def _force(found: Explained, where: str, name: str) -> Lack:
+    rig, seen, known = found.rig, found.smoothed, (True, True)
     motion, left = seen.before, seen.after
     if where == "actuator":
         at = rig.twin.actuators.index(name)
@@ -134,7 +175,7 @@ def _force(found: Discovery, where: str, name: str) -> Lack:
     return Lack(name, where, x, rate, before, after, (deviation, afterwards), units, known)
 
 
-def _sensor(found: Discovery, name: str) -> Lack:
+def _sensor(found: Explained, name: str) -> Lack:
     at, base, after = found.twin.sensors.index(name), found.found.base.hypothesis, found.explanation.hypothesis
     x = (found.record.readings - after.residuals)[:, at]
     rate = np.gradient(x) * found.record.rate
@@ -144,7 +185,7 @@ def _sensor(found: Discovery, name: str) -> Lack:
     return Lack(name, "sensor", x, rate, before, left, (sigma, sigma), units)
 
 
-def along(found: Discovery, slot: Slot, x: Array, rate: Array) -> Array:
+def along(found: Explained, slot: Slot, x: Array, rate: Array) -> Array:
     """Return what an effect gives along a motion of its place (m,)."""
     if slot.effect == laws.DELAY:
         t = np.arange(len(x)) / found.record.rate
@@ -152,8 +193,7 @@ def along(found: Discovery, slot: Slot, x: Array, rate: Array) -> Array:
     return np.asarray(found.rig.along(slot, x, rate, found.evidence.dt)[:, 0])
 
 
-@once
-def smoothed(found: Discovery) -> Smoothed:
+def smoothed(found: Explained) -> Smoothed:
     """Return what the model lacks along the record, with the parameters found, before and after the causes."""
     chosen, base = found.explanation.hypothesis, found.found.base.hypothesis
     if chosen is base:
@@ -171,7 +211,7 @@ def smoothed(found: Discovery) -> Smoothed:
     return Smoothed(before, after, record.readings - without)
 
 
-def _without(found: Discovery, motion: Motion) -> Motion:
+def _without(found: Explained, motion: Motion) -> Motion:
     """Return a motion whose lacking forces are less by what the causes give along it."""
     forces = motion.forces.copy()
     for slot in found.explanation.hypothesis.slots:
@@ -199,7 +239,7 @@ def projected(motion: Motion, by: Array) -> tuple[Array, float]:
     return motion.forces @ weight / norm, norm**-0.5
 
 
-def directions(found: Discovery, column: int) -> Array:
+def directions(found: Explained, column: int) -> Array:
     """Return what a unit in a column of the equations is as forces on each degree (degrees,)."""
     rig, theta = found.rig, found.explanation.hypothesis.theta
     n, count = len(rig.twin.state_names), len(rig.coordinates)
@@ -212,18 +252,18 @@ def directions(found: Discovery, column: int) -> Array:
     return np.asarray(np.linalg.lstsq(ports, moved[:, column], rcond=None)[0])
 
 
-def _busiest(found: Discovery) -> str:
+def _busiest(found: Explained) -> str:
     """Return the actuator whose commands vary most."""
     return found.twin.actuators[int(np.argmax(found.record.commands.std(axis=0)))]
 
 
-def command_unit(found: Discovery, name: str) -> str:
+def command_unit(found: Explained, name: str) -> str:
     """Return the unit of the commands of an actuator."""
     actuators = found.twin.declaration.actuators or found.twin.base.inputs
     return actuators[name].unit
 
 
-def element_units(found: Discovery, name: str) -> tuple[str, str, str]:
+def element_units(found: Explained, name: str) -> tuple[str, str, str]:
     """Return the units of force, displacement and rate of a place; '' in a model without units."""
     base = found.twin.base
     element = next(place.element for place in found.rig.places if place.name == name)

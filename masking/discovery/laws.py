@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
 
+from masking import effects
 from masking.codegen.graph import Graph
 from masking.codegen.printers import statements
 from masking.codegen.source import DECORATOR
@@ -29,7 +30,7 @@ else:
 WIDTH = 4 + MOST_PARAMETERS  # of a row: value, by displacement, by rate, by state, by each parameter
 FIRST_PARAMETER = 4
 SUBJECTS = {"element": "d", "sensor": "s", "actuator": "u"}
-DELAY = "delay"  # has no expression: the commands are read earlier
+DELAY = effects.DELAY.name  # has no expression: the commands are read earlier
 
 
 def known(dictionary: Mapping[str, Effect]) -> dict[str, Effect]:

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from masking.discovery import latent_force
-from masking.discovery.discovery import Discovery, whiteness_of
 from masking.discovery.force_decomposition import SEEN, Portrait, followed, portrait
 from masking.discovery.harmonics import Harmonics, Periods
-from masking.discovery.memory import once
+from masking.discovery.latent_force import Explained
 from masking.discovery.smoothing import Motion
 from masking.estimation.whiteness import Whiteness
 from masking.numerics.arrays import Array
@@ -125,19 +124,21 @@ class Where:
         }
 
 
-@once
-def where(found: Discovery) -> Where:
-    """Return where the model of a discovery lacks something; it is looked at once."""
-    seen, periods = latent_force.smoothed(found), Periods.of(found.record.commands, found.record.rate)
+def where(found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whiteness | None]]) -> Where:
+    """Localise the model error of a record.
+
+    Args:
+        found: the record with its explanation.
+        whiteness: of the validation residual of each sensor, before and after.
+    """
+    seen, periods = found.smoothed, Periods.of(found.record.commands, found.record.rate)
     lacking = _lacking(found, seen.before, seen.gap, periods)
     residuals = found.explanation.hypothesis.residuals
     left = None if seen.after is None else _lacking(found, seen.after, residuals, periods)
-    before, after = whiteness_of(found.judged, found.adjusted.residuals), found.whiteness
-    told = {name: (before[name], after[name] if found.effects else None) for name in found.twin.sensors}
-    return Where(lacking, left, told)
+    return Where(lacking, left, whiteness)
 
 
-def _lacking(found: Discovery, motion: Motion, gap: Array, periods: Periods | None) -> Lacking:
+def _lacking(found: Explained, motion: Motion, gap: Array, periods: Periods | None) -> Lacking:
     """Return what is lacking along a motion whose readings differ by a gap (m, sensors) from what is simulated."""
     rig, cycle = found.rig, None if periods is None else periods.length
     ratios = (motion.forces**2).mean(axis=0) / np.maximum(motion.deviation, 1e-300) ** 2

@@ -28,7 +28,6 @@ ZOOMS = (0.08, 0.02, 0.005, 0.00125)  # of a converter's step, that are looked a
 MOST_SHARPENED, SHARPENINGS = 24, 8
 HUGE = 1e9  # standard deviations: no effect that can be told of
 KEPT = 4e7  # numbers of what candidates do along a motion that are kept for the next screen of it
-SCALED = (laws.DELAY, "sensor_lag", "actuator_lag")  # their effect grows in proportion to their time
 
 
 @dataclass(frozen=True)
@@ -209,12 +208,9 @@ class Screen:
     def _zoom(self, found: dict[int, Promise]) -> None:
         """Look nearer at the steps of converters, whose effect has no slope to follow."""
         for width in ZOOMS:
-            near = [p for p in found.values() if p.candidate.effect == "dac_quantisation" and p.gain > 0.0]
+            near = [p for p in found.values() if p.candidate.entry.quantum and p.gain > 0.0]
             parts = 1.0 + np.linspace(-width, width, 9)
-            self._settle(
-                [(p.candidate, p.slot.with_values((0,), (p.slot.values[0] * part,))) for p in near for part in parts],
-                found,
-            )
+            self._settle([(p.candidate, p.slot.with_free_times(part)) for p in near for part in parts], found)
 
     def _sharpened(self, promises: Sequence[Promise]) -> dict[int, Promise]:
         """Return promises whose shapes are brought to their best values, by the method of Levenberg and Marquardt."""
@@ -321,23 +317,23 @@ class Screen:
             return nothing
         if not candidate.factors:  # a shape without factors: the size of its effect tells how near it is
             gain = 2.0 * float(right[0]) - float(diagonal[0])
-            if candidate.effect in SCALED:
+            if slot.entry.grows_with:
                 factor = float(right[0] / diagonal[0])
                 if factor <= 0.0:
                     return nothing
                 gain = max(gain, factor * float(right[0]))
-                slot = slot.with_values((0,), (min(factor, 20.0) * slot.values[0],))
-            elif candidate.effect == "dac_quantisation":
+                slot = slot.with_free_times(min(factor, 20.0))
+            elif slot.entry.quantum:
                 gain = max(gain, float(right[0]) ** 2 / float(diagonal[0])) if right[0] > 0.0 else 0.0
             return Promise(candidate, slot, max(gain, 0.0), own)
         scale = np.sqrt(diagonal[keep])
         factors = np.zeros(len(keep))
         scaled = gram[np.ix_(keep, keep)] / np.outer(scale, scale)
         factors[keep] = np.linalg.lstsq(scaled, right[keep] / scale, rcond=1e-10)[0] / scale
-        if candidate.effect == "lugre_friction":  # its one factor scales forces and stiffness together
+        if slot.entry.scaled:  # its one factor scales forces and stiffness together
             if factors[0] <= 0.0:
                 return nothing
-            scaled_by = (0, 1, 3, 4)
+            scaled_by = slot.entry.indices(slot.entry.scaled)
             slot = slot.with_values(scaled_by, factors[0] * np.array([slot.values[i] for i in scaled_by]))
         else:
             entries = list(slot.entry.parameters.values())
@@ -368,12 +364,10 @@ class Screen:
             return self._late(slot)
         rig, record = self.rig, self.record
         x, rate, column = self._subject(slot)
-        if not candidate.factors or candidate.effect == "lugre_friction":
+        if not candidate.factors or slot.entry.scaled:
             value = rig.along(slot, x, rate, 1.0 / record.rate)
             return (value[:, :1] - (0.0 if slot.where == "element" else x[:, None])), np.array([column])
         slot = slot.with_values(candidate.factors, np.zeros(len(candidate.factors)))
-        if candidate.effect in {"stribeck_friction", "asymmetric_friction", "dry_friction"}:
-            slot = slot.with_values(candidate.factors, np.ones(len(candidate.factors)))
         made = rig.along(slot, x, rate, 1.0 / record.rate, candidate.factors)
         return made[:, 1:], np.full(len(candidate.factors), column)
 
@@ -444,7 +438,7 @@ def _apart(columns: Array, others: Array) -> tuple[Array, Array]:
 
 
 def _has_shape(candidate: Candidate) -> bool:
-    return bool(set(candidate.free) - set(candidate.factors)) and candidate.effect != "dac_quantisation"
+    return bool(set(candidate.free) - set(candidate.factors)) and not candidate.entry.quantum
 
 
 def _stepped(slot: Slot, step: Array) -> Slot:

@@ -11,14 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import signal
 
 from masking.discovery import fitting, verdict
 from masking.discovery.augmented_model import Slot
-from masking.discovery.candidates import FACTORS, PARTS, Candidate, Span, candidates
+from masking.discovery.candidates import Candidate, candidates
 from masking.discovery.composites import is_composite
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
@@ -26,6 +26,8 @@ from masking.discovery.problem import Evidence
 from masking.discovery.rules import DecisionRules
 from masking.discovery.screening import Along, Promise, Screen
 from masking.discovery.smoothing import Motion, smooth
+from masking.discovery.verdict import Key
+from masking.effects import RELATIVE_TURNS, Span
 from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
@@ -33,17 +35,6 @@ Tell = Callable[[str, float], None]
 Job = Callable[[float], "Explanation"]  # given the cost of a rival
 
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
-SIMPLER = {  # of what each is nearly the same where its further parameters do little
-    "polynomial_spring": ("hardening_spring",),
-    "stop": ("constant_force",),
-    "gravity_force": ("hardening_spring",),
-    "asymmetric_friction": ("dry_friction", "constant_force"),
-    "stribeck_friction": ("dry_friction",),
-    "bouc_wen_hysteresis": ("hysteresis", "dahl_friction"),
-    "local_friction": ("dry_friction",),
-    "lugre_friction": ("dry_friction", "stribeck_friction"),
-}
-SIMPLE = {effect for kin in SIMPLER.values() for effect in kin}
 
 
 @dataclass(frozen=True)
@@ -101,6 +92,16 @@ class Search:
     def size(self) -> int:
         """Return the number of readings."""
         return self.evidence.record.readings.size
+
+    @cached_property
+    def nested(self) -> dict[str, tuple[str, ...]]:
+        """Return the simpler effects that are nested in each effect."""
+        return {name: effect.nested for name, effect in self.evidence.rig.twin.dictionary.items()}
+
+    def _nested_in(self, key: Key) -> set[Key]:
+        """Return the effects that are nested in one at its place."""
+        effect, at = key
+        return {(name, at) for name in self.nested.get(effect, ())}
 
     @property
     def price(self) -> float:
@@ -175,8 +176,9 @@ class Search:
         if now.names and self._closes(now) and verdict.is_excess(now.cost, self.size, rules):
             chosen = [promise for promise in chosen if promise.gain > rules.gain_fraction * excess]
         keys = _keys(chosen)
-        simpler = set().union(*map(_simple, keys)) - keys - {*now.names}
-        kin = simpler | {key for key in keys if key[0] in SIMPLE}
+        simpler = set().union(*map(self._nested_in, keys)) - keys - {*now.names}
+        inside = {name for names in self.nested.values() for name in names}
+        kin = simpler | {key for key in keys if key[0] in inside}
         others = [p for p in promises if p.candidate.key in kin and all(p is not one for one in chosen)]
         chosen += [p for i, p in enumerate(others) if p.candidate.key not in _keys([*chosen, *others[:i]])]
         variants = [p for p in others if all(p is not one for one in chosen)]
@@ -205,7 +207,7 @@ class Search:
         every = merged.values()
 
         def is_redundant(e: Explanation) -> bool:
-            return verdict.is_redundant(e, every, _simple(e.names[-1]), now.cost, rules, tempering=heat)
+            return verdict.is_redundant(e, every, self._nested_in(e.names[-1]), now.cost, rules, tempering=heat)
 
         telling = [e for e in every if not is_redundant(e)]
         # Of what is the same, a parameter of the rig comes first.
@@ -214,7 +216,7 @@ class Search:
         least = rules.parameter_evidence if ranked[0].kind == "parameter" else rules.effect_evidence
         if now.score(heat) - ranked[0].score(heat) < least:
             return []
-        return verdict.simplest_first(ranked, now.cost, SIMPLER, self.size, rules)
+        return verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules)
 
     def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
         """Return simpler kin of the best fit, fitted from where that is, where this begins better than they end."""
@@ -225,7 +227,7 @@ class Search:
         values = dict(zip(known.slots[-1].names, known.slots[-1].estimated, strict=True))
         better = []
         for kin in found:
-            if kin.names[-1] not in _simple(best.names[-1]):
+            if kin.names[-1] not in self._nested_in(best.names[-1]):
                 continue
             slot = kin.hypothesis.slots[-1]
             shared = [i for i, name in zip(slot.free, slot.names, strict=True) if name in values]
@@ -294,7 +296,7 @@ class Search:
 
     def _is_better(self, base: Explanation, other: Explanation, best: Explanation, i: int) -> bool:
         """Return whether an explanation is better than the best with another effect in the place of one."""
-        richer = best.names[i][0] in SIMPLER.get(other.names[0][0], ())
+        richer = best.names[i][0] in self.nested[other.names[0][0]]
         if richer and self._is_too_little(base, best, other):
             return False
         heat = self.evidence.temperature(other.hypothesis.residuals)
@@ -362,7 +364,7 @@ class Search:
             moved = x if place.element.displacement is not None else self._moved(rate)
             found[place.name] = _span(moved, float(rate.std()), tones)
             if not place.is_of_coordinates:
-                turns = tuple(part * float(np.sqrt((rate**2).mean())) or 1.0 for part in PARTS)
+                turns = tuple(part * float(np.sqrt((rate**2).mean())) or 1.0 for part in RELATIVE_TURNS)
                 found[place.name] = replace(found[place.name], turns=turns)
         for names, table in (
             (self.evidence.rig.twin.sensors, self.evidence.record.readings),
@@ -398,12 +400,6 @@ class Search:
         return tuple(found)
 
 
-def _simple(key: tuple[str, str]) -> set[tuple[str, str]]:
-    """Return the simpler kin of an effect at its place."""
-    effect, at = key
-    return {(simpler, at) for simpler in SIMPLER.get(effect, ())}
-
-
 def _keys(promises: Iterable[Promise]) -> set[tuple[str, str]]:
     return {promise.candidate.key for promise in promises}
 
@@ -416,8 +412,7 @@ def _without(explanation: Explanation, i: int) -> tuple[tuple[tuple[str, str], .
 
 def _scaled(slot: Slot, part: float) -> Slot:
     """Return a slot with a part of the effect."""
-    factors = FACTORS.get(slot.effect, slot.entry.factors)
-    at = [i for i, name in zip(slot.free, slot.names, strict=True) if name in factors]
+    at = [i for i, name in zip(slot.free, slot.names, strict=True) if name in slot.entry.factors]
     return slot.with_values(at, (part * slot.values[i] for i in at))
 
 

@@ -1,4 +1,4 @@
-"""Smoothing: the motion of a rig and the force that its model lacks, from a record of positions.
+"""Smoothing: the motion of a rig and the latent forces on it, from a record of positions.
 
 A force on each coordinate is added to the model as a random walk, and without coordinates on the rate of each state and
 on each output that forces act on; a Kalman filter and a backward pass with the constant gains of the rig at rest give
@@ -25,7 +25,7 @@ from masking.numerics.steady_kalman import discretised, steady_filter
 
 WALKS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # intensities that are tried, of that which moves the sensors as their noise does
 QUICK = 0.3  # rad, times the rate of a record: how fast forces on states and outputs are followed, to begin with
-FURTHER = (1e-6, 1e-4)  # intensities that are tried before the others where nothing but these is lacking
+FURTHER = (1e-6, 1e-4)  # intensities that are tried before the others if latent forces act on nothing else
 SHORT = 8.0  # s of the record by which the intensity is chosen
 
 
@@ -35,7 +35,7 @@ class Motion:
 
     Args:
         states: of the rig (m, n).
-        forces: that the model lacks, on each degree (m, degrees): coordinates, in their unit of acceleration, states
+        forces: latent, on each degree (m, degrees): coordinates, in their unit of acceleration, states
             and outputs.
         deviation: standard deviation of these forces (degrees,).
         innovations: what each reading adds to the past, in standard deviations (m, sensors).
@@ -68,7 +68,7 @@ class _Gains:
 
 
 def smooth(evidence: Evidence, theta: Array, start: Array) -> Motion:
-    """Return the motion and the lacking forces of a record.
+    """Return the motion and the latent forces of a record.
 
     Args:
         evidence: the record and the rig.
@@ -135,8 +135,8 @@ def linearised(rig: OpenRig, theta: Array) -> tuple[Array, Array, Array, Array]:
     jy[:count, count : 2 * count] = np.eye(count)
     columns = [rig.columns[1][i] for i in rig.degree_places]
     if not all(np.isfinite(table).all() for table in (jy, jp[:, columns], js, jps[:, columns])):
-        told = ", ".join(f"{name} = {value:g}" for name, value in zip(rig.twin.state_names, y, strict=True))
-        raise IntegrationError(f"the equations have no slopes at rest ({told}); give states an initial value in use")
+        state = ", ".join(f"{name} = {value:g}" for name, value in zip(rig.twin.state_names, y, strict=True))
+        raise IntegrationError(f"the equations have no slopes at rest ({state}); give states an initial value in use")
     return jy, jp[:, columns], js, jps[:, columns]
 
 
@@ -150,7 +150,7 @@ def _unit(rig: OpenRig, theta: Array, sigma: Array, rate: float) -> Array:
     """Return the intensity (degrees,) whose walk over the time of a motion moves sensors by their noise.
 
     A force on a state or an output is followed with the speed w where its intensity is s^2 w^4 / rate or
-    s^2 w^2 / rate, for a state or output that is told with a deviation of s in each sample.
+    s^2 w^2 / rate, for a state or output that is read with a deviation of s in each sample.
     """
     _, _, c, d = linearised(rig, theta)
     count = len(rig.coordinates)

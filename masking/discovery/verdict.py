@@ -15,6 +15,7 @@ import numpy as np
 
 from masking.discovery.rules import DecisionRules
 from masking.numerics.arrays import Array
+from masking.records.noise import ALIKE
 
 Verdict = Literal["none", "parameter", "named", "ambiguous", "unknown"]
 Kind = Literal["none", "parameter", "effects"]
@@ -25,13 +26,16 @@ class Fitted(Protocol):
     """A fitted hypothesis: its kind, its causes in the order in which they were found, and its cost."""
 
     @property
-    def kind(self) -> Kind: ...  # noqa: D102  # of a protocol
+    def kind(self) -> Kind:
+        """Return what it adds to the model."""
 
     @property
-    def names(self) -> tuple[Key, ...]: ...  # noqa: D102
+    def names(self) -> tuple[Key, ...]:
+        """Return the name and the place of each cause."""
 
     @property
-    def cost(self) -> float: ...  # noqa: D102
+    def cost(self) -> float:
+        """Return -2 log posterior density, up to a constant."""
 
 
 AnyFitted = TypeVar("AnyFitted", bound=Fitted)
@@ -90,41 +94,51 @@ class Law:
     follows: str
 
 
-def at_noise_floor(residual: Iterable[float], noise: Iterable[float], threshold: float) -> bool:
-    """Return whether residuals are at the noise floor: none larger than its noise by more than a factor.
+def noise_threshold(readings: int, rules: DecisionRules) -> float:
+    """Return the residual rms over noise rms up to which a residual is at the noise floor.
+
+        1.05 + 3 sqrt(2.63 / (2 m))
+
+    The second term is the sampling error of the noise, which is the mean of the lines of a spectrum of m readings; the
+    window of that correlates neighbouring lines, which makes the variance 2.63 times as large.
+
+    Args:
+        readings: m.
+        rules: the allowance, and the number of standard deviations.
+
+    Source: Stoica and Moses, Spectral Analysis of Signals (2005), section 2.7.
+    """
+    return rules.noise_floor + rules.noise_deviations * float(np.sqrt(ALIKE / (2.0 * readings)))
+
+
+def at_noise_floor(residual: Iterable[float], noise: Iterable[float], readings: int, rules: DecisionRules) -> bool:
+    """Return whether residuals are at the noise floor: each at most `noise_threshold` times its noise.
 
     Args:
         residual: rms of each residual, or of all together.
         noise: standard deviation of the noise of each, in the same unit.
-        threshold: the factor, `DecisionRules.noise_floor` or `DecisionRules.validation_noise_floor`.
+        readings: of each.
+        rules: the thresholds.
     """
+    threshold = noise_threshold(readings, rules)
     return all(size <= threshold * floor for size, floor in zip(residual, noise, strict=True))
 
 
 def reaches_noise(cost: float, readings: int, rules: DecisionRules) -> bool:
     """Return whether a fit with a cost leaves residuals at the noise floor, all readings together."""
-    return at_noise_floor([float(np.sqrt(cost))], [float(np.sqrt(readings))], rules.noise_floor)
+    return at_noise_floor([float(np.sqrt(cost / readings))], [1.0], readings, rules)
 
 
-def is_closed(
-    residual: Mapping[str, float],
-    noise: Mapping[str, float],
-    white: Iterable[bool],
-    estimated: float,
-    rules: DecisionRules,
-) -> bool:
+def is_closed(*, at_noise: bool, white: Iterable[bool], estimated: float, rules: DecisionRules) -> bool:
     """Return whether an explanation is complete: validation residuals at the noise floor, and white in both records.
 
     Args:
-        residual: rms of the validation residual of each sensor.
-        noise: its noise, in the same unit.
+        at_noise: whether the validation residual is at the noise floor.
         white: whether the residual of each sensor is white, in either record.
         estimated: initial states that were estimated, per reading; many of them colour a residual.
         rules: the thresholds.
     """
-    if not at_noise_floor(residual.values(), (noise[n] for n in residual), rules.validation_noise_floor):
-        return False
-    return estimated > rules.initial_state_share or all(white)
+    return at_noise and (estimated > rules.initial_state_share or all(white))
 
 
 def probabilities(scores: Sequence[float]) -> Array:
@@ -252,8 +266,7 @@ def steps_needed(base: Scored, steps: Iterable[Scored], last: float, readings: i
     for best in steps:
         before, after = excess_cost(chosen.cost, readings), excess_cost(best.cost, readings)
         is_late = chosen.kind != "none" and _is_explained(start, before, trace, readings, rules)
-        is_enough = after <= (1.0 - rules.late_gain_fraction) * before
-        is_enough = is_enough or after < (rules.noise_floor**2 - 1.0) * readings
+        is_enough = after <= (1.0 - rules.late_gain_fraction) * before or reaches_noise(best.cost, readings, rules)
         of_prior = chosen.misfit - best.misfit < rules.likelihood_fraction * (chosen.cost - best.cost)
         is_tolerated = best.is_like_parameter(-1, rules) or of_prior
         is_tolerated = is_tolerated and best.validation_cost < rules.validation_tolerance * chosen.validation_cost

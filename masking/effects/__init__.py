@@ -1,22 +1,40 @@
-"""Physical effects that a model may lack: what each is, where it may sit, and how it is put there.
+"""Physical effects that a model may lack: one dictionary, whose entries hold everything that is known of an effect.
 
-`EFFECTS` is the dictionary of all that come with the package, `load` reads a dictionary of one's own, and `dictionary`
-puts both together; `attach` puts one into an element of a declared model, `attach_all` several; `expressions`,
-`parameters` and `unit_of` give the parts from which those of a sensor or an actuator are compiled.
+`EFFECTS` is the dictionary that comes with the package, `load` reads a user's own, and `dictionary` joins them;
+`attach` puts an effect into an element of a declared model, `attach_all` several; `expressions`, `parameters` and
+`unit_of` give the parts from which those of a sensor or an actuator are compiled. Imports declarations, nothing else.
 """
 
 from masking.effects.attachment import Attachment, Setting, attach, attach_all, expressions, find, parameters, unit_of
-from masking.effects.entries import EFFECTS
-from masking.effects.entry import Effect, EffectParameter, EffectState
-from masking.effects.own import dictionary, load, own
+from masking.effects.dictionary import DELAY, EFFECTS, FORCE, LAG, OFFSET, ROUNDING, dictionary, load, own
+from masking.effects.entry import (
+    FAMILIES,
+    RELATIVE_TURNS,
+    SATURATION,
+    Effect,
+    EffectParameter,
+    EffectState,
+    Span,
+    Trial,
+)
 
 __all__ = [
+    "DELAY",
     "EFFECTS",
+    "FAMILIES",
+    "FORCE",
+    "LAG",
+    "OFFSET",
+    "RELATIVE_TURNS",
+    "ROUNDING",
+    "SATURATION",
     "Attachment",
     "Effect",
     "EffectParameter",
     "EffectState",
     "Setting",
+    "Span",
+    "Trial",
     "attach",
     "attach_all",
     "dictionary",

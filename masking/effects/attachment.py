@@ -22,7 +22,7 @@ from masking.declaration.expression import Expression
 from masking.declaration.fields import NAME_PATTERN
 from masking.declaration.schema import Element, ModelDeclaration, Parameter, State
 from masking.declaration.units import Dimension, describe, dimension_of
-from masking.effects.entries import EFFECTS
+from masking.effects.dictionary import EFFECTS
 from masking.effects.entry import Effect, EffectParameter
 from masking.errors import DeclarationError, Problem, nearest
 

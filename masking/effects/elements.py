@@ -5,7 +5,8 @@ One is a force of the acceleration of the displacement, `d_acc`: an inertia.
 
 from __future__ import annotations
 
-from masking.effects.entry import NOT_NEGATIVE, POSITIVE, Effect, EffectParameter, EffectState
+from masking.effects import starts
+from masking.effects.entry import NOT_NEGATIVE, POSITIVE, TURNS, Effect, EffectParameter, EffectState, Trial
 
 _SLIDING = EffectParameter(
     "D/s", "rate of displacement at which the force has 76 % of its size", (1e-5, 1e-2), 1e-3, 1e-3, POSITIVE
@@ -17,19 +18,29 @@ _STRIBECK = EffectParameter(
 )
 _CONTACT = EffectParameter("F/D", "stiffness of the contact", (1e3, 1e6), 2e4, None, NOT_NEGATIVE)
 _SIDE = EffectParameter("1", "1: it is beyond the edge upwards, -1: downwards", (-1.0, 1.0), 1.0, 1.0, (-1.0, 1.0))
+# The square alone, with the cube, and all powers: the fewer are estimated, the weaker a force is still found.
+_POWERS = (Trial(factors=("k2",)), Trial(factors=("k2", "k3")), Trial())
+# Without a measured rate the width of the sign is hardly observable: each width is a candidate of its own.
+_TURNS = tuple(Trial(starts.turn(number)) for number in range(len(TURNS)))
+# Breaking loose takes a little more than sliding, or twice as much.
+_BRISTLES = tuple(Trial(starts.bristles(static), ("fc", "fs", "vst", "s1")) for static in (1.2, 2.0))
 
-ELEMENTS: dict[str, Effect] = {
-    "constant_force": Effect(
+ELEMENTS: tuple[Effect, ...] = (
+    Effect(
         "constant_force",
-        "A force that is always there.",
+        "A constant force.",
         "element",
         "f0",
         {"f0": EffectParameter("F", "force", (-5.0, 5.0), 0.1)},
         cause="weight on a rig that is not level, a spring at rest elsewhere than assumed, an offset of an amplifier",
         remedy="level the rig or move the zero of the sensor; the model needs only its value, which is cancelled",
         source="Rijlaarsdam (2008), (4.14), rho_i0 of Table B.4",
+        family="springs",
+        factors=("f0",),
+        absorbed_by="force at rest",
+        is_linear=True,
     ),
-    "linear_spring": Effect(
+    Effect(
         "linear_spring",
         "The stiffness is larger than declared, by k.",
         "element",
@@ -38,10 +49,15 @@ ELEMENTS: dict[str, Effect] = {
         cause="a wrong spring constant or mass, a cable that pulls, a leaf spring clamped at another length",
         remedy="correct the eigenfrequency in the model",
         source="Rao (2011), Mechanical Vibrations, section 1.7",
+        family="springs",
+        factors=("k",),
+        absorbed_by="stiffness",
+        is_linear=True,
+        joins=True,
     ),
-    "polynomial_spring": Effect(
+    Effect(
         "polynomial_spring",
-        "The force of a spring as a polynomial of its displacement, in addition to what is declared.",
+        "A polynomial of the displacement, in addition to the declared force of the spring.",
         "element",
         "k0 + d*(k1 + d*(k2 + d*(k3 + d*(k4 + d*k5))))",
         {
@@ -55,28 +71,42 @@ ELEMENTS: dict[str, Effect] = {
         cause="large deflection of leaf springs, a clamp that lets go, asymmetric mounting, forces of magnets",
         remedy="measure the force over the whole stroke and let the controller cancel it",
         source="Rijlaarsdam (2008), (4.14) and Table B.4",
+        family="springs",
+        factors=("k2", "k3", "k4", "k5"),
+        trials=_POWERS,
+        nested=("hardening_spring",),
+        is_sum=True,
     ),
-    "hardening_spring": Effect(
+    Effect(
         "hardening_spring",
-        "A cubic spring: stiffer the further it is stretched, or softer where k3 is negative.",
+        "A cubic spring: stiffer the further it is stretched, or softer if k3 is negative.",
         "element",
         "k3*d**3",
         {"k3": EffectParameter("F/D**3", "cubic coefficient", (-1e7, 1e7), 1e5)},
         cause="leaf springs that are stretched when they bend, large rotations",
         remedy="give the ends of the springs room to move, or let the controller cancel the force",
         source="Kovacic and Brennan (2011), The Duffing Equation, (1.1)",
+        family="springs",
+        factors=("k3",),
+        joins=True,
+        calibrated=("k3",),
     ),
-    "viscous_damping": Effect(
+    Effect(
         "viscous_damping",
-        "A force in proportion to the rate of displacement, in addition to what is declared.",
+        "A force in proportion to the rate of displacement, in addition to the declared damping.",
         "element",
         "c*d_rate",
         {"c": EffectParameter("F*s/D", "additional damping", (-10.0, 10.0), 0.5)},
         cause="eddy currents in the voice coil, air, lubricated bearings; a wrong damping ratio",
         remedy="correct the damping ratio in the model",
         source="Rayleigh (1877), The Theory of Sound, volume 1, section 81",
+        family="damping",
+        factors=("c",),
+        absorbed_by="damping",
+        is_linear=True,
+        joins=True,
     ),
-    "quadratic_damping": Effect(
+    Effect(
         "quadratic_damping",
         "A resistance that grows with the square of the rate of displacement.",
         "element",
@@ -85,38 +115,77 @@ ELEMENTS: dict[str, Effect] = {
         cause="drag of air or of a liquid on plates and arms, flow through an orifice",
         remedy="make the moving surfaces smaller, or add it to the model",
         source="Nayfeh and Mook (1979), Nonlinear Oscillations, section 3.3.2",
+        family="damping",
+        factors=("c",),
     ),
-    "added_mass": Effect(
+    Effect(
         "added_mass",
-        "What moves has more inertia than declared, by m; between two coordinates, both are drawn to move alike.",
+        "More inertia than declared, by m; between two coordinates, an inerter.",
         "element",
         "m*d_acc",
         {"m": EffectParameter("F*s**2/D", "additional mass", (-10.0, 10.0), 0.05)},
         cause="a coil, a bracket, a target or glue that was not weighed, cables that move along, a liquid around it",
         remedy="weigh what moves, and correct the mass in the model",
         source="Smith (2002), IEEE Trans. Autom. Control 47(10), 1648-1662; to the ground it is a mass",
+        family="mass",
+        factors=("m",),
+        absorbed_by="mass",
+        is_linear=True,
     ),
-    "dry_friction": Effect(
+    Effect(
         "dry_friction",
-        "Coulomb's friction: a force of one size against the motion; the smooth sign lets it creep at rest.",
+        "Coulomb friction: a force of constant size against the motion; its smooth sign allows creep at rest.",
         "element",
         "fc*tanh(d_rate/vs)",
         {"fc": _COULOMB, "vs": _SLIDING},
         cause="sliding bearings, a coil that touches its magnet, cables that rub",
         remedy="align the coil and its guide, use leaf springs or air bearings; a disturbance observer follows it",
         source="Olsson, Astrom, Canudas de Wit, Gafvert and Lischinsky (1998), Eur. J. Control 4, section 2",
+        family="friction",
+        factors=("fc",),
+        trials=_TURNS,
+        trials_of_rates=(Trial(starts.turns, ("vs",)),),
+        joins=True,
+        calibrated=("fc",),
     ),
-    "stribeck_friction": Effect(
+    Effect(
+        "asymmetric_friction",
+        "Dry friction of different size in each direction.",
+        "element",
+        "where(d_rate > 0, fp, fm)*tanh(d_rate/vs)",
+        {
+            "fp": EffectParameter("F", "force while the displacement grows", (1e-3, 2.0), 0.1, None, NOT_NEGATIVE),
+            "fm": EffectParameter("F", "force while it shrinks", (1e-3, 2.0), 0.05, None, NOT_NEGATIVE),
+            "vs": _SLIDING,
+        },
+        cause="a guide that is loaded in one direction, wear, a cable that pulls along",
+        remedy="look for what touches in one direction only; a disturbance observer follows it",
+        source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, section 2.1",
+        family="friction",
+        factors=("fp", "fm"),
+        trials=(Trial(starts.turn(0)),),
+        trials_of_rates=(Trial(starts.turns, ("vs",)),),
+        nested=("dry_friction", "constant_force"),
+        is_sum=True,
+    ),
+    Effect(
         "stribeck_friction",
-        "Dry friction that is larger at small rates, where the lubricant does not carry yet.",
+        "Dry friction that is larger at small rates, at which the lubricant does not carry yet.",
         "element",
         "(fc + (fs - fc)*exp(-(d_rate/vst)**2))*tanh(d_rate/vs)",
         {"fc": _COULOMB, "fs": _STATIC, "vst": _STRIBECK, "vs": _SLIDING},
         cause="lubricated sliding contacts and ball bearings at low speed",
         remedy="a lubricant with friction modifiers, a dither on the input, or a guide without contact",
         source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, (2)",
+        family="friction",
+        label="Stribeck friction",
+        factors=("fc", "fs"),
+        trials=(Trial(starts.falls, ("vst",)),),
+        trials_of_rates=(Trial(starts.falls, ("vst", "vs")),),
+        nested=("dry_friction",),
+        calibrated=("fc",),
     ),
-    "lugre_friction": Effect(
+    Effect(
         "lugre_friction",
         "Friction of bristles that bend before they slip: stiction, presliding displacement and hysteresis.",
         "element",
@@ -140,15 +209,56 @@ ELEMENTS: dict[str, Effect] = {
                 "max(fc, fs)/s0",
             )
         },
+        family="friction",
+        label="LuGre friction",
+        factors=("s0",),
+        trials=_BRISTLES,
+        nested=("dry_friction", "stribeck_friction"),
+        scaled=("fc", "fs", "s0", "s1"),
     ),
-    "hysteresis": Effect(
+    Effect(
+        "dahl_friction",
+        "Dry friction that builds up over a short displacement after each reversal.",
+        "element",
+        "fc*z",
+        {
+            "fc": EffectParameter("F", _COULOMB.meaning, _COULOMB.prior, _COULOMB.nominal, None, NOT_NEGATIVE),
+            # half-decades: from nearly dry friction to nearly a spring
+            "x0": EffectParameter(
+                "D",
+                "displacement over which it builds up",
+                (1e-6, 1e-2),
+                1e-4,
+                None,
+                POSITIVE,
+                (0.003, 0.01, 0.03, 0.1, 0.3),
+            ),
+        },
+        cause="rolling bearings, preloaded contacts, cables that bend",
+        remedy="a guide without contact; small motions need this model, large ones only dry friction",
+        source="Dahl (1976), AIAA Journal 14(12), 1675-1682, with exponent 1",
+        states={"z": EffectState("(d_rate - abs(d_rate)*z)/x0", "1", "part of the friction that has built up", "1")},
+        family="friction",
+        label="Dahl friction",
+        factors=("fc",),
+    ),
+    Effect(
         "hysteresis",
         "A spring that remembers: its force follows another path back, in the normalised form of Bouc and Wen.",
         "element",
         "k*z",
         {
-            "k": EffectParameter("F/D", "stiffness where the motion turns", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
-            "zmax": EffectParameter("D", "displacement at which it yields", (1e-5, 1e-2), 1e-3, None, POSITIVE),
+            "k": EffectParameter("F/D", "stiffness at reversals", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
+            # beyond 1 it never yields and is a spring
+            "zmax": EffectParameter(
+                "D",
+                "displacement at which it yields",
+                (1e-5, 1e-2),
+                1e-3,
+                None,
+                POSITIVE,
+                (0.01, 0.03, 0.08, 0.2, 0.4, 0.8),
+            ),
             "beta": EffectParameter("1", "shape: 1/2 unloads in a straight line", (0.5, 2.0), 0.5, 0.5, (0.5, None)),
             "n": EffectParameter("1", "sharpness of yielding", (1.0, 10.0), 2.0, 2.0, (1.0, None)),
         },
@@ -163,16 +273,25 @@ ELEMENTS: dict[str, Effect] = {
                 "zmax",
             )
         },
+        family="hysteresis",
+        factors=("k",),
+        calibrated=("k", "zmax"),
     ),
-    "bouc_wen_hysteresis": Effect(
+    Effect(
         "bouc_wen_hysteresis",
         "A spring that remembers, in the general form of Bouc and Wen: loops that yield, or that open like a wedge.",
         "element",
         "k*z",
         {
-            "k": EffectParameter("F/D", "stiffness where the motion turns", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
-            "x0": EffectParameter("D", "displacement over which it bends", (1e-5, 1e-1), 1e-3, None, POSITIVE),
-            "delta": EffectParameter("1", "shape: above -1 it yields, below it opens", (-2.0, 2.0), 1.0, 1.0),
+            "k": EffectParameter("F/D", "stiffness at reversals", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
+            # bends soon, within the motion, or hardly
+            "x0": EffectParameter(
+                "D", "displacement over which it bends", (1e-5, 1e-1), 1e-3, None, POSITIVE, (0.15, 0.6, 2.4)
+            ),
+            # one loop that opens, one that yields
+            "delta": EffectParameter(
+                "1", "shape: above -1 it yields, below it opens", (-2.0, 2.0), 1.0, 1.0, tried=(-1.3, 0.0)
+            ),
             "n": EffectParameter("1", "sharpness of the bend", (1.0, 4.0), 1.0, 1.0, (1.0, None)),
         },
         cause="joints that slip a little, material damping of rubber or bonded springs, magnetic materials",
@@ -186,21 +305,30 @@ ELEMENTS: dict[str, Effect] = {
                 "x0",
             )
         },
+        family="hysteresis",
+        label="Bouc-Wen hysteresis",
+        factors=("k",),
+        nested=("hysteresis", "dahl_friction"),
     ),
-    "backlash": Effect(
+    Effect(
         "backlash",
-        "A spring behind play: no force within the gap, linear beyond it on both sides.",
+        "A spring with play: no force within the gap, linear beyond it on both sides.",
         "element",
         "k*(d - min(max(d, -gap/2), gap/2))",
         {
             "k": EffectParameter("F/D", "stiffness beyond the gap", (1.0, 1e6), 1e3, None, NOT_NEGATIVE),
-            "gap": EffectParameter("D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE),
+            # from a play that hardly shows up to one in which contact is rare
+            "gap": EffectParameter(
+                "D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE, (0.05, 0.15, 0.3, 0.5, 0.8, 1.2)
+            ),
         },
         cause="gears, couplings, loose screws, pins in slotted holes",
         remedy="preload the joint or replace it by a flexure",
         source="Nordin and Gutman (2002), Automatica 38, section 2",
+        family="backlash",
+        factors=("k",),
     ),
-    "stop": Effect(
+    Effect(
         "stop",
         "An end stop: a contact that pushes back beyond an edge and never pulls.",
         "element",
@@ -216,8 +344,12 @@ ELEMENTS: dict[str, Effect] = {
         cause="the end of the stroke: a bumper, the housing of the coil",
         remedy="stay within the stroke: smaller amplitudes, or the limits of the plant",
         source="Hunt and Crossley (1975), J. Appl. Mech. 42, 440-445",
+        family="end stop",
+        factors=("k",),
+        trials=(Trial(starts.edges, ("edge",)),),
+        nested=("constant_force",),
     ),
-    "local_friction": Effect(
+    Effect(
         "local_friction",
         "Dry friction in one part of the stroke only, beyond an edge.",
         "element",
@@ -232,51 +364,34 @@ ELEMENTS: dict[str, Effect] = {
         cause="a coil that touches its magnet in one part of the stroke, a burr, a cable that is caught",
         remedy="align the coil and look for marks at that position; otherwise keep the motion on the free side",
         source="Olsson, Astrom, Canudas de Wit, Gafvert and Lischinsky (1998), Eur. J. Control 4, position dependence",
+        family="friction",
+        factors=("fc",),
+        trials=(Trial(starts.local_edges, ("edge", "width")),),
+        trials_of_rates=(Trial(starts.local_edges_and_turns, ("edge", "width", "vs")),),
+        nested=("dry_friction",),
     ),
-    "asymmetric_friction": Effect(
-        "asymmetric_friction",
-        "Dry friction of another size in each direction.",
-        "element",
-        "where(d_rate > 0, fp, fm)*tanh(d_rate/vs)",
-        {
-            "fp": EffectParameter("F", "force while the displacement grows", (1e-3, 2.0), 0.1, None, NOT_NEGATIVE),
-            "fm": EffectParameter("F", "force while it shrinks", (1e-3, 2.0), 0.05, None, NOT_NEGATIVE),
-            "vs": _SLIDING,
-        },
-        cause="a guide that is loaded in one direction, wear, a cable that pulls along",
-        remedy="look for what touches in one direction only; a disturbance observer follows it",
-        source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, section 2.1",
-    ),
-    "dahl_friction": Effect(
-        "dahl_friction",
-        "Dry friction that builds up over a short displacement after each reversal.",
-        "element",
-        "fc*z",
-        {
-            "fc": EffectParameter("F", _COULOMB.meaning, _COULOMB.prior, _COULOMB.nominal, None, NOT_NEGATIVE),
-            "x0": EffectParameter("D", "displacement over which it builds up", (1e-6, 1e-2), 1e-4, None, POSITIVE),
-        },
-        cause="rolling bearings, preloaded contacts, cables that bend",
-        remedy="a guide without contact; small motions need this model, large ones only dry friction",
-        source="Dahl (1976), AIAA Journal 14(12), 1675-1682, with exponent 1",
-        states={"z": EffectState("(d_rate - abs(d_rate)*z)/x0", "1", "part of the friction that has built up", "1")},
-    ),
-    "gravity_force": Effect(
+    Effect(
         "gravity_force",
-        "The torque of a weight on an arm, and of all that comes back once a turn: a sine of the displacement.",
+        "The torque of a weight on an arm, and of anything that repeats once a turn: a sine of the displacement.",
         "element",
         "a*sin(d/r)",
         {
             "a": EffectParameter("F", "largest force", (-20.0, 20.0), 0.1),
-            "r": EffectParameter("D", "displacement per radian", (1e-4, 1.0), 1e-2, None, POSITIVE),
+            # from several turns within the travel to nearly a cubic spring
+            "r": EffectParameter(
+                "D", "displacement per radian", (1e-4, 1.0), 1e-2, None, POSITIVE, (0.12, 0.2, 0.35, 0.6, 1.2, 3.0)
+            ),
         },
         cause="a mass off the axis, magnets that cog, a thread that runs out",
         remedy="balance it, or let the controller cancel the force",
         source="Rijlaarsdam (2008), (8.4): nu^2 sin(theta)",
+        family="springs",
+        factors=("a",),
+        nested=("hardening_spring",),
     ),
-    "periodic_force": Effect(
+    Effect(
         "periodic_force",
-        "A force that goes on as a sine whatever the rig does.",
+        "A sinusoidal force that does not depend on the motion.",
         "element",
         "-a*sin(2*pi*nu*t) - b*cos(2*pi*nu*t)",
         {
@@ -287,8 +402,12 @@ ELEMENTS: dict[str, Effect] = {
         cause="a machine, a pump or a fan nearby, the mains in an amplifier",
         remedy="switch it off or isolate the rig from it; a disturbance observer follows slow ones",
         source="Den Hartog (1985), Mechanical Vibrations, section 2.8",
+        family="periodic force",
+        factors=("a", "b"),
+        trials=(Trial(starts.tones, ("nu",)),),
+        is_sum=True,
     ),
-    "stiffness_drift": Effect(
+    Effect(
         "stiffness_drift",
         "The stiffness changes steadily with time.",
         "element",
@@ -297,5 +416,7 @@ ELEMENTS: dict[str, Effect] = {
         cause="a spring that warms up or creeps, a magnet that weakens, a clamp that settles",
         remedy="let the rig warm up before it is used, calibrate again",
         source="Ljung (1999), System Identification, section 11.1",
+        family="springs",
+        factors=("k",),
     ),
-}
+)

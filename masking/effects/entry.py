@@ -1,11 +1,11 @@
-"""What an entry of the dictionary of physical effects holds.
+"""An entry of the dictionary: everything that the package knows about a physical effect, and nothing elsewhere.
 
 Expressions are in the language of declarations, over the effect's own parameters and states and
 
 * in an element: `d`, its displacement, `d_rate`, the rate of that, and the time `t`; they give the force f. That of an
-  inertia is in proportion to `d_acc`, the acceleration of the displacement, and to nothing else of the motion;
-* in a sensor: `s`, the value that it should give, and for noise `xi`, a sample of the standard normal distribution;
-* in an actuator: `u`, the commanded value.
+  inertia is in proportion to `d_acc`, the acceleration of the displacement, and to no other part of the motion;
+* in a sensor: `s`, the true value, and for noise `xi`, a sample of the standard normal distribution;
+* in an actuator: `u`, the command.
 
 Units are written with the units of the place: `F` of force and `D` of displacement of an element, `S` of a sensor, `U`
 of an actuator, and `s` of time; `prior` and `nominal` are in coherent SI units for a rig the size of a hand.
@@ -13,40 +13,100 @@ of an actuator, and `s` of time; `prior` and `nominal` are in coherent SI units 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
 from masking.declaration.expression import Expression
 
 Where = Literal["element", "sensor", "actuator", "loop"]
 Bounds = tuple[float | None, float | None]
 
+POSITIVE: Final[Bounds] = (1e-12, None)
+NOT_NEGATIVE: Final[Bounds] = (0.0, None)
+
+# Effects of one family share a row of the error budget, in this order.
+SATURATION: Final = "saturation"
+FAMILIES: Final = (
+    *("springs", "damping", "friction", "hysteresis", "mass", "backlash", "end stop", "periodic force"),
+    *("actuator gains", "actuator dynamics", SATURATION, "sensor errors", "quantisation", "noise", "delay"),
+)
+
+# Rates below which the smooth sign of a friction law is nearly linear: in m/s, or another unit of rate, if positions
+# are measured, and in parts of the rms rate if rates are. From the usual value downwards: a sharper sign needs finer
+# steps of integration, and a width between two of these changes the force at the turns alone.
+TURNS: Final = (1e-3, 1e-4, 1e-5)
+RELATIVE_TURNS: Final = (1e-2, 2e-3, 4e-4)
+
+
+@dataclass(frozen=True)
+class Span:
+    """The range of a place, sensor or actuator in a record, from which fits of its effects start.
+
+    Args:
+        low: least value.
+        high: largest value.
+        size: largest magnitude.
+        rate: root mean square of its rate.
+        tones: frequencies of the latent forces in Hz, the strongest first.
+        turns: rates below which the smooth sign of a friction law is nearly linear.
+    """
+
+    low: float
+    high: float
+    size: float
+    rate: float
+    tones: tuple[float, ...] = ()
+    turns: tuple[float, ...] = TURNS
+
+
+Start = Mapping[str, float]
+Starts = Callable[[Span], list[Start]]
+
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
     """A parameter of an effect.
 
-    `value` is taken where none is given, and None where one must be; `prior` is the range in which values are expected,
-    `nominal` a usual one, None where nobody knows; `bounds` are the least and the largest that make sense. `tried` are
-    values that a discovery begins from, of an own effect; see `masking.declaration.schema.OwnParameter`.
+    Args:
+        unit: template in the units of the place, such as `F/D`.
+        meaning: in a few words.
+        prior: range in which values are expected; None if nobody knows.
+        nominal: a usual value; None if nobody knows.
+        value: taken if none is given; None if one must be given.
+        bounds: least and largest value that make sense.
+        tried: values from which fits start: parts of the largest displacement if the unit is D, of the largest reading
+            or command if it is S or U, of the rms rate if it is D/s, and plain values otherwise.
     """
 
     unit: str
     meaning: str
-    prior: tuple[float, float] | None
-    nominal: float | None
+    prior: tuple[float, float] | None = None
+    nominal: float | None = None
     value: float | None = None
     bounds: Bounds = (None, None)
     tried: tuple[float, ...] = ()
 
+    def starts(self, span: Span) -> list[float]:
+        """Return the values from which fits start, within the bounds, in coherent units."""
+        size = {"D": span.size, "S": span.size, "U": span.size, "D/s": span.rate}.get(self.unit.replace(" ", ""), 1.0)
+        low, high = self.bounds
+        least, most = -math.inf if low is None else low, math.inf if high is None else high
+        return [min(max(part * size, least), most) for part in self.tried]
+
 
 @dataclass(frozen=True, slots=True)
 class EffectState:
-    """An internal state of an effect, with the expression of its rate.
+    """An internal state of an effect.
 
-    A simulation begins with 0. Where a record may begin with anything else, `size` is how far from 0 that may be, as an
-    expression of the parameters; '' where the state forgets where it began.
+    Args:
+        rate: expression of its rate.
+        unit: template in the units of the place.
+        meaning: in a few words.
+        size: how far from 0 a record may begin, as an expression of the parameters; '' if the state forgets its
+            beginning. A simulation begins at 0.
     """
 
     rate: str
@@ -56,10 +116,50 @@ class EffectState:
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
-    """A physical effect: the expression of what it does, where it may sit, what causes it and what helps.
+class Trial:
+    """One way in which discovery fits an effect; each is a candidate of its own.
 
-    `factors` are the parameters of an own effect that are factors of what it does.
+    Args:
+        starts: values of other parameters than the factors, from which fits start, for the range of a place.
+        free: parameters that are estimated beside the factors; the others are held at the start.
+        factors: factors that are estimated; all of the effect's if none are given.
+    """
+
+    starts: Starts = lambda span: [{}]
+    free: tuple[str, ...] = ()
+    factors: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """A physical effect.
+
+    Args:
+        name: in declarations and reports.
+        meaning: one sentence.
+        where: the kind of place in which it sits.
+        expression: of the force of an element, or of the value of a sensor or actuator; '' if it sits in the loop.
+        parameters: by their names.
+        cause: usual causes on a rig.
+        remedy: what helps.
+        source: of the law.
+        states: internal states by their names.
+        family: one of `FAMILIES`; '' gives it a row of its own in the error budget.
+        label: its name in a sentence; by default the name with spaces.
+        factors: parameters to which its force or value is in proportion, each in a term of its own: solved for.
+        trials: the ways in which discovery fits it; by default one, with every parameter that has values to try.
+        trials_of_rates: the same at places whose rate is measured; by default as elsewhere.
+        is_searched: whether discovery tries it at each place by these trials.
+        joins: whether it is also tried between coordinates that no element joins.
+        nested: simpler effects that are special cases of it, or nearly so.
+        absorbed_by: the parameter of a model that would do the same; '' if none would.
+        is_linear: whether a system with it is linear if it was so without it.
+        is_sum: whether it is there as soon as any factor differs from 0, not only if the first does.
+        scaled: parameters that scale its force together, if no parameter does so alone.
+        grows_with: the time constant to which its effect is in proportion, as long as that is short.
+        quantum: the parameter that is the step of a quantiser; '' if it is none.
+        deviation: standard deviation of the white noise that it adds to a sensor, as an expression of its parameters.
+        calibrated: parameters that a calibration fits where a plant file declares the effect.
     """
 
     name: str
@@ -67,11 +167,31 @@ class Effect:
     where: Where
     expression: str
     parameters: Mapping[str, EffectParameter]
-    cause: str
-    remedy: str
-    source: str
+    cause: str = ""
+    remedy: str = ""
+    source: str = ""
     states: Mapping[str, EffectState] = field(default_factory=dict)
+    family: str = ""
+    label: str = ""
     factors: tuple[str, ...] = ()
+    trials: tuple[Trial, ...] = ()
+    trials_of_rates: tuple[Trial, ...] = ()
+    is_searched: bool = True
+    joins: bool = False
+    nested: tuple[str, ...] = ()
+    absorbed_by: str = ""
+    is_linear: bool = False
+    is_sum: bool = False
+    scaled: tuple[str, ...] = ()
+    grows_with: str = ""
+    quantum: str = ""
+    deviation: str = ""
+    calibrated: tuple[str, ...] = ()
+
+    @property
+    def spoken(self) -> str:
+        """Return its name in a sentence."""
+        return self.label or self.name.replace("_", " ")
 
     @property
     def is_inertia(self) -> bool:
@@ -79,17 +199,33 @@ class Effect:
         return "d_acc" in self.expression
 
     @property
+    def is_known_to_controller(self) -> bool:
+        """Tell whether a controller is designed with it: noise of sensors, and what sits in the loop."""
+        return bool(self.deviation) or self.where == "loop"
+
+    @property
     def follows(self) -> frozenset[str]:
-        """Return what it follows of an element: some of displacement `d`, rate `d_rate` and acceleration `d_acc`."""
+        """Return the motion that it follows: some of displacement `d`, rate `d_rate` and acceleration `d_acc`."""
         texts = filter(None, [self.expression, *(state.rate for state in self.states.values())])
         used = {name for text in texts for name in Expression(text).names}
         return frozenset(used & {"d", "d_rate", "d_acc"})
 
+    def indices(self, names: tuple[str, ...]) -> tuple[int, ...]:
+        """Return the positions of some of its parameters."""
+        every = list(self.parameters)
+        return tuple(every.index(name) for name in names)
+
+    def trials_at(self, rate_is_measured: bool) -> tuple[Trial, ...]:
+        """Return the ways in which discovery fits it at a place."""
+        tried = tuple(name for name, parameter in self.parameters.items() if parameter.tried)
+        return (rate_is_measured and self.trials_of_rates) or self.trials or (Trial(self._combinations, tried),)
+
+    def _combinations(self, span: Span) -> list[Start]:
+        """Return all combinations of the values that are tried."""
+        tried = {name: parameter.starts(span) for name, parameter in self.parameters.items() if parameter.tried}
+        return [dict(zip(tried, values, strict=True)) for values in itertools.product(*tried.values())]
+
     def structure(self) -> list[object]:
-        """Return all that compiled functions of it depend on."""
+        """Return everything that compiled functions of it depend on."""
         rates = {name: state.rate for name, state in self.states.items()}
         return [self.name, self.where, self.expression, [*self.parameters], rates]
-
-
-POSITIVE: Bounds = (1e-12, None)
-NOT_NEGATIVE: Bounds = (0.0, None)

@@ -1,54 +1,72 @@
-"""Physical effects in sensors (of the value `s`), in actuators (of the value `u`) and in the loop."""
+"""Physical effects in sensors (of the true value `s`), in actuators (of the command `u`) and in the loop."""
 
 from __future__ import annotations
 
-from masking.effects.entry import NOT_NEGATIVE, POSITIVE, Effect, EffectParameter, EffectState
+from masking.effects import starts
+from masking.effects.entry import NOT_NEGATIVE, POSITIVE, SATURATION, Effect, EffectParameter, EffectState, Trial
 
 _SAMPLED = "raise the resolution of the converter or amplify the signal to fill its range; the observer smooths it"
 
-INSTRUMENTS: dict[str, Effect] = {
-    "sensor_offset": Effect(
+INSTRUMENTS: tuple[Effect, ...] = (
+    Effect(
         "sensor_offset",
-        "The sensor gives a value where there is none.",
+        "Every reading is shifted by the same amount.",
         "sensor",
         "s + e0",
         {"e0": EffectParameter("S", "offset", (-0.5, 0.5), 0.01)},
         cause="a zero that was not adjusted, drift of an amplifier with temperature",
         remedy="adjust the zero at rest before each run",
         source="Doebelin (2003), Measurement Systems, section 3.2",
+        family="sensor errors",
+        factors=("e0",),
     ),
-    "sensor_gain": Effect(
+    Effect(
         "sensor_gain",
-        "The sensor's gain is not the declared one.",
+        "The sensor's gain differs from the declared one.",
         "sensor",
         "s*(1 + e)",
         {"e": EffectParameter("1", "relative error of the gain", (-0.3, 0.3), 0.02)},
         cause="a calibration at another distance, temperature or supply voltage",
         remedy="calibrate against a gauge over the whole stroke",
         source="Doebelin (2003), Measurement Systems, section 3.2",
+        family="sensor errors",
+        factors=("e",),
+        is_linear=True,
     ),
-    "sensor_saturation": Effect(
+    Effect(
         "sensor_saturation",
-        "The sensor gives no more than its limit.",
+        "The reading is clipped at a limit.",
         "sensor",
         "min(max(s, -limit), limit)",
-        {"limit": EffectParameter("S", "largest magnitude", (0.1, 20.0), 10.0, None, NOT_NEGATIVE)},
+        {
+            # denser near the peak, where few samples are cut off
+            "limit": EffectParameter(
+                "S", "largest magnitude", (0.1, 20.0), 10.0, None, NOT_NEGATIVE, (0.3, 0.5, 0.7, 0.85, 0.95)
+            )
+        },
         cause="the end of the range of a sensor, amplifier or converter",
         remedy="lower the gain or stay within the range; beyond it the state cannot be known",
         source="Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 1",
+        family="sensor errors",
     ),
-    "sensor_lag": Effect(
+    Effect(
         "sensor_lag",
-        "The sensor follows with a delay of first order.",
+        "The reading follows through a first-order lag.",
         "sensor",
         "m",
-        {"tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE)},
+        {
+            # s: a filter of some 160 Hz, and of 30 Hz
+            "tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE, (1e-3, 5e-3))
+        },
         cause="a filter in the amplifier, a slow sensor",
         remedy="raise the cut-off of the filter, or put it into the observer's model",
         source="Doebelin (2003), Measurement Systems, section 3.3",
         states={"m": EffectState("(s - m)/tau", "S", "filtered value")},
+        family="sensor errors",
+        is_linear=True,
+        grows_with="tau",
     ),
-    "sensor_cubic": Effect(
+    Effect(
         "sensor_cubic",
         "The sensor's gain changes towards the ends of its range.",
         "sensor",
@@ -57,8 +75,10 @@ INSTRUMENTS: dict[str, Effect] = {
         cause="a sensor used beyond its linear range, the field of a coil towards its end",
         remedy="calibrate over the whole stroke and undo the curve, or stay near the middle",
         source="Doebelin (2003), Measurement Systems, section 3.2",
+        family="sensor errors",
+        factors=("c",),
     ),
-    "sensor_rectification": Effect(
+    Effect(
         "sensor_rectification",
         "The sensor's gain differs between the two signs.",
         "sensor",
@@ -67,38 +87,37 @@ INSTRUMENTS: dict[str, Effect] = {
         cause="a diode or a demodulator that is out of balance",
         remedy="adjust the demodulator, or undo the difference",
         source="Doebelin (2003), Measurement Systems, section 3.2",
+        family="sensor errors",
+        factors=("r",),
     ),
-    "quantisation": Effect(
+    Effect(
         "quantisation",
-        "The sensor gives multiples of a step; a step of 0 leaves the value as it is.",
+        "The reading is rounded to multiples of a step; a step of 0 leaves it unchanged.",
         "sensor",
         "where(step > 0, step*floor(s/step + 1/2), s)",
         {"step": EffectParameter("S", "step", (0.0, 0.1), 3e-4, None, NOT_NEGATIVE)},
         cause="a converter of finite resolution, an encoder",
         remedy=_SAMPLED,
         source="Widrow and Kollar (2008), Quantization Noise, ch. 1",
+        family="quantisation",
+        is_searched=False,
+        quantum="step",
+        deviation="step/sqrt(12)",
     ),
-    "noise": Effect(
+    Effect(
         "noise",
-        "White noise on what the sensor gives, fresh in each sample.",
+        "White noise on the readings, independent from sample to sample.",
         "sensor",
         "s + sigma*xi",
         {"sigma": EffectParameter("S", "standard deviation of a sample", (0.0, 0.1), 1e-3, None, NOT_NEGATIVE)},
         cause="thermal noise of the electronics, stray fields, vibration of the sensor's mount",
         remedy="shield and shorten cables, filter before sampling; the observer trades it against speed",
         source="Astrom (1970), Introduction to Stochastic Control Theory, ch. 2",
+        family="noise",
+        is_searched=False,
+        deviation="sigma",
     ),
-    "actuator_gain": Effect(
-        "actuator_gain",
-        "The actuator's gain is not the declared one.",
-        "actuator",
-        "(1 + e)*u",
-        {"e": EffectParameter("1", "relative error of the gain", (-0.5, 0.5), 0.05)},
-        cause="a wrong motor constant, a weaker magnet, a coil outside its homogeneous field",
-        remedy="identify the gain anew with the rig as it is",
-        source="Rijlaarsdam (2008), Table 4.2, c_i",
-    ),
-    "actuator_offset": Effect(
+    Effect(
         "actuator_offset",
         "The actuator acts at a command of zero.",
         "actuator",
@@ -107,38 +126,56 @@ INSTRUMENTS: dict[str, Effect] = {
         cause="an amplifier or converter whose zero was not adjusted",
         remedy="adjust the zero, or add its negative to the input",
         source="Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, ch. 10",
+        family="actuator gains",
+        factors=("u0",),
     ),
-    "saturation": Effect(
+    Effect(
+        "actuator_gain",
+        "The actuator's gain differs from the declared one.",
+        "actuator",
+        "(1 + e)*u",
+        {"e": EffectParameter("1", "relative error of the gain", (-0.5, 0.5), 0.05)},
+        cause="a wrong motor constant, a weaker magnet, a coil outside its homogeneous field",
+        remedy="identify the gain anew with the rig as it is",
+        source="Rijlaarsdam (2008), Table 4.2, c_i",
+        family="actuator gains",
+        factors=("e",),
+        absorbed_by="gain",
+        is_linear=True,
+    ),
+    Effect(
         "saturation",
-        "The actuator gives no more than its limit.",
+        "The command is clipped at a limit.",
         "actuator",
         "min(max(u, -limit), limit)",
-        {"limit": EffectParameter("U", "largest magnitude", (0.01, 50.0), 0.42, None, NOT_NEGATIVE)},
+        {
+            # beyond 1 nothing is cut off
+            "limit": EffectParameter(
+                "U", "largest magnitude", (0.01, 50.0), 0.42, None, NOT_NEGATIVE, (0.3, 0.45, 0.6, 0.75, 0.9)
+            )
+        },
         cause="the supply of the amplifier, a fuse, a limit in software",
         remedy="ask for less: smaller amplitude, slower time scale, a virtual system nearer to the rig",
         source="Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 1",
+        family=SATURATION,
     ),
-    "dead_zone": Effect(
+    Effect(
         "dead_zone",
         "The actuator does nothing for small values.",
         "actuator",
         "u - min(max(u, -width), width)",
-        {"width": EffectParameter("U", "largest value without an answer", (0.0, 1.0), 0.01, None, NOT_NEGATIVE)},
+        {
+            # half-decades
+            "width": EffectParameter(
+                "U", "largest value without an answer", (0.0, 1.0), 0.01, None, NOT_NEGATIVE, (0.01, 0.03, 0.08, 0.2)
+            )
+        },
         cause="the crossover of an amplifier, a valve that overlaps",
         remedy="a bias current, or add the width in the direction of the command",
         source="Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 1",
+        family="actuator dynamics",
     ),
-    "dac_quantisation": Effect(
-        "dac_quantisation",
-        "The actuator takes multiples of a step; a step of 0 leaves the value as it is.",
-        "actuator",
-        "where(step > 0, step*floor(u/step + 1/2), u)",
-        {"step": EffectParameter("U", "step", (0.0, 0.1), 3e-4, None, NOT_NEGATIVE)},
-        cause="a converter of finite resolution",
-        remedy=_SAMPLED,
-        source="Widrow and Kollar (2008), Quantization Noise, ch. 1",
-    ),
-    "actuator_cubic": Effect(
+    Effect(
         "actuator_cubic",
         "The actuator's gain changes towards the ends of its range.",
         "actuator",
@@ -147,21 +184,43 @@ INSTRUMENTS: dict[str, Effect] = {
         cause="a voice coil that leaves its field, an amplifier near its supply",
         remedy="ask for less, or undo the curve",
         source="Preumont (2011), Vibration Control of Active Structures, section 3.2",
+        family="actuator gains",
+        factors=("c",),
     ),
-    "actuator_lag": Effect(
+    Effect(
+        "dac_quantisation",
+        "The command is rounded to multiples of a step; a step of 0 leaves it unchanged.",
+        "actuator",
+        "where(step > 0, step*floor(u/step + 1/2), u)",
+        {"step": EffectParameter("U", "step", (0.0, 0.1), 3e-4, None, NOT_NEGATIVE)},
+        cause="a converter of finite resolution",
+        remedy=_SAMPLED,
+        source="Widrow and Kollar (2008), Quantization Noise, ch. 1",
+        family="actuator dynamics",
+        label="DAC quantisation",
+        trials=(Trial(starts.levels, ("step",)),),
+        quantum="step",
+    ),
+    Effect(
         "actuator_lag",
-        "The actuator follows with a delay of first order.",
+        "The actuator follows through a first-order lag.",
         "actuator",
         "a",
-        {"tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE)},
+        {
+            # s: an amplifier, a coil under voltage, and a slow drive
+            "tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE, (1e-3, 5e-3, 2e-2))
+        },
         cause="the inductance of the coil under voltage, the bandwidth of the amplifier",
         remedy="drive the coil by a current amplifier, or lead the command by the time constant",
         source="Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, ch. 2",
         states={"a": EffectState("(u - a)/tau", "U", "value that acts")},
+        family="actuator dynamics",
+        is_linear=True,
+        grows_with="tau",
     ),
-    "thermal": Effect(
+    Effect(
         "thermal",
-        "The coil warms up; its driver lets no more through than keeps its mean power at a limit.",
+        "The coil warms up, and its driver limits the mean power.",
         "actuator",
         "where(P < limit, u, min(max(u, -sqrt(limit/r)), sqrt(limit/r)))",
         {
@@ -175,15 +234,24 @@ INSTRUMENTS: dict[str, Effect] = {
         states={
             "P": EffectState("(where(P < limit, r*u**2, min(r*u**2, limit)) - P)/tau", "W", "mean power of the coil")
         },
+        family=SATURATION,
+        is_searched=False,
     ),
-    "delay": Effect(
+    Effect(
         "delay",
-        "What the controller commands acts some samples late.",
+        "Commands act some samples late.",
         "loop",
         "",
-        {"samples": EffectParameter("1", "whole samples", (0.0, 20.0), 1.0, None, NOT_NEGATIVE)},
+        {
+            # a buffer of one sample, and a network
+            "samples": EffectParameter("1", "whole samples", (0.0, 20.0), 1.0, None, NOT_NEGATIVE, (1.0, 5.0))
+        },
         cause="the time of computing, buffers of converters and drivers, a network",
         remedy="predict the state by the delay before computing the command, or raise the rate",
         source="Astrom and Wittenmark (1997), Computer-Controlled Systems, section 3.5",
+        family="delay",
+        is_searched=False,
+        is_linear=True,
+        grows_with="samples",
     ),
-}
+)

@@ -131,20 +131,20 @@ class Data:
 
         Raises:
             ModelError: `hold` is not known.
-            RecordError: the record cannot be read, or tells nothing of the plant.
+            RecordError: the record cannot be read, or has no information about the plant.
         """
         needed = (*twin.actuators, *twin.sensors)
         return cls.of(readers.read(path, columns, dt, needed), twin, str(path), hold)
 
     def check(self, twin: Twin) -> None:
-        """Refuse a record that tells nothing of a plant."""
+        """Refuse a record without information about a plant."""
         for names, table in ((twin.actuators, self.commands), (twin.sensors, self.readings)):
             for column, values in zip(names, table.T, strict=True):
                 wrong = np.flatnonzero(~np.isfinite(values))
                 if len(wrong):
                     raise RecordError(
                         f"{self.name}: {column} is {values[wrong[0]]} at sample {wrong[0]}, and not finite at "
-                        f"{len(wrong)} samples in all; cut these out, and give what is left as records of their own"
+                        f"{len(wrong)} samples in all; cut these out, and give the parts as records of their own"
                     )
         if not np.ptp(self.commands, axis=0).any() and not self._moves:
             raise RecordError(
@@ -197,7 +197,7 @@ class Data:
         return replace(self, commands=whole, hold="first-order")
 
     def windows(self, seconds: float) -> list[Data]:
-        """Return the record in pieces of about so many seconds, each long enough to begin a piece by itself."""
+        """Return the record in pieces of about a given length, each long enough to be simulated by itself."""
         count = max(1, round(len(self) / (seconds * self.rate)))
         bounds = [len(self) * i // count for i in range(count + 1)]
         acting = self.acting

@@ -51,10 +51,10 @@ def lines(found: Estimate) -> list[str]:
         f"  {name:{width}}  {value:<12.6g} +- {Z_975 * std:.2g}"
         for name, value, std in zip(found.names, found.values, found.std, strict=True)
     ]
-    told = [f"chi {_each(found.chi)}"]
+    text = [f"chi {_each(found.chi)}"]
     if found.validation:
-        told.append(f"on unseen data {_each(found.validation)}")
-    return [*rows, "; ".join([*told, f"the noise alone {_each(found.floor)}"])]
+        text.append(f"on unseen data {_each(found.validation)}")
+    return [*rows, "; ".join([*text, f"the noise alone {_each(found.floor)}"])]
 
 
 def _each(errors: Mapping[str, float]) -> str:

@@ -27,9 +27,9 @@ Progress = Callable[[float], None]
 MOST_ROUNDS = 60
 CONVERGED = 1e-9  # part of the cost that a step may still take off
 REWEIGHTED = 3  # rounds in which the noise of each sensor is found from what is left
-FLAT = 1e-7  # eigenvalue of the scaled information below which a direction is not told by the record
+FLAT = 1e-7  # eigenvalue of the scaled information below which the record does not determine a direction
 INDEPENDENT = 1e-6  # part of its information that a parameter has for itself, to be fitted beside others
-CLOSE = 0.999  # correlation from which two parameters are hardly told apart
+CLOSE = 0.999  # correlation from which two parameters are hardly distinguished
 COARSE = 30.0  # s of the first record that the fit of a longer one begins with
 FEWEST = 5  # samples of each sensor for each unknown
 
@@ -111,7 +111,7 @@ def fit(
         twin: the plant, with the values to begin from.
         records: one or several.
         names: of the parameters, as `Twin.parameter_names` has them.
-        validation: records that the fit is judged by.
+        validation: records that the fit is validated on.
         shooting_interval: seconds of the windows into which records are cut at first; none by default.
         shared: parameters of other fits of the same twin, with which this one shares its compiled functions.
         progress: called with the part done.
@@ -130,12 +130,12 @@ def fit(
     if not shooting_interval and records and len(records[0]) > 2 * COARSE * records[0].rate:
         stages.append([records[0].first(COARSE)])
     stages.append(list(records))
-    told = [0.0]
+    done = [0.0]
 
     def tell(part: float) -> None:
-        told[0] = max(told[0], part)
+        done[0] = max(done[0], part)
         if progress is not None:
-            progress(told[0])
+            progress(done[0])
 
     for number, pieces in enumerate(stages):
         problem = _Problem(sensitivity, pieces)
@@ -154,7 +154,7 @@ def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ..
 
     Args:
         twin: the plant.
-        record: what they are to be told by.
+        record: of the parameters.
         names: of parameters.
     """
     order = tuple(reversed(names))
@@ -322,7 +322,7 @@ class _Problem:
         notes = [_flat(names, vectors[:, i]) for i in np.flatnonzero(values <= FLAT)]
         correlation = covariance / np.sqrt(np.maximum(np.outer(np.diag(covariance), np.diag(covariance)), 1e-300))
         notes += [
-            f"{names[i]} and {names[j]} are hardly told apart: their correlation is {correlation[i, j]:.3f}"
+            f"{names[i]} and {names[j]} are hardly distinguished: their correlation is {correlation[i, j]:.3f}"
             for i in range(len(names))
             for j in range(i)
             if abs(correlation[i, j]) > CLOSE and not notes
@@ -337,8 +337,8 @@ def _flat(names: tuple[str, ...], direction: Array) -> str:
     strong = [name for name, part in zip(names, direction, strict=True) if abs(part) > 0.1 * np.abs(direction).max()]
     if len(strong) == 1:
         return f"these records do not tell {strong[0]}; excite what it belongs to, or leave it out"
-    told = f"{', '.join(strong[:-1])} and {strong[-1]}"
-    return f"{told} cannot be told apart from these records; fix one of them, or give records that excite each"
+    listed = f"{', '.join(strong[:-1])} and {strong[-1]}"
+    return f"{listed} cannot be distinguished from these records; fix one of them, or give records that excite each"
 
 
 def _solve(matrix: Array, right: Array) -> Array:

@@ -29,7 +29,7 @@ class KalmanFit:
         twin: the plant with the final values.
         names: of the parameters.
         values: final values, in the units in which they are declared (k,).
-        covariance: of the values, if the noise is what the filter was told (k, k).
+        covariance: of the values, if the noise is as assumed by the filter (k, k).
         times: of the samples, s (m,).
         trajectory: values after each sample (m, k).
         deviations: standard deviations after each sample (m, k).
@@ -62,7 +62,7 @@ class KalmanFit:
 
     @property
     def std(self) -> Array:
-        """Return the standard deviation of each final value (k,), if the noise is what the filter was told."""
+        """Return the standard deviation of each final value (k,), if the noise is as assumed by the filter."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
@@ -112,5 +112,5 @@ class KalmanFit:
 
     def __str__(self) -> str:
         mean, low, high = self.consistency
-        told = f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}"
-        return "\n".join([*estimates.lines(self), told, *self.notes])
+        text = f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}"
+        return "\n".join([*estimates.lines(self), text, *self.notes])

@@ -51,7 +51,7 @@ PROCESS = 1e-4  # Q of the states, section 4.2.2
 PARAMETERS = 1e-2  # P0 of the parameters, section 4.2.2
 INITIAL = 1e-4  # P0 of the states; section 4.2.2 gives no number, only that it is small and not 0
 
-PIECES = 20  # that a record is filtered in, with progress told after each
+PIECES = 20  # that a record is filtered in, with progress reported after each
 INSIDE = 1e-4  # of its scale: how far a parameter stays inside its bounds
 MOVED = 0.02  # relative change of a parameter after which the dependence of others on it is found anew
 AFFINE = 1e-7  # relative change of that dependence that is rounding
@@ -89,7 +89,7 @@ def extended_kalman(
         twin: the plant, with the values to begin from.
         record: commands and readings.
         names: of the parameters, as `Twin.parameter_names` has them; none to estimate the state only.
-        validation: records that the final values are judged by.
+        validation: records that the final values are validated on.
         measurement: R, variance of the noise of a reading (sensors,).
         process: Q, variance per unit of scaled time of white noise on the rates of coordinates and velocities
             (2 coordinates,); internal states have none, and parameters have none.
@@ -131,8 +131,8 @@ def extended_kalman(
     p0 = np.concatenate(before)
     y = first_start(sensing, record) if start is None else np.array(start, dtype=float)
     if y.shape != (sensing.states,) or not np.isfinite(y).all():
-        told = ", ".join(twin.state_names)
-        raise ModelError(f"start must be {sensing.states} finite numbers, {told}; got shape {y.shape}")
+        names_of_states = ", ".join(twin.state_names)
+        raise ModelError(f"start must be {sensing.states} finite numbers, {names_of_states}; got shape {y.shape}")
     run = _Run(sensing, record, scales, r, np.concatenate([q, none]), square_root)
     theta, covariance = run.filter(y.copy(), sensing.start(), p0, progress)
     found = run.result(theta, covariance, p0)
@@ -151,14 +151,14 @@ def _check(twin: Twin, record: Data) -> None:
         if len(wrong):
             raise RecordError(
                 f"{record.name}: {what} are not finite at sample {wrong[0]}, and at {len(wrong)} samples in all; cut "
-                "these out, and give what is left as records of their own"
+                "these out, and give the parts as records of their own"
             )
     if len(record) < 4:
         raise RecordError(f"{record.name}: it has {len(record)} samples; give a longer record")
 
 
 def _variances(name: str, given: Variances, count: int, least: float | None = None) -> Array:
-    """Return one variance for each of so many; `least` is allowed, or else any that is positive."""
+    """Return one variance for each of `count`; `least` is allowed, or else any that is positive."""
     found = np.asarray(given, dtype=float)
     if found.ndim > 1 or (found.ndim == 1 and len(found) != count):
         raise ModelError(f"{name}: one variance, or {count}, are needed; got shape {found.shape}")

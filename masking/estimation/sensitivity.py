@@ -1,9 +1,9 @@
-"""Sensitivity: what the sensors of a twin would read under recorded commands, and how that depends on its parameters.
+"""Sensitivity: simulated readings of a twin under recorded commands, and their derivatives by its parameters.
 
-Sensors that round are simulated as they are before that, which is what rounded readings are most likely near.
-Sensors are simulated from an initial state, together with their derivatives with respect to chosen parameters and the
-initial state, which follow from the equations by the chain rule and are compiled with them. What a least-squares fit
-needs of them, the normal equations, is summed up on the way, so that derivatives take no memory.
+Sensors that round are simulated without rounding: rounded readings most likely lie near these values. Readings are
+simulated from an initial state, with their derivatives by chosen parameters and by that state. The chain rule gives the
+derivatives from the equations, and they are compiled together. The normal equations, which a least-squares fit needs,
+are accumulated sample by sample, so that derivatives take no memory; see `masking.numerics.variational`.
 Source: Ljung, System Identification (1999), section 10.3; Hairer, Norsett and Wanner (1993), section I.14.
 """
 
@@ -38,7 +38,7 @@ _STEP = 1e-6  # relative, of the differences that tell how the parameters depend
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """What a record tells of parameters and initial state, the columns in this order.
+    """Normal equations of a record for parameters and initial state, the columns in this order.
 
     Args:
         matrix: J^T W J (k + states, k + states) for the derivatives J of the readings.
@@ -220,7 +220,7 @@ class Sensitivity:
         substeps: int,
         hold: Hold = "zero-order",
     ) -> NormalEquations:
-        """Return what a record tells, at values of the parameters and of the initial state.
+        """Return the normal equations at values of the parameters and of the initial state.
 
         Args:
             basis: what `basis` returns for values of the parameters.

@@ -125,17 +125,17 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
     y, best, least = first_start(sensing, record), None, np.inf
     for _ in range(ROUNDS):
         try:
-            told = sensing.normal_equations(
+            found_so_far = sensing.normal_equations(
                 basis, y, record.acting, record.readings, weights, rate=record.rate, substeps=substeps,
                 hold=record.hold,
             )  # fmt: skip
         except IntegrationError:
             break
-        cost = float(weights @ told.squares)
+        cost = float(weights @ found_so_far.squares)
         if not cost < least * (1.0 - SETTLED):
             break
-        best, least, y = (y, told), cost, y.copy()
-        y[free] += np.linalg.lstsq(told.matrix[own], told.gradient[k + free], rcond=1e-12)[0]
+        best, least, y = (y, found_so_far), cost, y.copy()
+        y[free] += np.linalg.lstsq(found_so_far.matrix[own], found_so_far.gradient[k + free], rcond=1e-12)[0]
     return best
 
 

@@ -68,7 +68,7 @@ def fit_in_steps(
     Args:
         twin: the plant, with the values to begin from.
         steps: records and names of the parameters that are free, in turn; a name may appear in several steps.
-        validation: records that the last fit is judged by.
+        validation: records that the last fit is validated on.
         joint: fit all parameters to all records in the end, beginning from what the steps found.
         progress: called with the part done.
 

@@ -1,4 +1,4 @@
-"""Whiteness: whether what is left of a record is noise, each sample by itself, and if not, at which frequency it is.
+"""Whiteness of residuals: whether they are white noise, and if not, the frequency at which they are least so.
 
 Two tests see different things: that of Ljung and Box correlations from sample to sample, that of the spectrum a little
 more power in a few of its lines than in the others.
@@ -25,7 +25,7 @@ else:
 
 SECONDS = 0.1  # over which samples are held against each other
 FEWEST, MOST = 10, 200  # lags
-DOUBTED = 0.001  # probability below which white noise is not believed; several sensors are tested at once
+DOUBTED = 0.001  # probability below which white noise is rejected; several sensors are tested at once
 BANDS = 2  # in an octave
 SLOW = 0.25  # of the frequency at which a sensor moves: what is below is called slow
 
@@ -53,8 +53,8 @@ class Whiteness:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the whiteness as JSON can hold it."""
-        told: dict[str, Any] = {"p": self.p, "white": self.white, "beyond": self.beyond}
-        return told | ({} if self.white else {"frequency": self.frequency, "slow": self.slow})
+        result: dict[str, Any] = {"p": self.p, "white": self.white, "beyond": self.beyond}
+        return result | ({} if self.white else {"frequency": self.frequency, "slow": self.slow})
 
 
 def whiteness(residuals: Array, readings: Array, sigma: float, rate: float) -> Whiteness:
@@ -149,5 +149,5 @@ def _middle(values: Array, rate: float) -> float:
 
 
 def _fast(length: int) -> int:
-    """Return a length of at least so many samples whose Fourier transform is fast."""
+    """Return a length of at least this many samples whose Fourier transform is fast."""
     return 1 << (length - 1).bit_length()

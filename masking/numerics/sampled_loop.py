@@ -6,7 +6,7 @@ together with them. Their arguments, with y = [q, v, s] the rig's state (coordin
 * `law(t, since, y, d, p, u, r, g) -> health` writes the inputs u, the accelerations r (n,) that they give, and the part
   g (n,) of r that is due to the inputs; `since` is the time since the release at which the inputs begin to act, and d
   (n,) the accelerations that the model lacks;
-* `rate(t, y, u, p, dy)` writes dy/dt of the model that the controller believes in;
+* `rate(t, y, u, p, dy)` writes dy/dt of the controller's model;
 * `measure(t, y, p, s)` writes what the sensors would read;
 * `allocate(u, p, out)` writes the actuators' commands that give inputs u, and `wire(out, p, u)` the reverse.
 """
@@ -28,7 +28,7 @@ Kernel = Callable[..., Any]
 
 
 def predict(rate: Kernel, sizes: Sizes) -> Kernel:
-    """Make the step of the believed model, with the disturbance that was estimated.
+    """Make the step of the controller's model, with the disturbance that was estimated.
 
     Returns:
         `predict(t, z, u, p, h, k, y)`, which moves the estimate z over h under held inputs by the classical

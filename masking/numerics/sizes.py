@@ -36,7 +36,7 @@ class Sizes:
         """Return where the mean powers of the actuators are in the memory.
 
         The memory holds the estimate at the last sample, these, the estimate for the next sample, and the inputs under
-        way, oldest first: as many as there are samples of delay, which its length tells.
+        way, oldest first: as many as there are samples of delay, which its length gives.
         """
         return slice(self.estimate, self.estimate + self.actuators)
 

@@ -24,7 +24,7 @@ else:
     stats = lazy.load("scipy.stats", suppress_warning=True)
 
 
-# Harmonics of the drive that are told apart from it in each reading, the drive first.
+# Harmonics of the drive that are distinguished from it in each reading, the drive first.
 HARMONICS = (1, 2, 3)
 # Samples of a period that are needed.
 SAMPLES_PER_PERIOD = 10
@@ -73,8 +73,8 @@ def actuator_ratio(
 ) -> ActuatorRatio:
     """Find the gain at which two actuators in anti-phase leave no motion.
 
-    One is told A sin(2 pi f t), the other g(t) A sin(2 pi f t), with the sign that lets it push against the first: on
-    the rig the same sign, as the oscillators' actuators push against the beam (4.3). g is swept slowly up and down
+    One is commanded A sin(2 pi f t), the other g(t) A sin(2 pi f t), with the sign that lets it push against the first:
+    on the rig the same sign, as the oscillators' actuators push against the beam (4.3). g is swept slowly up and down
     through the balance. The motion is demodulated at f over whole periods, so that noise, offset and harmonics of
     friction drop out. Its complex amplitude is, with a lag that changes sign with the direction of the sweep,
 

@@ -95,7 +95,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Excited:
-    """What one actuator was told in the fitted record, in its unit, as long as one period.
+    """Commands of one actuator in the fitted record, in its unit, as long as one period.
 
     Args:
         name: of the actuator.
@@ -172,7 +172,7 @@ class Calibration:
 
     @cached_property
     def excited(self) -> tuple[Excited, ...]:
-        """Return what the actuators were told."""
+        """Return the commands of the actuators."""
         record, actuators = self.records.fit, self.twin.declaration.actuators or self.twin.model.declaration.inputs
         count = min(len(record), round(PERIOD * record.rate))
         t = np.arange(count) / record.rate
@@ -265,7 +265,7 @@ def _known(force: Array | None, d: Array) -> Array:
 
 
 def _force(twin: Twin, element: str, displacements: Array) -> Array | None:
-    """Return the force of an element at rest (m,), with all others at no displacement; None where that cannot be told.
+    """Return the force of an element at rest (m,), with all others at no displacement; None if it cannot be determined.
 
     With the displacements d = D q of all elements and what they do to the accelerations, A f, at rest and without
     inputs, q is found from d and then f from the accelerations.
@@ -280,12 +280,12 @@ def _force(twin: Twin, element: str, displacements: Array) -> Array | None:
     d_rows = np.array([[d.evaluate(zero | {c: 1.0}) for c in names] for d in stretched.values()])
     acts = np.array([[e.acts[c].evaluate(zero) if c in e.acts else 0.0 for e in elements.values()] for c in names])
     wanted = np.array([float(name == element) for name in elements])
-    alone, told = np.linalg.pinv(d_rows) @ wanted, wanted @ np.linalg.pinv(acts)
-    if not np.allclose(d_rows @ alone, wanted, atol=1e-9) or not np.allclose(told @ acts, wanted, atol=1e-9):
+    alone, left_inverse = np.linalg.pinv(d_rows) @ wanted, wanted @ np.linalg.pinv(acts)
+    if not np.allclose(d_rows @ alone, wanted, atol=1e-9) or not np.allclose(left_inverse @ acts, wanted, atol=1e-9):
         return None
     n, p, u, slope = len(names), twin.values(), np.zeros(len(twin.actuators)), np.empty(len(twin.state_names))
     found = np.empty(len(displacements))
     for i, d in enumerate(displacements):
         twin.kernels.twin_derivative(0.0, twin.rest(alone * d), u, p, slope)
-        found[i] = told @ slope[n : 2 * n]
+        found[i] = left_inverse @ slope[n : 2 * n]
     return found

@@ -34,7 +34,7 @@ class Channel:
     Args:
         name: of the input or sensor, such as V1.
         column: of the record, such as `input.V1`.
-        unit: of the values; "" where neither the record nor the plant tells.
+        unit: of the values; "" if neither the record nor the plant declares it.
         values: (samples,).
     """
 
@@ -44,14 +44,14 @@ class Channel:
     values: Array
 
     @property
-    def told(self) -> str:
+    def label(self) -> str:
         """Return the column with its unit, such as `input.V1 [V]`."""
         return f"{self.column} [{self.unit}]" if self.unit else self.column
 
 
 @dataclass(frozen=True)
 class Source:
-    """A record to measure on: its name for messages, what it holds, and the plant that it is of, if that is told."""
+    """A record to measure on: its name for messages, what it holds, and the plant that it is of, if given."""
 
     name: str
     recording: Recording
@@ -116,11 +116,11 @@ class Source:
         return tuple(self._channel(kind, name) for name in wanted or self._moving(kind))
 
     def displacement(self, wanted: str | None) -> Channel:
-        """Return what a sensor measures, in SI units, where the plant is told; otherwise its reading."""
+        """Return what a sensor measures, in SI units if the plant is given; otherwise its reading."""
         return self.measured(self.one("sensor", wanted))
 
     def measured(self, reading: Channel) -> Channel:
-        """Return what a sensor measures: its reading divided by its gain, where the plant is told.
+        """Return what a sensor measures: its reading divided by its gain, if the plant is given.
 
         Raises:
             RecordError: the plant has no such sensor.
@@ -153,9 +153,9 @@ class Source:
         if kind == "input":
             names = tuple(n for n in names if self._moves(np.asarray(self.recording[self._column(kind, n)])))
         if not names:
-            told = ", ".join(c for c in self.recording.columns if c != "t") or "none but t"
+            listed = ", ".join(c for c in self.recording.columns if c != "t") or "none but t"
             what = "no input that moves" if kind == "input" else "no column of a sensor"
-            raise RecordError(f"{self.name}: it has {what}; its columns are {told}")
+            raise RecordError(f"{self.name}: it has {what}; its columns are {listed}")
         return list(names)
 
     def _moves(self, values: Array) -> bool:
@@ -172,8 +172,8 @@ class Source:
                 f"{self.name}: there is no {kind} '{name}'; its {kind}s are {', '.join(choices) or 'none'}; "
                 f"{nearest(name, choices)}"
             )
-        told = self.recording.manifest.get("columns")
-        entry = told.get(column) if isinstance(told, dict) else None
+        columns = self.recording.manifest.get("columns")
+        entry = columns.get(column) if isinstance(columns, dict) else None
         unit = str(entry.get("unit", "")) if isinstance(entry, dict) else ""
         if not unit and self.twin is not None:
             plant = self.twin.declaration

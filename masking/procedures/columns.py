@@ -14,7 +14,7 @@ from masking.numerics.arrays import Array
 LEAST_SAMPLES = 200
 # The force turns where it comes back by this part of its range: in saw-teeth, and in ramps.
 TURNED, SWEPT = 0.02, 0.05
-# Noise of the force makes no turns: they are larger than so many of its standard deviations.
+# Noise of the force makes no turns: they are larger than this many of its standard deviations.
 NOISE_FACTOR = 8.0
 # Both directions must cover this part of the travel.
 COVERED = 0.85
@@ -41,8 +41,8 @@ def columns(**values: ArrayLike) -> tuple[Array, ...]:
         found[name] = column
     lengths = {name: len(column) for name, column in found.items()}
     if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise RecordError(f"the columns differ in length: {told}; give all over the same samples")
+        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise RecordError(f"the columns differ in length: {listed}; give all over the same samples")
     times, *others = found
     if lengths[times] < LEAST_SAMPLES:
         raise RecordError(
@@ -112,5 +112,5 @@ def refuse_one_way(x: Array, direction: Array) -> None:
     if part < COVERED:
         raise RecordError(
             f"the force goes both up and down over only {100 * part:.0f} % of the travel, so that friction cannot be "
-            "told from the spring; let the ramp go up and down over all of it, such as 0, +A, -A, 0"
+            "distinguished from the spring; let the ramp go up and down over all of it, such as 0, +A, -A, 0"
         )

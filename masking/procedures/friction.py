@@ -24,7 +24,7 @@ else:
     optimize = lazy.load("scipy.optimize", suppress_warning=True)
 
 
-# A record is averaged in time to at most so many points before its gap is taken.
+# A record is averaged in time to at most this many points before its gap is taken.
 THINNED = 20000
 # A step nearer to an end than this part of the travel may be what settles after the turn.
 END_PART = 0.05

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import lazy_loader as lazy
 import numpy as np
 
+from masking.declaration.quantities import percent
 from masking.errors import ModelError, RecordError
 from masking.numerics.arrays import Array
 from masking.procedures.actuators import ActuatorRatio, actuator_ratio
@@ -118,7 +119,7 @@ def springs(
         force_scale: unit of force of the coefficients; by default that of the plant's model, 1 without a plant.
 
     Raises:
-        RecordError: a column is not there or not told, or the record is no slow ramp; see `spring_curve`.
+        RecordError: a column is absent or not named, or the record is no slow ramp; see `spring_curve`.
         ModelError: a setting makes no sense.
     """
     force, x = source.one("input", input), source.displacement(sensor)
@@ -189,7 +190,7 @@ def actuators(
         span: readings with gains so near the balance are used.
 
     Raises:
-        RecordError: a column is not there or not told, or the record does not show the balance; see `actuator_ratio`.
+        RecordError: a column is absent or not named, or the record does not show the balance; see `actuator_ratio`.
         ModelError: a setting makes no sense.
     """
     constant, swept = _pair(source, first, second)
@@ -237,7 +238,7 @@ def friction(
         bins: over the travel, in which the gap between the ways up and down is taken.
 
     Raises:
-        RecordError: a column is not there or not told, a record is too fast, or none shows anything; see
+        RecordError: a column is absent or not named, a record is too fast, or none shows anything; see
             `spring_curve`, `shift_of_equilibrium` and `locate_friction`.
         ModelError: a setting makes no sense.
     """
@@ -272,8 +273,8 @@ def friction(
         series |= {"travel": shift.travel, "shift": shift.shift}
     if place is not None:
         series |= {"displacement": place.displacement, "half_gap": place.half_gap, "fitted": place.fitted}
-    told = [_shift_told(shift, x.unit), _place_told(place, force, x)]
-    sentence = "; ".join(text for text in told if text)
+    texts = [_shift_text(shift, x.unit), _place_text(place, force, x)]
+    sentence = "; ".join(text for text in texts if text)
     names = tuple(source.name for source in sources)
     return Measurement(
         "friction", names, {"force": pushed, "displacement": moved}, Friction(shift, place),
@@ -322,7 +323,7 @@ def _place_rows(place: LocatedFriction | None, force: Channel, x: Channel) -> li
     return rows
 
 
-def _shift_told(shift: EquilibriumShift | None, unit: str) -> str:
+def _shift_text(shift: EquilibriumShift | None, unit: str) -> str:
     if shift is None:
         return ""
     far = int(np.argmax(shift.travel))
@@ -330,7 +331,7 @@ def _shift_told(shift: EquilibriumShift | None, unit: str) -> str:
     return f"the equilibrium shifts by {moved} after a travel of {travel}"
 
 
-def _place_told(place: LocatedFriction | None, force: Channel, x: Channel) -> str:
+def _place_text(place: LocatedFriction | None, force: Channel, x: Channel) -> str:
     if place is None:
         return ""
     if not place.is_found:
@@ -428,11 +429,6 @@ def per(above: str, below: str) -> str:
     if not below:
         return above
     return f"{above or '1'}/{below}"
-
-
-def percent(part: float) -> str:
-    """Write a part in percent, in two digits."""
-    return f"{100.0 * part:.2g} %"
 
 
 def _plain(value: float | None) -> float | None:

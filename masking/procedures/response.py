@@ -31,7 +31,7 @@ Indices = NDArray[np.int64]
 
 # A line counts as excited where an input has this part of its largest amplitude.
 EXCITED_PART = 0.01
-# Inputs can be told apart at a line where the condition of their amplitudes is at most this.
+# Inputs can be distinguished at a line where the condition of their amplitudes is at most this.
 WORST_CONDITION = 1e6
 # A channel that changes by this part of its largest value, or less, does not move.
 MOVING_PART = 1e-12
@@ -259,7 +259,7 @@ def frequency_response(
         harmonics: lines to look at, multiples of 1 / period; None for those that are excited.
 
     Raises:
-        RecordError: the record cannot be used; see `spectra`, or the inputs cannot be told apart at a line.
+        RecordError: the record cannot be used; see `spectra`, or the inputs cannot be distinguished at a line.
         ModelError: a setting makes no sense.
     """
     found = spectra(inputs, outputs, period=period, rate=rate, discard=discard)
@@ -335,7 +335,7 @@ def nonlinear_distortion(
     found = spectra(inputs, outputs, period=period, rate=rate, discard=discard)
     if found.inputs.shape[3] != 1 or found.outputs.shape[3] != 1:
         raise ModelError(
-            f"{found.inputs.shape[3]} inputs and {found.outputs.shape[3]} outputs; distortion is told apart for one "
+            f"{found.inputs.shape[3]} inputs and {found.outputs.shape[3]} outputs; distortion is determined for one "
             "input and one output at a time: select a column of each"
         )
     excited = lines_of(found, harmonics)
@@ -349,8 +349,8 @@ def nonlinear_distortion(
     is_excited = np.isin(lines, excited)
     if not ((lines % 2 == 1) & ~is_excited).any():
         raise RecordError(
-            f"every odd harmonic up to {excited.max()} is excited, so that odd distortion cannot be told from the "
-            "response; leave out some, such as one at random of every three"
+            f"every odd harmonic up to {excited.max()} is excited, so that odd distortion cannot be distinguished from "
+            "the response; leave out some, such as one at random of every three"
         )
     response = response_of(found, excited)
     near = np.interp(lines, excited, response.response[:, 0, 0].real) + 1j * np.interp(
@@ -366,7 +366,7 @@ def response_of(found: Spectra, lines: Indices) -> FrequencyResponse:
     """Return the response at harmonics (lines,) of spectra; see `frequency_response`.
 
     Raises:
-        RecordError: there are too few experiments for the inputs, or these cannot be told apart at a line.
+        RecordError: there are too few experiments for the inputs, or these cannot be distinguished at a line.
     """
     u, y = found.inputs[:, :, lines], found.outputs[:, :, lines]
     count, periods, inputs = len(u), found.periods, u.shape[3]
@@ -486,12 +486,12 @@ def _refuse_silent(found: Spectra, lines: Indices) -> None:
 
 
 def _refuse_alike(matrix: Complex, lines: Indices, base: float) -> None:
-    """Refuse inputs (realisations, lines, inputs, experiments) that cannot be told apart at a line."""
+    """Refuse inputs (realisations, lines, inputs, experiments) that cannot be distinguished at a line."""
     condition = np.linalg.cond(matrix).max(axis=0)
     bad = np.flatnonzero(~(condition < WORST_CONDITION))
     if len(bad):
         line = lines[bad[0]]
         raise RecordError(
-            f"the inputs cannot be told apart at the harmonic {line}, {line * base:.6g} Hz: they are alike in all "
+            f"the inputs cannot be distinguished at the harmonic {line}, {line * base:.6g} Hz: they are alike in all "
             "experiments of a realisation; use orthogonal multisines, or give each line to one input"
         )

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from masking.declaration.quantities import percent
 from masking.errors import RecordError
 from masking.numerics.arrays import Array
 from masking.procedures.channels import Channel, Source
-from masking.procedures.measurement import LEVEL, Measurement, Row, percent
+from masking.procedures.measurement import LEVEL, Measurement, Row
 from masking.procedures.response import (
     Distortion,
     FrequencyResponse,
@@ -60,12 +61,12 @@ def response(
             signs of several inputs.
         inputs: that are excited; all that move by default.
         sensors: that are looked at; all by default.
-        period: of the excitation, s; by default the one that the record tells or repeats with.
+        period: of the excitation, s; by default the one that the record states or repeats with.
         discard: periods at the start that are left out.
 
     Raises:
         RecordError: a column is not there, records differ, commands do not repeat with the period, there are too few
-            periods, or the inputs cannot be told apart; see `frequency_response`.
+            periods, or the inputs cannot be distinguished; see `frequency_response`.
         ModelError: a setting makes no sense.
     """
     if not sources:
@@ -94,10 +95,10 @@ def response(
                     u, y[:, :, [i]], period=period, rate=rate, discard=discard
                 )
             except RecordError as error:
-                notes.append(f"distortion is not told apart: {error}")
+                notes.append(f"distortion is not determined: {error}")
                 break
     else:
-        notes.append("distortion is not told apart: it takes an excitation of one input")
+        notes.append("distortion is not determined: it takes an excitation of one input")
     made = Response(tuple(c.name for c in driving), tuple(c.name for c in reading), found, distortions)
     channels = {f"input {c.name}": c for c in driving} | {f"output {c.name}": c for c in reading}
     if next(iter(found.values())).realisations == 1:
@@ -150,11 +151,11 @@ def _table(source: Source, inputs: Sequence[str], sensors: Sequence[str]) -> tup
 
 
 def _period(source: Source, u: Array, rate: float, discard: int) -> float:
-    """Return the period that a record tells, or that its commands repeat with, s."""
+    """Return the period that a record states, or with which its commands repeat, s."""
     meta = source.recording.manifest.get("meta")
-    told = meta.get("period") if isinstance(meta, dict) else None
-    if isinstance(told, int | float) and told > 0.0:
-        return float(told)
+    stated = meta.get("period") if isinstance(meta, dict) else None
+    if isinstance(stated, int | float) and stated > 0.0:
+        return float(stated)
     found = repeats(u)
     if found is None:
         raise RecordError(
@@ -186,7 +187,7 @@ def repeats(u: Array) -> int | None:
 
 
 def _refuse_other_period(name: str, u: Array, length: int, rate: float, discard: int) -> None:
-    """Refuse commands (samples, inputs) that do not repeat with a period of so many samples."""
+    """Refuse commands (samples, inputs) that do not repeat with a period of this many samples."""
     if len(u) < (discard + 2) * length:
         return  # the procedure says that there are too few
     later = u[discard * length :]
@@ -195,11 +196,11 @@ def _refuse_other_period(name: str, u: Array, length: int, rate: float, discard:
     worst = float((np.sqrt(np.mean(change**2, axis=0)) / size).max())
     if worst > REPEATED:
         found = repeats(u)
-        told = f"they repeat every {found / rate:.9g} s" if found else "they do not repeat at all"
+        repetition = f"they repeat every {found / rate:.9g} s" if found else "they do not repeat at all"
         raise RecordError(
-            f"{name}: there is no period of {length / rate:.9g} s in the record: from one such period to the next the "
-            f"commands change by {100 * worst:.0f} % of their size; {told}: correct --period, or record a periodic "
-            "excitation"
+            f"{name}: there is no period of {length / rate:.9g} s in the record: from one such period to the next "
+            f"the commands change by {100 * worst:.0f} % of their size; {repetition}: correct --period, or record a "
+            "periodic excitation"
         )
 
 

@@ -1,4 +1,4 @@
-"""Springs: force over displacement from a slow ramp, with friction and hysteresis told apart from it.
+"""Springs: force over displacement from a slow ramp, with friction and hysteresis distinguished from it.
 
 Source: Rijlaarsdam (2008), section 4.2.3 and Table B.4.
 """
@@ -24,7 +24,7 @@ else:
     stats = lazy.load("scipy.stats", suppress_warning=True)
 
 
-# A record is averaged in time to at most so many points before a curve is fitted.
+# A record is averaged in time to at most this many points before a curve is fitted.
 POINTS = 3000
 # Stretches of the record that count as independent of each other in the covariance of a curve.
 BATCHES = 48
@@ -34,7 +34,7 @@ SLIDING = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
 INERTIA_PART, VISCOUS_PART = 0.01, 0.05
 # and explain this part of the power that springs and friction leave.
 SEEN = 0.05
-# Speed that is alike to this part in each direction cannot be told from friction: the ramp is then slow.
+# Speed that is alike to this part in each direction cannot be distinguished from friction: the ramp is then slow.
 APART_PART = 0.1
 # A record is too short where friction and noise are more than this part of the force.
 UNEXPLAINED_PART = 0.25

@@ -10,11 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from masking.declaration.quantities import percent
 from masking.procedures.calibration_findings import HIGHEST, Calibration, Curve, Excited
-from masking.procedures.measurement import percent
+from masking.reports.figure_parts import DASHED, legend, line_key, logarithmic, note, spectral_density
 from masking.reports.style import (
     BARE,
     COLOURS,
@@ -26,7 +27,7 @@ from masking.reports.style import (
     RIGHT,
     SIZE,
     WIDTH,
-    Plate,
+    CaptionedFigure,
     Series,
     panels,
     sheet,
@@ -34,6 +35,7 @@ from masking.reports.style import (
     thin,
     with_unit,
 )
+from masking.reports.text import short
 
 _MOST_ROWS = len(COLOURS)
 _SHOWN = 10.0  # s of the unseen record in which single swings can be told apart
@@ -44,16 +46,15 @@ _LETTERS = 32  # of such a name
 _APART = 0.16  # inches between these names
 _FLOOR = 0.45  # times the noise: where an axis of residuals ends
 _NOISE: Final = "#c9ced6"
-_DASHED: Final = (0, (4, 3))
 _MILLI = 1e3
 
 
-def plates(found: Calibration) -> list[Plate]:
+def figures(found: Calibration) -> list[CaptionedFigure]:
     """Draw every figure of the report, in its order."""
     return [_unseen(found), _residuals(found), _spectra(found), _springs(found), _excitation(found)]
 
 
-def _unseen(found: Calibration) -> Plate:
+def _unseen(found: Calibration) -> CaptionedFigure:
     record, best = found.records.unseen, found.best
     names = found.twin.sensors[:_MOST_ROWS]
     t = np.arange(len(record)) / record.rate
@@ -63,25 +64,25 @@ def _unseen(found: Calibration) -> Plate:
     figure, rows = sheet([1.25] * len(names))
     for i, (name, axes) in enumerate(zip(names, rows, strict=True)):
         axes.plot(*thin(t[part], record.readings[part, i]), color=COLOURS[i], lw=2.6, alpha=0.45)
-        axes.plot(*thin(t[part], model[part, i]), color=INK, lw=0.9, ls=_DASHED)
+        axes.plot(*thin(t[part], model[part, i]), color=INK, lw=0.9, ls=DASHED)
         reach = 1.12 * float(np.abs(record.readings[part, i]).max())
         axes.set(xlim=(max(0.0, end - _SHOWN), end), ylim=(-reach, reach), ylabel=_reading(found, name))
-        _note(axes, f"error {percent(best.fit.validation[name])}, noise alone {percent(found.unseen_floor[name])}")
+        note(axes, f"error {percent(best.fit.validation[name])}, noise alone {percent(found.unseen_floor[name])}")
     rows[-1].set_xlabel("time (s)")
     handles = [
         Line2D([], [], color=MUTED, lw=2.6, alpha=0.6, label="measured"),
-        Line2D([], [], color=INK, lw=0.9, ls=_DASHED, label="simulated, fitted to another record"),
+        line_key("simulated, fitted to another record", INK, 0.9, dashed=True),
     ]
-    _legend(figure, handles)
+    legend(figure, None, handles)
     span = f"the last {_SHOWN:g} s of {end:g} s" if end > _SHOWN else "all of it"
     caption = (
         f"The record that was not fitted, {span}, and its simulation. "
         f"{_meanings(found, names)} The error is (4.12) of the source document, over the whole record."
     )
-    return Plate("unseen", "Measured and simulated", caption, figure)
+    return CaptionedFigure("unseen", "Measured and simulated", caption, figure)
 
 
-def _residuals(found: Calibration) -> Plate:
+def _residuals(found: Calibration) -> CaptionedFigure:
     record, names = found.records.unseen, found.twin.sensors[:_MOST_ROWS]
     count = max(1, round(_WINDOW * record.rate))
     figure, rows = sheet([1.45] * len(names), top=BARE)
@@ -95,7 +96,8 @@ def _residuals(found: Calibration) -> Plate:
             axes.plot(*thin(t, rms), color=colour, lw=1.4)
             ends.append((float(np.sqrt((left[:, i] ** 2).mean())), stage, colour))
             highest = max(highest, float(rms.max()))
-        _logarithmic(axes, _FLOOR * noise, 1.6 * highest)
+        logarithmic(axes, "y", 6)
+        axes.set_ylim(_FLOOR * noise, 1.6 * highest)
         axes.axhspan(_FLOOR * noise, noise, color=_NOISE, lw=0, zorder=0)
         axes.set(xlim=(0.0, len(record) / record.rate), ylabel=f"rms left of {_reading(found, name)}")
         _beside(axes, [*ends, (0.67 * noise, f"noise {_si(noise, _unit(found, name))}", MUTED)])
@@ -105,46 +107,46 @@ def _residuals(found: Calibration) -> Plate:
         "band is white noise in the readings, found where their spectra are quietest; a line at its edge leaves "
         "nothing."
     )
-    return Plate("residuals", "What each model leaves", caption, figure)
+    return CaptionedFigure("residuals", "What each model leaves", caption, figure)
 
 
-def _spectra(found: Calibration) -> Plate:
+def _spectra(found: Calibration) -> CaptionedFigure:
     record, names = found.records.unseen, found.twin.sensors[:_MOST_ROWS]
     figure, rows = sheet([1.6] * len(names), top=NOTE)
     _narrow(rows)
     for i, (name, axes) in enumerate(zip(names, rows, strict=True)):
         level = float(record.noise[i] * np.sqrt(2.0 / record.rate))
-        f, whole = _density(record.readings[:, i], record.rate)
+        f, whole = spectral_density(record.readings[:, i], record.rate, 1, _BINS_PER_DECADE)
         axes.plot(f, whole, color=MUTED, lw=1.0, alpha=0.75)
-        top = float(whole.max())
+        highest = float(whole.max())
         ends = [(float(whole[np.searchsorted(f, HIGHEST) - 1]), "measured", MUTED)]
         for colour, (stage, left) in zip(COLOURS, found.residuals.items(), strict=False):
-            f, density = _density(left[:, i], record.rate)
-            axes.plot(f, density, color=colour, lw=1.4)
-            ends.append((float(np.sqrt((density[f <= HIGHEST] ** 2).mean())), stage, colour))
+            f, of = spectral_density(left[:, i], record.rate, 1, _BINS_PER_DECADE)
+            axes.plot(f, of, color=colour, lw=1.4)
+            ends.append((float(np.sqrt((of[f <= HIGHEST] ** 2).mean())), stage, colour))
         axes.axvspan(f[0], HIGHEST, color=GRID, alpha=0.45, lw=0, zorder=0)
-        axes.axhline(level, color=INK, lw=0.9, ls=_DASHED, zorder=3)
-        axes.set_xscale("log")
-        axes.xaxis.set_major_locator(LogLocator(numticks=8))
-        _logarithmic(axes, 0.3 * level, 2.0 * top)
+        axes.axhline(level, color=INK, lw=0.9, ls=DASHED, zorder=3)
+        logarithmic(axes, "x", 8)
+        logarithmic(axes, "y", 6)
+        axes.set_ylim(0.3 * level, 2.0 * highest)
         axes.set(xlim=(f[0], f[-1]), ylabel=f"{symbol(name)} ({_unit(found, name)}/√Hz)")
         _beside(axes, [*ends, (level, "white noise", INK)])
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
-    _note(rows[0], f"excited up to {HIGHEST:g} Hz", side="left")
+    note(rows[0], f"excited up to {HIGHEST:g} Hz", side="left")
     rows[-1].set_xlabel("frequency (Hz)")
     caption = (
         "Amplitude density of the unseen record (grey line) and of what each model leaves of it. The dashed line is "
         "the density of white noise as large as that of the readings; the band is where the rig was excited. What "
         "stands above the line there is what the model lacks."
     )
-    return Plate("spectra", "Where in the spectrum it is left", caption, figure)
+    return CaptionedFigure("spectra", "Where in the spectrum it is left", caption, figure)
 
 
-def _springs(found: Calibration) -> Plate:
+def _springs(found: Calibration) -> CaptionedFigure:
     curves, title = found.curves[:_MOST_ROWS], "Springs"
     if not curves:
-        return Plate("springs", title, "Not shown: every spring of the best model is straight.", None)
+        return CaptionedFigure("springs", title, "Not shown: every spring of the best model is straight.", None)
     figure, rows = panels(len(curves), 1.75, (3.35, 3.6))
     for colour, curve, (left, right) in zip(COLOURS, curves, rows, strict=False):
         by, x_unit = (_MILLI, "mm") if curve.measured == "m" else (1.0, curve.measured)
@@ -155,7 +157,7 @@ def _springs(found: Calibration) -> Plate:
             low, high = curve.force - of - 2.0 * curve.std, curve.force - of + 2.0 * curve.std
             axes.fill_between(x, low, high, color=colour, alpha=0.25, lw=0)
             axes.plot(x, curve.force - of, color=colour, lw=1.8)
-            axes.plot(x, curve.declared - of, color=INK, lw=0.9, ls=_DASHED)
+            axes.plot(x, curve.declared - of, color=INK, lw=0.9, ls=DASHED)
             axes.plot(x, curve.linear - of, color=MUTED, lw=0.9)
             axes.set(xlim=(x[0], x[-1]))
         for axes in (left, right) if curve is curves[-1] else ():
@@ -164,23 +166,23 @@ def _springs(found: Calibration) -> Plate:
         right.set_ylabel(f"less the line ({unit})")
         inside = (curve.displacement >= curve.low) & (curve.displacement <= curve.high)
         _range(right, curve, straight, inside)
-        _note(left, curve.meaning, side="left")
+        note(left, curve.meaning, side="left")
     handles: list[Line2D | Patch] = [
         Patch(color=MUTED, alpha=0.4, lw=0, label="fitted, with 95 % band"),
-        Line2D([], [], color=INK, lw=0.9, ls=_DASHED, label="the plant file said"),
-        Line2D([], [], color=MUTED, lw=0.9, label=found.stages[0].name),
+        line_key("the plant file said", INK, 0.9, dashed=True),
+        line_key(found.stages[0].name, MUTED, 0.9),
         Patch(color=GRID, alpha=0.6, lw=0, label="displacements in the record"),
     ]
-    _legend(figure, handles)
+    legend(figure, None, handles)
     caption = (
         "Force of each spring of the best model at rest, per moving mass, over its displacement: left the whole, right "
         "less the straight line of the simplest model. The band is twice the standard deviation that follows from the "
         "covariance of the parameters; outside of the displacements in the record it is an extrapolation."
     )
-    return Plate("springs", title, caption, figure)
+    return CaptionedFigure("springs", title, caption, figure)
 
 
-def _excitation(found: Calibration) -> Plate:
+def _excitation(found: Calibration) -> CaptionedFigure:
     shown = found.excited[:_MOST_ROWS]
     figure, rows = panels(len(shown), 1.15, (4.4, 2.6), top=0.34)
     reach = 1.25 * max(each.peak for each in shown)
@@ -190,20 +192,20 @@ def _excitation(found: Calibration) -> Plate:
         if each.limit < reach:
             for level in (-each.limit, each.limit):
                 left.axhline(level, color=LIMIT, lw=1.1, ls=(0, (6, 2)))
-        _note(left, _use(each))
+        note(left, _use(each))
         at = each.amplitudes > 1e-3 * each.amplitudes.max()
         right.vlines(each.frequencies[at], 0.0, _MILLI * each.amplitudes[at], color=colour, lw=1.6)
         right.set(xlim=(0.0, 1.08 * HIGHEST), ylabel=f"amplitude (m{each.unit})")
         right.yaxis.set_major_locator(MaxNLocator(3))
         right.set_ylim(0.0, 1.25 * _MILLI * float(each.amplitudes.max()))
-        _note(right, f"{len(each.lines)} lines")
+        note(right, f"{len(each.lines)} lines")
     for axes, label in zip(rows[-1], ("time (s)", "frequency (Hz)"), strict=True):
         axes.set_xlabel(label)
     caption = (
         "One period of the multisine of each actuator in the record that was fitted, with phases for the least crest "
         "factor, and its lines, which no other actuator has; in the unseen record the lines are others."
     )
-    return Plate("excitation", "What was excited", caption, figure)
+    return CaptionedFigure("excitation", "What was excited", caption, figure)
 
 
 # ---- parts
@@ -220,30 +222,11 @@ def _running_rms(values: Series, count: int) -> Series:
     return found
 
 
-def _density(values: Series, rate: float) -> tuple[Series, Series]:
-    """Return frequencies in Hz and the one-sided amplitude density per root Hz, averaged over equal ratios."""
-    window = np.hanning(len(values))
-    power = 2.0 * np.abs(np.fft.rfft(window * (values - values.mean()))) ** 2 / (rate * (window**2).sum())
-    f = np.fft.rfftfreq(len(values), 1.0 / rate)[2:]  # the window spreads the mean over two lines
-    power = power[2:]
-    edges = np.geomspace(f[0], f[-1], max(2, round(_BINS_PER_DECADE * np.log10(f[-1] / f[0]))))
-    starts = np.unique(np.searchsorted(f, edges[:-1]))
-    sizes = np.diff(np.append(starts, len(f)))
-    return np.add.reduceat(f, starts) / sizes, np.sqrt(np.add.reduceat(power, starts) / sizes)
-
-
 def _narrow(rows: Sequence[Axes]) -> None:
     """Leave room for words at the right."""
     for axes in rows:
         box = axes.get_position()
         axes.set_position((box.x0, box.y0, box.width - (_WORDS - RIGHT) / WIDTH, box.height))
-
-
-def _logarithmic(axes: Axes, low: float, high: float) -> None:
-    axes.set_yscale("log")
-    axes.set_ylim(low, high)
-    axes.yaxis.set_major_locator(LogLocator(numticks=6))
-    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _beside(axes: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
@@ -264,13 +247,9 @@ def _beside(axes: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
             lift = 0.5 * (_APART - (y[i + 1] - y[i]))
             y[i], y[i + 1] = y[i] - lift, y[i + 1] + lift
     for place, (_, text, colour) in zip(y, order, strict=True):
-        axes.annotate(_short(text), (1.0, place / height), (6, 0), "axes fraction", "offset points", va="center",
+        words = short(text.replace("_", " "), _LETTERS)
+        axes.annotate(words, (1.0, place / height), (6, 0), "axes fraction", "offset points", va="center",
                       fontsize=SIZE - 1.5, color=colour)  # fmt: skip
-
-
-def _short(text: str) -> str:
-    text = text.replace("_", " ")
-    return text if len(text) <= _LETTERS else f"{text[: _LETTERS - 1].rstrip(' ,')}…"
 
 
 def _range(axes: Axes, curve: Curve, straight: Series, inside: NDArray[np.bool_]) -> None:
@@ -279,16 +258,6 @@ def _range(axes: Axes, curve: Curve, straight: Series, inside: NDArray[np.bool_]
     drawn = drawn[np.isfinite(drawn)]
     pad = 0.25 * float(np.ptp(drawn))
     axes.set_ylim(float(drawn.min()) - pad, float(drawn.max()) + pad)
-
-
-def _note(axes: Axes, text: str, *, side: str = "right") -> None:
-    axes.set_title(text, loc="right" if side == "right" else "left", fontsize=SIZE - 1, color=MUTED, pad=3)
-
-
-def _legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
-    height = figure.get_size_inches()[1]
-    figure.legend(handles=list(handles), loc="upper right", bbox_to_anchor=(1 - RIGHT / WIDTH, 1 - 0.08 / height),
-                  ncols=len(handles), frameon=False, fontsize=SIZE - 0.5, labelcolor=INK, borderaxespad=0)  # fmt: skip
 
 
 def _unit(found: Calibration, sensor: str) -> str:

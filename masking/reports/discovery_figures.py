@@ -2,28 +2,47 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-import lazy_loader as lazy
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
+from masking.declaration.quantities import percent
+from masking.declaration.units import pretty
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
 from masking.discovery.screening import Promise
-from masking.numerics.arrays import Array
-from masking.reports import discovery_text, force_map, quantities
+from masking.discovery.verdict import noise_threshold
+from masking.reports import discovery_text, force_map
+from masking.reports.figure_parts import (
+    DASHED,
+    heading,
+    legend,
+    line_key,
+    logarithmic,
+    marker_key,
+    noise_band,
+    noise_level,
+    shown,
+    spectral_density,
+    ticks,
+    top,
+)
 from masking.reports.force_map import AFTER, BEFORE, CLOUD, POINTS, scale
-from masking.reports.procedure_figures import DASHED, heading, legend, shown, ticks, top
-from masking.reports.style import COLOURS, GRID, INK, MUTED, SIZE, WIDTH, Plate, panels, symbol, thin, with_unit
-
-if TYPE_CHECKING:
-    from scipy import signal
-else:
-    signal = lazy.load("scipy.signal", suppress_warning=True)
+from masking.reports.style import (
+    COLOURS,
+    GRID,
+    INK,
+    MUTED,
+    SIZE,
+    WIDTH,
+    CaptionedFigure,
+    panels,
+    symbol,
+    thin,
+    with_unit,
+)
+from masking.reports.text import capital, listed
 
 MOST_SENSORS = 6
 MOST_TRIED = 12
@@ -32,21 +51,19 @@ MOST_PAID = 1000.0  # %, of what would count: more is told as more than this
 NEAR = 0.9  # of the best candidate's gain: those that are told together
 WIDE = 200.0  # highest over lowest frequency from which powers of ten are enough of a scale
 FAINT = 1e-3  # of the strongest line: weaker ones are rounded off by the smoother, and not drawn
-SEGMENTS = 8  # that a record is cut into for a spectrum
-BINS_PER_DECADE = 24
 
 
-def plates(found: Discovery) -> list[Plate]:
+def figures(found: Discovery) -> list[CaptionedFigure]:
     """Draw the figures of a discovery."""
     lacking = latent_force.lack(found, discovery_text.rest(found).best.name)
     course = [_course(found, lacking)] if lacking.where != "sensor" and found.twin.actuators else []
-    return [_gap(found), force_map.plate(found, lacking), *course, _residual(found), _candidates(found)]
+    return [_gap(found), force_map.figure(found, lacking), *course, _residual(found), _candidates(found)]
 
 
-def _gap(found: Discovery) -> Plate:
+def _gap(found: Discovery) -> CaptionedFigure:
     """Draw the error of each sensor before and after, in the record and in the one that judges, beside the noise."""
     names = found.twin.sensors
-    said = discovery_text.capital(discovery_text.left(found)) if found.verdict == "none" else discovery_text.gap(found)
+    said = capital(discovery_text.left(found)) if found.verdict == "none" else discovery_text.gap(found)
     figure, (row,) = panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), top(said) + 0.28)
     gap = found.gap
     own = own_gap(found)
@@ -75,23 +92,22 @@ def _gap(found: Discovery) -> Plate:
         axes.set_title(title, loc="left", fontsize=SIZE, color=MUTED, pad=5)
     heading(figure, said)
     handles = [
-        Line2D([], [], color="white", mec=MUTED, mew=1.4, marker="o", ls="", ms=6, label="as declared"),
-        Line2D([], [], color=BEFORE, marker="o", ls="", ms=6, label="parameters adjusted alone"),
+        marker_key("as declared", "white", mec=MUTED, mew=1.4),
+        marker_key("parameters adjusted alone", BEFORE),
     ]
     if found.effects:
-        handles.append(Line2D([], [], color=AFTER, marker="o", ls="", ms=6, label="with what was found"))
-    handles.append(Line2D([], [], color=INK, marker="|", ls="", ms=11, mew=1.4, label="noise alone"))
-    legend(figure, row[-1], handles)
-    _lift_legend(figure, 0.24)
+        handles.append(marker_key("with what was found", AFTER))
+    handles.append(marker_key("noise alone", INK, "|", 11.0, mew=1.4))
+    legend(figure, row[-1], handles, above=0.28)
     caption = (
         "The error of the free simulation of each sensor, chi = ||measured - simulated|| / ||measured||, with the best "
         "initial state: of the model as it is declared, with its parameters adjusted within what is believed of them, "
         "and with what was found. What the noise makes alone is the least that can be left."
     )
-    return Plate("gap", "The gap", caption, figure)
+    return CaptionedFigure("gap", "The gap", caption, figure)
 
 
-def _course(found: Discovery, lacking: latent_force.Lack) -> Plate:
+def _course(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
     """Draw what is lacking over a command, time and frequency, before and after."""
     what = {"element": "force", "actuator": "command"}[lacking.where]
     seen = discovery_text.subject(found)
@@ -107,47 +123,42 @@ def _course(found: Discovery, lacking: latent_force.Lack) -> Plate:
     for values, colour in drawn:
         over.plot(times * column[::step], by * values[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
         time.plot(*thin(t, by * values, 500), color=colour, lw=0.7)
-        f, density = _density(values, found.record.rate)
+        f, density = spectral_density(values, found.record.rate)
         spectrum.plot(f, density, color=colour, lw=1.2)
         if colour == BEFORE:
             strong = density > FAINT * density.max()
             spectrum.set_xlim(f[0], f[strong][-1])
             spectrum.set_ylim(0.03 * FAINT * density.max(), 2.0 * density.max())
-    for side in (-2.0, 2.0):
-        for axes in (over, time):
-            axes.axhline(side * by * lacking.deviations[0], color=INK, lw=0.9, ls=DASHED, zorder=4)
+    for axes in (over, time):
+        noise_band(axes, 2.0 * by * lacking.deviations[0])
     reach = 1.05 * by * max(2.0 * lacking.deviations[0], *(float(np.abs(values).max()) for values, _ in drawn))
     over.set_ylim(-reach, reach)
     time.set(xlim=(0.0, t[-1]), ylim=(-reach, reach))
     time.tick_params(labelleft=False)
     time.yaxis.get_offset_text().set_visible(False)
     over.xaxis.set_major_locator(MaxNLocator(4))
-    over.set_ylabel(with_unit(f"lacking {what}", quantities.pretty(unit)))
-    over.set_xlabel(with_unit(f"command {symbol(command)}", quantities.pretty(name)))
+    over.set_ylabel(with_unit(f"lacking {what}", pretty(unit)))
+    over.set_xlabel(with_unit(f"command {symbol(command)}", pretty(name)))
     time.set_xlabel("time (s)")
-    spectrum.set_xscale("log")
-    spectrum.set_yscale("log")
+    logarithmic(spectrum)
     spectrum.set_xlabel("frequency (Hz)")
-    spectrum.set_ylabel(with_unit("density", f"{quantities.pretty(lacking.units[0])}/√Hz" if lacking.units[0] else ""))
+    spectrum.set_ylabel(with_unit("density", f"{pretty(lacking.units[0])}/√Hz" if lacking.units[0] else ""))
     low, high = spectrum.get_xlim()
     steps = (1.0, 2.0, 5.0) if high < WIDE * low else (1.0,)
     spectrum.xaxis.set_major_locator(LogLocator(subs=steps))
     spectrum.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-    spectrum.yaxis.set_major_locator(LogLocator(numticks=5))
-    for axis in (spectrum.xaxis, spectrum.yaxis):
-        axis.set_minor_formatter(NullFormatter())
     heading(figure, said)
-    handles = [Line2D([], [], color=BEFORE, lw=2, label=f"{what} that the model lacks")]
+    handles = [line_key(f"{what} that the model lacks", BEFORE)]
     if len(drawn) > 1:
-        handles.append(Line2D([], [], color=AFTER, lw=2, label="what is left"))
+        handles.append(line_key("what is left", AFTER))
     label = "± 2 deviations" + " of the first" * (len(drawn) > 1)
-    handles.append(Line2D([], [], color=INK, lw=1, ls=DASHED, label=label))
+    handles.append(line_key(label, INK, 1, dashed=True))
     legend(figure, spectrum, handles)
     caption = (
         f"The {what} at {lacking.place} that the model lacks, over the command that it follows most, over time, and "
         "the root of its power spectral density. What changes with time, or at a frequency of its own, shows here."
     )
-    return Plate("course", "When, and under which command", caption, figure)
+    return CaptionedFigure("course", "When, and under which command", caption, figure)
 
 
 def _coursed(found: Discovery, lacking: latent_force.Lack, command: str) -> str:
@@ -155,26 +166,27 @@ def _coursed(found: Discovery, lacking: latent_force.Lack, command: str) -> str:
     seen = discovery_text.subject(found)
     if not any(seen.coordinates.values()):
         return f"What seems to be lacking at {lacking.place} is not beyond its deviation"
-    told = discovery_text.capital(discovery_text.follows_command(seen, command))
+    told = capital(discovery_text.follows_command(seen, command))
     place = next((place for place in seen.places if place.name == lacking.place), None)
     if place is None or not place.portrait.regions:
         return told
     thirds = [energy for energy, _ in place.portrait.regions["record"].values()]
-    parts = discovery_text.listed([quantities.percent(part) for part in thirds])
+    parts = listed([percent(part) for part in thirds])
     return f"{told}; the thirds of the record hold {parts} of the energy of the force at {lacking.place}"
 
 
-def _residual(found: Discovery) -> Plate:
+def _residual(found: Discovery) -> CaptionedFigure:
     """Draw what is left of the record that judges, over time and frequency, before and after."""
     names = found.twin.sensors[:MOST_SENSORS]
-    sigma, record, most = found.judged.sigma, found.judge, found.evidence.rules.validation_noise_floor
+    sigma, record = found.judged.sigma, found.judge
+    most = noise_threshold(len(record), found.evidence.rules)
     more = [
         n for i, n in enumerate(found.twin.sensors) if found.after.squares[i] > most**2 * len(record) * sigma[i] ** 2
     ]
     said = (
-        f"What is left of {discovery_text.listed(found.twin.sensors)} on data that were not used is noise"
+        f"What is left of {listed(found.twin.sensors)} on data that were not used is noise"
         if not more
-        else f"On data that were not used, more than noise is left of {discovery_text.listed(more)}"
+        else f"On data that were not used, more than noise is left of {listed(more)}"
     )
     figure, rows = panels(len(names), 1.35, (4.55, 2.55), top(said))
     t = np.arange(len(record)) / record.rate
@@ -184,48 +196,42 @@ def _residual(found: Discovery) -> Plate:
         by, y_unit = shown("" if unit == "1" else unit, *(h.residuals[:, i] for h, _, _ in pairs))
         for hypothesis, colour, width in pairs:
             time.plot(*thin(t, by * hypothesis.residuals[:, i], 500), color=colour, lw=0.6)
-            f, density = _density(hypothesis.residuals[:, i], record.rate)
+            f, density = spectral_density(hypothesis.residuals[:, i], record.rate)
             spectrum.plot(f, density, color=colour, lw=width + 0.3)
-        for side in (-1.96, 1.96):
-            time.axhline(side * by * sigma[i], color=INK, lw=0.9, ls=DASHED, zorder=4)
-        spectrum.axhline(sigma[i] * np.sqrt(2.0 / record.rate), color=INK, lw=0.9, ls=DASHED, zorder=4)
+        noise_band(time, 1.96 * by * sigma[i])
         reach = 1.05 * by * max(float(np.abs(h.residuals[:, i]).max()) for h, _, _ in pairs)
         time.set(xlim=(0.0, t[-1]), ylim=(-reach, reach))
         time.set_ylabel(with_unit(symbol(name), y_unit))
         ticks(time, 4)
-        spectrum.set_xscale("log")
-        spectrum.set_yscale("log")
+        logarithmic(spectrum)
         spectrum.set_xlim(f[0], f[-1])
-        level = sigma[i] * np.sqrt(2.0 / record.rate)
+        level = noise_level(spectrum, sigma[i], record.rate)
         low, high = spectrum.get_ylim()
         spectrum.set_ylim(min(low, level / 5.0), max(high, 5.0 * level))
-        for axis in (spectrum.xaxis, spectrum.yaxis):
-            axis.set_minor_formatter(NullFormatter())
-            axis.set_major_locator(LogLocator(numticks=5))
         spectrum.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         spectrum.set_ylabel(f"{unit}/√Hz" if unit != "1" else "1/√Hz")
     rows[-1][0].set_xlabel("time (s)")
     rows[-1][1].set_xlabel("frequency (Hz)")
     heading(figure, said)
-    handles = [Line2D([], [], color=BEFORE, lw=2, label="parameters adjusted alone")]
+    handles = [line_key("parameters adjusted alone", BEFORE)]
     if found.effects:
-        handles.append(Line2D([], [], color=AFTER, lw=2, label="with what was found"))
-    handles.append(Line2D([], [], color=INK, lw=1, ls=DASHED, label="noise: 95 % of it, and its spectrum"))
+        handles.append(line_key("with what was found", AFTER))
+    handles.append(line_key("noise: 95 % of it, and its spectrum", INK, 1, dashed=True))
     legend(figure, rows[0][1], handles)
     caption = (
         f"{record.name}: measured less simulated, over time and as the root of its power spectral density. A line "
         "above the noise is something that the model does not say."
     )
-    return Plate("residual", "What is left", caption, figure)
+    return CaptionedFigure("residual", "What is left", caption, figure)
 
 
-def _candidates(found: Discovery) -> Plate:
+def _candidates(found: Discovery) -> CaptionedFigure:
     """Draw what each candidate would have closed of the gap; where nothing is missing, of what would have counted."""
     every, nothing = tried(found), found.verdict == "none"
     chosen = {(one.name, one.on) for one in found.effects}
     rows = [row for i, row in enumerate(every) if i < MOST_TRIED or (row[0], row[1]) in chosen]
     if not rows:
-        return Plate("candidates", "What was tried", "No candidate would have closed any of the gap.", None)
+        return CaptionedFigure("candidates", "What was tried", "No candidate would have closed any of the gap.", None)
     names = [discovery_text.labelled(found, effect, at) for effect, at, _, _ in rows]
     parts = [100.0 * (paid if nothing else part) for _, _, part, paid in rows]
     fitted = {key for rival in found.rivals for key in rival.names}
@@ -274,7 +280,7 @@ def _candidates(found: Discovery) -> Plate:
         "To first order along the measured motion, with what the model's own parameters could explain taken out first; "
         "the best are then fitted in full, and their likelihoods decide."
     )
-    return Plate("candidates", "What was tried", caption, figure)
+    return CaptionedFigure("candidates", "What was tried", caption, figure)
 
 
 def _colour(key: tuple[str, str], chosen: set[tuple[str, str]], fitted: set[tuple[str, str]]) -> str:
@@ -304,17 +310,6 @@ def own_gap(found: Discovery) -> dict[str, float]:
     return dict(zip(found.twin.sensors, map(float, parts), strict=True))
 
 
-def _density(values: Array, rate: float) -> tuple[Array, Array]:
-    """Return frequencies in Hz, evenly over their logarithm, and the root of the power spectral density there."""
-    length = min(max(2 * len(values) // (SEGMENTS + 1), 16), len(values))
-    f, power = signal.welch(values, rate, nperseg=length, detrend="constant")
-    bins = np.floor(BINS_PER_DECADE * np.log10(f[1:] / f[1])).astype(int)
-    first = np.flatnonzero(np.diff(bins, prepend=-1))
-    counts = np.diff(np.append(first, len(bins)))
-    mean = [np.add.reduceat(column, first) / counts for column in (f[1:], power[1:])]
-    return mean[0], np.sqrt(np.maximum(mean[1], 1e-300))
-
-
 def _percents(axes: Axes, low: float, high: float) -> None:
     """Give a logarithmic axis in percent a few round numbers."""
     steps = (1.0, 2.0, 5.0) if high / low < 60.0 else (1.0,)
@@ -322,10 +317,3 @@ def _percents(axes: Axes, low: float, high: float) -> None:
     axes.xaxis.set_major_locator(FixedLocator([v for v in every if low <= v <= high]))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g} %"))
-
-
-def _lift_legend(figure: object, inches: float) -> None:
-    """Move the legend of a figure up, above the titles of its axes."""
-    box = figure.legends[0]  # type: ignore[attr-defined]
-    x, y = box.get_bbox_to_anchor().transformed(figure.transFigure.inverted()).p0  # type: ignore[attr-defined]
-    box.set_bbox_to_anchor((x, y + inches / figure.get_size_inches()[1]))  # type: ignore[attr-defined]

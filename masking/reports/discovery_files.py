@@ -10,8 +10,8 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,12 +25,11 @@ from masking.declaration.units import dimension_of, factor_of
 from masking.discovery import laws
 from masking.discovery.augmented_model import Slot
 from masking.discovery.discovery import Discovery, Named
-from masking.discovery.localisation import where
 from masking.discovery.places import identifier, opened
-from masking.effects import attach
+from masking.effects import LAG, attach
 from masking.errors import RecordError
 from masking.modelling.model import Model
-from masking.reports import discovery_text
+from masking.reports import discovery_text, html
 from masking.rig.twin import Twin
 
 DIGITS = 10
@@ -68,7 +67,7 @@ def save(
     folder: str | Path,
     origin: Origin,
     page: str,
-    images: Mapping[str, bytes],
+    figures: Sequence[html.Picture],
     *,
     lies: Path | None = None,
 ) -> Files:
@@ -79,7 +78,7 @@ def save(
         folder: where to write.
         origin: of the records.
         page: the HTML page.
-        images: figures as PNG, by name.
+        figures: those that are drawn are written as PNG files.
         lies: the folder to which all will be moved, where that is another.
 
     Raises:
@@ -87,8 +86,9 @@ def save(
         DeclarationError: the model with its causes is not a sound one.
     """
     out = Path(folder)
-    files = paths(found, out, tuple(images))
-    contents = {files.page: page.encode(), **dict(zip(files.figures, images.values(), strict=True))}
+    images = html.images(figures, out)
+    files = replace(paths(found, out), figures=tuple(images))
+    contents = {files.page: page.encode(), **images}
     if files.model is not None and files.plant is not None:
         contents[files.model] = _yaml(model(found, files.model.parent, origin)).encode()
         contents[files.plant] = _yaml(plant(found, files.model.relative_to(out), origin, out)).encode()
@@ -120,15 +120,14 @@ def save(
     return files
 
 
-def paths(found: Discovery, out: Path, figures: tuple[str, ...] = ()) -> Files:
-    """Return where the files of a discovery lie."""
-    images = tuple(out / f"{name}.png" for name in figures)
+def paths(found: Discovery, out: Path) -> Files:
+    """Return where the files of a discovery lie, without its figures."""
     if not found.effects:
-        return Files(out / NUMBERS, out / PAGE, None, None, images)
+        return Files(out / NUMBERS, out / PAGE, None, None, ())
     base = found.twin.declaration.model
     stem = base if base in catalogue.names("model") else Path(base).stem
     causes = "+".join(dict.fromkeys(cause.name for cause in found.effects))
-    return Files(out / NUMBERS, out / PAGE, out / "models" / f"{Path(stem).name}+{causes}.yaml", out / PLANT, images)
+    return Files(out / NUMBERS, out / PAGE, out / "models" / f"{Path(stem).name}+{causes}.yaml", out / PLANT, ())
 
 
 def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
@@ -144,7 +143,7 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     told["adjusted"] = list(discovery_text.adjusted(found))
     told["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
     told["page"] = str(files.page)
-    told["where"] = where(found).as_dict()
+    told["where"] = found.where.as_dict()
     return told
 
 
@@ -284,7 +283,7 @@ def _add_delay(found: Discovery, slot: Slot, effects: dict[str, Any], taken: set
         effects[_free("delay_found", taken)] = {"effect": laws.DELAY, "parameters": {"samples": whole}}
     if rest * rate > WHOLE:
         at = [slot.at] if slot.at else list(found.twin.actuators)
-        lag = {"effect": "actuator_lag", "at": at, "parameters": {"tau": _rounded(rest)}}
+        lag = {"effect": LAG.name, "at": at, "parameters": {LAG.grows_with: _rounded(rest)}}
         effects[_free("rest_of_delay", {*taken, *effects})] = lag
 
 

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import importlib.metadata
-import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
 import numpy as np
 
+from masking.declaration.quantities import number, percent, power, with_deviation
+from masking.declaration.units import pretty
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
-from masking.discovery.localisation import where
-from masking.discovery.verdict import probabilities
+from masking.discovery.localisation import Lacking
+from masking.discovery.verdict import noise_threshold, probabilities
 from masking.estimation.whiteness import DOUBTED
-from masking.reports import discovery_files, discovery_text, html, quantities
+from masking.reports import discovery_files, discovery_text, html
 from masking.reports.discovery_files import Files, Origin
+from masking.reports.html import Tile
+from masking.reports.text import listed
 
 if TYPE_CHECKING:
     from masking.reports import discovery_figures, style
 else:
-    style = lazy.load("masking.reports.style", suppress_warning=True)
     discovery_figures = lazy.load("masking.reports.discovery_figures", suppress_warning=True)
 
 MOST_TRIED = 20
@@ -39,271 +40,194 @@ TITLES = {
 
 
 def save(found: Discovery, folder: str | Path, origin: Origin, *, lies: Path | None = None) -> Files:
-    """Draw a discovery and write all its files into a folder; see `written.save`."""
-    drawn = discovery_figures.plates(found)
-    images = {plate.name: style.png(plate) for plate in drawn if plate.figure is not None}
-    return discovery_files.save(
-        found, folder, origin, page(found, drawn, images, origin, lies or Path(folder)), images, lies=lies
-    )
+    """Draw a discovery and write all its files into a folder; see `discovery_files.save`."""
+    figures = discovery_figures.figures(found)
+    text = page(found, figures, origin, lies or Path(folder))
+    return discovery_files.save(found, folder, origin, text, figures, lies=lies)
 
 
-def page(
-    found: Discovery, drawn: Sequence[style.Plate], images: Mapping[str, bytes], origin: Origin, folder: Path
-) -> str:
+def page(found: Discovery, figures: Sequence[style.CaptionedFigure], origin: Origin, folder: Path) -> str:
     """Return the page of a discovery.
 
     Args:
         found: the discovery.
-        drawn: its figures.
-        images: these as PNG, by name; those that have none are told by their captions.
+        figures: of it; of those without a picture the page shows the caption.
         origin: of the records.
-        folder: where its files lie.
+        folder: where its files will lie.
     """
-    names = {*found.twin.sensors, *found.twin.actuators, *found.twin.model.coordinates, *found.rig.names}
-    after = {
-        "gap": _gaps(found, names),
-        "map": _where(found, names),
-        "residual": _whiteness(found, names),
-        "candidates": _tried(found),
-    }
-    before = {"candidates": _rivals(found)}
-    sections = _what_helps(found)
-    for plate in drawn:
-        if before.get(plate.name):
-            sections.append(html.section("What else it may be", before[plate.name]))
-        picture = html.picture(plate.title, plate.caption, images.get(plate.name), names)
-        sections.append(html.section(plate.title, picture + after.get(plate.name, "")))
-    sections.append(html.section("Parameters of the model", _parameters(found, names)))
-    sections.append(html.section("Provenance", _provenance(found, origin, folder)))
-    lead = html.paragraph(f"{discovery_text.sentence(found)}.", "lead", names)
-    told = discovery_text.whereabouts(found)
-    if told:
-        lead += html.paragraph(f"{'. '.join(told)}.", "changed", names)
-    if discovery_text.beside(found):
-        lead += html.paragraph(f"{discovery_text.beside(found)}.", "card", names)
-    title = TITLES["named" if found.verdict == "ambiguous" and not discovery_text.is_open(found) else found.verdict]
-    return html.document(title, lead, _tiles(found, names), sections)
+    open_ended = found.verdict == "ambiguous" and not discovery_text.is_open(found)
+    localised = discovery_text.subject(found)
+    lead = [("lead", [discovery_text.sentence(found)]), ("changed", discovery_text.whereabouts(found))]
+    lead.append(("card", [discovery_text.beside(found)]))
+    return html.render(
+        "discovery",
+        names={*found.twin.sensors, *found.twin.actuators, *found.twin.model.coordinates, *found.rig.names},
+        title=TITLES["named" if open_ended else found.verdict],
+        lead=[(kind, f"{'. '.join(said)}.") for kind, said in lead if any(said)],
+        tiles=list(_tiles(found)),
+        causes=list(_causes(found)),
+        remedies=[
+            (name, f"{meaning} Usual causes: {cause}." if cause else meaning, f"{remedy}." if remedy else "")
+            for name, meaning, cause, remedy in discovery_text.remedies(found)
+        ],
+        figures=figures,
+        gaps=list(_gaps(found)),
+        places=list(_places(localised)),
+        sides=_sides(localised),
+        whiteness=list(_whiteness(found)),
+        doubted=f"{DOUBTED:g}",
+        tried=[
+            (discovery_text.labelled(found, effect, at), percent(part, 3), _paid(paid))
+            for effect, at, part, paid in discovery_figures.tried(found)[:MOST_TRIED]
+        ],
+        rivals=_rivals(found),
+        parameters=list(_parameters(found)),
+        origin=_provenance(found, origin, folder),
+    )
 
 
-def _tiles(found: Discovery, names: set[str]) -> list[str]:
-    tiles = []
+def _tiles(found: Discovery) -> Iterator[Tile]:
     for one in found.effects[:3] if found.verdict != "unknown" else ():
         sure = discovery_text.probability(found, one)
-        told = quantities.percent(sure) if sure > LEAST_SURE else f"< {quantities.percent(LEAST_SURE)}"
-        tiles.append(html.tile(discovery_text.labelled(found, one.name, one.on), told, "probability", names=names))
+        told = percent(sure) if sure > LEAST_SURE else f"< {percent(LEAST_SURE)}"
+        yield Tile(discovery_text.labelled(found, one.name, one.on), told, "probability")
     floor, after, worst = found.gap.validation_floor, found.gap.validation[1], discovery_text.worst(found)
     if found.effects:
         before, how = discovery_text.without(found)
         label = f"error in {worst} {'as declared' if how == 'as declared' else 'without it'}"
-        tiles.append(html.tile(label, quantities.percent(before[worst]), "unseen", names=names))
-    tiles.append(
-        html.tile(
-            f"error in {worst}" + " with it" * bool(found.effects),
-            quantities.percent(after[worst]),
-            f"noise {quantities.percent(floor[worst])}",
-            is_wrong=after[worst] > found.evidence.rules.validation_noise_floor * floor[worst],
-            names=names,
-        )
-    )
-    return tiles
+        yield Tile(label, percent(before[worst]), "unseen")
+    label = f"error in {worst}" + " with it" * bool(found.effects)
+    most = noise_threshold(len(found.judge), found.evidence.rules)
+    yield Tile(label, percent(after[worst]), f"noise {percent(floor[worst])}", after[worst] > most * floor[worst])
 
 
-def _what_helps(found: Discovery) -> list[str]:
-    """Say what each cause is, its values, where it comes from and what helps."""
-    if not discovery_text.offered(found):
-        return []
-    rows = []
+def _causes(found: Discovery) -> Iterator[tuple[str, ...]]:
+    """Yield each parameter of each cause: cause, parameter, value, meaning."""
     for one in discovery_text.offered(found):
         units = discovery_text.units(found, one)
         for name, (value, std) in one.parameters.items():
             effect = found.twin.dictionary.get(one.name)
             if effect is None:
-                meaning = f"declared {quantities.number(float(found.rig.start[found.rig.names.index(name)]), 5)}"
+                meaning = f"declared {number(float(found.rig.start[found.rig.names.index(name)]), 5)}"
             else:
-                meaning = effect.parameters[name].meaning if name in effect.parameters else "delay"
-            rows.append(
-                (
-                    discovery_text.labelled(found, one.name, one.on),
-                    name,
-                    quantities.with_deviation(value, std, units.get(name, "")),
-                    meaning,
-                )
-            )
-    body = html.table(("what", "parameter", "value", "meaning"), rows)
-    cards = [
-        (name, f"{meaning} Usual causes: {cause}." if cause else meaning, f"{remedy}." if remedy else "")
-        for name, meaning, cause, remedy in discovery_text.remedies(found)
-    ]
-    if cards:
-        body += html.table(("effect", "meaning", "what helps"), cards)
-    return [html.section("What was found", body)]
+                meaning = effect.parameters[name].meaning if name in effect.parameters else effect.spoken
+            label = discovery_text.labelled(found, one.name, one.on)
+            yield label, name, with_deviation(value, std, units.get(name, "")), meaning
 
 
-def _gaps(found: Discovery, names: set[str]) -> str:
+def _gaps(found: Discovery) -> Iterator[tuple[str, ...]]:
+    """Yield the errors of each sensor on each record."""
     gap, share, own = found.gap, latent_force.energies(found), discovery_figures.own_gap(found)
-    rows = [
-        (name, what, *(quantities.percent(part[name]) for part in parts), share_of if what == "record" else "")
-        for name in found.twin.sensors
-        for share_of in (quantities.percent(share[name]) if sum(share.values()) else "",)
-        for what, parts in (
-            ("record", (gap.train[0], own, gap.train[1], gap.floor)),
-            ("unseen", (gap.validation[0], found.gap.adjusted, gap.validation[1], gap.validation_floor)),
-        )
-    ]
-    head = ("sensor", "data", "as declared", "adjusted alone", "with what was found", "noise alone", "share of the gap")
-    return html.table(head, rows, range(2, 7), names)
+    for name in found.twin.sensors:
+        parts = (gap.train[0], own, gap.train[1], gap.floor)
+        unseen = (gap.validation[0], found.gap.adjusted, gap.validation[1], gap.validation_floor)
+        part_of = percent(share[name]) if sum(share.values()) else ""
+        yield name, "record", *(percent(part[name]) for part in parts), part_of
+        yield name, "unseen", *(percent(part[name]) for part in unseen), ""
 
 
-def _where(found: Discovery, names: set[str]) -> str:
-    """Tabulate the forces that are lacking at each place, and what is lacking on the sides of actuators and sensors."""
-    lacking = discovery_text.subject(found)
+def _places(lacking: Lacking) -> Iterator[tuple[str, ...]]:
+    """Yield the force at each place: its share, what it follows, the power that it takes out, and where it sits."""
     seen = [place for place in lacking.places if place.share > LEAST]
-    if not seen:
-        return html.paragraph("No force beyond its deviation is lacking anywhere.", "missing")
-    rows = []
     for place in sorted(seen, key=lambda place: -place.explained):
         parts, portrait = place.portrait.parts, place.portrait
-        told = (
-            [quantities.percent(part) for part in (parts.displacement, parts.rate, parts.both, parts.neither)]
-            if parts is not None
-            else [""] * 4
-        )
-        odd = "" if parts is None or parts.odd is None else quantities.percent(parts.odd)
-        loss = quantities.power(abs(portrait.loss), place.units)
-        taken = f"{'-' if portrait.loss < 0.0 else ''}{loss}" if abs(portrait.taken) > LITTLE else "little"
-        regions = discovery_text.regions(place) if parts is not None else []
-        at = discovery_text.listed(regions) if regions else ""
-        rows.append((place.name, quantities.percent(place.share), *told, odd, taken, at))
-    head = ("place", "share", "displacement", "rate", "both together", "neither", "odd", "takes out", "where")
-    said = (
-        "What a force at each place alone would make of all that is lacking; which parts of its energy follow the "
-        "displacement and the rate there, found on four fifths of the record and held against the rest; how much of "
-        "that turns round with both (odd, as friction and cubic springs do; the rest is even, as a quadratic spring); "
-        "and the power that it takes out of the motion. "
-    )
+        told, odd, at = [""] * 4, "", ""
+        if parts is not None:
+            told = [percent(part) for part in (parts.displacement, parts.rate, parts.both, parts.neither)]
+            odd = "" if parts.odd is None else percent(parts.odd)
+            regions = discovery_text.regions(place)
+            at = listed(regions) if regions else ""
+        loss = f"{'-' if portrait.loss < 0.0 else ''}{power(abs(portrait.loss), place.units)}"
+        yield place.name, percent(place.share), *told, odd, loss if abs(portrait.taken) > LITTLE else "little", at
+
+
+def _sides(lacking: Lacking) -> str:
+    """Say what functions of commands and readings would explain, and which harmonics the force has."""
+    said = ""
     for what, those, of in (
         ("command", lacking.actuators, "what is lacking"),
         ("reading", lacking.sensors, "what the simulation leaves of it"),
     ):
         if those:
-            each = discovery_text.listed([f"{quantities.percent(part)} ({name})" for name, part in those.items()])
+            each = listed([f"{percent(part)} ({name})" for name, part in those.items()])
             said += f"A function of a {what} would make {each} of {of}. "
     harmonics = lacking.best.harmonics
     if harmonics is not None and harmonics.only_odd:
         said += (
             f"The commands repeat themselves with odd multiples of {harmonics.base:.4g} Hz only; of the force at "
-            f"{lacking.best.name}, {quantities.percent(harmonics.even)} is at even multiples and "
-            f"{quantities.percent(harmonics.odd)} at odd ones that were not excited."
+            f"{lacking.best.name}, {percent(harmonics.even)} is at even multiples and "
+            f"{percent(harmonics.odd)} at odd ones that were not excited."
         )
-    return html.table(head, rows, range(1, 8), names) + html.paragraph(said, "missing", names)
+    return said
 
 
-def _whiteness(found: Discovery, names: set[str]) -> str:
-    """Tabulate whether the residuals of each sensor are white, before and after."""
-    rows = []
-    for name, pair in where(found).whiteness.items():
+def _whiteness(found: Discovery) -> Iterator[tuple[str, ...]]:
+    """Yield whether the residuals of each sensor are white, before and after."""
+    for name, pair in found.where.whiteness.items():
         for what, one in zip(("adjusted alone", "with what was found"), pair, strict=True):
             if one is not None:
-                p = f"{one.p:.3f}" if one.p > 5e-4 else "< 0.001"
-                rows.append((name, what, discovery_text.white(one), p, quantities.percent(one.beyond)))
-    head = ("sensor", "model", "residual", "p if white", "beyond noise")
-    said = (
-        "Ljung and Box's test of correlations over 0.1 s on data that were not used, with that of an even spectrum; "
-        f"where p is below {DOUBTED:g}, the frequency at which the residual is furthest above white noise; and the "
-        "part of its mean square that is beyond noise."
-    )
-    return html.table(head, rows, (3, 4), names) + html.paragraph(said, "missing")
+                yield name, what, discovery_text.white(one), _probability(one.p), percent(one.beyond)
 
 
-def _rivals(found: Discovery) -> str:
-    """Tabulate the explanations that were fitted in full, with their probabilities."""
+def _probability(p: float) -> str:
+    return f"{p:.3f}" if p > 5e-4 else "< 0.001"
+
+
+def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
+    """Return the explanations that were fitted in full: explanation, probability, worse by, values."""
     rivals, heat = found.rivals, found.temperature
     if len(rivals) < 2 or not found.effects:
-        return ""
+        return []
     rows: dict[str, tuple[float, str, str]] = {}
-    sure = probabilities([rival.score(heat) for rival in rivals])
+    sure = map(float, probabilities([rival.score(heat) for rival in rivals]))
     for rival, probability in zip(rivals, sure, strict=True):
         first, *more = rival.names
         told = " and ".join(
             [discovery_text.labelled(found, *first), *(discovery_text.spoken(found, *name) for name in more)]
         )
-        deviations = np.sqrt(heat) * rival.hypothesis.deviations[len(found.rig.names) :]
-        values, used = [], 0
-        for slot in rival.hypothesis.slots:
-            for name, i in zip(slot.names, slot.free, strict=True):
-                values.append(f"{name} = {quantities.with_deviation(slot.values[i], float(deviations[used]), '')}")
-                used += 1
-        worse = quantities.number(rival.score(heat) - rivals[0].score(heat), 4)
         if told in rows:  # a delay of the only actuator is that of all of them
-            rows[told] = (rows[told][0] + float(probability), *rows[told][1:])
-        else:
-            rows[told] = float(probability), worse, ", ".join(values)
-    cells = [(told, f"{p:.3f}" if p > 5e-4 else "< 0.001", worse, values) for told, (p, worse, values) in rows.items()]
-    head = ("explanation", "probability", "worse by", "value")
-    told = (
-        "Each was fitted in full, with the model's parameters free within what is believed of them. 'Worse by' is the "
-        "difference of -2 log likelihood, with what each parameter must pay (Schwarz). Values in coherent units."
-    )
-    return html.table(head, cells, (1, 2)) + html.paragraph(told, "missing")
-
-
-def _tried(found: Discovery) -> str:
-    rows = [
-        (discovery_text.labelled(found, effect, at), f"{100.0 * part:.3g} %", _paid(paid))
-        for effect, at, part, paid in discovery_figures.tried(found)[:MOST_TRIED]
-    ]
-    head = ("candidate", "would close of the gap", "of what would count")
-    return html.table(head, rows, (1, 2)) if rows else ""
+            rows[told] = (rows[told][0] + probability, *rows[told][1:])
+            continue
+        deviations = iter(np.sqrt(heat) * rival.hypothesis.deviations[len(found.rig.names) :])
+        values = [
+            f"{name} = {with_deviation(slot.values[i], float(next(deviations)), '')}"
+            for slot in rival.hypothesis.slots
+            for name, i in zip(slot.names, slot.free, strict=True)
+        ]
+        rows[told] = probability, number(rival.score(heat) - rivals[0].score(heat), 4), ", ".join(values)
+    return [(told, _probability(p), worse, values) for told, (p, worse, values) in rows.items()]
 
 
 def _signed(part: float) -> str:
-    return f"{'-' if part < 0.0 else '+'}{quantities.number(100.0 * abs(part), 2)} %"
+    return f"{'-' if part < 0.0 else '+'}{number(100.0 * abs(part), 2)} %"
 
 
 def _paid(part: float) -> str:
     most = discovery_figures.MOST_PAID
-    return f"{100.0 * part:.3g} %" if 100.0 * part <= most else f"> {most:.0f} %"
+    return percent(part, 3) if 100.0 * part <= most else f"> {most:.0f} %"
 
 
-def _parameters(found: Discovery, names: set[str]) -> str:
-    """Tabulate the model's parameters as declared and as found beside the causes."""
+def _parameters(found: Discovery) -> Iterator[tuple[str, ...]]:
+    """Yield the model's parameters as declared and as found beside the causes."""
     known = found.twin.base.parameters
-    rows = []
     for (name, value, std), start in zip(discovery_files.refitted(found), found.rig.start, strict=True):
         change = _signed(value / start - 1.0) if start else ""
-        told = quantities.with_deviation(value, std, "")
-        rows.append(
-            (
-                name,
-                quantities.number(float(start), 6),
-                told,
-                change,
-                quantities.pretty(known[name].unit),
-                known[name].meaning,
-            )
-        )
-    head = ("parameter", "declared", "found", "change", "unit", "meaning")
-    said = "They were free within what is believed of them, so that a small error of one is not taken for an effect."
-    return html.table(head, rows, (1, 2, 3), names) + html.paragraph(said, "missing")
+        declared, told = number(float(start), 6), with_deviation(value, std, "")
+        yield name, declared, told, change, pretty(known[name].unit), known[name].meaning
 
 
-def _provenance(found: Discovery, origin: Origin, folder: Path) -> str:
+def _provenance(found: Discovery, origin: Origin, folder: Path) -> list[tuple[str, object]]:
     files = discovery_files.paths(found, folder)
     record, judge = found.record, found.judge
-    rows: list[tuple[str, object]] = [(what, f"{path}, SHA-256 {sha}") for what, (path, sha) in origin.records.items()]
-    rows += [
+    return [
+        *((what, f"{path}, SHA-256 {sha}") for what, (path, sha) in origin.records.items()),
         ("samples", f"{len(record)} to find, {len(judge)} to judge by, {record.rate:g} Hz"),
         ("rig", found.twin.declaration.name),
         ("model", ", ".join(found.twin.base.files) or found.twin.declaration.model),
-        *[("own effects", file) for one in found.twin.declaration.dictionaries for file in one.files],
+        *(("own effects", file) for one in found.twin.declaration.dictionaries for file in one.files),
         ("written", ", ".join(str(p) for p in (files.model, files.plant, files.numbers) if p)),
-        ("versions", ", ".join([f"python {platform.python_version()}", *map(_version, ("masking", "numpy", "numba"))])),
+        ("versions", html.versions("masking", "numpy", "numba")),
     ]
-    return html.provenance(rows)
-
-
-def _version(library: str) -> str:
-    return f"{library} {importlib.metadata.version(library)}"
 
 
 def summary(found: Discovery, files: Files | None) -> str:
@@ -323,14 +247,14 @@ def summary(found: Discovery, files: Files | None) -> str:
     ):
         if what == "with what was found" and not found.effects:
             continue
-        table.append((what, *(quantities.percent(part[name]) for name in found.twin.sensors)))
+        table.append((what, *(percent(part[name]) for name in found.twin.sensors)))
     widths = [max(len(row[i]) for row in table) for i in range(len(head))]
     lines += ["  " + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
     for one in discovery_text.offered(found):
         effect = found.twin.dictionary.get(one.name)
         if effect is not None and (effect.cause or effect.remedy):
             told = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]
-            lines.append(f"{discovery_text.titled(one.name)}: {'; '.join(told)}")
+            lines.append(f"{effect.spoken}: {'; '.join(told)}")
     if files is not None:
         told = [str(path) for path in (files.model, files.plant, files.numbers) if path]
         lines += [f"written: {', '.join(told)}", f"page: {files.page}"]

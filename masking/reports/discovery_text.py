@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from masking.declaration.units import describe, dimension_of
+from masking.declaration.quantities import number, percent, power, quantity, with_deviation
+from masking.declaration.units import combined, describe, dimension_of, pretty
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery, Named
-from masking.discovery.localisation import Lacking, Place, where
+from masking.discovery.localisation import Lacking, Place
 from masking.estimation.whiteness import Whiteness
-from masking.reports.quantities import much, number, percent, power, pretty, put_together, quantity, with_deviation
+from masking.reports.text import alternatives, capital, listed, much
 
 NOTABLE = 0.15  # part of a force's energy from which a dependence is told
 ALIKE = 0.9  # part of it that turns round with the motion, or does not, from which it is called so
@@ -25,9 +24,6 @@ MOVED = 3.0  # of its deviations by which a parameter moved that is told, and of
 APART = 0.02  # of its declared value by which it moved then
 LOST = 0.9  # part of a reading that is left, from which the model is told not to follow it
 LARGER = 1.05  # times the record's own peak, from which that of an experiment is told
-SUMS = frozenset({"polynomial_spring", "periodic_force", "asymmetric_friction"})  # each parameter is a force of its own
-PEOPLE = {"bouc": "Bouc", "coulomb": "Coulomb", "dac": "DAC", "dahl": "Dahl", "lugre": "LuGre",
-          "stribeck": "Stribeck", "wen": "Wen"}  # fmt: skip
 CHECK = "check units, columns and signs of the record against the model"
 NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured input is the rate of which"
 
@@ -99,7 +95,8 @@ def offered(found: Discovery) -> list[Named]:
     kept = []
     for one in found.effects:
         values = list(one.parameters.values())
-        if any(abs(value) > SURE * std for value, std in (values if one.name in SUMS else values[:1])):
+        effect = found.twin.dictionary.get(one.name)
+        if any(abs(value) > SURE * std for value, std in (values if effect and effect.is_sum else values[:1])):
             kept.append(one)
     return kept
 
@@ -149,7 +146,7 @@ def beyond(value: float, declared: float) -> str:
     if not declared or not 0.1 < value / declared < 2.0:
         return f"where {number(declared, 5)} is declared"
     off = value / declared - 1.0
-    return f"{abs(off) * 100.0:.2g} % {'more' if off > 0.0 else 'less'} than declared"
+    return f"{percent(abs(off))} {'more' if off > 0.0 else 'less'} than declared"
 
 
 def experiment(found: Discovery) -> str:
@@ -186,9 +183,10 @@ def left(found: Discovery) -> str:
 
 def spoken(found: Discovery, name: str, on: str) -> str:
     """Name a cause with its place: 'dry friction in spring1', 'an added mass on x1'."""
-    words, effect = titled(name), found.twin.dictionary.get(name)
+    effect = found.twin.dictionary.get(name)
     if effect is None:
         return f"another {name}"
+    words = effect.spoken
     if effect.is_inertia:
         return f"an {words} on {on}"
     if effect.where == "loop":
@@ -200,11 +198,6 @@ def spoken(found: Discovery, name: str, on: str) -> str:
 def labelled(found: Discovery, name: str, on: str) -> str:
     """Name a cause with its place as a label: 'Delay of V1'."""
     return capital(spoken(found, name, on).removeprefix("an ").removeprefix("a "))
-
-
-def titled(name: str) -> str:
-    """Write the name of an effect as it is spoken, with names of people as these are written."""
-    return " ".join(PEOPLE.get(part, part) for part in name.split("_")).replace("Bouc Wen", "Bouc-Wen")
 
 
 def cause(found: Discovery, named: Named) -> str:
@@ -265,7 +258,7 @@ def beside(found: Discovery) -> str:
 def look(found: Discovery) -> str:
     """Say what is lacking, or is left beside the causes, looks like."""
     lacking = rest(found)
-    what = "It" if lacking is where(found).lacking else "What is left"
+    what = "It" if lacking is found.where.lacking else "What is left"
     place = lacking.best
     portrait, (unit, *_) = place.portrait, place.units
     of_command = max(lacking.actuators, key=lambda name: lacking.actuators[name], default="")
@@ -276,18 +269,18 @@ def look(found: Discovery) -> str:
 
 def rest(found: Discovery) -> Lacking:
     """Return what is lacking, or what is left where causes are told that do not explain it."""
-    seen = where(found)
+    seen = found.where
     return seen.lacking if seen.left is None or not offered(found) else seen.left
 
 
 def subject(found: Discovery) -> Lacking:
     """Return what is lacking, or what is left where the causes that are known do not explain it."""
-    return rest(found) if found.verdict == "unknown" else where(found).lacking
+    return rest(found) if found.verdict == "unknown" else found.where.lacking
 
 
 def whereabouts(found: Discovery) -> list[str]:
     """Say where it is lacking, and whether what is left is white; nothing where neither says anything."""
-    seen, lacking = where(found), where(found).lacking
+    seen, lacking = found.where, found.where.lacking
     told = []
     if found.verdict in {"named", "ambiguous"} and found.effects[-1].name in found.twin.dictionary:
         on, side = found.effects[-1].on, found.twin.dictionary[found.effects[-1].name].where
@@ -393,8 +386,8 @@ def remedies(found: Discovery) -> list[tuple[str, str, str, str]]:
     """Return what each named effect is, what causes it and what helps: (name, meaning, cause, remedy)."""
     dictionary = found.twin.dictionary
     seen = dict.fromkeys(n for e in offered(found) for n in (e.name, *(a[0] for a in e.alternatives if a[2] > 0.05)))
-    known = [(name, dictionary[name]) for name in seen if name in dictionary]
-    return [(titled(name), e.meaning, e.cause, e.remedy) for name, e in known]
+    known = [dictionary[name] for name in seen if name in dictionary]
+    return [(e.spoken, e.meaning, e.cause, e.remedy) for e in known]
 
 
 def units(found: Discovery, named: Named) -> dict[str, str]:
@@ -414,22 +407,7 @@ def plain_units(found: Discovery, named: Named) -> dict[str, str]:
         known = {"S": twin.declaration.sensors[named.on].unit}
     else:
         known = {"U": latent_force.command_unit(found, named.on)}
-    made = {n: put_together(effect.parameters[n].unit, known) for n in named.parameters}
+    made = {n: combined(effect.parameters[n].unit, known) for n in named.parameters}
     if effect.is_inertia:  # kg, rather than N s²/m
         made = {n: describe(dimension_of(unit)) for n, unit in made.items()}
     return made
-
-
-def capital(text: str) -> str:
-    """Return a text that begins a sentence."""
-    return f"{text[:1].upper()}{text[1:]}"
-
-
-def alternatives(words: Sequence[str]) -> str:
-    """Write several words of which one holds."""
-    return words[0] if len(words) == 1 else f"either {', '.join(words[:-1])} or {words[-1]}"
-
-
-def listed(words: Sequence[str], between: str = ", ") -> str:
-    """Write several words as a list."""
-    return words[0] if len(words) == 1 else f"{between.join(words[:-1])} and {words[-1]}"

@@ -7,17 +7,29 @@ from typing import TYPE_CHECKING, Final
 
 import lazy_loader as lazy
 import numpy as np
-from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
 
+from masking.declaration.quantities import percent
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
 from masking.estimation.innovations import KalmanFit
 from masking.estimation.simulation import Simulated, simulate
 from masking.numerics.arrays import Array
-from masking.procedures.measurement import percent
-from masking.reports.procedure_figures import BAND, DASHED, heading, legend, shown, ticks, top
-from masking.reports.style import COLOURS, INK, LIMIT, MUTED, SIZE, Plate, panels, symbol, thin, with_unit
+from masking.reports.figure_parts import (
+    BAND,
+    DASHED,
+    first_of,
+    heading,
+    legend,
+    line_key,
+    logarithmic,
+    noise_band,
+    noise_level,
+    shown,
+    spectral_density,
+    ticks,
+    top,
+)
+from masking.reports.style import COLOURS, INK, LIMIT, MUTED, SIZE, CaptionedFigure, panels, symbol, thin, with_unit
 
 if TYPE_CHECKING:
     from scipy import signal
@@ -30,8 +42,6 @@ else:
 _WIDTHS: Final = (3.1, 1.75, 1.75)  # inches: readings, what is left of them, its spectrum
 _PERIODS = 8  # of the strongest line that are shown
 _LEAST_SHOWN = 1.0  # s
-_SEGMENTS = 8  # that a record is cut into for a spectrum
-_BINS_PER_DECADE = 24
 _MORE = 1.2  # times the noise: from here on a residual is more than that
 _MOST_SENSORS = 6
 _MOST_PARAMETERS = 24
@@ -39,7 +49,7 @@ _TITLE = 0.22  # inches above axes for the value of a parameter
 _SETTLED = 0.15  # of the record: after that, a band sets the range of its axis
 
 
-def plates(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]) -> tuple[list[Plate], str]:
+def figures(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]) -> tuple[list[CaptionedFigure], str]:
     """Return the figures of a fit and what they say; without a record whose simulation is not finite."""
     drawn, sentence = [], "The simulation with the fitted values is not finite"
     for record, was_fitted in ((train[0], True), *((record, False) for record in unseen[:1])):
@@ -54,7 +64,7 @@ def plates(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]
     return drawn, sentence
 
 
-def fit(made: Simulated, *, was_fitted: bool) -> Plate:
+def fit(made: Simulated, *, was_fitted: bool) -> CaptionedFigure:
     """Draw a record beside its simulation.
 
     Args:
@@ -76,8 +86,7 @@ def fit(made: Simulated, *, was_fitted: bool) -> Plate:
         left = made.residual[part, i]
         by, y_unit = shown(unit, left)
         rest.plot(*thin(t, by * left, 300), color=COLOURS[1], lw=0.7)
-        for side in (-1.96, 1.96):
-            rest.axhline(side * by * made.record.noise[i], color=INK, lw=0.9, ls=DASHED)
+        noise_band(rest, 1.96 * by * made.record.noise[i])
         rest.set_ylabel(with_unit("residual", y_unit))
         for axes in (motion, rest):
             axes.set_xlim(0.0, seconds)
@@ -87,25 +96,20 @@ def fit(made: Simulated, *, was_fitted: bool) -> Plate:
             (made.record.readings[:, i], COLOURS[0], 1.2),
             (made.residual[:, i], COLOURS[1], 1.0),
         ):
-            f, density = _density(values, made.record.rate)
+            f, density = spectral_density(values, made.record.rate)
             spectrum.plot(f, density, color=colour, lw=width)
-        spectrum.axhline(made.record.noise[i] * np.sqrt(2.0 / made.record.rate), color=INK, lw=0.9, ls=DASHED)
-        spectrum.set_xscale("log")
-        spectrum.set_yscale("log")
+        noise_level(spectrum, made.record.noise[i], made.record.rate)
+        logarithmic(spectrum)
         spectrum.set_xlim(f[0], f[-1])
-        spectrum.yaxis.set_major_locator(LogLocator(numticks=5))
-        for axis in (spectrum.xaxis, spectrum.yaxis):
-            axis.set_minor_formatter(NullFormatter())
-        spectrum.xaxis.set_major_locator(LogLocator(numticks=5))
         spectrum.set_ylabel(f"{unit or '1'}/√Hz")
     rows[-1][0].set_xlabel("time (s)")
     rows[-1][1].set_xlabel("time (s)")
     rows[-1][2].set_xlabel("frequency (Hz)")
     heading(figure, sentence)
     legend(figure, rows[0][0], [
-        Line2D([], [], color=COLOURS[0], lw=2, label="measured"),
-        Line2D([], [], color=COLOURS[1], lw=1.4, label="what is left"),
-        Line2D([], [], color=INK, lw=1, ls=DASHED, label="simulated; of what is left, the noise alone"),
+        line_key("measured", COLOURS[0]),
+        line_key("what is left", COLOURS[1], 1.4),
+        line_key("simulated; of what is left, the noise alone", INK, 1, dashed=True),
     ])  # fmt: skip
     caption = (
         f"{made.record.name}: left, its first {seconds:.3g} s and the simulation; in the middle what is left, with "
@@ -113,10 +117,10 @@ def fit(made: Simulated, *, was_fitted: bool) -> Plate:
         "noise, the model lacks something."
     )
     name = "fit" if was_fitted else "validation"
-    return Plate(name, "The fit" if was_fitted else "The fit on unseen data", caption, figure)
+    return CaptionedFigure(name, "The fit" if was_fitted else "The fit on unseen data", caption, figure)
 
 
-def estimates(found: KalmanFit) -> Plate:
+def estimates(found: KalmanFit) -> CaptionedFigure:
     """Draw the estimates of a filter over time, with the band of two standard deviations."""
     names = found.names[:_MOST_PARAMETERS]
     columns = 1 if len(names) <= 3 else 2
@@ -150,16 +154,15 @@ def estimates(found: KalmanFit) -> Plate:
         axes.set_xlabel("time (s)")
     heading(figure, sentence)
     legend(figure, cells[0], [
-        Line2D([], [], color=COLOURS[0], lw=2, label="estimate, ± 2 standard deviations"),
-        Line2D([], [], color=INK, lw=1, ls=DASHED, label="final value"),
+        line_key("estimate, ± 2 standard deviations", COLOURS[0]),
+        line_key("final value", INK, 1, dashed=True),
     ], _TITLE)  # fmt: skip
-    left = len(found.names) - len(names)
-    more = f" The first {len(names)} of {len(found.names)} parameters are shown." if left else ""
+    more = first_of(len(names), len(found.names), "parameters")
     caption = (
         "The estimate of each parameter after each sample, and two standard deviations of it, which hold if the noise "
         f"is what the filter was told; above each, the final value.{more}"
     )
-    return Plate("estimates", "Estimates over time", caption, figure)
+    return CaptionedFigure("estimates", "Estimates over time", caption, figure)
 
 
 def _both(t: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
@@ -186,17 +189,3 @@ def verdict(made: Simulated, *, was_fitted: bool) -> str:
         return f"In the {which} record the model leaves hardly more than the noise: {told} of the readings"
     told = ", ".join(f"{name} {percent(chi[name])} ({percent(floor[name])})" for name in more)
     return f"In the {which} record the model leaves more of the readings than the noise (in brackets): {told}"
-
-
-def _density(values: Array, rate: float) -> tuple[Array, Array]:
-    """Return frequencies, evenly over their logarithm, and the root of the power spectral density there.
-
-    In Hz, and in units of the values per root of Hz.
-    """
-    length = max(2 * len(values) // (_SEGMENTS + 1), 16)
-    f, power = signal.welch(values, rate, nperseg=min(length, len(values)), detrend="constant")
-    bins = np.floor(_BINS_PER_DECADE * np.log10(f[1:] / f[1])).astype(int)
-    first = np.flatnonzero(np.diff(bins, prepend=-1))
-    counts = np.diff(np.append(first, len(bins)))
-    mean = [np.add.reduceat(column, first) / counts for column in (f[1:], power[1:])]
-    return mean[0], np.sqrt(np.maximum(mean[1], 1e-300))

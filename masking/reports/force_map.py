@@ -10,14 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from masking.declaration.quantities import percent
+from masking.declaration.units import pretty
 from masking.discovery import latent_force
 from masking.discovery.augmented_model import Slot
 from masking.discovery.discovery import Discovery
 from masking.discovery.force_decomposition import SEEN
 from masking.numerics.arrays import Array
-from masking.reports import discovery_text, quantities
-from masking.reports.procedure_figures import heading, legend, shown, top
-from masking.reports.style import COLOURS, INK, MUTED, Plate, panels, with_unit
+from masking.reports import discovery_text
+from masking.reports.figure_parts import heading, legend, line_key, shown, top
+from masking.reports.style import COLOURS, INK, MUTED, CaptionedFigure, panels, with_unit
+from masking.reports.text import capital, listed
 
 BEFORE: Final = COLOURS[1]
 AFTER: Final = COLOURS[0]
@@ -26,7 +29,7 @@ POINTS = 5000  # of a cloud
 ALSO = 0.02  # part that all takes beyond what the laws at the place take, from which that is told
 
 
-def plate(found: Discovery, lacking: latent_force.Lack) -> Plate:
+def figure(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
     """Draw the lacking force over displacement and rate, before and after, with the laws that were found there."""
     has_after = lacking.after is not None and bool(found.explanation.hypothesis.slots)
     what = {"element": "force", "actuator": "command", "sensor": "reading"}[lacking.where]
@@ -57,21 +60,19 @@ def plate(found: Discovery, lacking: latent_force.Lack) -> Plate:
             axes.axhline(0.0, color=MUTED, lw=0.7)
             label = {"element": "displacement", "actuator": "command", "sensor": "reading"}[lacking.where]
             if row is rows[-1]:
-                axes.set_xlabel(with_unit(label if x is lacking.x else f"rate of {label}", quantities.pretty(name)))
+                axes.set_xlabel(with_unit(label if x is lacking.x else f"rate of {label}", pretty(name)))
         label = f"lacking {what}" if kind == "lacking" else f"{what} that is left"
-        row[0].set_ylabel(with_unit(label, quantities.pretty(unit)))
+        row[0].set_ylabel(with_unit(label, pretty(unit)))
         for axes in row[1:]:
             axes.tick_params(labelleft=False)
             axes.yaxis.get_offset_text().set_visible(False)
     heading(figure, said)
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], color=BEFORE, lw=2, label=f"{what} that the model lacks, its mean and ± 2 deviations")
-    ]
+    handles: list[Line2D | Patch] = [line_key(f"{what} that the model lacks, its mean and ± 2 deviations", BEFORE)]
     if law is not None:
         label = "law that was fitted" if len(slots) == 1 else f"sum of the {len(slots)} laws that were fitted"
-        handles.append(Line2D([], [], color=INK, lw=1.6, label=label))
+        handles.append(line_key(label, INK, 1.6))
     if has_after:
-        handles.append(Line2D([], [], color=AFTER, lw=2, label="what is left"))
+        handles.append(line_key("what is left", AFTER))
     legend(figure, rows[0][-1], handles)
     caption = (
         f"The {what} at {lacking.place} that the model lacks along the record, from its readings by a Kalman smoother "
@@ -82,7 +83,7 @@ def plate(found: Discovery, lacking: latent_force.Lack) -> Plate:
         caption = (
             f"What the simulation leaves of the reading of {lacking.place} along the record, over what it should read."
         )
-    return Plate("map", "What it looks like", caption, figure)
+    return CaptionedFigure("map", "What it looks like", caption, figure)
 
 
 def laws_at(found: Discovery, lacking: latent_force.Lack) -> list[Slot]:
@@ -98,7 +99,7 @@ def laws_at(found: Discovery, lacking: latent_force.Lack) -> list[Slot]:
 def along(found: Discovery, lacking: latent_force.Lack, slots: Sequence[Slot]) -> Array:
     """Return what causes at the place that is looked at give together (m,): force, command or reading."""
     law = np.zeros_like(lacking.before)
-    motion, names = latent_force.smoothed(found).before, [place.name for place in found.rig.places]
+    motion, names = found.smoothed.before, [place.name for place in found.rig.places]
     for slot in slots:
         if lacking.where == "element":
             law += latent_force.along(found, slot, *motion.acted_on(slot.entry, names.index(lacking.place)))
@@ -131,20 +132,16 @@ def _seen(found: Discovery, lacking: latent_force.Lack, what: str, law: Array | 
     whole = share(lacking, None)
     of = f"of the mean square of the {what} that the model lacks at {lacking.place}"
     if law is None:
-        return f"What was found takes away {_percent(whole)} {of}"
+        return f"What was found takes away {percent(whole, 3)} {of}"
     slots = laws_at(found, lacking)
-    name = discovery_text.listed([discovery_text.spoken(found, slot.effect, slot.at) for slot in slots])
+    name = listed([discovery_text.spoken(found, slot.effect, slot.at) for slot in slots])
     takes = "takes" if len(slots) == 1 else "together take"
     if len(slots) == len(found.explanation.hypothesis.slots) and lacking.where != "sensor":
-        return f"{discovery_text.capital(name)} {takes} away {_percent(whole)} {of}"
+        return f"{capital(name)} {takes} away {percent(whole, 3)} {of}"
     # Others act here, too: parameters of a sensor's simulation, or causes at other places.
     alone = share(lacking, law)
-    told = f"{discovery_text.capital(name)} {takes} away {_percent(alone)} {of}"
-    return f"{told}; all that was found takes {_percent(whole)}" if whole > alone + ALSO else told
-
-
-def _percent(part: float) -> str:
-    return f"{100.0 * part:.3g} %"
+    told = f"{capital(name)} {takes} away {percent(alone, 3)} {of}"
+    return f"{told}; all that was found takes {percent(whole, 3)}" if whole > alone + ALSO else told
 
 
 def _law(axes: Axes, x: Array, law: Array) -> None:

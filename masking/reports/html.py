@@ -1,22 +1,33 @@
-"""Markup: the parts that every page of a report is made of, in one style, as HTML that needs no other file."""
+"""HTML of reports: templates in which every value is escaped, names typeset as symbols, and the files of a report."""
 
 from __future__ import annotations
 
 import base64
-import html
+import functools
+import importlib.metadata
+import platform
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from string import Template
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+
+import lazy_loader as lazy
+import markupsafe
+from markupsafe import Markup
+
+from masking.errors import RecordError
+
+if TYPE_CHECKING:
+    import jinja2
+else:
+    jinja2 = lazy.load("jinja2")
 
 GREEK: Final = frozenset(
     {"alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu"}
     | {"xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}
 )
-_TEMPLATE = Path(__file__).with_name("templates") / "base.html"
-# Columns of words, which may run over several lines.
-_WORDY = frozenset({"meaning", "measure", "value", "what helps", "where"})
+_TEMPLATES = Path(__file__).with_name("templates")
 _SYMBOL = re.compile(r"([A-Za-z]{1,3}|" + "|".join(sorted(GREEK)) + r")(\d*|_\w+)")
 # Short words and units that may be names, too: symbols where a value follows, or where they do not stand as units.
 _SHORT = frozenset({"A", "a", "an", "as", "at", "by", "in", "is", "it", "no", "of", "on", "or", "to", "all", "and",
@@ -26,97 +37,106 @@ _UNITS = frozenset({"A", "C", "F", "H", "Hz", "J", "K", "N", "Pa", "T", "V", "W"
 _WORDS = {"chi": "<var>&chi;</var>", "pi": "&pi;", "alpha": "<var>&alpha;</var>", "eps": "<var>&epsilon;</var>"}
 
 
-def document(name: str, lead: str, tiles: Sequence[str], sections: Sequence[str]) -> str:
+class Picture(Protocol):
+    """A figure as it is written: its file's name, and the content of a PNG file, None if there is nothing to draw."""
+
+    @property
+    def name(self) -> str:
+        """Return the name of its file, without the ending."""
+
+    @property
+    def png(self) -> bytes | None:
+        """Return the content of the file."""
+
+
+class Tile(NamedTuple):
+    """A number at the top of a page, with a label above and a unit behind it."""
+
+    label: str
+    value: str
+    unit: str = ""
+    is_wrong: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """The files of a report: the page, its numbers, and its figures as PNG files."""
+
+    page: Path
+    numbers: Path
+    figures: tuple[Path, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the paths as JSON can hold them."""
+        return {"page": str(self.page), "numbers": str(self.numbers), "figures": [str(f) for f in self.figures]}
+
+
+def render(template: str, names: Collection[str] = (), **facts: object) -> str:
     """Return a page.
 
     Args:
-        name: its title, plain text.
-        lead: what stands below the title, HTML.
-        tiles: the numbers below that, as `tile` makes them.
-        sections: what follows, as `section` makes them.
+        template: name of a file in `templates`, without `.html`.
+        names: of coordinates, parameters, sensors and actuators, which are typeset where they are symbols.
+        facts: what the template shows.
     """
-    return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
-        title=html.escape(name),
-        heading=html.escape(name[0].upper() + name[1:]),
-        lead=lead,
-        tiles="\n".join(tiles),
-        sections="\n".join(sections),
-    )
+    return environment().get_template(f"{template}.html").render(names=names, **facts)
 
 
-def section(title: str, body: str) -> str:
-    """Return a part of a page under a heading: a title in plain text, a body in HTML."""
-    return f"<section>\n<h2>{html.escape(title)}</h2>\n{body}\n</section>"
+def images(figures: Iterable[Picture], folder: Path) -> dict[Path, bytes]:
+    """Return the content of the PNG file of each figure that is drawn, by its path in a folder."""
+    return {folder / f"{one.name}.png": one.png for one in figures if one.png is not None}
 
 
-def paragraph(text: str, kind: str, names: Collection[str] = ()) -> str:
-    """Return a paragraph of plain text: of kind `lead`, `changed`, `missing`, `card` or `card wrong`."""
-    return f'<p class="{kind}">{prose(text, names)}</p>'
+def write(contents: Mapping[Path, bytes | str]) -> None:
+    """Write files, texts as UTF-8, and their folders if need be.
+
+    Raises:
+        RecordError: a file cannot be written.
+    """
+    for path, content in contents.items():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content.encode() if isinstance(content, str) else content)
+        except OSError as error:
+            why = error.strerror or error
+            raise RecordError(f"{path.parent} cannot be written: {why}; name another folder") from error
 
 
-def tile(label: str, value: str, unit: str = "", *, is_wrong: bool = False, names: Collection[str] = ()) -> str:
-    """Return a number with a label above and a unit behind, all plain text."""
-    small = f" <small>{prose(unit, names)}</small>" if unit else ""
-    kind = ' class="wrong"' if is_wrong else ""
-    return f"<div{kind}><dt>{prose(label, names)}</dt><dd>{prose(value, names)}{small}</dd></div>"
+def versions(*libraries: str) -> str:
+    """Return the versions of Python and of libraries in a line."""
+    each = [f"{library} {importlib.metadata.version(library)}" for library in libraries]
+    return ", ".join([f"python {platform.python_version()}", *each])
 
 
-def picture(title: str, caption: str, image: bytes | None, names: Collection[str] = ()) -> str:
-    """Return a figure: the content of a PNG file and a caption in plain text; without an image, the caption alone."""
-    if image is None:
-        return paragraph(caption, "missing", names)
-    data = base64.b64encode(image).decode("ascii")
-    alt = html.escape(f"{title}. {caption}", quote=True)
-    words = prose(caption, names)
-    return (
-        f'<figure>\n<img alt="{alt}" src="data:image/png;base64,{data}">\n<figcaption>{words}</figcaption>\n</figure>'
-    )
+def prose(text: object, names: Collection[str] = ()) -> Markup:
+    """Escape a text and typeset names in it that are symbols as such, and powers of ten and Greek letters.
 
-
-def table(
-    head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Collection[int] = (), names: Collection[str] = ()
-) -> str:
-    """Return a table of plain text; `numbers` are the columns that are set to the right."""
-    kinds = [' class="n"' if i in numbers else ' class="t"' if text in _WORDY else "" for i, text in enumerate(head)]
-    top = "".join(f"<th{kind}>{prose(text, names)}</th>" for kind, text in zip(kinds, head, strict=True))
-    body = "".join(
-        "<tr>" + "".join(f"<td{k}>{prose(str(cell), names)}</td>" for k, cell in zip(kinds, row, strict=True)) + "</tr>"
-        for row in rows
-    )
-    return f'<div class="scroll" tabindex="0"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
-
-
-def provenance(rows: Iterable[tuple[str, object]]) -> str:
-    """Return a table of names and values, both plain text and set as they are; rows without a value are left out."""
-    body = "".join(
-        f'<tr><th scope="row">{html.escape(name)}</th><td class="w">{html.escape(str(value))}</td></tr>'
-        for name, value in rows
-        if value
-    )
-    return f'<div class="scroll"><table><tbody>{body}</tbody></table></div>'
-
-
-def details(summary: str, text: str) -> str:
-    """Return plain text that is shown when its summary is opened."""
-    return f"<details><summary>{html.escape(summary)}</summary><pre>{html.escape(text)}</pre></details>"
-
-
-def prose(text: str, names: Collection[str] = ()) -> str:
-    """Escape a text and typeset names in it that are symbols as such, and powers of ten and Greek letters."""
+    What is markup already stays as it is.
+    """
 
     def typeset(match: re.Match[str]) -> str:
         word = match.group()
         if word in names and is_symbol(word) and not _is_word(escaped, match):
-            letters, index = re.fullmatch(r"(.*?)_?(\d*)", word).groups()  # type: ignore[union-attr]  # matches any word
-            letters, index = (letters, index) if letters else (word, "")
-            letters = f"&{letters};" if letters in GREEK else letters
-            return f"<var>{letters}</var>" + (f"<sub>{index}</sub>" if index else "")
+            return symbol(word)
         return _WORDS.get(word, word)
 
-    escaped = html.escape(text)
+    if isinstance(text, Markup):
+        return text
+    escaped = str(markupsafe.escape(str(text)))
     escaped = re.sub(r"(?<![&\w])[A-Za-z_]\w*", typeset, escaped)
     escaped = re.sub(r"(?<=\d)e(-?)(\d+)\b", _power_of_ten, escaped)
-    return escaped.replace("&lt;=", "&le;").replace(" - ", " &minus; ").replace("-&gt;", "&rarr;")
+    escaped = re.sub(r"(?<=\d) (?=%)", "\N{NO-BREAK SPACE}", escaped)
+    return Markup(escaped.replace("&lt;=", "&le;").replace(" - ", " &minus; ").replace("-&gt;", "&rarr;"))  # noqa: S704  # escaped above
+
+
+def symbol(name: str) -> Markup:
+    """Typeset a name where it is a symbol: letters in italics, a number as an index."""
+    if not is_symbol(name):
+        return markupsafe.escape(name)
+    letters, index = re.fullmatch(r"(.*?)_?(\d*)", name).groups()  # type: ignore[union-attr]  # matches any word
+    letters, index = (letters, index) if letters else (name, "")
+    letters = f"&{letters};" if letters in GREEK else letters
+    return Markup(f"<var>{letters}</var>" + (f"<sub>{index}</sub>" if index else ""))  # noqa: S704  # letters and digits
 
 
 def is_symbol(name: str) -> bool:
@@ -134,3 +154,20 @@ def _is_word(text: str, match: re.Match[str]) -> bool:
 
 def _power_of_ten(match: re.Match[str]) -> str:
     return f" &middot; 10<sup>{'&minus;' if match[1] else ''}{match[2]}</sup>"
+
+
+@functools.cache
+def environment() -> jinja2.Environment:
+    """Return the environment of all templates: values are escaped, and one that is missing is an error."""
+    made = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters["prose"] = jinja2.pass_context(lambda context, text: prose(text, context.get("names", ())))
+    made.filters["symbol"] = symbol
+    made.filters["base64"] = lambda content: base64.b64encode(content).decode("ascii")
+    made.filters["capital"] = lambda text: f"{text[:1].upper()}{text[1:]}"
+    return made

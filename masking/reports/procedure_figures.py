@@ -5,35 +5,40 @@ Each figure has its finding as a sentence on top; bands are 95 % confidence inte
 
 from __future__ import annotations
 
-import re
-import textwrap
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import lazy_loader as lazy
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
-from masking.numerics.arrays import Array
+from masking.declaration.quantities import percent
 from masking.procedures.actuators import ActuatorRatio
 from masking.procedures.friction import EquilibriumShift, LocatedFriction
-from masking.procedures.measurement import LEVEL, Friction, Measurement, percent
+from masking.procedures.measurement import LEVEL, Friction, Measurement
 from masking.procedures.response import Distortion
 from masking.procedures.responses import Response
 from masking.procedures.springs import SpringCurve
+from masking.reports.figure_parts import (
+    BAND,
+    DASHED,
+    first_of,
+    heading,
+    legend,
+    line_key,
+    logarithmic,
+    marker_key,
+    shown,
+    ticks,
+    top,
+)
 from masking.reports.style import (
     COLOURS,
     INK,
-    LEFT,
     MUTED,
-    RIGHT,
     SIZE,
-    WIDTH,
-    Plate,
+    CaptionedFigure,
     sheet,
     symbol,
     with_unit,
@@ -47,64 +52,18 @@ else:
 
 UP: Final = COLOURS[0]  # the way up, the measured
 DOWN: Final = COLOURS[1]  # the way down
-DASHED: Final = (0, (4, 3))
-BAND: Final = 0.22  # opacity
-_LINE = 90  # letters of the sentence in a line
-_LINES = 3  # of the sentence, at most
 _MOST_OUTPUTS = 4
 _NARROW = 30.0  # times: a logarithmic axis that spans less has a number at 1, 2 and 5
 _SIGN = {1: "above", -1: "below"}
 
 
-def plates(measured: Measurement[Any]) -> list[Plate]:
+def figures(measured: Measurement[Any]) -> list[CaptionedFigure]:
     """Draw the figures of a measurement; the first has the procedure's name."""
-    drawn: list[Plate] = _PLATES[measured.procedure](measured)
+    drawn: list[CaptionedFigure] = _FIGURES[measured.procedure](measured)
     return drawn
 
 
-def shown(unit: str, *values: Array | Sequence[float]) -> tuple[float, str]:
-    """Return the factor and unit in which values are drawn: metres, volts and newtons below 0.1 in thousandths."""
-    largest = max((float(np.abs(v).max()) for v in values if len(v)), default=0.0)
-    if unit in {"m", "V", "N"} and largest < 0.1:
-        return 1e3, f"m{unit}"
-    return 1.0, unit
-
-
-def top(sentence: str, *, has_legend: bool = True) -> float:
-    """Return the inches above the first axes that a heading takes, and a legend below it."""
-    return 0.2 + 0.2 * len(_wrapped(sentence)) + (0.24 if has_legend else 0.04)
-
-
-def heading(figure: Figure, sentence: str) -> None:
-    """Write the finding on top of a figure."""
-    height = figure.get_size_inches()[1]
-    figure.text(LEFT / WIDTH, 1.0 - 0.12 / height, "\n".join(_wrapped(sentence)), fontsize=SIZE + 1.5, color=INK,
-                va="top", ha="left", linespacing=1.25)  # fmt: skip
-
-
-def _wrapped(sentence: str) -> list[str]:
-    kept = re.sub(
-        r"(?<=[\d±]) (?=[\w%°±])", "\N{NO-BREAK SPACE}", sentence.replace("$", r"\$")
-    )  # a number and its unit
-    return textwrap.wrap(kept, _LINE, max_lines=_LINES, placeholder=" …")
-
-
-def ticks(axes: Axes, count: int = 5) -> None:
-    """Give an axis that is not symmetric about zero a few round numbers."""
-    axes.yaxis.set_major_locator(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]))
-
-
-def legend(figure: Figure, axes: Axes, handles: Sequence[Any], above: float = 0.04) -> None:
-    """Put a legend so many inches above axes, to the right, below the heading."""
-    height, box = figure.get_size_inches()[1], axes.get_position()
-    figure.legend(
-        handles=list(handles), loc="lower right", bbox_to_anchor=(1.0 - RIGHT / WIDTH, box.y1 + above / height),
-        ncols=len(handles), frameon=False, fontsize=SIZE - 0.5, labelcolor=INK, borderaxespad=0, handlelength=1.8,
-        columnspacing=1.4,
-    )  # fmt: skip
-
-
-def _springs(measured: Measurement[SpringCurve]) -> list[Plate]:
+def _springs(measured: Measurement[SpringCurve]) -> list[CaptionedFigure]:
     curve, x, f = measured.found, measured.channels["displacement"], measured.channels["force"]
     grid = np.asarray(measured.series["displacement"])
     (by, x_unit), (times, f_unit) = shown(x.unit, curve.displacement), shown(f.unit, curve.force)
@@ -126,18 +85,18 @@ def _springs(measured: Measurement[SpringCurve]) -> list[Plate]:
     below.set_xlabel(with_unit(f"displacement at {symbol(x.name)}", x_unit))
     heading(figure, measured.sentence)
     legend(figure, above, [
-        Line2D([], [], color=UP, lw=2, label="force rises"), Line2D([], [], color=DOWN, lw=2, label="force falls"),
-        Line2D([], [], color=INK, lw=1.2, ls=DASHED, label=f"spring, order {len(curve.coefficients) - 1}, with 95 %"),
+        line_key("force rises", UP), line_key("force falls", DOWN),
+        line_key(f"spring, order {len(curve.coefficients) - 1}, with 95 %", INK, 1.2, dashed=True),
     ])  # fmt: skip
     caption = (
         "Above: the record and the spring between its ways up and down, which friction and hysteresis hold apart. "
         "Below: the same less a straight line with the stiffness in the middle of the travel; the band holds the "
         "spring with 95 %."
     )
-    return [Plate("springs", "Spring", caption, figure)]
+    return [CaptionedFigure("springs", "Spring", caption, figure)]
 
 
-def _actuators(measured: Measurement[ActuatorRatio]) -> list[Plate]:
+def _actuators(measured: Measurement[ActuatorRatio]) -> list[CaptionedFigure]:
     found, motion = measured.found, measured.channels["motion"]
     first, second = measured.channels["first"].name, measured.channels["second"].name
     by, unit = shown(motion.unit, np.abs(found.motion))
@@ -170,19 +129,19 @@ def _actuators(measured: Measurement[ActuatorRatio]) -> list[Plate]:
                    color=COLOURS[2])  # fmt: skip
     heading(figure, measured.sentence)
     legend(figure, above, [
-        Line2D([], [], marker="o", color=UP, lw=0, ms=4, label="readings near the balance"),
-        Line2D([], [], marker="o", color=UP, lw=0, ms=3.2, alpha=0.35, label="others"),
-        Line2D([], [], color=INK, lw=1.2, ls=DASHED, label="fitted"),
+        marker_key("readings near the balance", UP, "o", 4),
+        marker_key("others", UP, "o", 3.2, alpha=0.35),
+        line_key("fitted", INK, 1.2, dashed=True),
     ])  # fmt: skip
     caption = (
         "Above: motion at the frequency of the sines against the gain of the second; it is least where the two "
         "actuators balance. Below: its part in the phase in which it passes zero. The ways up and down of the gain "
         "differ by the lag of the motion. Right only where the oscillator was held."
     )
-    return [Plate("actuators", "Balance of two actuators", caption, figure)]
+    return [CaptionedFigure("actuators", "Balance of two actuators", caption, figure)]
 
 
-def _friction(measured: Measurement[Friction]) -> list[Plate]:
+def _friction(measured: Measurement[Friction]) -> list[CaptionedFigure]:
     shift, place = measured.found.shift, measured.found.place
     space = top(measured.sentence, has_legend=False)
     figure, rows = sheet([2.3] * ((shift is not None) + (place is not None)), top=space)
@@ -206,7 +165,7 @@ def _friction(measured: Measurement[Friction]) -> list[Plate]:
         words.append(
             "Half the gap between the ways up and down over the displacement; friction that sits at a place is a step."
         )
-    return [Plate("friction", "Friction", " ".join(words), figure)]
+    return [CaptionedFigure("friction", "Friction", " ".join(words), figure)]
 
 
 def _shift(axes: Axes, shift: EquilibriumShift, measured: Measurement[Friction]) -> None:
@@ -249,7 +208,7 @@ def _place(axes: Axes, place: LocatedFriction, measured: Measurement[Friction]) 
     axes.set_ylabel(with_unit(f"half the gap in {symbol(f.name)}", f_unit))
 
 
-def _response(measured: Measurement[Response]) -> list[Plate]:
+def _response(measured: Measurement[Response]) -> list[CaptionedFigure]:
     made = measured.found
     outputs = made.outputs[:_MOST_OUTPUTS]
     figure, rows = sheet([1.7, 0.95] * len(outputs), top=top(measured.sentence))
@@ -275,21 +234,18 @@ def _response(measured: Measurement[Response]) -> list[Plate]:
         axes.set_xlim(lines.min() - edge, lines.max() + edge)
     for axes in rows[::2]:
         least, most = axes.get_ylim()
-        axes.yaxis.set_major_locator(LogLocator(numticks=5))
         if most < _NARROW * least:
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axes.yaxis.set_minor_formatter(NullFormatter())
     rows[-1].set_xlabel("frequency (Hz)")
     heading(figure, measured.sentence)
     legend(figure, rows[0], [
-        Line2D([], [], color=colour, lw=2, label=f"to {symbol(name)}")
+        line_key(f"to {symbol(name)}", colour)
         for name, colour in zip(made.inputs, COLOURS, strict=False)
     ])  # fmt: skip
-    left = len(made.outputs) - len(outputs)
-    more = f" The first {len(outputs)} of {len(made.outputs)} sensors are shown." if left else ""
+    more = first_of(len(outputs), len(made.outputs), "sensors")
     caption = f"Size and phase of the response of each sensor, with the band that holds them with 95 %.{more}"
-    found_plates = [Plate("response", "Frequency response", caption, figure)]
+    found_plates = [CaptionedFigure("response", "Frequency response", caption, figure)]
     if made.distortions:
         found_plates.append(_distortion(measured))
     return found_plates
@@ -300,13 +256,13 @@ def _response_axes(above: Axes, below: Axes, measured: Measurement[Response], ou
         c.unit for what, c in measured.channels.items() if what.startswith("input ")
     }]  # fmt: skip
     unit = f"{units[0] or '1'}/{units[1] or '1'}" if len(units) == 2 and any(units) else ""
-    above.set_yscale("log")
+    logarithmic(above, "y")
     above.set_ylabel(with_unit(f"size of {symbol(output)}", unit))
     below.set_ylabel("phase (°)")
     below.yaxis.set_major_locator(MaxNLocator(4, steps=[1.8, 4.5, 9]))
 
 
-def _distortion(measured: Measurement[Response]) -> Plate:
+def _distortion(measured: Measurement[Response]) -> CaptionedFigure:
     made = measured.found
     outputs = [name for name in made.outputs if name in made.distortions][:_MOST_OUTPUTS]
     shares = {name: made.distortions[name].shares for name in outputs}
@@ -317,27 +273,26 @@ def _distortion(measured: Measurement[Response]) -> Plate:
         each, unit = made.distortions[name], measured.channels[f"output {name}"].unit
         by, unit = shown(unit, np.sqrt(each.level))
         size, noise = by * np.sqrt(each.level), by * np.sqrt(each.noise)
-        axes.set_yscale("log")
+        logarithmic(axes, "y", 6)
         axes.plot(each.frequencies, np.maximum(noise, 1e-12 * size.max()), color=MUTED, lw=1.0)
         for lines, marker, colour in _kinds(each):
             axes.vlines(each.frequencies[lines], noise[lines], size[lines], color=colour, lw=0.7, alpha=0.5)
             axes.plot(each.frequencies[lines], size[lines], marker, color=colour, ms=4.2, mew=0)
         axes.set_xlim(0.0, 1.02 * each.frequencies[-1])
-        axes.yaxis.set_major_locator(LogLocator(numticks=6))
         axes.set_ylabel(with_unit(f"amplitude of {symbol(name)}", unit))
     rows[-1].set_xlabel("frequency (Hz)")
     heading(figure, sentence)
     legend(figure, rows[0], [
-        Line2D([], [], marker="o", lw=0, ms=4.2, color=UP, label="excited lines"),
-        Line2D([], [], marker="^", lw=0, ms=4.2, color=DOWN, label="even lines"),
-        Line2D([], [], marker="s", lw=0, ms=4.2, color=COLOURS[2], label="odd lines left out"),
-        Line2D([], [], lw=1.0, color=MUTED, label="noise"),
+        marker_key("excited lines", UP, "o", 4.2),
+        marker_key("even lines", DOWN, "^", 4.2),
+        marker_key("odd lines left out", COLOURS[2], "s", 4.2),
+        line_key("noise", MUTED, 1.0),
     ])  # fmt: skip
     caption = (
         "What the sensor has at each line: where nothing was excited, a linear rig would have noise only. Even lines "
         "show distortion that does not change its sign with the motion, odd lines that which does, such as friction."
     )
-    return Plate("distortion", "Nonlinear distortion", caption, figure)
+    return CaptionedFigure("distortion", "Nonlinear distortion", caption, figure)
 
 
 def _kinds(found: Distortion) -> tuple[tuple[NDArray[np.int64], str, str], ...]:
@@ -349,7 +304,7 @@ def _kinds(found: Distortion) -> tuple[tuple[NDArray[np.int64], str, str], ...]:
     )
 
 
-_PLATES: Final[dict[str, Any]] = {
+_FIGURES: Final[dict[str, Any]] = {
     "springs": _springs,
     "actuators": _actuators,
     "friction": _friction,

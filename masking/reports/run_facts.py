@@ -267,11 +267,6 @@ def parameters(recording: Recording) -> tuple[Parameter, ...]:
     return tuple(_parameter(manifest, name, declared.get(name)) for name in names)
 
 
-def percent(part: float | None) -> str:
-    """Write a fraction as a percentage with two significant digits; nothing for None."""
-    return "" if part is None else f"{float(f'{100 * part:.2g}'):g} %"
-
-
 def ends(tau: Series, mean_period: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Masks of the first three periods of the record and of its last twentieth (three periods if that is shorter)."""
     length = tau[-1] - tau[0]

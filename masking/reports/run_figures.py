@@ -9,12 +9,13 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from masking.analysis.synchronisation import principal, running_peak
-from masking.reports.run_facts import SUM_WINDOW_PERIODS, Study, percent
+from masking.declaration.quantities import percent
+from masking.reports.figure_parts import DASHED, first_of, legend, line_key, note
+from masking.reports.run_facts import SUM_WINDOW_PERIODS, Study
 from masking.reports.style import (
     BARE,
     BINS,
@@ -23,10 +24,9 @@ from masking.reports.style import (
     LIMIT,
     MUTED,
     NOTE,
-    RIGHT,
     SIZE,
     WIDTH,
-    Plate,
+    CaptionedFigure,
     Series,
     envelope,
     sheet,
@@ -45,15 +45,15 @@ _LEAST = 1e-300  # of what a logarithmic axis shows
 _MOST_ROWS = len(COLOURS)
 
 
-def plates(study: Study) -> list[Plate]:
+def figures(study: Study) -> list[CaptionedFigure]:
     """Draw every figure of the report, in its order."""
-    return [draw(study) for draw in _PLATES if draw is not _budget or _has_observer(study)]
+    return [draw(study) for draw in _FIGURES if draw is not _budget or _has_observer(study)]
 
 
-def _displacements(study: Study) -> Plate:
+def _displacements(study: Study) -> CaptionedFigure:
     names, title = study.oscillators[:_MOST_ROWS], "Displacements"
     if not names:
-        return Plate("displacements", title, "Not shown: the record holds no coordinates.", None)
+        return CaptionedFigure("displacements", title, "Not shown: the record holds no coordinates.", None)
     zoom = bool(study.tau[-1] - study.tau[0] > 2.5 * _ZOOM_PERIODS * study.period)  # False for a NaN
     figure, rows = sheet([1.15] * len(names) + [1.9] * zoom, zooms=zoom)
     for name, axes, colour in zip(names, rows, COLOURS, strict=False):
@@ -71,30 +71,29 @@ def _displacements(study: Study) -> Plate:
             axes.set_title(f"{text} {_ZOOM_PERIODS} periods", loc="left", fontsize=SIZE, color=MUTED)
             _time_label(axes, study)
     _legend(figure, study, [(symbol(name), colour) for name, colour in zip(names, COLOURS, strict=False)])
-    left_out = len(study.oscillators) - len(names)
-    more = f" The first {len(names)} of {len(study.oscillators)} are shown." if left_out else ""
-    return Plate("displacements", title, _meanings(study, names) + more + _band_words(study), figure)
+    more = first_of(len(names), len(study.oscillators))
+    return CaptionedFigure("displacements", title, _meanings(study, names) + more + _band_words(study), figure)
 
 
-def _others(study: Study) -> Plate:
+def _others(study: Study) -> CaptionedFigure:
     names, title = study.others[:_MOST_ROWS], "Other coordinates"
     if len(study.others) == 1 and study.meaning(study.others[0]):
         words = study.meaning(study.others[0])
         title = words[0].upper() + words[1:]
     if not names:
-        return Plate("others", title, "Not shown: every coordinate is among the displacements.", None)
+        return CaptionedFigure("others", title, "Not shown: every coordinate is among the displacements.", None)
     figure, rows = sheet([1.5 if len(names) == 1 else 1.15] * len(names))
     for name, axes in zip(names, rows, strict=True):
         _motion(axes, study, name, COLOURS[2])
     _time_label(rows[-1], study)
     _legend(figure, study, [(symbol(name), COLOURS[2]) for name in names[:1]] if len(names) == 1 else [])
-    return Plate("others", title, _meanings(study, names) + _band_words(study), figure)
+    return CaptionedFigure("others", title, _meanings(study, names) + _band_words(study), figure)
 
 
-def _synchronisation(study: Study) -> Plate:
+def _synchronisation(study: Study) -> CaptionedFigure:
     title = "Synchronisation"
     if study.no_phase or study.sum_peak is None:
-        return Plate("synchronisation", title, f"Not shown: {study.no_phase}.", None)
+        return CaptionedFigure("synchronisation", title, f"Not shown: {study.no_phase}.", None)
     figure, (above, below) = sheet([1.7, 1.7], top=NOTE if len(study.pairs) > 1 else BARE)
     for pair, colour in zip(study.pairs, COLOURS if len(study.pairs) > 1 else (INK,), strict=False):
         tau, phase = thin(study.tau, principal(pair.series) / np.pi)
@@ -102,7 +101,7 @@ def _synchronisation(study: Study) -> Plate:
         label = f"{symbol(pair.first)} against {symbol(pair.second)}"
         above.plot(np.insert(tau, jumps, np.nan), np.insert(phase, jumps, np.nan), color=colour, lw=1.2, label=label)
     for level, text in ((0.0, "in-phase"), (1.0, "anti-phase")):
-        above.axhline(level, color=MUTED, lw=0.8, ls=(0, (4, 3)), zorder=1)
+        above.axhline(level, color=MUTED, lw=0.8, ls=DASHED, zorder=1)
         above.annotate(text, (0.995, level), (0, 3), ("axes fraction", "data"), "offset points", ha="right",
                        fontsize=SIZE - 1, color=MUTED)  # fmt: skip
     above.set_ylim(-0.5, 1.5)
@@ -128,13 +127,13 @@ def _synchronisation(study: Study) -> Plate:
         "Above: phase difference from the analytic signals (Hilbert transform). "
         f"Below: largest |{' + '.join(_few(study.oscillators))}| over the {SUM_WINDOW_PERIODS} periods before."
     )
-    return Plate("synchronisation", title, caption, figure)
+    return CaptionedFigure("synchronisation", title, caption, figure)
 
 
-def _inputs(study: Study) -> Plate:
+def _inputs(study: Study) -> CaptionedFigure:
     uses, title = study.inputs[:_MOST_ROWS], "Inputs against their limits"
     if not uses:
-        return Plate("inputs", title, "Not shown: the record holds no inputs.", None)
+        return CaptionedFigure("inputs", title, "Not shown: the record holds no inputs.", None)
     figure, rows = sheet([1.15] * len(uses), top=NOTE)
     hidden = []
     for use, axes in zip(uses, rows, strict=True):
@@ -146,11 +145,11 @@ def _inputs(study: Study) -> Plate:
             reach.append(demanded)
         _trace(axes, study, use.series, COLOURS[0])
         if use.limit is None:
-            note = "no limit declared"
+            words = "no limit declared"
         else:
-            note = f"peak {percent(use.used)} of {use.limit:g} {use.unit}".rstrip()
+            words = f"peak {percent(use.used or 0.0)} of {use.limit:g} {use.unit}".rstrip()
             if use.is_cut:
-                note = f"demanded {percent(use.demand / use.limit)}, applied {note.removeprefix('peak ')}"
+                words = f"demanded {percent(use.demand / use.limit)}, applied {words.removeprefix('peak ')}"
             if use.used is not None and use.used >= 0.15:
                 reach.append(np.array([use.limit]))
                 for level in (-use.limit, use.limit):
@@ -160,27 +159,28 @@ def _inputs(study: Study) -> Plate:
         _symmetric(axes, reach)
         _whole_record(axes, study)
         axes.set_ylabel(with_unit(symbol(use.name), use.unit))
-        axes.set_title(
-            note, loc="right", fontsize=SIZE - 1, color=LIMIT if use.is_exceeded or use.is_cut else MUTED, pad=3
-        )
+        note(axes, words, colour=LIMIT if use.is_exceeded or use.is_cut else MUTED)
     _time_label(rows[-1], study)
     drawn = any(use.limit is not None and use.name not in hidden for use in uses)
     lines = "Dashed red lines are the limits. " if drawn else ""
     lines += "Thin orange lines are what was demanded. " if any(use.is_cut for use in uses) else ""
     far = f"The limits of {', '.join(hidden)} lie far outside the axes." if hidden else ""
-    left_out = len(study.inputs) - len(uses)
-    more = f" The first {len(uses)} of {len(study.inputs)} are shown." if left_out else ""
-    return Plate("inputs", title, f"{lines}{far}{more}".strip() or "The inputs of the plant.", figure)
+    more = first_of(len(uses), len(study.inputs))
+    return CaptionedFigure("inputs", title, f"{lines}{far}{more}".strip() or "The inputs of the plant.", figure)
 
 
-def _masking_error(study: Study) -> Plate:
+def _masking_error(study: Study) -> CaptionedFigure:
     title = "Masking error"
     compared = [(name, study.ideal(name)) for name in study.coordinates[:_MOST_ROWS]]
     errors = {n: np.abs(study.motion(n) - ideal) for n, ideal in compared if ideal is not None and n in study.chi}
     if not errors:
-        return Plate("masking_error", title, "Not shown: the record holds no ideal motion to compare with.", None)
+        return CaptionedFigure(
+            "masking_error", title, "Not shown: the record holds no ideal motion to compare with.", None
+        )
     if not any(np.any(error) for error in errors.values()):
-        return Plate("masking_error", title, "Not shown: virtual and ideal are equal in every digit recorded.", None)
+        return CaptionedFigure(
+            "masking_error", title, "Not shown: virtual and ideal are equal in every digit recorded.", None
+        )
     figure, (axes,) = sheet([2.2], top=NOTE)
     for (name, error), colour in zip(errors.items(), COLOURS, strict=False):
         peaks = running_peak(study.tau, error, study.period) if math.isfinite(study.period) else error
@@ -190,13 +190,15 @@ def _masking_error(study: Study) -> Plate:
     _whole_record(axes, study)
     _time_label(axes, study)
     caption = "Distance between the masked rig and the virtual system by itself, the largest over the period before."
-    return Plate("masking_error", title, caption, figure)
+    return CaptionedFigure("masking_error", title, caption, figure)
 
 
-def _budget(study: Study) -> Plate:
+def _budget(study: Study) -> CaptionedFigure:
     title, found = "What limits the masking error", study.budget
     if found is None:
-        return Plate("budget", title, "Not shown: it was not asked for; 'masking run --budget' finds it out.", None)
+        return CaptionedFigure(
+            "budget", title, "Not shown: it was not asked for; 'masking run --budget' finds it out.", None
+        )
     rows = [*sorted(found.rows, key=lambda row: row.rms), found.without_all]
     whole = found.whole.rms
     figure, (axes,) = sheet([_BAR * (len(rows) + 0.7)], top=NOTE)
@@ -213,7 +215,7 @@ def _budget(study: Study) -> Plate:
         is_worse = row.rms > _WORSE * whole
         axes.annotate(_two_digits(row.rms), (1.0, place), (14, 0), ("axes fraction", "data"), "offset points",
                       va="center", fontsize=SIZE - 0.5, color=COLOURS[1] if is_worse else INK)  # fmt: skip
-    axes.axvline(start, color=INK, lw=1.1, ls=(0, (4, 3)), zorder=4)
+    axes.axvline(start, color=INK, lw=1.1, ls=DASHED, zorder=4)
     axes.annotate(f"as it is: {_two_digits(whole)}", (start, 1.0), (0, 4), ("data", "axes fraction"), "offset points",
                   ha="center", fontsize=SIZE - 1, color=MUTED)  # fmt: skip
     axes.axhline(len(rows) - 1.5, color=MUTED, lw=0.8)
@@ -227,7 +229,7 @@ def _budget(study: Study) -> Plate:
         f"{found.sentence} Each bar runs from the masking error of the run, the dashed line, to that of the same run "
         "without one cause: to the left, mending it helps."
     )
-    return Plate("budget", title, caption, figure)
+    return CaptionedFigure("budget", title, caption, figure)
 
 
 def _two_digits(value: float) -> str:
@@ -241,7 +243,7 @@ def _has_observer(study: Study) -> bool:
     return bool(study.recording.manifest.get("observer"))
 
 
-_PLATES: Final = (_displacements, _others, _synchronisation, _inputs, _masking_error, _budget)
+_FIGURES: Final = (_displacements, _others, _synchronisation, _inputs, _masking_error, _budget)
 
 
 # ---- parts of a figure
@@ -271,12 +273,12 @@ def _trace(
         axes.plot(tau, low, tau, high, color=colour, lw=0.9 if thin_line else 1.3)
         if ideal is not None:
             tau, low, high = envelope(study.tau, ideal, bins)
-            axes.plot(tau, low, tau, high, color=INK, lw=0.9, ls=(0, (4, 3)))
+            axes.plot(tau, low, tau, high, color=INK, lw=0.9, ls=DASHED)
         return
     marker = "o" if len(series) <= _FEW else None
     axes.plot(*thin(study.tau, series), color=colour, lw=1.6, marker=marker, ms=4)
     if ideal is not None:
-        axes.plot(*thin(study.tau, ideal), color=INK, lw=0.9, ls=(0, (4, 3)))
+        axes.plot(*thin(study.tau, ideal), color=INK, lw=0.9, ls=DASHED)
 
 
 def _cycles(study: Study) -> float:
@@ -291,7 +293,7 @@ def _lines(axes: Axes, study: Study, name: str, colour: str, part: NDArray[np.bo
     axes.plot(*thin(study.tau[part], study.motion(name)[part]), color=colour, lw=1.6)
     ideal = study.ideal(name)
     if ideal is not None:
-        axes.plot(*thin(study.tau[part], ideal[part]), color=INK, lw=0.9, ls=(0, (4, 3)))
+        axes.plot(*thin(study.tau[part], ideal[part]), color=INK, lw=0.9, ls=DASHED)
 
 
 def _log_peaks(axes: Axes, tau: Series, values: Series, colour: str, label: str | None = None) -> None:
@@ -326,13 +328,10 @@ def _legend(figure: Figure, study: Study, entries: Iterable[tuple[str, str]]) ->
     entries = list(entries)
     what = ", masked rig" if study.prefix == "virtual" else ", rig"
     words, ideal = (what, "ideal: virtual system by itself") if len(entries) <= 2 else ("", "ideal")
-    handles = [Line2D([], [], color=colour, lw=2.2, label=text + words) for text, colour in entries]
+    handles = [line_key(text + words, colour, 2.2) for text, colour in entries]
     if any(study.ideal(name) is not None for name in study.coordinates):
-        handles.append(Line2D([], [], color=INK, lw=1.1, ls=(0, (4, 3)), label=ideal))
-    if handles:
-        height = figure.get_size_inches()[1]
-        figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(1 - RIGHT / WIDTH, 1 - 0.1 / height),
-                      ncols=len(handles), frameon=False, fontsize=SIZE, labelcolor=INK, borderaxespad=0)  # fmt: skip
+        handles.append(line_key(ideal, INK, 1.1, dashed=True))
+    legend(figure, None, handles)
 
 
 def _symmetric(axes: Axes, all_series: Iterable[Series]) -> None:

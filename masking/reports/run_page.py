@@ -1,92 +1,216 @@
-"""Page: a study as one HTML page that needs no other file."""
+"""Page of a run: its facts as one HTML page that needs no other file."""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-import lazy_loader as lazy
+import numpy as np
 
-from masking.reports import html, run_tables
-from masking.reports.run_facts import Parameter, Study, parameters, percent
-from masking.reports.run_tables import symbols
-from masking.reports.run_text import STEADY, change, cut, declared, exceeded, headline, length, number, pi, warnings
+from masking.declaration.quantities import number, percent
+from masking.records.recording import MANIFEST, TABLE
+from masking.reports import html
+from masking.reports.html import Tile
+from masking.reports.run_facts import BudgetRow, InputUse, Parameter, Study, parameters
+from masking.reports.run_text import (
+    STEADY,
+    change,
+    cut,
+    declared,
+    exceeded,
+    headline,
+    length,
+    observer,
+    pi,
+    record_words,
+    sum_name,
+    timing,
+    warnings,
+    with_unit,
+)
 
 if TYPE_CHECKING:
-    from masking.reports import style
-else:
-    style = lazy.load("masking.reports.style", suppress_warning=True)
+    from masking.reports.style import CaptionedFigure
 
 PAGE: Final = "report.html"
+_SOURCE = "Rijlaarsdam (2008)"
+_HELPS = 0.98  # of chi: what a cause must bring it down to, for its remedy to be shown
+_MINUS = "\N{MINUS SIGN}"
 
 
-def page(facts: Study, plates: Sequence[style.Plate], images: Mapping[str, bytes], folder: Path) -> str:
-    """Write the page.
+def page(facts: Study, figures: Sequence[CaptionedFigure], folder: Path) -> str:
+    """Return the page.
 
     Args:
-        facts: what is told.
-        plates: the figures with their words.
-        images: PNG of each plate that has a figure, by its name.
+        facts: of the run.
+        figures: with their captions; one that has neither a picture nor a table becomes a note.
         folder: where the page will be.
     """
-    name = str(facts.recording.manifest.get("name") or "Recording")
-    made = {
-        "synchronisation": run_tables.phases,
-        "inputs": run_tables.inputs,
-        "masking_error": run_tables.masking_error,
-        "budget": run_tables.budget,
-    }
-    sections, notes, names = [], list(facts.recording.notes), symbols(facts)
-    for plate in plates:
-        table = made[plate.name](facts) if plate.name in made else ""
-        image = html.picture(plate.title, plate.caption, images.get(plate.name), names)
-        if plate.figure is None and not table:
-            notes.append(f"{plate.title}. {plate.caption}")
-        else:
-            sections.append(html.section(plate.title, image + table))
     found = parameters(facts.recording)
-    if found:
-        sections.append(html.section("Parameters of the virtual system", run_tables.virtual_parameters(facts, found)))
-    else:
+    tables = {"synchronisation": _phases(facts), "inputs": _inputs(facts), "masking_error": _errors(facts)}
+    shown = [one for one in figures if one.figure is not None or tables.get(one.name)]
+    notes = [*facts.recording.notes, *(f"{one.title}. {one.caption}" for one in figures if one not in shown)]
+    if not found:
         notes.append("Parameters. Not shown: the record does not carry those of a virtual system.")
-    if notes:
-        items = "".join(f"<li>{html.prose(note, names)}</li>" for note in notes)
-        sections.append(html.section("Notes", f'<ul class="missing">{items}</ul>'))
-    written = [*(f"{image}.png" for image in images), PAGE]
-    sections.append(html.section("Provenance", run_tables.provenance(facts, written, folder)))
-    lead = _lead(facts, [parameter for parameter in found if parameter.is_changed])
-    return html.document(name, lead, _tiles(facts), sections)
+    written = [*(f"{one.name}.png" for one in figures if one.figure is not None), PAGE]
+    is_scaled = any(parameter.scaled is not None for parameter in found)
+    told = facts.recording.manifest.get("declarations")
+    return html.render(
+        "run",
+        names={*facts.coordinates, *(use.name for use in facts.inputs)},
+        title=str(facts.recording.manifest.get("name") or "Recording"),
+        lead=_lead(facts, [parameter for parameter in found if parameter.is_changed]),
+        tiles=list(_tiles(facts)),
+        figures=shown,
+        phases=tables["synchronisation"],
+        inputs=tables["inputs"],
+        input_head=_input_head(facts.inputs),
+        errors=tables["masking_error"],
+        source=_SOURCE,
+        budget=_budget(facts),
+        budget_head=["run", *(facts.budget.whole.chi if facts.budget else ()), "rms", "change", "what helps"],
+        parameters=[_parameter(one, is_scaled=is_scaled) for one in found],
+        is_scaled=is_scaled,
+        remarks=notes,
+        origin=_provenance(facts, written, folder),
+        declarations=json.dumps(told, indent=2, ensure_ascii=False, default=str) if told else "",
+    )
 
 
-def _lead(facts: Study, changed: Sequence[Parameter]) -> str:
+def _lead(facts: Study, changed: Sequence[Parameter]) -> list[tuple[str, str]]:
     """Say what happened, with cards for the warnings: a limit exceeded comes right after the first sentence."""
     first, *more = headline(facts)
     limits, rest = exceeded(facts.inputs) or cut(facts.inputs), " ".join(more)
-    found = warnings(facts.recording, facts.inputs, facts.chi)
     parts = [("lead", first), ("card wrong", limits), ("lead", rest)] if limits else [("lead", f"{first} {rest}")]
     if changed:
         words = ", ".join(f"{change(parameter)}{declared(parameter)}" for parameter in changed)
         parts.append(("changed", f"Changed: {words}."))
+    found = warnings(facts.recording, facts.inputs, facts.chi)
     parts += [("card", text) for text in found if text != limits]
-    return "\n".join(html.paragraph(text.strip(), kind, symbols(facts)) for kind, text in parts if text)
+    return [(kind, text.strip()) for kind, text in parts]
 
 
-def _tiles(facts: Study) -> list[str]:
-    tiles = [("recorded", *length(facts), False)]
+def _tiles(facts: Study) -> Iterator[Tile]:
+    yield Tile("recorded", *length(facts))
     if facts.worst is not None:
-        tiles.append((f"masking error chi, worst ({facts.worst})", number(facts.chi[facts.worst], 2), "", False))
-    if facts.pairs:
-        pair = facts.pairs[0]
+        yield Tile(f"masking error chi, worst ({facts.worst})", number(facts.chi[facts.worst], 2))
+    for pair in facts.pairs[:1]:
         label = f"phase of {pair.first} against {pair.second}"
-        tiles.append((label, pi(pair.end), "" if pair.steady_end >= STEADY else "not fixed", False))
+        yield Tile(label, pi(pair.end), "" if pair.steady_end >= STEADY else "not fixed")
     used = [use for use in facts.inputs if use.used is not None]
     if used:
         most = max(used, key=lambda use: use.demand / (use.limit or math.inf))
         what = "demand against a limit" if most.is_cut else "use of a limit"
-        part = most.demand / (most.limit or math.inf) if most.is_cut else most.used
-        tiles.append((f"largest {what} ({most.name})", percent(part), "", most.is_exceeded or most.is_cut))
+        part = most.demand / (most.limit or math.inf) if most.is_cut else most.used or 0.0
+        yield Tile(f"largest {what} ({most.name})", percent(part), "", most.is_exceeded or most.is_cut)
+
+
+def _phases(facts: Study) -> list[tuple[str, str]]:
+    """Return phases and the synchronisation that they mean: (measure, value)."""
+    rows = [
+        (
+            f"phase of {pair.first} against {pair.second}, from start to end",
+            f"{pi(pair.start)} to {pi(pair.end)}" + ("" if pair.steady_end >= STEADY else ", not fixed"),
+        )
+        for pair in facts.pairs
+    ]
+    rows += [("at the end", str(pair.verdict)) for pair in facts.pairs if pair.verdict is not None]
+    if facts.sum_peak is not None:
+        start, end = facts.sum_ends
+        rows.append((f"peak of {sum_name(facts)}, from start to end", f"{number(start)} to {number(end)}"))
+    fit = facts.anti_phase
+    if fit is not None:
+        a, b = facts.oscillators
+        held = f"|{a}(τ) - alpha {b}(τ + T/2)| <= eps over the last fifth; {_SOURCE}, definition 5.3"
+        found = f"alpha = {fit.alpha:.4f}, eps = {number(fit.eps)}, T = {fit.period:.5g}"
+        rows.append((held, found if fit.alpha > 0 else "not in anti-phase: no alpha > 0 fits"))
+    return rows
+
+
+def _input_head(uses: Sequence[InputUse]) -> list[str]:
+    head = ["input", "meaning", "peak", "rms", "limit", "used"]
+    head += ["demanded"] * any(use.is_cut for use in uses)
+    return head + ["mean power, peak"] * any(use.power is not None for use in uses)
+
+
+def _inputs(facts: Study) -> list[list[str]]:
+    """Return how much of each input was used, demanded and turned into heat, in the columns of `_input_head`."""
+    rows, head = [], _input_head(facts.inputs)
+    for use in facts.inputs:
+        meaning = facts.recording.manifest.get("columns", {}).get(f"input.{use.name}", {}).get("meaning", "")
+        limit = "none declared" if use.limit is None else f"{use.limit:g} {use.unit}".rstrip()
+        used = "" if use.used is None else percent(use.used)
+        row = [use.name, meaning, with_unit(use.peak, use.unit), with_unit(use.rms, use.unit), limit, used]
+        if "demanded" in head:
+            row.append(with_unit(use.demand, use.unit))
+        if "mean power, peak" in head:
+            most = "" if use.most_power is None else f" of {use.most_power:g}"
+            row.append("" if use.power is None else f"{number(use.power)}{most} W")
+        rows.append(row)
+    return rows
+
+
+def _errors(facts: Study) -> list[tuple[str, str, str, str]]:
+    """Return chi and the largest error of each coordinate: (name, meaning, chi, largest error)."""
+    rows = []
+    for name, chi in facts.chi.items():
+        ideal, unit = facts.ideal(name), facts.unit(f"virtual.{name}")
+        error = "" if ideal is None else number(np.abs(facts.motion(name) - ideal).max(), 2)
+        rows.append((name, facts.meaning(name), number(chi, 3), f"{error} {unit}".strip()))
+    return rows
+
+
+def _budget(facts: Study) -> list[list[str]]:
+    """Return chi as it is and without each cause, the most worthwhile first; nothing if there is no budget."""
+    if facts.budget is None:
+        return []
+    found, whole = facts.budget, facts.budget.whole
+
+    def row(made: BudgetRow, change: str) -> list[str]:
+        helps = made.remedy if made.rms <= _HELPS * whole.rms else ""
+        words = "; ".join(text for text in (made.note, helps) if text)
+        chi = [number(made.chi.get(name, math.nan), 2) for name in whole.chi]
+        return [made.title, *chi, number(made.rms, 2), change, words]
+
+    rows = [row(whole, "")]
+    for made in (*sorted(found.rows, key=lambda made: made.rms), found.without_all):
+        rows.append(row(made, "" if not whole.rms > 0.0 else _signed(made.rms / whole.rms - 1.0)))
+    return rows
+
+
+def _signed(part: float) -> str:
+    """Return a relative change in percent, with its sign."""
+    if not math.isfinite(part):
+        return "diverges"
+    text = f"{100 * part:+.0f}"
+    return "0 %" if text in {"+0", "-0"} else f"{text.replace('-', _MINUS)} %"
+
+
+def _parameter(one: Parameter, *, is_scaled: bool) -> list[str]:
+    """Return the value that ran, in the declared unit; beside it that in the virtual system's scales, if any."""
+    in_scales = one.scaled if one.scaled is not None else one.value
+    value = f"{number(one.value, 7)}{declared(one)}"
+    return [one.name, value, one.unit, *([number(in_scales, 7)] if is_scaled else []), one.meaning]
+
+
+def _provenance(facts: Study, written: Sequence[str], folder: Path) -> list[tuple[str, object]]:
+    """Return where the record comes from; `written` are the files of the report."""
+    manifest = facts.recording.manifest
+    versions = manifest.get("versions") or {}
+    scale = manifest.get("time_scale")
     return [
-        html.tile(label, value, unit, is_wrong=is_wrong, names=symbols(facts)) for label, value, unit, is_wrong in tiles
+        ("plant", manifest.get("plant_name")),
+        ("virtual system", manifest.get("virtual_name")),
+        ("record", record_words(facts)),
+        ("observer", observer(facts)),
+        ("time", f"{number(scale, 7)} s of the rig per unit of virtual time" if scale else None),
+        ("created", manifest.get("created")),
+        ("commit", manifest.get("commit")),
+        ("versions", ", ".join(f"{name} {version}" for name, version in versions.items())),
+        ("time taken", ", ".join(timing(manifest))),
+        ("energy drift", ", ".join(f"{name} {number(e)}" for name, e in (manifest.get("energy") or {}).items())),
+        ("files", ", ".join([*(name for name in (TABLE, MANIFEST) if (folder / name).is_file()), *written])),
     ]

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from masking.declaration.quantities import number, percent
 from masking.records.recording import Recording
-from masking.reports.run_facts import InputUse, Parameter, PhasePair, Study, parameters, percent
+from masking.reports.run_facts import InputUse, Parameter, PhasePair, Study, parameters
+from masking.reports.text import short
 
-_SUMMARY_LINES = 14
+_SUMMARY_LINES, _WIDTH = 14, 100
 _TRUE, _ROUGH = 0.01, 0.3  # chi up to which the rig moved as, or roughly as, the virtual system
 _OWNED = frozenset({"the", "a", "an", "my", "our", "your", "his", "her", "its", "their", "this", "that"})
 _AWAY = 0.02  # of the largest initial coordinate: what homing may leave
@@ -61,7 +63,7 @@ def exceeded(uses: Iterable[InputUse]) -> str:
     told = []
     for use in uses:
         if use.is_exceeded and use.used is not None:
-            peak, limit = (f"{number(value)} {use.unit}".rstrip() for value in (use.peak, use.limit))
+            peak, limit = (with_unit(value, use.unit) for value in (use.peak, use.limit or 0.0))
             over = f"{number(use.used)} times" if use.used >= _MUCH else f"{percent(use.used - 1)} above"
             told.append(f"{use.name} needs {peak}, {over} its limit of {limit}")
     return f"Not possible on this rig: {'; '.join(told)}." if told else ""
@@ -77,7 +79,7 @@ def cut(uses: Iterable[InputUse]) -> str:
         if use.throttled:
             power = "" if use.most_power is None else f" of {use.most_power:g} W"
             parts.append(f"held back by its mean power{power} for {percent(use.throttled)} of the run")
-        limit = f"{number(use.limit)} {use.unit}".rstrip()
+        limit = with_unit(use.limit or 0.0, use.unit)
         demand = f"{percent(use.demand / use.limit)} of {limit}" if use.limit else f"{number(use.demand)} {use.unit}"
         told.append(f"{use.name} was {' and '.join(parts)}: demanded up to {demand.rstrip()}")
     return f"{'; '.join(told)}; the rig could not follow there." if told else ""
@@ -233,7 +235,7 @@ def summary(facts: Study) -> str:
         rows.append(("time", "  ".join(timing(manifest))))
     first, *more = headline(facts)
     said = [first, *warnings(facts.recording, facts.inputs, facts.chi), *more]
-    lines = said + [f"  {name:<11}{_short(text)}" for name, text in rows]
+    lines = said + [f"  {name:<11}{short(text, _WIDTH)}" for name, text in rows]
     return "\n".join(lines[:_SUMMARY_LINES])
 
 
@@ -285,7 +287,7 @@ def ticks(manifest: Mapping[str, Any]) -> str:
 def use_words(use: InputUse) -> str:
     """Say how much of its limit an input used."""
     if use.used is None:
-        return f"{use.name} peak {number(use.peak)} {use.unit}".rstrip()
+        return f"{use.name} peak {with_unit(use.peak, use.unit)}"
     return f"{use.name} {percent(use.used)} of {use.limit:g} {use.unit}".rstrip()
 
 
@@ -310,22 +312,11 @@ def rate_words(rate: Any) -> str:  # noqa: ANN401  # a number of the manifest
     return f"{number(float(rate) / 1e3)} kHz" if float(rate) >= 1e3 else f"{number(rate)} Hz"
 
 
-def number(value: Any, digits: int = 3) -> str:  # noqa: ANN401  # a number, or one that JSON keeps as text ("inf")
-    """Write a number with a few digits; large and small ones with a power of ten."""
-    try:
-        text = f"{float(value):.{digits}g}"
-    except (TypeError, ValueError):
-        return str(value)
-    mantissa, e, exponent = text.partition("e")
-    if e and 0 <= int(exponent) < 7:  # 2.5e+03 reads better as 2500
-        return f"{float(text):.0f}"
-    return f"{mantissa}e{int(exponent)}" if e else text
+def with_unit(value: float, unit: str) -> str:
+    """Write a value with its unit, which may be none."""
+    return f"{number(value)} {unit}".rstrip()
 
 
 def pi(phase: float) -> str:
     """Write a phase in multiples of pi."""
     return f"{phase / math.pi:.3f} pi"
-
-
-def _short(text: str, most: int = 100) -> str:
-    return text if len(text) <= most else text[: most - 3].rstrip() + "..."

@@ -6,34 +6,46 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.colors import ListedColormap
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from masking.analysis.stability.basins import LABELS, Basins
 from masking.analysis.stability.study import Stability, position_words
 from masking.numerics.arrays import Array
-from masking.reports.style import BARE, COLOURS, INK, LEGEND, MUTED, SIZE, Plate, Series, panels, sheet, symbol
+from masking.reports.figure_parts import legend, marker_key
+from masking.reports.style import (
+    BARE,
+    COLOURS,
+    INK,
+    LEGEND,
+    MUTED,
+    SIZE,
+    CaptionedFigure,
+    Series,
+    panels,
+    sheet,
+    symbol,
+)
 
 _MOST = len(COLOURS)
 _BASIN_COLOURS = ("#5b6470", "#0072B2", "#D55E00", "#E69F00", "#ffffff")
 
 
-def plates(found: Stability) -> list[Plate]:
+def figures(found: Stability) -> list[CaptionedFigure]:
     """Draw every figure of a study of stability; none where no equilibrium is known."""
     return [_eigenvalues(found), _shapes(found)] if found.modes else []
 
 
-def _eigenvalues(found: Stability) -> Plate:
+def _eigenvalues(found: Stability) -> CaptionedFigure:
     figure, (axes,) = sheet([3.2], top=LEGEND)
     handles = []
     # Smaller ones are on top: equilibria that mirror each other have the same eigenvalues.
     for size, (point, modes), colour in zip(range(12, 0, -2), found.points[:_MOST], COLOURS, strict=False):
         axes.plot(modes.eigenvalues.real, modes.eigenvalues.imag, "o", ms=size, color=colour, mec="white", mew=0.6)
-        handles.append(Line2D([], [], ls="", marker="o", ms=6, color=colour, label=position_words(point)))
+        handles.append(marker_key(position_words(point), colour))
     if found.loop is not None:
         axes.plot(found.loop.eigenvalues.real, found.loop.eigenvalues.imag, "x", ms=7, color=INK, mew=1.2)
-        handles.insert(0, Line2D([], [], ls="", marker="x", ms=7, color=INK, label="closed loop"))
+        handles.insert(0, marker_key("closed loop", INK, "x", 7.0))
     axes.axvline(0.0, color=MUTED, lw=0.9)
     axes.set(xlabel="real part", ylabel="imaginary part")
     columns = 1 if len(found.coordinates) > 3 and len(handles) > 1 else 2
@@ -42,10 +54,10 @@ def _eigenvalues(found: Stability) -> Plate:
     left = len(found.points) - _MOST
     more = f" {left} equilibria are not shown." if left > 0 else ""
     crosses = " Crosses are those of the closed loop, per unit of virtual time." if found.loop is not None else ""
-    return Plate("eigenvalues", "Eigenvalues", caption + crosses + more, figure)
+    return CaptionedFigure("eigenvalues", "Eigenvalues", caption + crosses + more, figure)
 
 
-def _shapes(found: Stability) -> Plate:
+def _shapes(found: Stability) -> CaptionedFigure:
     point, modes = found.points[0]
     if len(found.points) > 1:  # the one at rest at 0, where there is one
         point, modes = min(found.points, key=lambda x: max(map(abs, x[0].position.values())))
@@ -67,17 +79,17 @@ def _shapes(found: Stability) -> Plate:
         text = f"{z.real:+.4f}" + (f" ± {mode.frequency:.4f}i" if mode.frequency else "")
         axes.set_title(text.replace("-", "\N{MINUS SIGN}"), loc="left", fontsize=SIZE - 1, color=MUTED)
     handles = [Patch(color=COLOURS[0], label="real part"), Patch(color=COLOURS[1], label="imaginary part")]
-    figure.legend(handles=handles, loc="upper right", ncols=2, frameon=False, fontsize=SIZE - 1)
+    legend(figure, None, handles)
     caption = (
         f"Shapes of the modes near {position_words(point)}: complex amplitudes of the coordinates, the largest is 1. "
         "Above each is its eigenvalue."
     )
-    return Plate("modes", "Modes", caption, figure)
+    return CaptionedFigure("modes", "Modes", caption, figure)
 
 
-def sweep_plate(
+def sweep_figure(
     name: str, values: Array, curves: Mapping[str, tuple[Series, float]], words: tuple[str, str, str]
-) -> Plate:
+) -> CaptionedFigure:
     """Draw measures that are never negative over a parameter, one below the other.
 
     Args:
@@ -95,10 +107,10 @@ def sweep_plate(
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.set(ylabel=label, xlim=(values[0], values[-1]), ylim=(0.0, 1.08 * float(np.nanmax(series))))
     rows[-1].set_xlabel(symbol(name))
-    return Plate(*words, figure)
+    return CaptionedFigure(*words, figure)
 
 
-def basins_plate(found: Basins, words: tuple[str, str, str]) -> Plate:
+def basins_figure(found: Basins, words: tuple[str, str, str]) -> CaptionedFigure:
     """Draw where motion from each initial state ends.
 
     Args:
@@ -117,8 +129,8 @@ def basins_plate(found: Basins, words: tuple[str, str, str]) -> Plate:
         for label, colour in zip(LABELS, _BASIN_COLOURS, strict=True)
         if shares[label] > 0.0
     ]
-    figure.legend(handles=handles, loc="upper right", ncols=len(handles), frameon=False, fontsize=SIZE - 1)
-    return Plate(*words, figure)
+    legend(figure, None, handles)
+    return CaptionedFigure(*words, figure)
 
 
 def _edges(values: Sequence[float] | Array) -> Array:

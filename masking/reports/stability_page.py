@@ -3,35 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
 import numpy as np
 
-from masking.analysis.stability.certificate import Certificate
 from masking.analysis.stability.study import Stability, phase, position_words
-from masking.errors import RecordError
 from masking.reports import html
+from masking.reports.html import Tile, Written
 
 if TYPE_CHECKING:
-    from masking.reports import stability_figures, style
+    from masking.reports import stability_figures
 else:
-    style = lazy.load("masking.reports.style", suppress_warning=True)
     stability_figures = lazy.load("masking.reports.stability_figures", suppress_warning=True)
 
 PAGE, NUMBERS = "stability.html", "stability.json"
-
-
-@dataclass(frozen=True)
-class Written:
-    """What was written: the page, its numbers, and its figures as PNG files."""
-
-    page: Path
-    numbers: Path
-    figures: tuple[Path, ...]
 
 
 def save(found: Stability, folder: str | Path) -> Written:
@@ -40,69 +28,43 @@ def save(found: Stability, folder: str | Path) -> Written:
     Raises:
         RecordError: the folder cannot be written.
     """
-    out, drawn = Path(folder), stability_figures.plates(found)
-    images = {plate.name: style.png(plate) for plate in drawn}
+    out, figures = Path(folder), stability_figures.figures(found)
+    images, certificate = html.images(figures, out), found.certificate
+    steps = [*(certificate.invariant.steps if certificate.invariant else ()), *certificate.reasons]
+    page = html.render(
+        "stability",
+        names=found.coordinates,
+        title=f"stability of {found.name}",
+        tiles=list(_tiles(found)),
+        certificate=certificate,
+        steps=[*steps, *(f"Equilibrium {point}." for point in certificate.others or ())],
+        figures=figures,
+        equilibria=str(found.rest) if found.rest else found.reason,
+        modes=list(_modes(found)),
+    )
     numbers = json.dumps(found.as_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    written = Written(out / PAGE, out / NUMBERS, tuple(out / f"{name}.png" for name in images))
-    contents = dict(zip(written.figures, images.values(), strict=True))
-    contents |= {written.numbers: numbers.encode(), written.page: _page(found, drawn, images).encode()}
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for path, content in contents.items():
-            path.write_bytes(content)
-    except OSError as error:
-        raise RecordError(f"{out} cannot be written: {error.strerror or error}; name another folder") from error
-    return written
+    html.write({**images, out / NUMBERS: numbers, out / PAGE: page})
+    return Written(out / PAGE, out / NUMBERS, tuple(images))
 
 
-def _page(found: Stability, drawn: Sequence[style.Plate], images: dict[str, bytes]) -> str:
-    names = found.coordinates
-    sections = [html.section("Energy certificate", _certificate(found.certificate, names))]
-    for plate in drawn:
-        sections.append(html.section(plate.title, html.picture(plate.title, plate.caption, images[plate.name], names)))
-    rows = []
+def _tiles(found: Stability) -> Iterator[Tile]:
+    yield Tile("certificate", found.certificate.status)
+    if found.rest is not None:
+        yield Tile("equilibria", str(len(found.rest.points)), "" if found.rest.is_complete else "or more")
+    if found.exponent is not None:
+        yield Tile("largest Lyapunov exponent", f"{found.exponent.value:.4g}")
+    if found.upsilon is not None and np.isfinite(found.upsilon):
+        yield Tile("upsilon (8.13)", f"{found.upsilon:.4g}")
+    if found.loop is not None:
+        yield Tile("closed loop less virtual", f"{found.loop.distance:.1e}")
+
+
+def _modes(found: Stability) -> Iterator[tuple[str, ...]]:
+    """Yield each mode: equilibrium and verdict beside the first of each, real part, frequency, damping and shape."""
     for point, modes in found.points:
         for i, mode in enumerate(modes.modes):
             where = position_words(point) if i == 0 else ""
             verdict = (point.verdict + " (proved)" * point.is_unstable) if i == 0 else ""
             shape = ", ".join(f"{n} {abs(x):.3f} at {phase(x):.2f} pi" for n, x in mode.shape.items())
             cells = (f"{mode.eigenvalue.real:.6g}", f"{mode.frequency:.6g}", f"{mode.damping:.4g}")
-            rows.append((where, verdict, *cells, shape))
-    head = ("where", "verdict", "real part", "frequency", "damping ratio", "shape")
-    sentence = str(found.rest) if found.rest else found.reason
-    table = html.table(head, rows, numbers=(2, 3, 4), names=names) if rows else ""
-    text = html.paragraph(f"{sentence[:1].upper()}{sentence[1:]}.", "lead", names)
-    sections.append(html.section("Equilibria and modes", text + table))
-    tiles = [html.tile("certificate", found.certificate.status)]
-    if found.rest is not None:
-        tiles.append(html.tile("equilibria", str(len(found.rest.points)), "" if found.rest.is_complete else "or more"))
-    if found.exponent is not None:
-        tiles.append(html.tile("largest Lyapunov exponent", f"{found.exponent.value:.4g}"))
-    if found.upsilon is not None and np.isfinite(found.upsilon):
-        tiles.append(html.tile("upsilon (8.13)", f"{found.upsilon:.4g}"))
-    if found.loop is not None:
-        tiles.append(html.tile("closed loop less virtual", f"{found.loop.distance:.1e}"))
-    lead = html.paragraph(f"{_sentence(found.certificate.conclusion)}.", "lead", names)
-    return html.document(f"stability of {found.name}", lead, tiles, sections)
-
-
-def _certificate(told: Certificate, names: Sequence[str]) -> str:
-    """Return the certificate as paragraphs: what is shown, under which hypotheses, and the argument."""
-    parts = [f"{_sentence(told.status)}: {told.conclusion}."]
-    if told.hypotheses:
-        parts.append(f"For {', '.join(told.hypotheses)}.")
-    if told.energy is not None:
-        parts.append(f"V = {told.energy}.")
-    if told.dissipation is not None:
-        parts.append(f"V' = {told.dissipation.rate}: {told.dissipation.method} ({told.dissipation.status}).")
-    if told.boundedness is not None:
-        parts.append(f"{_sentence(told.boundedness.text)}.")
-    steps = [*(told.invariant.steps if told.invariant else ()), *told.reasons]
-    steps += [f"Equilibrium {point}." for point in told.others or ()]
-    text = "\n".join(html.paragraph(part, "lead" if i == 0 else "changed", names) for i, part in enumerate(parts))
-    items = "".join(f"<li>{html.prose(step, names)}</li>" for step in steps)
-    return text + (f"<ol>{items}</ol>" if items else "")
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:]
+            yield (where, verdict, *cells, shape)

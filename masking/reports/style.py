@@ -6,6 +6,7 @@ Colours are Okabe and Ito's, distinguishable with any colour vision; what is ide
 
 from __future__ import annotations
 
+import functools
 import io
 import re
 from collections.abc import Callable, Sequence
@@ -36,22 +37,23 @@ SIZE = 9.5  # points
 BINS: Final = 700  # across a whole record: about one for every two pixels
 
 
-@dataclass(frozen=True, slots=True)
-class Plate:
-    """One figure with its words; `figure` is None where there is nothing to draw, and `caption` then says why."""
+@dataclass(frozen=True)
+class CaptionedFigure:
+    """One figure with its words; `figure` is None if there is nothing to draw, and `caption` then says why."""
 
     name: str
     title: str
     caption: str
     figure: Figure | None
 
-
-def png(plate: Plate) -> bytes:
-    """Give a figure as the content of a PNG file."""
-    stream = io.BytesIO()
-    if plate.figure is not None:
-        plate.figure.savefig(stream, format="png", metadata={"Title": plate.title})
-    return stream.getvalue()
+    @functools.cached_property
+    def png(self) -> bytes | None:
+        """Return the content of a PNG file, drawn once; None if there is no figure."""
+        if self.figure is None:
+            return None
+        stream = io.BytesIO()
+        self.figure.savefig(stream, format="png", metadata={"Title": self.title})
+        return stream.getvalue()
 
 
 def symbol(name: str) -> str:

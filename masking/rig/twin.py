@@ -107,7 +107,7 @@ class Twin:
         """Refuse effects and allocation that do not fit the model.
 
         Raises:
-            DeclarationError: tells of all effects or of all wires that do not.
+            DeclarationError: lists all effects and all lines of the allocation that do not.
         """
         _ = self.dictionary, self.effects, self.allocation, self.attached
 
@@ -202,7 +202,7 @@ class Twin:
         What is simulated is compared with readings before it is rounded: rounding both would count it twice. Commands
         are known, so that what rounds them in the actuators stays.
         """
-        rounding = {e.path.removeprefix("effects.") for e in self.effects if e.kind == "quantisation"}
+        rounding = {e.path.removeprefix("effects.") for e in self._of("sensor") if e.entry.quantum}
         return self.changed({**self.changes, **dict.fromkeys(rounding, schema.EffectChange(enabled=False))})
 
     def _of(self, where: str) -> list[PlacedEffect]:
@@ -274,9 +274,9 @@ class Twin:
         found = {}
         for name in self.sensors:
             parts = [
-                self._value(e, "sigma") if e.kind == "noise" else self._value(e, "step") / np.sqrt(12.0)
+                Expression(e.entry.deviation).evaluate({key: self._value(e, key) for key in e.entry.parameters})
                 for e in self._on("sensor", name)
-                if e.enabled and e.kind in {"noise", "quantisation"}
+                if e.enabled and e.entry.deviation
             ]
             if parts:
                 found[name] = float(np.sqrt(sum(part**2 for part in parts)))

@@ -15,7 +15,7 @@ from masking.analysis.masking_error import masking_error
 from masking.control.observer import Differences, Observer
 from masking.control.sampled import SampledLoop
 from masking.declaration import schema
-from masking.effects import EFFECTS
+from masking.effects import DELAY, EFFECTS, FAMILIES, SATURATION, Effect
 from masking.errors import MaskingError, ModelError
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
@@ -25,38 +25,7 @@ from masking.runs.offline import TwinRun, run_twin
 
 Progress = Callable[[float], None]
 
-# The effects that each cause stands for. A thermal state changes no motion: it is no cause.
-CAUSES: Final[Mapping[str, frozenset[str]]] = {
-    "springs": frozenset(
-        {"polynomial_spring", "hardening_spring", "linear_spring", "constant_force", "gravity_force", "stiffness_drift"}
-    ),
-    "damping": frozenset({"viscous_damping", "quadratic_damping"}),
-    "friction": frozenset(
-        {
-            "dry_friction",
-            "asymmetric_friction",
-            "stribeck_friction",
-            "dahl_friction",
-            "lugre_friction",
-            "local_friction",
-        }
-    ),
-    "hysteresis": frozenset({"hysteresis", "bouc_wen_hysteresis"}),
-    "mass": frozenset({"added_mass"}),
-    "backlash": frozenset({"backlash"}),
-    "end stop": frozenset({"stop"}),
-    "periodic force": frozenset({"periodic_force"}),
-    "actuator gains": frozenset({"actuator_gain", "actuator_offset", "actuator_cubic"}),
-    "actuator dynamics": frozenset({"actuator_lag", "dead_zone", "dac_quantisation"}),
-    "saturation": frozenset({"saturation", "thermal"}),
-    "sensor errors": frozenset(
-        {"sensor_offset", "sensor_gain", "sensor_saturation", "sensor_lag", "sensor_cubic", "sensor_rectification"}
-    ),
-    "quantisation": frozenset({"quantisation"}),
-    "noise": frozenset({"noise"}),
-    "delay": frozenset({"delay"}),
-}
-NOTHING, SATURATION, DELAY, SAMPLING, ALL = "nothing", "saturation", "delay", "sampling", "all of these"
+NOTHING, SAMPLING, ALL = "nothing", "sampling", "all of these"
 FASTER: Final = 10  # times the rate: so much faster is sampling that costs next to nothing
 LONGEST: Final = 10.0  # s that the runs of a budget may take where nobody has asked for one
 _PREPARING: Final = 0.15  # s before each of them
@@ -125,7 +94,7 @@ class Budget:
     def as_dict(self) -> dict[str, Any]:
         """Return the budget as JSON can hold it; `change` is that of the rms of chi."""
 
-        def told(row: Row) -> dict[str, Any]:
+        def entry(row: Row) -> dict[str, Any]:
             change = 0.0 if row.rms == self.whole.rms else row.rms - self.whole.rms
             return {
                 "cause": row.cause,
@@ -143,8 +112,8 @@ class Budget:
             "chi": dict(self.whole.chi),
             "worst": self.whole.worst,
             "rms": self.whole.rms,
-            "rows": [told(row) for row in self.rows],
-            "without_all": told(self.without_all),
+            "rows": [entry(row) for row in self.rows],
+            "without_all": entry(self.without_all),
         }
 
 
@@ -172,8 +141,8 @@ def run(experiment: Experiment, wanted: bool | None = None, progress: Progress |
         return recording
     if (recording.manifest.get("stop") or {}).get("met"):  # the same length for all runs
         experiment = in_full(experiment, recording.manifest["stop"]["at"])
-    told = budget(experiment, progress).as_dict()
-    return replace(recording, manifest={**recording.manifest, "budget": told})
+    facts = budget(experiment, progress).as_dict()
+    return replace(recording, manifest={**recording.manifest, "budget": facts})
 
 
 def in_full(experiment: Experiment, duration: float | None = None) -> Experiment:
@@ -195,14 +164,13 @@ def causes(twin: Twin) -> dict[str, tuple[str, ...]]:
 
     The limits of the plant file count as saturation.
     """
-    found = {}
-    for cause, kinds in CAUSES.items():
-        names = [effect.path.partition(".")[2] for effect in twin.effects if effect.enabled and effect.kind in kinds]
-        if cause == SATURATION and (twin.declaration.limits.inputs or twin.declaration.limits.power):
-            names.append("limits")
-        if names:
-            found[cause] = tuple(dict.fromkeys(names))
-    return found
+    found: dict[str, list[str]] = {family: [] for family in FAMILIES}
+    for effect in twin.effects:
+        if effect.enabled:
+            found.setdefault(effect.entry.family or effect.kind, []).append(effect.path.partition(".")[2])
+    if twin.declaration.limits.inputs or twin.declaration.limits.power:
+        found[SATURATION].append("limits")
+    return {cause: tuple(dict.fromkeys(names)) for cause, names in found.items() if names}
 
 
 def budget(experiment: Experiment, progress: Progress | None = None) -> Budget:
@@ -225,9 +193,9 @@ def budget(experiment: Experiment, progress: Progress | None = None) -> Budget:
     def row(cause: str, without: Iterable[str], effects: tuple[str, ...], note: str = "") -> tuple[Row, TwinRun | None]:
         without, before = frozenset(without), next(done)
         weight = FASTER if SAMPLING in without else 1
-        return bench.row(cause, without, effects, note, lambda part: told((before + weight * part) / total))
+        return bench.row(cause, without, effects, note, lambda part: report((before + weight * part) / total))
 
-    def told(part: float) -> None:
+    def report(part: float) -> None:
         if progress is not None:
             progress(part)
 
@@ -269,8 +237,9 @@ class _Bench:
         self, cause: str, without: frozenset[str], effects: tuple[str, ...], note: str, progress: Progress
     ) -> tuple[Row, TwinRun | None]:
         """Run the experiment without some causes; return its row, and the run if it could go on."""
-        kinds = [use.effect for name, use in self.experiment.twin.declaration.effects.items() if name in effects]
-        remedy = _remedy(cause, kinds)
+        twin = self.experiment.twin
+        known = [twin.dictionary[use.effect] for name, use in twin.declaration.effects.items() if name in effects]
+        remedy = _remedy(cause, known)
         names = self.experiment.virtual.coordinates
         try:
             run = self.run(without, progress)
@@ -315,9 +284,9 @@ class _Bench:
         twin = _switched(twin, lambda name, enabled: enabled and name not in off)
         if faster == 1 or not twin.delay:
             return twin
-        first, *more = causes(twin)[DELAY]
+        first, *more = causes(twin)[DELAY.family]
         changes = {**twin.changes, **{name: schema.EffectChange(enabled=False) for name in more}}
-        changes[first] = schema.EffectChange(parameters={"samples": float(faster * twin.delay)}, enabled=True)
+        changes[first] = schema.EffectChange(parameters={DELAY.grows_with: float(faster * twin.delay)}, enabled=True)
         return twin.changed(changes)
 
     def known(self, found: Mapping[str, tuple[str, ...]], run: TwinRun) -> frozenset[str]:
@@ -328,15 +297,15 @@ class _Bench:
         model, n = self.experiment.controller.model, len(twin.model.coordinates)
         rows = np.unique(np.linspace(0, len(run.times) - 1, _PROBES).astype(int))
         p, u, out = model.values(), np.zeros(len(model.inputs)), np.empty(run.estimates.shape[1])
-        believed = []
+        assumed = []
         for row in rows:
             state = np.concatenate([run.states[row, : 2 * n], run.estimates[row, 2 * n :]])
             model.kernels.derivative(0.0, state, u, p, out)
-            believed.append(out[n : 2 * n].copy())
+            assumed.append(out[n : 2 * n].copy())
 
         def error(effects: tuple[str, ...]) -> float:
             rig = _switched(twin, lambda name, enabled: enabled and name in effects)
-            return float(np.linalg.norm(_accelerations(rig, run.states[rows], n) - believed))
+            return float(np.linalg.norm(_accelerations(rig, run.states[rows], n) - assumed))
 
         bare = error(())
         kinds = {name: twin.dictionary[use.effect].where for name, use in twin.declaration.effects.items()}
@@ -367,11 +336,12 @@ def _switched(twin: Twin, on: Callable[[str, bool], bool]) -> Twin:
     return twin.changed(changes)
 
 
-def _remedy(cause: str, kinds: Iterable[str]) -> str:
+def _remedy(cause: str, effects: Iterable[Effect]) -> str:
     if cause == SAMPLING:
         return "raise controller.rate"
-    told = [EFFECTS[kind].remedy for kind in kinds if kind in CAUSES.get(cause, ())]
-    return told[0] if told else EFFECTS["saturation"].remedy if cause == SATURATION else ""
+    remedies = [effect.remedy for effect in effects if cause in {effect.family, effect.name}]
+    usual = [effect.remedy for effect in EFFECTS.values() if cause == SATURATION == effect.family]
+    return next(iter([*remedies, *usual]), "")
 
 
 def _chi(value: float) -> str:

@@ -102,10 +102,10 @@ class Experiment:
         """Return the controller."""
         settings = self.declaration.controller
         overrides = {} if settings.model else self.assembly.plant.parameters
-        believed = Model(self.assembly.believed_model, {**overrides, **settings.parameters})
-        transform = Transform(believed, self.virtual, self.declaration.transform)
+        assumed = Model(self.assembly.believed_model, {**overrides, **settings.parameters})
+        transform = Transform(assumed, self.virtual, self.declaration.transform)
         own = self.declaration.transform.parameters
-        return Controller(believed, self.virtual, transform, self.time_scale, own, settings.regulate)
+        return Controller(assumed, self.virtual, transform, self.time_scale, own, settings.regulate)
 
     @property
     def time_scale(self) -> float:

@@ -19,6 +19,7 @@ import numpy as np
 from masking.control.closed_loop import ClosedLoop
 from masking.declaration.expression import Expression
 from masking.declaration.operations import CONSTANTS, OPERATIONS, Step
+from masking.declaration.quantities import percent
 from masking.errors import DeclarationError, IntegrationError, MaskingError, Problem, SingularityError
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME
@@ -77,7 +78,7 @@ class Use:
         return f"mean power of {self.name}" if self.kind == "power" else self.name
 
     def __str__(self) -> str:
-        return f"{self.label} needs {_percent(self.part)} of {_digits(self.limit)} {self.unit}".rstrip()
+        return f"{self.label} needs {percent(self.part, 3)} of {_digits(self.limit)} {self.unit}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ class Feasibility:
     def __str__(self) -> str:
         rows = [("", "needed", "limit", "used")]
         rows += [
-            (u.label, f"{_digits(u.needed)} {u.unit}", f"{_digits(u.limit)} {u.unit}", _percent(u.part))
+            (u.label, f"{_digits(u.needed)} {u.unit}", f"{_digits(u.limit)} {u.unit}", percent(u.part, 3))
             for u in self.uses
         ]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -428,10 +429,6 @@ def _outward(factor: float) -> float:
 def _digits(value: float) -> str:
     """Return a number in two digits, or more where it has more before its point."""
     return f"{value:.2g}" if abs(value) < 100.0 else f"{value:.0f}"
-
-
-def _percent(part: float) -> str:
-    return f"{100.0 * part:.3g} %" if part < 10.0 else f"{100.0 * part:.0f} %"
 
 
 def _problem(experiment: Experiment, error: MaskingError) -> Problem:

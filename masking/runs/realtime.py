@@ -150,7 +150,7 @@ def check_channels(plant: Plant, sensors: Sequence[str], actuators: Sequence[str
 
 
 def every(progress: Callable[[float], None], samples: int) -> Callable[[int], None]:
-    """Return what tells the part done some hundred times, within the time of a tick."""
+    """Return a function that reports the fraction done about a hundred times, within the time of a tick."""
     step = max(1, samples // 100)
 
     def report(row: int) -> None:

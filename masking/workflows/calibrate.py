@@ -9,7 +9,6 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 from masking.errors import ModelError
 from masking.estimation.fit import fit, independent
@@ -22,13 +21,6 @@ from masking.workflows.calibration_records import Progress, Say
 
 __all__ = ["Calibration", "Stage", "calibrate"]
 
-# Effects in elements that are fitted where the plant file declares them, each with its parameters.
-FITTED: Final = {
-    "dry_friction": ("fc",),
-    "stribeck_friction": ("fc",),
-    "hysteresis": ("k", "zmax"),
-    "hardening_spring": ("k3",),
-}
 # What takes time, in parts of a record's own: making one in lockstep, fitting a parameter, and writing the report.
 _LOCKSTEP, _PARAMETER, _REPORT = 0.03, 0.01, 0.1
 
@@ -64,7 +56,7 @@ def calibrate(
         seconds: length of each record.
         lockstep: run as fast as both sides can, each waiting for the other.
         seed: of the phases.
-        say: told what is done.
+        say: called with what is done.
         progress: called with the part done, of recordings, fits and report together.
 
     Raises:
@@ -102,7 +94,7 @@ def calibrate(
 
 
 def _parts(progress: Progress, costs: list[float]) -> Iterator[Progress]:
-    """Give what tells of the part done of each of several steps."""
+    """Give a function that reports the fraction done of each of several steps."""
 
     def part(before: float, cost: float) -> Progress:
         return lambda done: progress((before + cost * done) / sum(costs))
@@ -120,10 +112,10 @@ def _candidates(twin: Twin, model: str | Path | None) -> Iterator[_Candidate]:
     if model is not None:
         base = twin.as_model(model)
         yield _Candidate(str(model), base, base.equation_parameters())
-    used = {e.path.removeprefix("effects."): e.kind for e in twin.effects if e.enabled and e.kind in FITTED}
+    used = {e.path.removeprefix("effects."): e.kind for e in twin.effects if e.enabled and e.entry.calibrated}
     if used:
         known = {**base.declaration.effects, **{name: twin.declaration.effects[name] for name in used}}
         changes = {**base.changes, **{name: twin.changes[name] for name in used if name in twin.changes}}
         whole = replace(base, declaration=base.declaration.model_copy(update={"effects": known}), changes=changes)
-        more = [f"{e.label}_{name}" for e in whole.effects for name in FITTED.get(e.kind, ()) if e.enabled]
+        more = [f"{e.label}_{name}" for e in whole.effects for name in e.entry.calibrated if e.enabled]
         yield _Candidate(f"with {', '.join(sorted(set(used.values())))}", whole, (*whole.equation_parameters(), *more))

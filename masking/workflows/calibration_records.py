@@ -1,8 +1,8 @@
 """Records of a calibration: what a rig reads under multisines that stay within the limits of its plant file.
 
 Three are made, each by multisines of least crest factor on all actuators at once, on lines of their own: a small one,
-which tells how large the others may be, one to fit, and one to judge by. They stay on disk, each with the settings that
-it was made with, so that a calibration that was interrupted goes on where it stopped.
+which says how large the others may be, one to fit, and one for validation. They stay on disk, each with its settings,
+so that an interrupted calibration resumes where it stopped.
 Source: Rijlaarsdam (2008), section 4.2 and appendix C.
 """
 
@@ -35,7 +35,7 @@ PART: Final = 0.8  # of a limit that a record may reach
 SMALL: Final = 0.02  # of the largest command: the first record
 STARTS: Final = 5  # of the search for a small crest factor
 _MEND = "calibrate that plant, or give the plant file of the one that is there"
-_DIGITS = 9  # of a number that tells whether a twin is the same
+_DIGITS = 9  # of a number that shows whether a twin is the same
 
 Say = Callable[[str], None]
 Progress = Callable[[float], None]
@@ -61,7 +61,7 @@ def make(
         seconds: length of each.
         lockstep: run as fast as both sides can.
         seed: of the phases.
-        say: told what is done.
+        say: called with what is done.
         progress: called with the part done.
 
     Raises:
@@ -108,8 +108,8 @@ def _settings(plant: Plant, limits: Array, *, seconds: float, seed: int, size: f
     }
     if isinstance(plant, SimulatedPlant):
         values = [f"{value:.{_DIGITS}g}" for value in plant.twin.values()]
-        told = json.dumps([plant.twin.structure(), values, plant.twin.delay, plant.seed])
-        found["twin"] = hashlib.sha256(told.encode()).hexdigest()[:16]
+        content = json.dumps([plant.twin.structure(), values, plant.twin.delay, plant.seed])
+        found["twin"] = hashlib.sha256(content.encode()).hexdigest()[:16]
     return found
 
 
@@ -120,8 +120,8 @@ def _check(before: Mapping[str, Any] | None, now: Mapping[str, Any], path: Path)
         raise RecordError(f"{path} does not say with which settings it was recorded; {mend}")
     other = [name for name in dict.fromkeys([*now, *before]) if before.get(name) != now.get(name)]
     if other:
-        told = ", ".join(_difference(name, before.get(name), now.get(name)) for name in other)
-        raise RecordError(f"{path} was recorded with other settings: {told}; {mend}")
+        differences = ", ".join(_difference(name, before.get(name), now.get(name)) for name in other)
+        raise RecordError(f"{path} was recorded with other settings: {differences}; {mend}")
 
 
 def _difference(name: str, before: object, now: object) -> str:
@@ -133,12 +133,12 @@ def _difference(name: str, before: object, now: object) -> str:
             if now is None
             else "of another twin"
         )
-    return f"{name} {_told(before)} instead of {_told(now)}"
+    return f"{name} {_shown(before)} instead of {_shown(now)}"
 
 
-def _told(value: object) -> str:
+def _shown(value: object) -> str:
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_told(item)}" for key, item in value.items())
+        return ", ".join(f"{key} {_shown(item)}" for key, item in value.items())
     return ", ".join(value) if isinstance(value, list) else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
@@ -157,7 +157,7 @@ def _waves(count: int, number: int, seconds: float, seed: int) -> Array:
 def _larger(twin: Twin, small: Data) -> float:
     """Return the part of the largest command at which the first limit of a coordinate would be reached, and no more."""
     if not np.ptp(small.readings, axis=0).any():
-        raise RecordError(f"{small.name}: the sensors read the same throughout; look at the rig's power and wiring")
+        raise RecordError(f"{small.name}: the sensors read the same throughout; look at the rig's power and cables")
     pairs = reached(twin, small).values()
     size = min([PART, *(PART * SMALL * limit / max(far, 1e-300) for far, limit in pairs)])
     return max(size, SMALL)
@@ -203,5 +203,5 @@ def _record(
     columns = {"t": every_one / RATE}
     columns |= {f"input.{name}": ran.applied[at, i] for i, name in enumerate(twin.actuators)}
     columns |= {f"sensor.{name}": np.interp(every_one, index, ran.sensors[:, i]) for i, name in enumerate(twin.sensors)}
-    told = {"end": ran.reason, "counters": dict(ran.counters)}
-    return Recording(columns, {"name": "calibration", "rate": RATE, "rig": told, "calibration": dict(settings)})
+    outcome = {"end": ran.reason, "counters": dict(ran.counters)}
+    return Recording(columns, {"name": "calibration", "rate": RATE, "rig": outcome, "calibration": dict(settings)})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
@@ -79,7 +79,7 @@ def model(subject: Model) -> Description:
 
 def effect(subject: Effect) -> Description:
     """Describe a physical effect: what it is, its expression and parameters, where it comes from and what helps."""
-    lines = [subject.name.replace("_", " "), subject.meaning]
+    lines = [subject.spoken, subject.meaning]
     lines += [f"source: {subject.source}", ""] if subject.source else [""]
     lines += [f"in {_ARTICLES[subject.where]}: {subject.expression or 'what is commanded acts later'}"]
     lines += [*(f"with {name}' = {state.rate}" for name, state in subject.states.items()), ""]
@@ -90,7 +90,8 @@ def effect(subject: Effect) -> Description:
     lines += _table("parameters (unit of the place, usual range)", rows)
     lines += [f"usual causes: {subject.cause}"] if subject.cause else []
     lines += [f"what helps: {subject.remedy}"] if subject.remedy else []
-    return Description("\n".join(lines).rstrip(), asdict(subject))
+    content = asdict(replace(subject, trials=(), trials_of_rates=()))
+    return Description("\n".join(lines).rstrip(), {k: v for k, v in content.items() if not k.startswith("trials")})
 
 
 def dictionary(declaration: schema.DictionaryDeclaration) -> Description:

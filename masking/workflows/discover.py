@@ -37,7 +37,7 @@ def answered(
             of one, as for `identify`.
         model: what is believed of the rig; in place of the plant's own where both are given.
         plant: its sensors and actuators; without one, outputs or coordinates of the model are read, and its inputs.
-        validation: another record to judge by; the last part of the record where none is given.
+        validation: another record for validation; the last part of the record where none is given.
         parameters: of the model that may be off; all that its equations hold where none are given.
         tolerance: relative standard deviation of a parameter that declares none.
         shooting_interval: length of the intervals of multiple shooting in s; by default the whole record, or shorter
@@ -48,7 +48,7 @@ def answered(
         effects: a dictionary of own effects, a file or a packaged name, which are tried, too.
         out: folder to save in: `models/<model>+<effect>.yaml`, `plant.yaml`, `discovery.json`, `discovery.html` and
             its figures; nothing is saved where none is given, and nothing half where it is interrupted.
-        tell: told what is done, and the part done.
+        tell: called with what is done, and the fraction done.
 
     Returns:
         what was found, and the files; None where nothing is saved.

@@ -26,7 +26,7 @@ ALIKE = 1e-6  # relative difference of two rates that are the same
 
 @dataclass(frozen=True)
 class Asked:
-    """The rig as it is believed to be, the record, another one to judge by, and where these come from."""
+    """The rig as it is believed to be, the record, another one for validation, and where these come from."""
 
     twin: Twin
     record: Data
@@ -51,7 +51,7 @@ def asked(
         record: a folder of a recording, or a parquet, csv, mat or h5 file; or a part of one, see `formats.read`.
         model: of the rig; in place of the plant's own where both are given.
         plant: a plant file or a packaged plant; without one, the model's outputs or coordinates are read.
-        validation: another record to judge by.
+        validation: another record for validation.
         hold: how inputs go from sample to sample, see `Data`.
         columns: of the files, by the names that they get.
         dt: time between samples in s, for files without a clock.
@@ -111,7 +111,7 @@ def read(
 
 
 def _check_unseen(train: Data, judge: Data, origin: Origin) -> None:
-    """Refuse to judge by what is searched: the same record, or parts of one file that overlap.
+    """Refuse for validation what is searched: the same record, or parts of one file that overlap.
 
     Raises:
         RecordError: the two share samples.

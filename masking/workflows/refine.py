@@ -26,6 +26,7 @@ from masking.estimation.data import InputHold
 from masking.records.recording import Recording
 from masking.reports import discovery_files, discovery_text
 from masking.reports.discovery_files import Files
+from masking.reports.text import capital, listed
 from masking.rig.twin import Twin
 from masking.runs.error_budget import in_full
 from masking.runs.experiment import Experiment
@@ -40,7 +41,6 @@ else:
 Tell = Callable[[str, float], None]
 
 EXPERIMENT, NUMBERS, BEFORE, AFTER = "experiment.yaml", "refine.json", "before", "after"
-TOLD = frozenset({"noise", "quantisation", "delay"})  # effects of the plant file that a controller knows
 WORTH = 0.9  # of chi: what it must come down to, to be called truer
 _BEGIN, _FOUND = 0.1, 0.9  # parts done when the discovery begins and ends
 
@@ -97,7 +97,7 @@ class Refinement:
         """Say how much truer the masking became."""
         found = self.discovery
         causes = [discovery_text.spoken(found, c.name, c.on) for c in found.effects if _is_of_model(found, c)]
-        told = f"With {discovery_text.listed([*causes, 'adjusted parameters'])} in the controller's model, "
+        told = f"With {listed([*causes, 'adjusted parameters'])} in the controller's model, "
         if self.after.recording is None:
             return f"{told}the run could not go on: {self.after.trouble}"
         after = _chi(self.after.worst)
@@ -120,7 +120,7 @@ class Refinement:
             effect = self.discovery.twin.dictionary[cause.name]
             helps = "a controller predicts a delay of whole samples that the plant file declares"
             helps = effect.remedy if effect.where != "loop" else helps
-            what = discovery_text.capital(discovery_text.spoken(self.discovery, cause.name, cause.on))
+            what = capital(discovery_text.spoken(self.discovery, cause.name, cause.on))
             why = f"{what} is not compensated: it is no part of the controller's model"
             told.append(f"{why}; what helps: {helps}." if helps else f"{why}.")
         return tuple(told)
@@ -172,7 +172,7 @@ def refine(
         experiment: whose controller's model is refined.
         record: a folder of a recording of the plant, or a parquet, csv, mat or h5 file; or a part of one, such as
             `record.csv@10:20`.
-        validation: another record to judge by; the last part of the record where none is given.
+        validation: another record for validation; the last part of the record where none is given.
         parameters: of the controller's model that may be off; all that its equations hold where none are given.
         tolerance: relative standard deviation of a parameter that declares none.
         shooting_interval: seconds after which the motion is simulated anew, as for `masking.discover`.
@@ -183,7 +183,7 @@ def refine(
         out: folder to save in: the files of a discovery, both runs in `before/` and `after/`, each with its report,
             `experiment.yaml` and `refine.json`; nothing is saved where none is given, and nothing half where it is
             interrupted.
-        tell: told what is done, and the part done.
+        tell: called with what is done, and the fraction done.
 
     Raises:
         MaskingError: a declaration, a name, a setting or a record is wrong, or the experiment cannot be run.
@@ -229,7 +229,7 @@ def believed(experiment: Experiment) -> Twin:
     base = assembly.believed_model
     known = {}
     for name, use in assembly.plant.effects.items():
-        if use.effect in TOLD:
+        if experiment.twin.dictionary[use.effect].is_known_to_controller:
             change = experiment.declaration.effects.get(name)
             values: dict[str, Any] = {} if change is None else {"parameters": {**use.parameters, **change.parameters}}
             if change is not None and change.enabled is not None:

@@ -95,17 +95,17 @@ class Checked:
 
     Args:
         file: as it was named.
-        kind: one of `KINDS`, or "file" where it cannot be told.
+        kind: one of `KINDS`, or "file" if its keys do not say.
         problems: all that is wrong.
-        feasibility: what a sound experiment asks of its rig; None for all else, and where that cannot be told.
-        untold: why that is unknown.
+        feasibility: what a sound experiment asks of its rig; None for all else, and if that is unknown.
+        unknown: why that is unknown.
     """
 
     file: str
     kind: str
     problems: tuple[Problem, ...]
     feasibility: feasibilities.Feasibility | None = None
-    untold: str = ""
+    unknown: str = ""
 
     @property
     def exit_status(self) -> int:
@@ -234,7 +234,7 @@ def identify(
         model: a model that takes the place of the plant's own and of the effects in its elements.
         parameters: what to fit: parameters of the model, and of effects as `<effect>_<parameter>`; all that the
             equations of the model hold where none are given.
-        validation: recordings that are not fitted, and judge the fit.
+        validation: recordings that are not fitted, for validation.
         shooting_interval: length in s of the intervals of multiple shooting at first; not for a filter.
         method: 'least-squares', or 'kalman' for one pass of the extended Kalman filter with the settings of 4.2.2.
         square_root: let the filter carry a square root of its covariance.
@@ -272,9 +272,9 @@ def identify(
             wanted, train, names, validation=unseen, shooting_interval=shooting_interval, progress=progress
         )
     if out is not None:
-        plates, sentence = fit_figures.plates(found, train, unseen)
+        figures, sentence = fit_figures.figures(found, train, unseen)
         fit_files.save(found, out)
-        identification_page.save_fit(found, plates, sentence, out)
+        identification_page.save_fit(found, figures, sentence, out)
     return found
 
 
@@ -479,7 +479,7 @@ def _fit(file: str, wanted: experiment.Experiment, compiling: Callable[[], None]
     try:
         wanted.instruments.limits()
     except ModelError as error:
-        return Checked(file, "experiment", (), untold=str(error))
+        return Checked(file, "experiment", (), unknown=str(error))
     if compiling is not None and not feasibilities.Motion(wanted).loop.is_compiled:
         compiling()
     return Checked(file, "experiment", (), feasibilities.feasibility(wanted))

@@ -8,15 +8,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from masking.reports import html, style
-from masking.reports.style import COLOURS, DPI, GRID, INK, LIMIT, MUTED, SIZE, WIDTH, Plate
+from masking.reports import html
+from masking.reports.html import Tile
+from masking.reports.style import COLOURS, DPI, GRID, INK, LIMIT, MUTED, SIZE, WIDTH, CaptionedFigure, dress
 from tests.benchmarks import mujoco_records, table
 from tests.benchmarks.discovering import scoring, sindy, summary
 from tests.benchmarks.discovering.scoring import said, shortened, wilson
@@ -26,6 +29,15 @@ PAGE, NUMBERS = "discovery.html", "bars.json"
 OURS, THEIRS = "masking discover", "PySINDy"
 RIGHT, WRONG, PLACE = COLOURS[0], COLOURS[1], COLOURS[3]
 CELL = 0.185  # inches
+PARTS: Any = html.environment().get_template("parts.html").make_module({"names": ()})
+TEMPLATE = html.environment().from_string(
+    """{% extends "base.html" %}
+    {% from "parts.html" import section with context %}
+    {% block lead %}{{ lead }}{% endblock %}
+    {% block main %}
+    {% for title, body in sections %}{% call section(title) %}{{ body }}{% endcall %}{% endfor %}
+    {% endblock %}"""
+)
 
 
 def write(
@@ -33,48 +45,44 @@ def write(
 ) -> Path:
     """Write the page, its pictures and its numbers into a folder; return the page."""
     bars = summary.bars(ours, theirs)
-    plates = [shares(bars), matrix(ours, OURS), matrix(theirs, THEIRS)]
-    images = {plate.name: style.png(plate) for plate in plates if plate.figure is not None}
+    figures = [shares(bars), matrix(ours, OURS), matrix(theirs, THEIRS)]
     sections = [
-        html.section("What must be reached", picture(plates[0], images) + _bars(bars, bool(theirs))),
-        html.section("What was taken for what", picture(plates[1], images)),
-        html.section(f"The same records with {THEIRS}", _contender(theirs) + picture(plates[2], images)),
-        html.section("Beside the bars", _facts(ours, theirs)),
-        html.section("Records made by MuJoCo", _engine(ours)),
-        html.section("Every wrong answer", _wrong(ours)),
-        html.section("Every gap that is not closed, or has grown", _open(ours)),
-        html.section("How it is scored", _scored()),
-        html.section("Provenance", _provenance(ours, theirs, expected, digests)),
+        ("What must be reached", PARTS.figure(figures[0]) + _bars(bars, bool(theirs))),
+        ("What was taken for what", PARTS.figure(figures[1])),
+        (f"The same records with {THEIRS}", _contender(theirs) + PARTS.figure(figures[2])),
+        ("Beside the bars", _facts(ours, theirs)),
+        ("Records made by MuJoCo", _engine(ours)),
+        ("Every wrong answer", _wrong(ours)),
+        ("Every gap that is not closed, or has grown", _open(ours)),
+        ("How it is scored", _scored()),
+        ("Provenance", _provenance(ours, theirs, expected, digests)),
     ]
-    text = html.document("Discovery of hidden effects", _lead(ours, bars, expected), _tiles(ours, theirs), sections)
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, image in images.items():
-        (folder / f"{name}.png").write_bytes(image)
+    text = TEMPLATE.render(
+        title="Discovery of hidden effects",
+        lead=_lead(ours, bars, expected),
+        tiles=_tiles(ours, theirs),
+        sections=sections,
+    )
     numbers = {"bars": [asdict(bar) for bar in bars], "records": len(ours), "expected": expected}
-    (folder / NUMBERS).write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
     path = folder / PAGE
-    path.write_text(text, encoding="utf-8")
+    contents = {path: text, folder / NUMBERS: json.dumps(numbers, indent=2) + "\n"}
+    html.write(html.images(figures, folder) | contents)
     return path
 
 
-def picture(plate: Plate, images: Mapping[str, bytes]) -> str:
-    """Return a figure with its caption."""
-    return html.picture(plate.title, plate.caption, images.get(plate.name))
-
-
-def shares(bars: Sequence[Bar]) -> Plate:
+def shares(bars: Sequence[Bar]) -> CaptionedFigure:
     """Draw each share with its interval, ours and theirs, and the bar that must be reached."""
     title = "Shares against what must be reached"
     drawn = [bar for bar in bars if bar.share is not None and bar.count]
     if not drawn:
-        return Plate("shares", title, "No record has been run yet.", None)
+        return CaptionedFigure("shares", title, "No record has been run yet.", None)
     height = 0.34 * len(drawn)
     left, top, bottom = 4.35, 0.45, 0.5
     total = top + height + bottom
     figure = Figure(figsize=(WIDTH, total), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.add_axes((left / WIDTH, bottom / total, (WIDTH - left - 1.0) / WIDTH, height / total))
-    style.dress(axes)
+    dress(axes)
     for row, bar in enumerate(drawn):
         assert bar.share is not None
         for hits, count, colour, shift, marker in (
@@ -118,16 +126,16 @@ def shares(bars: Sequence[Bar]) -> Plate:
         "Points are measured shares, lines their 95 % intervals (Wilson), dashed strokes what must be reached. At the "
         "right are the counts of masking discover, red where it falls short."
     )
-    return Plate("shares", title, caption, figure)
+    return CaptionedFigure("shares", title, caption, figure)
 
 
-def matrix(results: Sequence[Result], tool: str) -> Plate:
+def matrix(results: Sequence[Result], tool: str) -> CaptionedFigure:
     """Draw who was taken for whom."""
     name = "confusion" if tool == OURS else "confusion-pysindy"
     title = f"Hidden effects and what {tool} took them for"
     if not results:
         why = "no record has been run yet" if tool == OURS or sindy.version() else "it could not be installed here"
-        return Plate(name, title, f"Not drawn: {why}.", None)
+        return CaptionedFigure(name, title, f"Not drawn: {why}.", None)
     found = summary.confusion(results)
     figure, axes = _grid(found)
     for (row, column), (good, bad) in found.cells.items():
@@ -149,7 +157,7 @@ def matrix(results: Sequence[Result], tool: str) -> Plate:
         "the dictionary was hidden, nothing or unknown. An exact equivalent counts as the effect that was hidden. "
         "Records with two effects are not drawn."
     )
-    return Plate(name, title, caption, figure)
+    return CaptionedFigure(name, title, caption, figure)
 
 
 def _grid(found: Confusion) -> tuple[Figure, Axes]:
@@ -209,7 +217,7 @@ def _words(name: str) -> str:
     return {"none": "nothing", "parameter": "a parameter"}.get(name, name.replace("_", " "))
 
 
-def _lead(ours: Sequence[Result], bars: Sequence[Bar], expected: int) -> str:
+def _lead(ours: Sequence[Result], bars: Sequence[Bar], expected: int) -> Markup:
     reached = sum(bar.verdict == "reached" for bar in bars)
     measured = sum(bar.verdict != "not measured" for bar in bars)
     wrong = sum(not r.score.right for r in ours)
@@ -218,30 +226,30 @@ def _lead(ours: Sequence[Result], bars: Sequence[Bar], expected: int) -> str:
         f"generator that shares no code with what is judged: {reached} of {measured} measured bars are reached, "
         f"{wrong} answers are wrong."
     )
-    parts = [html.paragraph(text, "lead")]
+    parts = [PARTS.paragraph(text, "lead")]
     if len(ours) < expected:
-        parts.append(html.paragraph(f"{expected - len(ours)} of {expected} records have not been run yet.", "card"))
+        parts.append(PARTS.paragraph(f"{expected - len(ours)} of {expected} records have not been run yet.", "card"))
     failed = [r for r in ours if r.error]
     if failed:
-        parts.append(html.paragraph(f"{len(failed)} records ended in an error.", "card wrong"))
-    return "\n".join(parts)
+        parts.append(PARTS.paragraph(f"{len(failed)} records ended in an error.", "card wrong"))
+    return Markup("").join(parts)
 
 
-def _tiles(ours: Sequence[Result], theirs: Sequence[Result]) -> list[str]:
+def _tiles(ours: Sequence[Result], theirs: Sequence[Result]) -> list[Tile]:
     tiles = []
     for label, results in ((OURS, ours), (THEIRS, theirs)):
         few = [r for r in results if r.case.family == "effect"]
         if few:
             hits = sum(r.score.right for r in few)
-            tiles.append(html.tile(f"{label}: hidden effects right", summary.percent(hits / len(few))))
+            tiles.append(Tile(f"{label}: hidden effects right", summary.percent(hits / len(few))))
     wrong = sum(r.score.confidently_wrong for r in ours)
     if ours:
-        tiles.append(html.tile("confident and wrong", str(wrong), f"of {len(ours)}", is_wrong=wrong > 0))
-        tiles.append(html.tile("a record takes", f"{np.median([r.seconds for r in ours]):.3g}", "s, median"))
+        tiles.append(Tile("confident and wrong", str(wrong), f"of {len(ours)}", wrong > 0))
+        tiles.append(Tile("a record takes", f"{np.median([r.seconds for r in ours]):.3g}", "s, median"))
     return tiles
 
 
-def _bars(bars: Sequence[Bar], beside: bool) -> str:
+def _bars(bars: Sequence[Bar], beside: bool) -> Markup:
     head = ("bar", "aim", "measured", "records", "95 % interval", "verdict", *([THEIRS] if beside else []))
     rows = [
         (
@@ -255,13 +263,13 @@ def _bars(bars: Sequence[Bar], beside: bool) -> str:
         )
         for bar in bars
     ]
-    return html.table(head, rows, numbers=(2,))
+    return PARTS.table(head, rows, numbers=(2,))
 
 
-def _contender(theirs: Sequence[Result]) -> str:
+def _contender(theirs: Sequence[Result]) -> Markup:
     if not theirs:
         why = "was not run on these records" if sindy.version() else "could not be installed here"
-        return html.paragraph(f"{THEIRS} {why}: its columns are left out.", "card")
+        return PARTS.paragraph(f"{THEIRS} {why}: its columns are left out.", "card")
     text = (
         f"{THEIRS} {sindy.version()} is given the declared rig and looks, in the force that each element lacks, for "
         "sparse terms among cubic polynomials of displacements and rates, v|v|, a smooth sign of each rate and powers "
@@ -270,12 +278,12 @@ def _contender(theirs: Sequence[Result]) -> str:
         "are free and count as added only where they change by more than 3 %. The score is the same: kind and place "
         "of the most significant term, of the two most significant where two effects are hidden."
     )
-    return html.paragraph(text, "missing")
+    return PARTS.paragraph(text, "missing")
 
 
-def _facts(ours: Sequence[Result], theirs: Sequence[Result]) -> str:
+def _facts(ours: Sequence[Result], theirs: Sequence[Result]) -> Markup:
     rows = summary.facts(ours, theirs)
-    return html.table(("what", OURS, THEIRS), rows, numbers=(1, 2))
+    return PARTS.table(("what", OURS, THEIRS), rows, numbers=(1, 2))
 
 
 def _truth(result: Result) -> str:
@@ -289,11 +297,11 @@ def _unit(result: Result) -> str:
     return " of the rms" if result.case.family == "mujoco" else " V"
 
 
-def _engine(ours: Sequence[Result]) -> str:
+def _engine(ours: Sequence[Result]) -> Markup:
     made = [r for r in ours if r.case.family == "mujoco"]
     if not made:
         why = "No record has been run yet" if mujoco_records.version() else "MuJoCo is not installed here"
-        return html.paragraph(f"{why}.", "missing")
+        return PARTS.paragraph(f"{why}.", "missing")
     text = (
         "These records are made by an engine that nobody here wrote, with what is hidden in its own terms "
         "(tests/benchmarks/mujoco_records.py tells which, and how near its laws are to those of the dictionary). Noise "
@@ -313,13 +321,13 @@ def _engine(ours: Sequence[Result]) -> str:
                 f"{r.seconds:.0f}",
             )
         )
-    return html.paragraph(text, "missing") + html.table(head, rows, numbers=(3, 4, 5))
+    return PARTS.paragraph(text, "missing") + PARTS.table(head, rows, numbers=(3, 4, 5))
 
 
-def _wrong(ours: Sequence[Result]) -> str:
+def _wrong(ours: Sequence[Result]) -> Markup:
     wrong = [r for r in ours if not r.score.right]
     if not wrong:
-        return html.paragraph("None." if ours else "No record has been run yet.", "missing")
+        return PARTS.paragraph("None." if ours else "No record has been run yet.", "missing")
     head = ("record", "strength", "truth", "meaning", "why it is wrong", "gap/noise")
     rows = [
         (
@@ -333,11 +341,11 @@ def _wrong(ours: Sequence[Result]) -> str:
         for r in sorted(wrong, key=lambda r: r.case.name)
     ]
     text = "Under meaning is what was answered. Confident answers are those without reserve: named and parameter."
-    errors = "".join(html.details(f"{r.case.name}: error", r.error) for r in wrong if r.error)
-    return html.paragraph(text, "missing") + html.table(head, rows, numbers=(5,)) + errors
+    errors = Markup("").join(PARTS.details(f"{r.case.name}: error", r.error) for r in wrong if r.error)
+    return PARTS.paragraph(text, "missing") + PARTS.table(head, rows, numbers=(5,)) + errors
 
 
-def _open(ours: Sequence[Result]) -> str:
+def _open(ours: Sequence[Result]) -> Markup:
     named = [
         r
         for r in ours
@@ -349,15 +357,15 @@ def _open(ours: Sequence[Result]) -> str:
         )
     ]
     if not named:
-        return html.paragraph("None.", "missing")
+        return PARTS.paragraph("None.", "missing")
     rows = [
         (r.case.name, shortened(str(r.answer), 60), "" if r.left is None else f"{r.left:.3f}", "yes" if r.grown else "")
         for r in sorted(named, key=lambda r: -(r.left or 0.0))
     ]
-    return html.table(("record", "meaning", "gap/noise", "larger than before"), rows, numbers=(2,))
+    return PARTS.table(("record", "meaning", "gap/noise", "larger than before"), rows, numbers=(2,))
 
 
-def _scored() -> str:
+def _scored() -> Markup:
     texts = (
         "Right is the effect and the place that were hidden, alone and on top, or what gives exactly the same readings "
         "on this rig (tests/benchmarks/hidden/cases.py lists these and shows why). A gain of an actuator is never the "
@@ -370,12 +378,12 @@ def _scored() -> str:
         "Gaps are relative errors of the validation, in units of the noise that discovery itself estimates; the worst "
         "sensor counts. A gap is larger than before where it is so over all sensors together.",
     )
-    return "".join(html.paragraph(text, "missing") for text in texts)
+    return Markup("").join(PARTS.paragraph(text, "missing") for text in texts)
 
 
-def _provenance(ours: Sequence[Result], theirs: Sequence[Result], expected: int, digests: Mapping[str, str]) -> str:
+def _provenance(ours: Sequence[Result], theirs: Sequence[Result], expected: int, digests: Mapping[str, str]) -> Markup:
     versions = table.versions()
-    return html.provenance(
+    return PARTS.provenance(
         [
             ("written", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"),
             ("records", f"{len(ours)} of {expected}; {len(theirs)} with {THEIRS}"),

@@ -1,0 +1,79 @@
+"""Starts of fits that depend on several parameters or on more of a record than the size of the motion."""
+
+from __future__ import annotations
+
+from masking.effects.entry import Span, Start, Starts
+
+# Parts of the travel at which a contact is tried: denser towards the end, where a stop hides in fewer samples. A fit
+# moves an edge by about half the distance to the next.
+EDGES = (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)
+EDGE_WIDTH = 0.04  # of the largest displacement: below half the distance of two edges, so that starts stay distinct
+# Displacements at which bristles let go, in parts of the travel: hardly seen, seen at reversals, and nearly a spring.
+BRISTLES = (0.005, 0.02, 0.08)
+BRISTLE_DAMPING = 3e-3  # s, per stiffness: less than the time in which they let go at the rms rate
+STRIBECK_RATE = 0.2  # of the rms rate: the force falls within the motion, not only at reversals
+# Steps of a quantiser from the middle to the end of its range: from less than one, which is a dead zone, to as many as
+# still show in averages of the readings.
+FEWEST_LEVELS, MOST_LEVELS = 0.6, 24.0
+LEVELS_APART, LEVELS_APART_RELATIVE = 0.15, 0.02  # near enough for the next look around each to overlap
+
+
+def edges(span: Span) -> list[Start]:
+    """Return edges on both sides of the travel, of what lies beyond them; and at 0, for a contact at rest."""
+    up = [{"side": 1.0, "edge": part * span.high} for part in EDGES if span.high > 0]
+    down = [{"side": -1.0, "edge": part * span.low} for part in EDGES if span.low < 0]
+    return [*up, *down, {"side": 1.0, "edge": 0.0}, {"side": -1.0, "edge": 0.0}]
+
+
+def local_edges(span: Span) -> list[Start]:
+    """Return edges of friction in one part of the stroke, with the first width of its sign."""
+    return [{**edge, "width": EDGE_WIDTH * span.size, "vs": span.turns[0]} for edge in edges(span)]
+
+
+def local_edges_and_turns(span: Span) -> list[Start]:
+    """Return the same edges with each width of the sign."""
+    return [{**edge, "vs": turn} for edge in local_edges(span) for turn in span.turns]
+
+
+def bristles(static: float) -> Starts:
+    """Return starts of bristles whose breaking force is `static` times the sliding one; one factor scales both."""
+
+    def starts(span: Span) -> list[Start]:
+        found: list[Start] = []
+        for part in BRISTLES:
+            stiffness = 1.0 / (part * span.size)
+            rates = {"vst": STRIBECK_RATE * span.rate, "s1": BRISTLE_DAMPING * stiffness}
+            found.append({"fc": 1.0, "fs": static, "s0": stiffness, **rates})
+        return found
+
+    return starts
+
+
+def turn(number: int) -> Starts:
+    """Return one width of a sign: that with this number."""
+    return lambda span: [{"vs": span.turns[number]}]
+
+
+def turns(span: Span) -> list[Start]:
+    """Return each width of a sign."""
+    return [{"vs": each} for each in span.turns]
+
+
+def falls(span: Span) -> list[Start]:
+    """Return rates at which friction has fallen: from near reversals to nearly the rms rate."""
+    return [{"vst": part * span.rate, "vs": span.turns[0]} for part in (0.05, 0.15, 0.4, 0.8)]
+
+
+def tones(span: Span) -> list[Start]:
+    """Return the strongest frequencies of the latent forces."""
+    return [{"nu": tone} for tone in span.tones]
+
+
+def levels(span: Span) -> list[Start]:
+    """Return steps of a quantiser, near enough to each other: its effect has no slope that a fit could follow."""
+    found: list[Start] = []
+    number = FEWEST_LEVELS
+    while number < MOST_LEVELS:
+        found.append({"step": span.size / number})
+        number += max(LEVELS_APART, LEVELS_APART_RELATIVE * number)
+    return found

@@ -1,0 +1,137 @@
+"""Parts of figures that several reports share: headings, legends, notes, axes, and spectra."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import lazy_loader as lazy
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+
+from masking.numerics.arrays import Array
+from masking.reports.style import INK, LEFT, MUTED, RIGHT, SIZE, WIDTH
+
+if TYPE_CHECKING:
+    from scipy import signal
+else:
+    signal = lazy.load("scipy.signal", suppress_warning=True)
+
+DASHED: Final = (0, (4, 3))
+BAND: Final = 0.22  # opacity
+_LINE = 90  # letters of the sentence in a line
+_LINES = 3  # of the sentence, at most
+
+
+def top(sentence: str, *, has_legend: bool = True) -> float:
+    """Return the inches above the first axes that a heading takes, and a legend below it."""
+    return 0.2 + 0.2 * len(_wrapped(sentence)) + (0.24 if has_legend else 0.04)
+
+
+def heading(figure: Figure, sentence: str) -> None:
+    """Write the finding on top of a figure."""
+    height = figure.get_size_inches()[1]
+    figure.text(LEFT / WIDTH, 1.0 - 0.12 / height, "\n".join(_wrapped(sentence)), fontsize=SIZE + 1.5, color=INK,
+                va="top", ha="left", linespacing=1.25)  # fmt: skip
+
+
+def _wrapped(sentence: str) -> list[str]:
+    kept = re.sub(
+        r"(?<=[\d±]) (?=[\w%°±])", "\N{NO-BREAK SPACE}", sentence.replace("$", r"\$")
+    )  # a number and its unit
+    return textwrap.wrap(kept, _LINE, max_lines=_LINES, placeholder=" …")
+
+
+def legend(figure: Figure, axes: Axes | None, handles: Sequence[Any], above: float = 0.04) -> None:
+    """Put a legend at the right in a row: so many inches above axes, or at the top of the figure."""
+    if not handles:
+        return
+    height, x = figure.get_size_inches()[1], 1.0 - RIGHT / WIDTH
+    place: dict[str, Any] = {"loc": "upper right", "bbox_to_anchor": (x, 1.0 - 0.09 / height)}
+    if axes is not None:
+        place = {"loc": "lower right", "bbox_to_anchor": (x, axes.get_position().y1 + above / height)}
+    figure.legend(
+        handles=list(handles), ncols=len(handles), frameon=False, fontsize=SIZE - 0.5, labelcolor=INK,
+        borderaxespad=0, handlelength=1.8, columnspacing=1.4, **place,
+    )  # fmt: skip
+
+
+def line_key(label: str, colour: str, width: float = 2.0, *, dashed: bool = False) -> Line2D:
+    """Return the line of a legend."""
+    return Line2D([], [], color=colour, lw=width, ls=DASHED if dashed else "-", label=label)
+
+
+def marker_key(label: str, colour: str, shape: str = "o", size: float = 6.0, **style: Any) -> Line2D:  # noqa: ANN401  # matplotlib's own
+    """Return the marker of a legend."""
+    return Line2D([], [], color=colour, marker=shape, ls="", ms=size, label=label, **style)
+
+
+def note(axes: Axes, text: str, *, side: str = "right", colour: str = MUTED) -> None:
+    """Write a few words above axes, at the left or at the right."""
+    axes.set_title(text, loc="right" if side == "right" else "left", fontsize=SIZE - 1, color=colour, pad=3)
+
+
+def ticks(axes: Axes, count: int = 5) -> None:
+    """Give an axis that is not symmetric about zero a few round numbers."""
+    axes.yaxis.set_major_locator(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]))
+
+
+def logarithmic(axes: Axes, which: str = "xy", count: int = 5) -> None:
+    """Make axes logarithmic, with at most so many numbers."""
+    for name in which:
+        axes.set(**{f"{name}scale": "log"})
+        axis = {"x": axes.xaxis, "y": axes.yaxis}[name]
+        axis.set_major_locator(LogLocator(numticks=count))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def noise_band(axes: Axes, level: float) -> None:
+    """Draw the two lines between which noise stays."""
+    for side in (-level, level):
+        axes.axhline(side, color=INK, lw=0.9, ls=DASHED, zorder=4)
+
+
+def noise_level(spectrum: Axes, deviation: float, rate: float) -> float:
+    """Draw the amplitude density of white noise of a standard deviation, sampled at a rate in Hz, and return it."""
+    level = float(deviation * np.sqrt(2.0 / rate))
+    spectrum.axhline(level, color=INK, lw=0.9, ls=DASHED, zorder=4)
+    return level
+
+
+def shown(unit: str, *values: Array | Sequence[float]) -> tuple[float, str]:
+    """Return the factor and unit in which values are drawn: metres, volts and newtons below 0.1 in thousandths."""
+    largest = max((float(np.abs(v).max()) for v in values if len(v)), default=0.0)
+    if unit in {"m", "V", "N"} and largest < 0.1:
+        return 1e3, f"m{unit}"
+    return 1.0, unit
+
+
+def first_of(count: int, total: int, what: str = "") -> str:
+    """Say that only some are shown; "" if all are."""
+    return f" The first {count} of {total}{what and f' {what}'} are shown." if total > count else ""
+
+
+def spectral_density(values: Array, rate: float, segments: int = 8, bins: int = 24) -> tuple[Array, Array]:
+    """Return frequencies, evenly over their logarithm, and the root of the power spectral density there.
+
+    Args:
+        values: (samples,).
+        rate: in Hz.
+        segments: that the record is cut into, half of each in the next (Welch).
+        bins: per decade.
+
+    Returns:
+        frequencies in Hz (bins,), and the density in units of the values per root of Hz (bins,).
+    """
+    length = min(max(2 * len(values) // (segments + 1), 16), len(values))
+    f, power = signal.welch(values, rate, nperseg=length, detrend="constant")
+    place = np.floor(bins * np.log10(f[1:] / f[1])).astype(int)
+    first = np.flatnonzero(np.diff(place, prepend=-1))
+    counts = np.diff(np.append(first, len(place)))
+    mean = [np.add.reduceat(column, first) / counts for column in (f[1:], power[1:])]
+    return mean[0], np.sqrt(np.maximum(mean[1], 1e-300))

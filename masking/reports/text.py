@@ -1,0 +1,32 @@
+"""Words that all reports share: lists, beginnings of sentences, shares, short forms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from masking.declaration.quantities import percent
+
+
+def listed(words: Sequence[str], between: str = ", ") -> str:
+    """Write several words as a list: a, b and c."""
+    return words[0] if len(words) == 1 else f"{between.join(words[:-1])} and {words[-1]}"
+
+
+def alternatives(words: Sequence[str]) -> str:
+    """Write several words of which one holds: either a, b or c."""
+    return words[0] if len(words) == 1 else f"either {', '.join(words[:-1])} or {words[-1]}"
+
+
+def capital(text: str) -> str:
+    """Return a text that begins a sentence."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def much(part: float) -> str:
+    """Write how much of something: all, nothing, or a part in percent."""
+    return "all" if part >= 0.995 else percent(part) if part >= 0.005 else "nothing"
+
+
+def short(text: str, most: int) -> str:
+    """Return a text in at most so many letters, an ellipsis for the rest."""
+    return text if len(text) <= most else f"{text[: most - 1].rstrip(' ,')}…"
