@@ -352,14 +352,12 @@ def inertias_at_ports(sizes: PortSizes) -> tuple[Kernel, Kernel]:
     return accelerate, draw
 
 
-def motion_with_effects(law: Kernel, placed: Kernel, slopes: Kernel, sensed: Kernel, sizes: PortSizes) -> Kernel:
+def motion_with_effects(act: Kernel, slopes: Kernel, sizes: PortSizes) -> Kernel:
     """Make the variational equations of a rig with effects.
 
     Args:
-        law: writes what a law gives, and its derivatives.
-        placed: writes displacements and rates of places, with derivatives.
+        act: writes what effects do, as that of `effects_at_ports`.
         slopes: writes the rates of the rig's state, and their derivatives.
-        sensed: writes readings, and their derivatives.
         sizes: of the rig.
 
     Returns:
@@ -368,7 +366,7 @@ def motion_with_effects(law: Kernel, placed: Kernel, slopes: Kernel, sensed: Ker
     """
     n, coordinates, places, channels = sizes.states, sizes.coordinates, sizes.places, sizes.channels
     force_columns, command_columns = sizes.force_columns or (0,), sizes.command_columns or (0,)
-    carve, add, act = ports_of(sizes), chain_rule(sizes), effects_at_ports(law, placed, sensed, sizes)
+    carve, add = ports_of(sizes), chain_rule(sizes)
     accelerate, draw = inertias_at_ports(sizes)
 
     @compiled
@@ -406,15 +404,26 @@ def motion_with_effects(law: Kernel, placed: Kernel, slopes: Kernel, sensed: Ker
     return flow
 
 
-def readings_with_effects(law: Kernel, placed: Kernel, sensed: Kernel, sizes: PortSizes) -> Kernel:
+@compiled
+def no_effects(t, y, columns, u, given, rate, column_rates, ports, work):
+    """Do nothing: the readings do not depend on forces and commands at once."""
+
+
+def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel, sizes: PortSizes) -> Kernel:
     """Make the readings of a rig with effects, and their derivatives.
+
+    Args:
+        law: writes what a law gives, and its derivatives.
+        act: writes what effects do, as that of `effects_at_ports`.
+        sensed: writes readings, and their derivatives.
+        sizes: of the rig.
 
     Returns:
         `read`, as that of `variational.readings_with_columns`; `work` has `sizes.read_rows` rows.
     """
-    n, sensors, channels, is_fed = sizes.states, sizes.sensors, sizes.channels, sizes.is_fed
+    sensors, channels, most = sizes.sensors, sizes.channels, sizes.states + sizes.most_states
     carve, add, at_once = ports_of(sizes), chain_rule(sizes), read_at_once(sizes)
-    act, most = effects_at_ports(law, placed, sensed, sizes), n + sizes.most_states
+    act = act if sizes.is_fed else no_effects
 
     @compiled
     def bend(t, y, columns, given, s, rows, by):
@@ -444,10 +453,8 @@ def readings_with_effects(law: Kernel, placed: Kernel, sensed: Kernel, sizes: Po
         for a in range(channels):
             u[a] = command_at(commands, index, a, given.late[a], 0.0, is_linear)
             ports.command[a] = u[a]
-        if is_fed:
-            for a in range(channels):
-                given.lead[a] = lead_of(commands, index, a, given.late[a], 0.0, dt, is_linear)
-            act(t, y, columns, u, given, rate, column_rates, ports, work)
+            given.lead[a] = lead_of(commands, index, a, given.late[a], 0.0, dt, is_linear)
+        act(t, y, columns, u, given, rate, column_rates, ports, work)
         sensed(t, y, ports.command, given.p, noise, s, by_state, by_entry)
         for o in range(sensors):
             for j in range(width):
@@ -473,10 +480,8 @@ def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sens
         values, acts, late, late_columns, commands, readings, weights, matrix, gradient, squares, simulated, work) ->
         status`, as `variational.normal_equations`, with the arrays of `Given`.
     """
-    read, flow = (
-        readings_with_effects(law, placed, sensed, sizes),
-        motion_with_effects(law, placed, slopes, sensed, sizes),
-    )
+    act = effects_at_ports(law, placed, sensed, sizes)
+    read, flow = readings_with_effects(law, act, sensed, sizes), motion_with_effects(act, slopes, sizes)
     accumulate, channels = normal_equations(read, drive_late, flow, sizes), sizes.channels
 
     @compiled
