@@ -4,11 +4,11 @@ Four objects carry the package:
 
 * `Model`: a declared system, its equations symbolic when looked at and compiled when run;
 * `Controller`: the control law that makes one model move as another, in blocks L, D, G and T;
-* a plant: what is out there, simulated or real, declared in a plant file;
+* `Plant`: a rig, simulated or real, declared in a plant file;
 * `Recording`: the series of one run and the manifest that says what they are, in one folder on disk.
 
-Each verb of the command line is a function here: `list`, `show`, `check`, `schema`, `run`, `report`,
-`identify`, `measure`, `discover`, `refine`, `stability`.
+Each verb of the command line is a function here: `catalogue` (its `list`), `show`, `check`, `run`, `report`,
+`identify`, `measure`, `calibrate`, `discover`, `refine`, `stability`.
 
     >>> import masking
     >>> recording = masking.run("duffing")
@@ -16,30 +16,7 @@ Each verb of the command line is a function here: `list`, `show`, `check`, `sche
     True
 """
 
-from __future__ import annotations
-
 import lazy_loader as lazy
 
-__getattr__, __dir__, __all__ = lazy.attach(
-    __name__,
-    submod_attrs={
-        "control.closed_loop": ["ClosedLoop"],
-        "control.law": ["Controller"],
-        "errors": [
-            "ActuationError",
-            "DeclarationError",
-            "IntegrationError",
-            "MaskingError",
-            "ModelError",
-            "RecordError",
-            "SingularityError",
-        ],
-        "runs.experiment": ["Experiment"],
-        "modelling.model": ["Model", "load_model"],
-        "records.recording": ["Recording"],
-        "workflows.verbs": [
-            *("check", "discover", "identify", "list", "measure", "refine", "report", "run", "schema", "show"),
-            "stability",
-        ],
-    },
-)
+# The names and their modules stand in `__init__.pyi`, which type checkers read too; each loads when it is used.
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

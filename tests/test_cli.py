@@ -10,6 +10,7 @@ import yaml
 
 import masking
 from masking import cli
+from masking.cli.parser import VERBS
 from masking.declaration import catalogue, registry
 
 SHORT = """\
@@ -228,6 +229,14 @@ def test_an_option_that_was_renamed_is_refused_with_its_new_name(capsys, option,
         cli.main(["discover", "record", "--model", "setup", *option])
     assert caught.value.code == 2
     assert now in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", [one.name for one in VERBS])
+def test_every_verb_has_help(capsys, verb):
+    with pytest.raises(SystemExit) as caught:
+        cli.main([verb, "--help"])
+    assert caught.value.code == 0
+    assert f"usage: masking {verb}" in capsys.readouterr().out
 
 
 def test_an_unknown_verb_is_refused(capsys):

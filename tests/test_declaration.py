@@ -11,7 +11,8 @@ from masking.declaration import catalogue, registry
 from masking.declaration.checks import check_model
 from masking.declaration.cross_checks import check_experiment, check_size, count_columns, recorded_rows
 from masking.declaration.dimensions import check_dimensions, check_scales, conversion, describe, dimension_of
-from masking.declaration.schema import KINDS, ExperimentDeclaration, ModelDeclaration, json_schema
+from masking.declaration.json_schema import json_schema
+from masking.declaration.schema import KINDS, ExperimentDeclaration, ModelDeclaration
 from masking.declaration.strict_yaml import load, loads
 from masking.declaration.units import factor_of
 from masking.errors import DeclarationError, Place, Problem

@@ -12,13 +12,14 @@ from scipy import io
 
 import masking
 from masking.cli import main
+from masking.discovery.settings import DiscoverySettings
 from masking.errors import DeclarationError, ModelError, RecordError
 from masking.estimation.data import Data
 from masking.estimation.simulation import simulate
 from masking.records import readers
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
-from masking.workflows import inputs, verbs
+from masking.workflows import inputs
 from tests.benchmarks import hidden
 
 SECONDS = 20.0
@@ -118,7 +119,7 @@ def test_a_wrong_parameter_is_no_effect(discovered, folder):
 
 def test_files_load_again_and_close_the_gap(discovered, folder):
     found, told = discovered("friction")
-    assert [one.problems for one in verbs.check(told["model"], told["plant"])] == [(), ()]
+    assert [one.problems for one in masking.check(told["model"], told["plant"])] == [(), ()]
     twin = Twin.load(folder / "found" / "friction" / "plant.yaml")
     made = simulate(twin, found.judge)
     for sensor, chi in made.chi.items():
@@ -129,7 +130,7 @@ def test_files_load_again_and_close_the_gap(discovered, folder):
 
 def test_an_effect_of_an_actuator_is_the_plants(discovered):
     _, told = discovered("saturation")
-    assert [one.problems for one in verbs.check(told["model"], told["plant"])] == [(), ()]
+    assert [one.problems for one in masking.check(told["model"], told["plant"])] == [(), ()]
     (effect,) = Twin.load(told["plant"]).effects
     assert (effect.kind, effect.at) == ("saturation", "V3")
     assert effect.parameters["limit"] == pytest.approx(0.08, rel=1e-3)
@@ -156,7 +157,7 @@ def test_page_says_what_helps(discovered, folder):
     page = (out / "discovery.html").read_text()
     for words in (
         "Dry friction in spring1",
-        "of what is lacking sits at spring1",
+        "of the model error is at spring1",
         "Ljung and Box",
         "use leaf springs or air bearings",
         "data:image/png;base64",
@@ -257,7 +258,8 @@ def test_a_record_does_not_judge_itself(folder, tmp_path):
             masking.discover(given, plant=folder / "plant.yaml", validation=validation)
         assert words in str(refused.value)
         assert "leave --validate out, and the last 30 % of the record judge" in str(refused.value)
-    parts = inputs.asked(f"{copy}@:{end / 2:g}", None, folder / "plant.yaml", f"{copy}@{end / 2:g}:")
+    validation = DiscoverySettings(validation=f"{copy}@{end / 2:g}:")
+    parts = inputs.read(Twin.load(folder / "plant.yaml"), f"{copy}@:{end / 2:g}", validation)
     assert len(parts.record) + len(parts.validation) == len(columns["t"])
 
 

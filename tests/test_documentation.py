@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from masking.cli import parser
+from masking.effects import EFFECTS
 from tests.test_architecture import FLOORS
 
 ROOT = Path(__file__).parents[1]
@@ -57,7 +58,8 @@ def commands(page: Path) -> list[str]:
 def test_commands_are_accepted_by_the_parser(page, capsys):
     for command in commands(page):
         try:
-            parser._parser().parse_args(shlex.split(command.replace("PROCEDURE", "springs"))[1:])
+            words = shlex.split(command.replace("PROCEDURE", "springs"))[1:]
+            parser._parser(words[0]).parse_args(words)
         except SystemExit:
             pytest.fail(f"{command}: {capsys.readouterr().err}")
 
@@ -102,3 +104,13 @@ def test_pages_of_the_site_are_those_of_the_folder():
     site = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
     named = set(re.findall(r"[\w]+\.md", str(site["nav"])))
     assert named == {page.name for page in PAGES if page.parent.name == "docs"} | {"index.md"}
+
+
+@pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
+def test_every_effect_is_in_the_table_with_its_meaning(effect):
+    rows = (ROOT / "docs" / "declarations.md").read_text(encoding="utf-8").splitlines()
+    cells = [[cell.strip() for cell in row.split("|")] for row in rows if row.startswith(f"| `{effect.name}` |")]
+    (_, _, sits, parameters, meaning, _) = next(row for row in cells if len(row) == 6)
+    assert sits == effect.where
+    assert re.findall(r"`(\w+)`", parameters) == [*effect.parameters]
+    assert meaning == effect.meaning

@@ -202,7 +202,7 @@ def test_without_limits_it_says_so(write, tmp_path, capsys):
         find(path)
     status, out, _ = check(capsys, path)
     assert status == 0
-    assert "a sound experiment\n  whether it fits cannot be told: " in out
+    assert "a sound experiment\n  whether it fits is unknown: " in out
     assert json.loads(check(capsys, path, "--json")[1])[0]["feasibility"] is None
 
 

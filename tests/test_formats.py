@@ -12,12 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import io
 
+from masking.discovery.settings import DiscoverySettings
 from masking.errors import ModelError, RecordError
-from masking.estimation.data import Data, InputHold
+from masking.estimation.data import Data
 from masking.records import readers
+from masking.records.hold import InputHold
 from masking.records.recording import Recording
 from masking.records.time_slice import Part
-from masking.workflows import inputs, verbs
+from masking.workflows import choices, inputs
 
 # Version 7.3, as MATLAB marks it in the 512 bytes before an HDF5 file.
 HEADER = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
@@ -330,7 +332,7 @@ def test_smooth_inputs_become_straight_lines(mass):
 
 
 def test_the_command_line_knows_every_way_between_samples(mass):
-    assert get_args(InputHold) == verbs.HOLDS
+    assert get_args(InputHold) == choices.HOLDS
     words = "hold is 'cubic': give 'zero-order' for .*, 'first-order' for .*, or .* 'band-limited' for .* filter"
     with pytest.raises(ModelError, match=words):
         Data.of(Recording({"t": T, "f": T, "x": T}), mass, hold="cubic")
@@ -342,10 +344,11 @@ def test_parts_of_one_file_are_records_of_a_discovery(mass, tmp_path):
     columns = {"g/clock": T, "g/f": np.sin(9.0 * T), "g/x": np.cos(3.0 * T)}
     path = hdf5(tmp_path / "a.h5", columns)
     names = {"t": "g/clock", "f": "g/f", "x": "g/x"}
-    made = inputs.read(mass, f"{path}@:6", f"{path}@6:", hold="band-limited", columns=names)
+    settings = DiscoverySettings(validation=f"{path}@6:", hold="band-limited", columns=names)
+    made = inputs.read(mass, f"{path}@:6", settings)
     np.testing.assert_array_equal(made.record.readings[:, 0], np.cos(3.0 * T[:600]))
     np.testing.assert_array_equal(made.validation.readings[:, 0], np.cos(3.0 * T[600:]))
     digest = readers.digest(path)
     assert made.origin.records == {"record": (f"{path}@:6", digest), "judged by": (f"{path}@6:", digest)}
     with pytest.raises(RecordError, match=r"a\.h5@:2: 200 samples are too few"):
-        inputs.read(mass, f"{path}@:2", columns=names)
+        inputs.read(mass, f"{path}@:2", DiscoverySettings(columns=names))

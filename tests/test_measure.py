@@ -249,8 +249,8 @@ def test_a_procedure_that_there_is_not_is_refused(capsys, ramp):
     assert "invalid choice: 'spring'" in capsys.readouterr().err
     with pytest.raises(DeclarationError, match="there is no procedure 'spring'; did you mean 'springs'"):
         masking.measure("spring", ramp)
-    with pytest.raises(DeclarationError, match="springs has no such setting; did you mean 'sensor'"):
-        masking.measure("springs", ramp, senser="s1")
+    with pytest.raises(DeclarationError, match="bins: springs has no such setting; allowed: input, sensor, order"):
+        masking.measure("springs", ramp, bins=10)
     with pytest.raises(RecordError, match="springs takes one record; 2 are given"):
         masking.measure("springs", ramp, ramp)
 
@@ -352,7 +352,7 @@ def test_a_filter_identifies_and_draws_its_estimates(capsys, tmp_path, mass):
         assert (tmp_path / f"{name}.png").read_bytes().startswith(PNG)
     page = (tmp_path / "fit.html").read_text(encoding="utf-8")
     assert page.count("<img ") == 3
-    assert "In the unseen record the model leaves" in page
+    assert "In the validation record the residual is " in page
 
 
 def test_least_squares_draw_the_fit_too(tmp_path, mass):

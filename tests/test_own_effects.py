@@ -24,7 +24,7 @@ from masking.modelling.model import load_model
 from masking.reports import discovery_text, fit_files
 from masking.rig.twin import Twin
 from masking.runs.error_budget import causes
-from masking.workflows import inputs, verbs
+from masking.workflows import inputs
 
 RATE, SECONDS, SUBSTEPS = 500.0, 12.0, 4
 K, C = 400.0, 4.0  # of the leaf, per mass
@@ -85,7 +85,6 @@ MAGNET_ENTRY = Effect(
     },
     label="pull of a magnet",
     family="springs",
-    factors=("f0",),
 )
 
 
@@ -158,7 +157,7 @@ def write(path, text):
 
 def problems(path):
     """Return what `masking check` says of a file, without its name."""
-    (checked,) = verbs.check(path)
+    (checked,) = masking.check(path)
     return [str(problem).partition(f"{path.name}:")[2] for problem in checked.problems]
 
 
@@ -190,7 +189,7 @@ class TestDiscovery:
     def test_the_model_that_is_written_needs_no_dictionary(self, magnet):
         _, out = magnet
         model, plant = out / "models" / "leaf+magnet.yaml", out / "plant.yaml"
-        assert [one.problems for one in verbs.check(model, plant)] == [(), ()]
+        assert [one.problems for one in masking.check(model, plant)] == [(), ()]
         assert "own_effects" not in plant.read_text()
         _, u, truth = record(2, **HIDDEN["magnet"])
         np.testing.assert_allclose(readings(Twin.load(plant), u, START), truth, atol=NOISE)
@@ -210,7 +209,7 @@ class TestDiscovery:
             assert effect["parameters"][name]["value"] == pytest.approx(truth, rel=0.02)
         plant = registry.load_plant(out / "plant.yaml")
         assert plant.own_effects == ("../../rig/lab/own.yaml",)
-        assert [one.problems for one in verbs.check(told["model"], told["plant"])] == [(), ()]
+        assert [one.problems for one in masking.check(told["model"], told["plant"])] == [(), ()]
         _, u, truth = record(2, **HIDDEN["ripple"])
         np.testing.assert_allclose(readings(Twin.load(out / "plant.yaml"), u, 0.0), truth, atol=NOISE)
 

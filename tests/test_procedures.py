@@ -5,8 +5,9 @@ import pytest
 
 from masking.declaration import schema
 from masking.errors import ModelError, RecordError
-from masking.procedures import procedures
-from masking.procedures.procedures import actuator_ratio, locate_friction, shift_of_equilibrium, spring_curve
+from masking.procedures.actuators import actuator_ratio
+from masking.procedures.friction import locate_friction, shift_of_equilibrium
+from masking.procedures.springs import spring_curve
 from masking.rig.twin import Twin
 
 STROKE, VOLTS = 5e-3, 0.42
@@ -162,9 +163,9 @@ def test_columns_that_cannot_be_used_are_refused_with_the_mend(function):
         ((t, x, f[:-1]), r"the columns differ in length: times 6000, displacement 6000, force 5999"),
         (
             (gap, x, f),
-            r"the clock does not go in equal steps: after sample 499 .* it goes by 1.01 s, usually by 0.01 s",
+            r"100 samples are missing after t = 4.99 s",
         ),
-        ((t[::-1], x, f), r"the clock does not go in equal steps"),
+        ((t[::-1], x, f), r"time goes back after t = 59.99 s"),
         ((t, 0 * x + 1, f), r"displacement is constant at 1; see that it is connected"),
         ((t, x, 0 * f), r"force is constant at 0; see that it is connected"),
         ((t, np.column_stack([x, x]), f), r"displacement has shape \(6000, 2\); give one column"),
@@ -364,8 +365,3 @@ def test_the_shift_of_the_beam_is_the_largest(rig):
         found.append(shift_of_equilibrium(np.arange(len(x)) / rate, x, force).shift[-1])
     assert found[2] > 3 * max(found[:2])
     assert 2e-4 < found[2] < 4e-4
-
-
-def test_the_procedures_are_listed():
-    assert sorted(procedures.__all__) == procedures.__all__
-    assert all(hasattr(procedures, name) for name in procedures.__all__)

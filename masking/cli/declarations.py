@@ -7,37 +7,22 @@ import json
 import sys
 from dataclasses import asdict
 
-from masking.cli.options import Add
-from masking.workflows import verbs
-
-
-def add(verb: Add) -> None:
-    """Add the verbs."""
-    verb(_list, "list", "list the models, plants, experiments and dictionaries of effects that are there")
-    show = verb(_show, "show", "show a model, a plant, an experiment or physical effects")
-    show.add_argument("name", metavar="NAME", help="a name that 'masking list' shows, or a YAML file")
-    show.add_argument("--kind", choices=verbs.KINDS, help="which, where the name stands for more than one")
-    check = verb(
-        _check, "check", "check declarations, say where each problem is, and whether an experiment fits its rig"
-    )
-    check.epilog = "Exit status: 0 sound, 1 sound but an experiment does not fit the limits of its rig, 2 problems."
-    check.add_argument("files", metavar="FILE", nargs="+", help="YAML files or names")
-    schema = verb(_schema, "schema", "print the JSON Schema of a kind of declaration, for editors")
-    schema.add_argument("kind", choices=verbs.KINDS)
+from masking.cli.options import Verb, add_json
+from masking.declaration import catalogue
 
 
 def say_compiling() -> None:
-    """Tell why nothing happens for a while."""
+    """Say why nothing happens for a while."""
     print("compiling; this takes some ten seconds, once for each system", file=sys.stderr)
 
 
 def _list(chosen: argparse.Namespace) -> int:
-    entries = verbs.list()
+    entries = catalogue.catalogue()
     if chosen.json:
         print(json.dumps([asdict(entry) for entry in entries], indent=2))
         return 0
     width = max(len(entry.name) for entry in entries)
-    for kind in verbs.KINDS:
+    for kind in catalogue.KINDS:
         print("dictionaries" if kind == "dictionary" else f"{kind}s")
         for entry in entries:
             if entry.kind == kind:
@@ -45,16 +30,32 @@ def _list(chosen: argparse.Namespace) -> int:
     return 0
 
 
+def _add_show(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    sub.add_argument("name", metavar="NAME", help="a name that 'masking list' shows, or a YAML file")
+    sub.add_argument("--kind", choices=catalogue.KINDS, help="which, if the name stands for more than one")
+
+
 def _show(chosen: argparse.Namespace) -> int:
-    description = verbs.show(chosen.name, chosen.kind)
+    from masking.workflows.describe import show
+
+    description = show(chosen.name, chosen.kind)
     print(description.to_json() if chosen.json else description)
     return 0
 
 
+def _add_check(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    sub.epilog = "Exit status: 0 sound, 1 sound but an experiment does not fit the limits of its rig, 2 problems."
+    sub.add_argument("files", metavar="FILE", nargs="+", help="YAML files or names")
+
+
 def _check(chosen: argparse.Namespace) -> int:
-    results = verbs.check(*chosen.files, compiling=say_compiling)
+    from masking.workflows.check import check
+
+    results = check(*chosen.files, compiling=say_compiling)
     if chosen.json:
-        results_as_json = [
+        content = [
             {
                 "file": r.file,
                 "kind": r.kind,
@@ -64,7 +65,7 @@ def _check(chosen: argparse.Namespace) -> int:
             }
             for r in results
         ]
-        print(json.dumps(results_as_json, indent=2))
+        print(json.dumps(content, indent=2))
     else:
         for result in results:
             print("\n".join(map(str, result.problems)) or f"{result.file}: a sound {result.kind}")
@@ -75,6 +76,26 @@ def _check(chosen: argparse.Namespace) -> int:
     return max(result.exit_status for result in results)
 
 
+def _add_schema(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    sub.add_argument("kind", choices=catalogue.KINDS)
+
+
 def _schema(chosen: argparse.Namespace) -> int:
-    print(json.dumps(verbs.schema(chosen.kind), indent=2))
+    from masking.declaration.json_schema import json_schema
+
+    print(json.dumps(json_schema(chosen.kind), indent=2))
     return 0
+
+
+VERBS = (
+    Verb("list", "list the packaged models, plants, experiments and dictionaries of effects", add_json, _list),
+    Verb("show", "show a model, a plant, an experiment or physical effects", _add_show, _show),
+    Verb(
+        "check",
+        "check declarations: each problem with its place, and whether an experiment fits its rig",
+        _add_check,
+        _check,
+    ),
+    Verb("schema", "print the JSON Schema of a kind of declaration, for editors", _add_schema, _schema),
+)

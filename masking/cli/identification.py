@@ -4,105 +4,42 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
-
-from masking.cli.options import RECORD, Add, add_of_tables, names
+from masking.cli.options import RECORD, Verb, add_json, add_of_tables, add_verb, names
 from masking.cli.progress import Bar
-from masking.workflows import verbs
+from masking.workflows.choices import METHODS
 
-if TYPE_CHECKING:
-    from masking.records import readers
-else:
-    readers = lazy.load("masking.records.readers", suppress_warning=True)
-
-Option = tuple[str, Callable[[str], Any], str]  # of a procedure: what stands for its value, how it is read, help
+Option = tuple[str, Callable[[str], Any], str]  # of a procedure: placeholder of its value, how it is read, help
 
 
-def add(verb: Add) -> None:
-    """Add the verb identify."""
-    identify = verb(_identify, "identify", "fit parameters of a plant to recordings of it")
-    identify.add_argument("records", metavar="RECORD", nargs="+", help=RECORD)
-    identify.add_argument("--plant", metavar="PLANT", required=True, help="the plant that was recorded: a name or file")
-    identify.add_argument("--model", metavar="MODEL", help="fit this model instead of the plant's own")
-    identify.add_argument("--parameters", metavar="A,B", default="", help="what to fit (default: all of the equations)")
-    identify.add_argument("--validate", metavar="RECORD", action="append", default=[], help="validate on it")
+def _add_identify(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    sub.add_argument("records", metavar="RECORD", nargs="+", help=RECORD)
+    sub.add_argument("--plant", metavar="PLANT", required=True, help="the plant that was recorded: a name or file")
+    sub.add_argument("--model", metavar="MODEL", help="fit this model instead of the plant's own")
+    sub.add_argument("--parameters", metavar="A,B", default="", help="what to fit (default: all of the equations)")
+    sub.add_argument("--validate", metavar="RECORD", action="append", default=[], help="validation record")
     text = "length of the intervals of multiple shooting with which the fit starts (default: each record whole)"
-    identify.add_argument("--shooting-interval", metavar="SECONDS", type=float, help=text)
+    sub.add_argument("--shooting-interval", metavar="SECONDS", type=float, help=text)
     text = "least squares, or one pass of the extended Kalman filter (default: %(default)s)"
-    identify.add_argument("--method", choices=verbs.METHODS, default=verbs.METHODS[0], help=text)
-    identify.add_argument("--square-root", action="store_true", help="of the filter: carry a root of the covariance")
-    identify.add_argument("--iterated", metavar="N", type=int, default=1, help="of the filter: linearise N times")
-    add_of_tables(identify)
-    identify.add_argument("--out", metavar="DIR", help="where to save (default: results/identified)")
-
-
-def add_measure(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the procedures of `masking measure`."""
-    measure = found.add_parser("measure", help="do one procedure of the identification on a record made for it")
-    procedures = measure.add_subparsers(title="procedures", metavar="PROCEDURE", required=True)
-
-    def add(name: str, text: str, options: Mapping[str, Option]) -> None:
-        sub = procedures.add_parser(name, help=text.partition(":")[0], description=f"{text[0].upper()}{text[1:]}.")
-        is_one = verbs.PROCEDURES[name] == 1
-        what = "the folder of a recording" if is_one else "folders of recordings"
-        sub.add_argument("records", metavar="RECORD", nargs=1 if is_one else "+", help=what)
-        sub.add_argument("--plant", metavar="PLANT", help="what was recorded: readings become what its sensors measure")
-        for option, (metavar, kind, words) in options.items():
-            flag = {"inputs": "--input", "sensors": "--sensor"}.get(option, f"--{option.replace('_', '-')}")
-            sub.add_argument(flag, dest=option, metavar=metavar, type=kind, help=words)
-        sub.add_argument("--out", metavar="DIR", help=f"where to save (default: results/{name})")
-        sub.add_argument("--json", action="store_true", help="print JSON")
-        sub.set_defaults(verb=_measure, procedure=name, settings=[*options])
-
-    one: dict[str, Option] = {
-        "input": ("V1", str, "the input that pushes (default: the only one that moves)"),
-        "sensor": ("s1", str, "the sensor that shows the displacement (default: the only one)"),
-    }
-    text = "the curve of a spring from a slow ramp of force up and down, such as 60 s: Table B.4"
-    springs: dict[str, Option] = {
-        "order": ("N", int, "of the polynomial (default: 5)"),
-        "settle": ("SECONDS", float, "left out at the start (default: 2)"),
-        "scale": ("X", float, "unit of displacement of the coefficients (default: the plant's length, or 1)"),
-        "force_scale": ("F", float, "unit of force of the coefficients (default: the plant's, or 1)"),
-    }
-    add("springs", text, one | springs)
-    text = (
-        "the gain at which two actuators balance, from sines against each other with a swept gain: appendix C.5. The "
-        "oscillator must be held: on a free rig its spring carries a part of the force, and the balance goes astray"
-    )
-    actuators: dict[str, Option] = {
-        "first": ("V3", str, "the input with the sine of constant size"),
-        "second": ("V1", str, "the input with the swept gain"),
-        "sensor": ("s3", str, "the sensor that shows the motion of what both push (default: the only one)"),
-        "frequency": ("HZ", float, "of the sines (default: that of the first input)"),
-        "span": ("GAIN", float, "readings so near the balance are used (default: 0.3)"),
-    }
-    add("actuators", text, actuators)
-    text = (
-        "how far friction shifts the equilibrium, from saw-teeth, and where over the displacement it engages, from a "
-        "ramp: appendix C.6.2"
-    )
-    friction: dict[str, Option] = {"bins": ("N", int, "over the travel (default: 100)")}
-    add("friction", text, one | friction)
-    response: dict[str, Option] = {
-        "inputs": ("V1,V2", names, "the inputs (default: all that move)"),
-        "sensors": ("s1,s2", names, "the sensors (default: all)"),
-        "period": ("SECONDS", float, "of the excitation (default: as the record states, or as it repeats)"),
-        "discard": ("N", int, "periods at the start that are left out (default: 1)"),
-    }
-    add(
-        "response", "frequency response from periods of a multisine, and distortion where lines are left free", response
-    )
+    sub.add_argument("--method", choices=METHODS, default=METHODS[0], help=text)
+    sub.add_argument("--square-root", action="store_true", help="of the filter: carry a root of the covariance")
+    sub.add_argument("--iterated", metavar="N", type=int, default=1, help="of the filter: linearise N times")
+    add_of_tables(sub)
+    sub.add_argument("--out", metavar="DIR", help="where to save (default: results/identified)")
 
 
 def _identify(chosen: argparse.Namespace) -> int:
+    from masking.records import readers
+    from masking.workflows.identify import identify
+
     out = Path(chosen.out or "results/identified")
     with Bar("fitting") as bar:
-        found = verbs.identify(
+        found = identify(
             *chosen.records,
             plant=chosen.plant,
             model=chosen.model,
@@ -128,16 +65,87 @@ def _identify(chosen: argparse.Namespace) -> int:
     return 0
 
 
+_ONE: dict[str, Option] = {
+    "input": ("V1", str, "the input that pushes (default: the only one that moves)"),
+    "sensor": ("s1", str, "the sensor that shows the displacement (default: the only one)"),
+}
+# Procedures of measure: help, and options.
+_PROCEDURES: dict[str, tuple[str, dict[str, Option]]] = {
+    "springs": (
+        "the curve of a spring from a slow ramp of force up and down, such as 60 s: Table B.4",
+        {
+            **_ONE,
+            "order": ("N", int, "of the polynomial (default: 5)"),
+            "settle": ("SECONDS", float, "left out at the start (default: 2)"),
+            "scale": ("X", float, "unit of displacement of the coefficients (default: the plant's length, or 1)"),
+            "force_scale": ("F", float, "unit of force of the coefficients (default: the plant's, or 1)"),
+        },
+    ),
+    "actuators": (
+        "the gain at which two actuators balance, from sines against each other with a swept gain: appendix C.5. The "
+        "oscillator must be held: on a free rig its spring carries a part of the force, and the balance goes astray",
+        {
+            "first": ("V3", str, "the input with the sine of constant size"),
+            "second": ("V1", str, "the input with the swept gain"),
+            "sensor": ("s3", str, "the sensor that shows the motion of what both push (default: the only one)"),
+            "frequency": ("HZ", float, "of the sines (default: that of the first input)"),
+            "span": ("GAIN", float, "readings so near the balance are used (default: 0.3)"),
+        },
+    ),
+    "friction": (
+        "the shift of the equilibrium by friction, from saw-teeth, and the displacement at which it engages, from a "
+        "ramp: appendix C.6.2",
+        {**_ONE, "bins": ("N", int, "over the travel (default: 100)")},
+    ),
+    "response": (
+        "frequency response from periods of a multisine, and distortion if lines are left free",
+        {
+            "inputs": ("V1,V2", names, "the inputs (default: all that move)"),
+            "sensors": ("s1,s2", names, "the sensors (default: all)"),
+            "period": ("SECONDS", float, "of the excitation (default: as the record states, or as it repeats)"),
+            "discard": ("N", int, "periods left out at the start (default: 1)"),
+        },
+    ),
+}
+
+
+def _add_measure(sub: argparse.ArgumentParser) -> None:
+    procedures = sub.add_subparsers(title="procedures", metavar="PROCEDURE", required=True)
+    for name, (text, options) in _PROCEDURES.items():
+        add_verb(procedures, Verb(name, text, partial(_add_procedure, name, options), _measure))
+
+
+def _add_procedure(name: str, options: dict[str, Option], sub: argparse.ArgumentParser) -> None:
+    is_one = name in {"springs", "actuators"}
+    text = "the folder of a recording" if is_one else "folders of recordings"
+    sub.add_argument("records", metavar="RECORD", nargs=1 if is_one else "+", help=text)
+    sub.add_argument("--plant", metavar="PLANT", help="what was recorded: readings become what its sensors measure")
+    for option, (metavar, kind, words) in options.items():
+        flag = {"inputs": "--input", "sensors": "--sensor"}.get(option, f"--{option.replace('_', '-')}")
+        sub.add_argument(flag, dest=option, metavar=metavar, type=kind, help=words)
+    sub.add_argument("--out", metavar="DIR", help=f"where to save (default: results/{name})")
+    add_json(sub)
+    sub.set_defaults(procedure=name, settings=[*options])
+
+
 def _measure(chosen: argparse.Namespace) -> int:
+    from masking.workflows.measure import measure
+
     out = Path(chosen.out or f"results/{chosen.procedure}")
     given = {name: value for name in chosen.settings if (value := getattr(chosen, name)) is not None}
-    found = verbs.measure(chosen.procedure, *chosen.records, plant=chosen.plant, out=out, **given)
+    found = measure(chosen.procedure, *chosen.records, plant=chosen.plant, out=out, **given)
     page = out / f"{chosen.procedure}.html"
     if chosen.json:
-        result = found.as_dict()
-        del result["series"]  # which the file has
-        print(json.dumps({**result, "page": str(page), "numbers": str(page.with_suffix(".json"))}, indent=2))
+        content = found.as_dict()
+        del content["series"]  # which the file has
+        print(json.dumps({**content, "page": str(page), "numbers": str(page.with_suffix(".json"))}, indent=2))
     else:
         print("\n".join([found.sentence, *(f"note: {note}" for note in found.notes)]))
         print(f"page: {page}")
     return 0
+
+
+VERBS = (
+    Verb("identify", "fit parameters of a plant to recordings of it", _add_identify, _identify),
+    Verb("measure", "do one procedure of the identification on a record made for it", _add_measure),
+)

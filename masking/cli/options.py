@@ -1,41 +1,61 @@
-"""How a verb is added to the command line."""
+"""What a verb of the command line is, and options that several have."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from masking.workflows import verbs
+from masking.workflows.choices import HOLDS
 
-Verb = Callable[[argparse.Namespace], int]
-# Adds a verb by its function, its name and a text; returns its parser.
-Add = Callable[[Verb, str, str], argparse.ArgumentParser]
-
-# What a record may be.
-RECORD = "the folder of a recording, or a parquet, csv, mat or h5 file; FILE@10:20 is its part from 10 s to 20 s"
+RECORD = "folder of a recording, or a parquet, csv, mat or h5 file; FILE@10:20 is its part from 10 s to 20 s"
 
 
-def add_to(found: argparse._SubParsersAction[argparse.ArgumentParser], *flags: tuple[str, str]) -> Add:
-    """Return what adds verbs with `--json` and further flags, each with its help."""
+@dataclass(frozen=True)
+class Verb:
+    """A verb of the command line.
 
-    def add(verb: Verb, name: str, text: str) -> argparse.ArgumentParser:
-        sub = found.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    Args:
+        name: as it is typed.
+        text: its help.
+        add: adds its options to its parser, or the verbs of a group; called if the verb is asked for, since it may load
+            packages.
+        act: does it, and returns the exit status; None for a group.
+    """
+
+    name: str
+    text: str
+    add: Callable[[argparse.ArgumentParser], None]
+    act: Callable[[argparse.Namespace], int] | None = None
+
+
+def add_verb(
+    found: argparse._SubParsersAction[argparse.ArgumentParser], verb: Verb, *, is_asked_for: bool = True
+) -> None:
+    """Add a verb to a parser, with its options if it is asked for."""
+    sub = found.add_parser(verb.name, help=verb.text, description=f"{verb.text[0].upper()}{verb.text[1:]}.")
+    if is_asked_for:
+        verb.add(sub)
+        if verb.act is not None:
+            sub.set_defaults(verb=verb.act)
+
+
+def add_json(sub: argparse.ArgumentParser, *, after: str = "") -> None:
+    """Add `--json`, which takes a file if it stands after the named argument."""
+    if after:
+        text = f"print JSON, or write it to a file; give it after {after}"
+        sub.add_argument("--json", metavar="FILE", nargs="?", const=True, default=False, help=text)
+    else:
         sub.add_argument("--json", action="store_true", help="print JSON")
-        for flag, words in flags:
-            sub.add_argument(flag, action="store_true", help=words)
-        sub.set_defaults(verb=verb)
-        return sub
-
-    return add
 
 
 def add_of_tables(sub: argparse.ArgumentParser) -> None:
-    """Add what is said of records that other programs wrote, and of how inputs go between their samples."""
+    """Add the options of records that other programs wrote, and of the inputs between their samples."""
     text = (
         "hold of the inputs between samples: zero-order for commands, first-order for measured inputs, band-limited "
         "for inputs measured behind an anti-alias filter (default: zero-order; first-order for a measured motion)"
     )
-    sub.add_argument("--hold", choices=verbs.HOLDS, help=text)
+    sub.add_argument("--hold", choices=HOLDS, help=text)
     text = "rename columns: NAME=COLUMN, with commas; in groups of an HDF5 file V1=GROUP/COLUMN"
     sub.add_argument("--map", metavar="t=time,V1=u", default="", help=text)
     sub.add_argument("--dt", metavar="SECONDS", type=float, help="time between samples, for a record without a clock")

@@ -10,15 +10,18 @@ import sys
 from collections.abc import Sequence
 
 from masking.cli import declarations, discovery, identification, rig, runs, stability
-from masking.cli.options import add_to
+from masking.cli.options import add_verb
 from masking.cli.progress import INTERRUPTED, NOTHING_SAVED
 from masking.errors import RENAMED, DeclarationError, MaskingError
+
+VERBS = tuple(one for module in (declarations, runs, identification, discovery, stability, rig) for one in module.VERBS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to mend first."""
-    parser = _parser()
-    chosen, unknown = parser.parse_known_args(arguments)
+    given = sys.argv[1:] if arguments is None else [*arguments]
+    parser = _parser(given[0] if given else "")
+    chosen, unknown = parser.parse_known_args(given)
     if unknown:
         renamed = [_renamed(text) for text in unknown if _renamed(text)]
         parser.error(", ".join(renamed) or f"unrecognized arguments: {' '.join(unknown)}")
@@ -28,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status: int = chosen.verb(chosen)
         sys.stdout.flush()
     except MaskingError as error:
-        _tell(error, as_json=chosen.json)
+        _report(error, as_json=chosen.json)
         return error.exit_status
     except KeyboardInterrupt:
         print(NOTHING_SAVED, file=sys.stderr)
@@ -46,25 +49,19 @@ def _renamed(argument: str) -> str:
     return f"{option} is called --{name.replace('_', '-')} now" if name else ""
 
 
-def _tell(error: MaskingError, *, as_json: bool) -> None:
+def _report(error: MaskingError, *, as_json: bool) -> None:
     problems = error.problems if isinstance(error, DeclarationError) else ()
     if as_json:
         print(json.dumps({"error": str(error), "problems": [p.as_dict() for p in problems]}, indent=2))
     print(error if problems else f"masking: {error}", file=sys.stderr)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(verb: str) -> argparse.ArgumentParser:
+    """Return the parser of all verbs; only that of the one that is asked for has options, since these load packages."""
     parser = argparse.ArgumentParser(
         prog="masking", description="Make an actuated rig move as if it were another machine."
     )
     found = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
-    verb = add_to(found)
-    declarations.add(verb)
-    runs.add(verb)
-    identification.add(verb)
-    identification.add_measure(found)
-    discovery.add_discover(found)
-    discovery.add_refine(found)
-    stability.add_stability(found)
-    rig.add_rig(found)
+    for one in VERBS:
+        add_verb(found, one, is_asked_for=one.name == verb)
     return parser

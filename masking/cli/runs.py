@@ -6,47 +6,42 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import lazy_loader as lazy
 
 from masking.cli.declarations import say_compiling
-from masking.cli.options import Add
+from masking.cli.options import Verb, add_json
 from masking.cli.progress import Bar, raise_interrupts
 from masking.errors import DeclarationError, MaskingError, Problem
-from masking.workflows import verbs
-
-if TYPE_CHECKING:
-    from masking.reports import run_report
-    from masking.runs import error_budget, experiment
-else:
-    error_budget = lazy.load("masking.runs.error_budget", suppress_warning=True)
-    experiment = lazy.load("masking.runs.experiment", suppress_warning=True)
-    run_report = lazy.load("masking.reports.run_report", suppress_warning=True)
 
 
-def add(verb: Add) -> None:
-    """Add the verbs."""
-    run = verb(_run, "run", "run an experiment, save its recording and write its report")
-    run.add_argument("experiment", metavar="EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
-    run.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="change a virtual parameter")
-    run.add_argument("--plant", metavar="PLANT", help="run on another plant: a name or a YAML file")
-    run.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT)")
-    run.add_argument(
+def _add_run(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    sub.add_argument("experiment", metavar="EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
+    sub.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="change a virtual parameter")
+    sub.add_argument("--plant", metavar="PLANT", help="run on another plant: a name or a YAML file")
+    sub.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT)")
+    sub.add_argument(
         "--budget",
         action=argparse.BooleanOptionalAction,
         help="rerun without each cause of the masking error (default: if this takes a few seconds)",
     )
-    report = verb(_report, "report", "write the report of a recording")
-    report.add_argument("record", metavar="RECORD", help="the folder of a recording")
-    report.add_argument("--out", metavar="DIR", help="where to write (default: beside the recording)")
+
+
+def _add_report(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    sub.add_argument("record", metavar="RECORD", help="the folder of a recording")
+    sub.add_argument("--out", metavar="DIR", help="where to write (default: beside the recording)")
 
 
 def _run(chosen: argparse.Namespace) -> int:
+    from masking.reports import run_report
+    from masking.runs import error_budget
+    from masking.runs.experiment import Experiment
+    from masking.workflows.outputs import check_folder
+
     changes = dict(_change(text) for text in chosen.set)
-    made = experiment.Experiment.load(chosen.experiment, plant=chosen.plant, changes=changes)
+    made = Experiment.load(chosen.experiment, plant=chosen.plant, changes=changes)
     out = Path(chosen.out or f"results/{made.stem}")
-    verbs.check_folder(out)
+    check_folder(out)
     before = _created(out)
     if not made.is_compiled:
         say_compiling()
@@ -61,14 +56,14 @@ def _run(chosen: argparse.Namespace) -> int:
     recording.save(out)
     written = run_report.report(recording, out)
     if chosen.json:
-        result = {
+        content = {
             "masking_error": recording.manifest["masking_error"],
             "limits_used": run_report.limits_used(recording),
             "warnings": run_report.warnings(recording),
             "recording": str(out),
             "report": str(written.path),
         }
-        print(json.dumps(result, indent=2))
+        print(json.dumps(content, indent=2))
     else:
         print(written.summary)
         print(f"report: {written.path}" + (f" (replaces the run of {before})" if before else ""))
@@ -76,7 +71,7 @@ def _run(chosen: argparse.Namespace) -> int:
 
 
 def _created(folder: Path) -> str | None:
-    """Return when the recording in a folder was made; None where there is none."""
+    """Return when the recording in a folder was made; None if there is none."""
     try:
         return str(json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["created"])
     except (OSError, ValueError, KeyError):
@@ -84,7 +79,9 @@ def _created(folder: Path) -> str | None:
 
 
 def _report(chosen: argparse.Namespace) -> int:
-    written = verbs.report(chosen.record, chosen.out)
+    from masking.workflows.run import report
+
+    written = report(chosen.record, chosen.out)
     if chosen.json:
         print(json.dumps({"report": str(written.path), "figures": [str(f) for f in written.figures]}, indent=2))
     else:
@@ -103,3 +100,9 @@ def _change(text: str) -> tuple[str, float]:
     except ValueError:
         message = f"'{text}' is not a change of a parameter"
         raise DeclarationError(Problem(None, "--set", message, "write it as in --set w3=0.6")) from None
+
+
+VERBS = (
+    Verb("run", "run an experiment, save its recording and write its report", _add_run, _run),
+    Verb("report", "write the report of a recording", _add_report, _report),
+)

@@ -6,47 +6,53 @@ import argparse
 import json
 from pathlib import Path
 
+from masking.cli.options import Verb, add_json
 from masking.cli.progress import Bar, raise_interrupts
 from masking.errors import DeclarationError, Problem
-from masking.workflows import verbs
+from masking.workflows.choices import STUDIED
 
 
-def add_stability(found: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the verb stability."""
-    text = "find the equilibria and modes of a model or an experiment, and what its energy proves of all its motions"
-    sub = found.add_parser("stability", help=text, description=f"{text[0].upper()}{text[1:]}.")
+def _add(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("name", metavar="MODEL_OR_EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
-    sub.add_argument("--kind", choices=verbs.STUDIED, help="which, where the name stands for both (default: the model)")
+    sub.add_argument("--kind", choices=STUDIED, help="which, if the name stands for both (default: the model)")
     sub.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="change a parameter of the system"
     )
-    text = "look for equilibria, and prove what is not proved everywhere, with this coordinate or velocity in between"
+    text = "range of a coordinate or velocity in which to look for equilibria, and to prove what is not proved globally"
     sub.add_argument("--box", metavar="NAME=LOW:HIGH", action="append", default=[], help=text)
     text = "find the largest Lyapunov exponent of the motion from the initial state over this time: is it chaotic?"
     sub.add_argument("--exponent", metavar="TIME", type=float, help=text)
     sub.add_argument("--out", metavar="DIR", help="where to save (default: results/NAME_stability)")
-    text = "print JSON, or write it to a file; give it after MODEL_OR_EXPERIMENT"
-    sub.add_argument("--json", metavar="FILE", nargs="?", const=True, default=False, help=text)
-    sub.set_defaults(verb=_stability)
+    add_json(sub, after="MODEL_OR_EXPERIMENT")
 
 
 def _stability(chosen: argparse.Namespace) -> int:
+    from masking.workflows.outputs import check_folder
+    from masking.workflows.stability import stability
+
     out = Path(chosen.out or f"results/{Path(chosen.name).stem}_stability")
-    verbs.check_folder(out)
+    check_folder(out)
     if chosen.json and chosen.json is not True:
-        verbs.check_folder(Path(chosen.json).parent)
+        check_folder(Path(chosen.json).parent)
     changes = {name: numbers[0] for name, numbers in (_numbers("--set", text, 1) for text in chosen.set)}
     box = {name: (numbers[0], numbers[1]) for name, numbers in (_numbers("--box", text, 2) for text in chosen.box)}
     raise_interrupts()
     with Bar("deriving") as bar:
-        settings = {"kind": chosen.kind, "changes": changes, "box": box, "exponent": chosen.exponent}
-        found = verbs.stability(chosen.name, **settings, out=out, tell=bar.tell)
-    result = json.dumps(found.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        found = stability(
+            chosen.name,
+            kind=chosen.kind,
+            changes=changes,
+            box=box,
+            exponent=chosen.exponent,
+            out=out,
+            tell=bar.tell,
+        )
+    content = json.dumps(found.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
     if chosen.json is True:
-        print(result)
+        print(content)
         return 0
     if chosen.json:
-        Path(chosen.json).write_text(result + "\n", encoding="utf-8")
+        Path(chosen.json).write_text(content + "\n", encoding="utf-8")
     print(found)
     print(f"page: {out / 'stability.html'}")
     return 0
@@ -63,3 +69,13 @@ def _numbers(option: str, text: str, count: int) -> tuple[str, list[float]]:
         mend = "write it as in --set z3=0.1" if count == 1 else "write it as in --box x1=-2:2"
         raise DeclarationError(Problem(None, option, f"'{text}' cannot be read", mend)) from None
     return name.strip(), numbers
+
+
+VERBS = (
+    Verb(
+        "stability",
+        "find the equilibria and modes of a model or an experiment, and what its energy proves of all its motions",
+        _add,
+        _stability,
+    ),
+)

@@ -1,1 +1,6 @@
-"""Control: blocks L, D, G and T, the law, observers, instruments, and the closed loop, continuous or sampled."""
+"""Control: blocks L, D, G and T, the law, observers, instruments, and the closed loop, continuous or sampled.
+
+In: a controller, a model and a plant.
+Out: the control law in blocks L, D, G and T, observers, and the closed loop.
+Imports: numerics, declaration, codegen, modelling, rig.
+"""

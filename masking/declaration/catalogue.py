@@ -15,6 +15,7 @@ from masking.errors import DeclarationError, Place, Problem, nearest
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _FOLDERS = {"model": "models", "plant": "plants", "experiment": "examples", "dictionary": "dictionaries"}
+KINDS = tuple(_FOLDERS)
 _ARTICLE = {
     "model": "a model",
     "plant": "a plant",
@@ -73,6 +74,26 @@ class Reference:
 
 
 NOWHERE = Reference()
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A packaged declaration: its kind, the name to call it by, and its title."""
+
+    kind: str
+    name: str
+    title: str
+
+
+def catalogue() -> tuple[Entry, ...]:
+    """Return the packaged models, plants, experiments and dictionaries of effects."""
+    entries = []
+    for kind in KINDS:
+        for name in names(kind):
+            content = strict_yaml.load(find(kind, name)).value
+            title = content.get("name") if isinstance(content, dict) else None
+            entries.append(Entry(kind, name, str(title.value) if title is not None else name))
+    return tuple(entries)
 
 
 def folder(kind: str) -> Path:

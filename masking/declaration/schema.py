@@ -488,9 +488,3 @@ KINDS: dict[str, type[Declaration]] = {
     "experiment": ExperimentDeclaration,
     "dictionary": DictionaryDeclaration,
 }
-
-
-def json_schema(kind: str) -> dict[str, Any]:
-    """Give the JSON Schema of a kind of file, for editors."""
-    schema = KINDS[kind].model_json_schema(ref_template="#/$defs/{model}")
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -65,7 +65,7 @@ def discover(
         IntegrationError: the rig cannot be simulated along the record.
     """
     settings = settings or DiscoverySettings()
-    rig = rig or OpenRig(twin, settings.parameters or twin.equation_parameters())
+    rig = rig or OpenRig(twin, tuple(settings.parameters) or twin.equation_parameters())
     say = tell or (lambda text, part: None)
     say("preparing the rig; the first time, it is compiled", 0.0)
     rules = settings.rules

@@ -12,17 +12,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from masking.discovery import laws
 from masking.discovery.augmented_model import Equations, Slot
 from masking.discovery.problem import Evidence
 from masking.errors import IntegrationError
+from masking.estimation.least_squares import Box, Damping, Dense, Linearised, minimise
+from masking.estimation.simulation import guessed_state
 from masking.numerics.arrays import Array
 
 MOST_ROUNDS = 40
-MORE = 10.0  # times the damping after a step in vain, and so many times that after each further one
-GROWTH = 2.0  # times what is positive may become in a round
+DAMPING = Damping(1e-6, least=1e-9, most=1e8)
 HOPE, SLOW = 0.03, 6  # a fit ends that comes nearer to a better one by no more than this part so many times
 CONVERGED = 0.02  # of the cost, divided by the temperature, that a step may still take off
 
@@ -92,10 +92,7 @@ def fit(
     """
     x = evidence.belief.mean.copy() if theta is None else theta.copy()
     state = first_states(evidence, x) if start is None else start.copy()
-    problem = _Problem(evidence, tuple(slots))
-    return problem.solve(
-        _Point(x, estimated(slots), np.zeros(len(problem.begins)), state), rounds, frozen=frozen, rival=rival
-    )
+    return _Problem(evidence, tuple(slots), state, frozen=frozen).solve(x, rounds, rival)
 
 
 def together(evidence: Evidence, other: Evidence, known: Hypothesis, rival: float = np.inf) -> Hypothesis:
@@ -113,10 +110,8 @@ def together(evidence: Evidence, other: Evidence, known: Hypothesis, rival: floa
     Raises:
         IntegrationError: the motion is not finite.
     """
-    problem = _Problem(evidence, known.slots, (other,))
     start = np.concatenate([known.start, first_states(other, known.theta)])
-    at = _Point(known.theta, known.added, np.zeros(len(problem.begins)), start)
-    return problem.solve(at, MOST_ROUNDS, frozen=False, rival=rival)
+    return _Problem(evidence, known.slots, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
 
 
 def judged(evidence: Evidence, hypothesis: Hypothesis) -> Hypothesis:
@@ -126,57 +121,45 @@ def judged(evidence: Evidence, hypothesis: Hypothesis) -> Hypothesis:
 
 def cost(evidence: Evidence, slots: Sequence[Slot], theta: Array, start: Array) -> float:
     """Return the cost of a hypothesis that is not fitted; infinite where its motion is not finite."""
-    problem = _Problem(evidence, tuple(slots))
-    at = _Point(theta, estimated(slots), np.zeros(len(problem.begins)), start)
+    problem = _Problem(evidence, tuple(slots), start)
     try:
-        return problem.cost(problem.equations(at), at)
+        return problem.linearised(problem.unknowns(theta)).cost
     except IntegrationError:
         return np.inf
 
 
 def first_states(evidence: Evidence, theta: Array, samples: int = 20) -> Array:
     """Return a first guess of initial states (windows, states), from straight lines through the first readings."""
-    rig, record = evidence.rig, evidence.record
-    n, acting = len(rig.coordinates), record.acting
-    seen = [i for i in rig.twin.free if not n <= i < 2 * n]
-    found = np.tile(rig.rest, (evidence.windows, 1))
-    for i, state in enumerate(found):
-        begin = i * evidence.begin
-        early = min(begin, max(len(record) - samples, 0))  # the line of a short last window begins before it
+    rig, record, acting = evidence.rig, evidence.record, evidence.record.acting
+    found = []
+    for begin in range(0, len(record), evidence.begin):
+        early = min(begin, max(len(record) - samples, 0))  # the line of a short last interval begins before it
         read = record.readings[early:][:samples]
         times = (np.arange(len(read)) + early - begin) / record.rate
-        slope, first = np.polynomial.polynomial.polyfit(times, read, 1)[::-1]
-        told, sensing = rig.reading(theta, rig.rest, acting[begin])
-        back = np.linalg.pinv(sensing[:, seen])
-        state[seen] += back @ (first - told)
-        state[n : 2 * n] = back[:n] @ slope
-    return found
-
-
-@dataclass(frozen=True)
-class _Point:
-    """Values of all that is estimated: the rig's parameters, the effects', where their states and the motion begin."""
-
-    theta: Array
-    added: Array
-    inner: Array
-    start: Array
-
-    def moved(self, step: Array, low: Array, high: Array, free: Sequence[int]) -> _Point:
-        """Return the point after a step, with parameters (k + f,) within their bounds."""
-        k, f, s = len(self.theta), len(self.added), len(self.inner)
-        start = self.start.copy()
-        start[:, free] += step[k + f + s :].reshape(len(start), len(free))
-        theta = within(self.theta, step[:k], low[:k], high[:k])
-        added = restrained(self.added, step[k : k + f], low[k:], high[k:])
-        return _Point(theta, added, self.inner + step[k + f : k + f + s], start)
+        at_rest = rig.reading(theta, rig.rest, acting[begin])
+        found.append(guessed_state(rig.rest, at_rest, rig.twin.free, times, read, n=len(rig.coordinates), degree=1))
+    return np.array(found)
 
 
 @dataclass(frozen=True)
 class _Problem:
+    """Least squares of records and prior.
+
+    The unknowns x (n,) are parameters of rig (k) and effects (f), initial states of effects (s), and of the motion.
+
+    Args:
+        evidence: of the record whose residuals are kept.
+        slots: the effects.
+        start: initial states of each record in turn (windows, states); those that are not free stay as they are.
+        others: other records.
+        frozen: whether only initial states are estimated.
+    """
+
     evidence: Evidence
     slots: tuple[Slot, ...]
+    start: Array
     others: tuple[Evidence, ...] = ()
+    frozen: bool = False
 
     @property
     def records(self) -> tuple[Evidence, ...]:
@@ -188,81 +171,73 @@ class _Problem:
         """Return how far from 0 the states of effects may begin, in one record after the other (s,)."""
         return np.tile([size for slot in self.slots for size in slot.begins], len(self.records))
 
-    def solve(self, at: _Point, rounds: int, *, frozen: bool, rival: float) -> Hypothesis:
-        k, f, s, free = len(at.theta), len(at.added), len(at.inner), [*self.evidence.rig.twin.free]
-        held = np.zeros(k + f + s + len(at.start) * len(free), dtype=bool)
-        held[: k + f], held[k + f : k + f + s] = frozen, self.begins == 0.0
-        slow, damping, more = 0, 1e-6, MORE
-        found = self.equations(at)
-        cost = self.cost(found, at)
-        low, high = self._bounds()
-        for _ in range(rounds):
-            matrix, gradient = self._with_belief(found, at)
-            step, gain = _step(matrix, gradient, damping, held)
-            enough = CONVERGED * self.evidence.temperature(self.evidence.record.readings - found.simulated)
-            if gain < enough:
-                break
-            then = at.moved(step, low, high, free)
-            try:
-                tried = self.equations(then)
-                new = self.cost(tried, then)
-            except IntegrationError:
-                new = np.inf
-            slow = slow + 1 if cost > rival and cost - new < HOPE * (cost - rival) else 0
-            if slow == SLOW:
-                break
-            if new < cost:
-                at, found = then, tried
-                taken, cost = cost - new, new
-                damping, more = damping if more > MORE else max(damping / 10.0, 1e-9), MORE
-                if taken < enough:
-                    break
-            else:
-                damping, more = damping * more, MORE * more  # a step that is far too long is soon far shorter
-                if damping > 1e8:
-                    break
-        matrix, _ = self._with_belief(found, at)
-        left = iter(at.added)
+    @cached_property
+    def edges(self) -> tuple[int, int, int]:
+        """Return where the unknowns of the rig, of the effects, and of the states of effects end."""
+        k, f = len(self.evidence.belief.mean), len(estimated(self.slots))
+        return k, k + f, k + f + len(self.begins)
+
+    @property
+    def free(self) -> list[int]:
+        """Return the states of the motion that are estimated."""
+        return [*self.evidence.rig.twin.free]
+
+    def unknowns(self, theta: Array) -> Array:
+        """Return the unknowns (n,) at values of the rig's parameters (k,)."""
+        return np.concatenate([theta, estimated(self.slots), 0.0 * self.begins, self.start[:, self.free].ravel()])
+
+    def parts(self, x: Array) -> tuple[Array, Array, Array, Array]:
+        """Return parameters of rig and effects, and initial states of effects and motion (windows, states)."""
+        theta, added, inner, moving = np.split(x, self.edges)
+        start = self.start.copy()
+        start[:, self.free] = moving.reshape(len(start), -1)
+        return theta, added, inner, start
+
+    def solve(self, theta: Array, rounds: int, rival: float) -> Hypothesis:
+        """Return the fitted hypothesis, from values of the rig's parameters (k,)."""
+        slow = 0
+
+        def is_hopeless(now: float, tried: float) -> bool:
+            nonlocal slow
+            slow = slow + 1 if now > rival and now - tried < HOPE * (now - rival) else 0
+            return slow == SLOW
+
+        def tolerance(at: Linearised[Dense, Equations]) -> float:
+            return CONVERGED * self.evidence.temperature(self.evidence.record.readings - at.found.simulated)
+
+        belief, effects = self.evidence.belief, bounds(self.slots)
+        low, high = np.concatenate([belief.low, effects.low]), np.concatenate([belief.high, effects.high])
+        box = Box(low, high, np.arange(len(low)) >= self.edges[0])
+        made = minimise(
+            self.linearised, self.unknowns(theta), box, DAMPING, rounds=rounds, tolerance=tolerance,
+            is_hopeless=is_hopeless,
+        )  # fmt: skip
+        theta, added, _, start = self.parts(made.x)
+        left, found, shared = iter(added), made.at.found, self.edges[1]
         values = [slot.with_values(slot.free, itertools.islice(left, len(slot.free))) for slot in self.slots]
         return Hypothesis(
-            tuple(values), at.theta, at.start, cost, found.squares, _covariance(matrix)[: k + f, : k + f],
-            self.evidence.record.readings - found.simulated,
+            tuple(values), theta, start, made.at.cost, found.squares,
+            made.at.equations.covariance()[:shared, :shared], self.evidence.record.readings - found.simulated,
         )  # fmt: skip
 
-    def equations(self, at: _Point) -> Equations:
-        starts = np.cumsum([one.windows for one in self.records])[:-1]
-        return _joined(
-            [
-                one.equations(at.theta, start, self.slots, at.added, inner=inner)
-                for one, start, inner in zip(
-                    self.records, np.split(at.start, starts), np.split(at.inner, len(self.records)), strict=True
-                )
-            ],
-            len(at.theta) + len(at.added),
-            len(at.inner) // len(self.records),
+    def linearised(self, x: Array) -> Linearised[Dense, Equations]:
+        """Return the problem at the unknowns (n,)."""
+        theta, added, inner, start = self.parts(x)
+        starts = np.split(start, np.cumsum([one.windows for one in self.records])[:-1])
+        pieces = zip(self.records, starts, np.split(inner, len(self.records)), strict=True)
+        found = _joined(
+            [one.equations(theta, begin, self.slots, added, inner=begun) for one, begin, begun in pieces],
+            self.edges[1],
+            len(inner) // len(self.records),
             [one.weights / self.evidence.weights for one in self.records],
         )
-
-    def cost(self, found: Equations, at: _Point) -> float:
-        off = (at.theta - self.evidence.belief.mean) / self.evidence.belief.deviation
-        begun = at.inner[self.begins > 0.0] / self.begins[self.begins > 0.0]
-        return float(found.squares @ self.evidence.weights + off @ off + begun @ begun)
-
-    def _with_belief(self, found: Equations, at: _Point) -> tuple[Array, Array]:
-        matrix, gradient = found.matrix.copy(), found.gradient.copy()
-        k, first = len(at.theta), len(at.theta) + len(at.added)
-        believed = np.zeros(len(matrix))
-        believed[:k] = self.evidence.belief.deviation**-2.0
-        believed[first : first + len(self.begins)] = np.where(self.begins > 0.0, self.begins, np.inf) ** -2.0
-        matrix += np.diag(believed)
-        gradient[:k] += (self.evidence.belief.mean - at.theta) * believed[:k]
-        gradient[first : first + len(at.inner)] -= at.inner * believed[first : first + len(at.inner)]
-        return matrix, gradient
-
-    def _bounds(self) -> tuple[Array, Array]:
-        pairs = [pair for slot in self.slots for pair in bounds(slot)]
-        belief, low, high = self.evidence.belief, [a for a, _ in pairs], [b for _, b in pairs]
-        return np.array([*belief.low, *low]), np.array([*belief.high, *high])
+        (k, first, last), belief = self.edges, self.evidence.belief
+        off, deviation, fixed = np.zeros(len(x)), np.full(len(x), np.inf), np.zeros(len(x), dtype=bool)
+        off[:k], deviation[:k], fixed[:first] = belief.mean - theta, belief.deviation, self.frozen
+        known = self.begins == 0.0
+        off[first:last], deviation[first:last], fixed[first:last] = -inner, np.where(known, np.inf, self.begins), known
+        cost = float(found.squares @ self.evidence.weights + ((off / deviation) ** 2).sum())
+        return Linearised(cost, Dense(found.matrix, found.gradient, fixed).with_prior(off, deviation), found)
 
 
 def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequence[Array]) -> Equations:
@@ -288,44 +263,11 @@ def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequen
     return Equations(matrix, gradient, squares, parts[0].simulated)
 
 
-def within(values: Array, step: Array, low: Array, high: Array) -> Array:
-    """Return values after a step that goes at most 0.7 of the way to a bound."""
-    least = np.where(np.isfinite(low), values - 0.7 * np.abs(values - low), -np.inf)
-    most = np.where(np.isfinite(high), values + 0.7 * np.abs(high - values), np.inf)
-    found: Array = np.clip(values + step, least, most)
-    return found
-
-
-def restrained(values: Array, step: Array, low: Array, high: Array) -> Array:
-    """Return values after a step within bounds that doubles at most what is positive."""
-    most = np.where((low >= 0.0) & (values > 0.0), GROWTH * values, np.inf)
-    return np.minimum(within(values, step, low, high), most)
-
-
-def bounds(slot: Slot) -> list[tuple[float, float]]:
-    """Return the least and largest value of each free parameter of a slot; infinite where there is none."""
-    if slot.effect == laws.DELAY:
-        return [(0.0, np.inf)]
-    every = list(slot.entry.parameters.values())
-    return [
-        (-np.inf if low is None else low, np.inf if high is None else high)
-        for low, high in (every[i].bounds for i in slot.free)
-    ]
-
-
-def _step(matrix: Array, gradient: Array, damping: float, held: NDArray[np.bool_]) -> tuple[Array, float]:
-    """Return the step of Levenberg and Marquardt, and what it should take off the cost."""
-    free = np.flatnonzero(~held)
-    scale = np.sqrt(np.maximum(np.diag(matrix)[free], 1e-300))
-    scaled = matrix[np.ix_(free, free)] / np.outer(scale, scale)
-    right = gradient[free] / scale
-    found = np.linalg.lstsq(scaled + damping * np.eye(len(free)), right, rcond=1e-13)[0]
-    step = np.zeros(len(gradient))
-    step[free] = found / scale
-    return step, float(right @ found)
-
-
-def _covariance(matrix: Array) -> Array:
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    found: Array = np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True, rcond=1e-13) / np.outer(scale, scale)
-    return found
+def bounds(slots: Sequence[Slot]) -> Box:
+    """Return the bounds of the free parameters of effects (f,); what is positive may at most double in a step."""
+    pairs: list[tuple[float | None, float | None]] = []
+    for slot in slots:
+        every = [] if slot.effect == laws.DELAY else [p.bounds for p in slot.entry.parameters.values()]
+        pairs += [(0.0, None)] if slot.effect == laws.DELAY else [every[i] for i in slot.free]
+    low = np.array([-np.inf if a is None else a for a, _ in pairs])
+    return Box(low, np.array([np.inf if b is None else b for _, b in pairs]), growing=True)

@@ -20,8 +20,9 @@ from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import Evidence
 from masking.discovery.rules import RULES
 from masking.errors import IntegrationError
-from masking.estimation.data import Data, Hold
+from masking.estimation.data import Data
 from masking.numerics.arrays import Array
+from masking.records.hold import Hold
 
 SECONDS = 30.0
 FACTORS = (1.0, 3.0)  # of the record's own size, as far as limits allow

@@ -17,9 +17,10 @@ import numpy as np
 from masking.discovery import laws
 from masking.discovery.augmented_model import MOST_COLUMNS, OpenRig, Slot
 from masking.discovery.candidates import Candidate
-from masking.discovery.fitting import Hypothesis, bounds, restrained
+from masking.discovery.fitting import Hypothesis, bounds
 from masking.discovery.problem import Evidence
 from masking.discovery.smoothing import Motion, linearised
+from masking.estimation.least_squares import Dense
 from masking.numerics.arrays import Array, IntVector
 
 HIGHEST = 60.0  # Hz, or twice what the rig does by itself; what is faster is averaged away
@@ -216,39 +217,26 @@ class Screen:
         """Return promises whose shapes are brought to their best values, by the method of Levenberg and Marquardt."""
         best = {id(promise.candidate): promise for promise in promises}
         slots = {key: promise.slot for key, promise in best.items()}
-        dampings = dict.fromkeys(best, 1e-3)
-        active = [promise.candidate for promise in promises]
+        damping, active = 1e-4, [promise.candidate for promise in promises]
         for number in range(SHARPENINGS):
             columns = self._effects([slots[id(candidate)] for candidate in active])
             going = []
             for candidate, table in zip(active, columns, strict=True):
                 key = id(candidate)
-                slot, before = slots[key], best[key]
-                if number == 0:  # the grid's own gain is of the same rows
-                    before = replace(before, gain=-np.inf)
+                # The gain of the grid is not of the same rows: it is replaced by that of the first round.
+                least = -np.inf if number == 0 else best[key].gain
                 rows = self._rows(table)
                 if not np.abs(rows).max() < HUGE:
                     continue
-                left = self.left[: len(rows)]
                 known = self.taken[: len(rows)].T @ rows
-                gram, right = rows.T @ rows - known.T @ known, rows.T @ left
+                gram, right = rows.T @ rows - known.T @ known, rows.T @ self.left[: len(rows)]
                 gain = 2.0 * float(right[0]) - float(gram[0, 0])
-                if gain > before.gain:
-                    best[key] = replace(before, slot=slot, gain=max(gain, 0.0))
-                    dampings[key] /= 10.0
-                else:
-                    dampings[key] *= 100.0
-                    slots[key] = before.slot
-                    if dampings[key] > 1e3:
-                        continue
+                if gain > least:
+                    best[key] = replace(best[key], slot=slots[key], gain=max(gain, 0.0))
+                    step, _ = Dense(gram[1:, 1:], right[1:] - gram[1:, 0]).step(damping)
+                    slots[key] = _stepped(slots[key], step)
                     going.append(candidate)
-                    continue
-                scale = np.sqrt(np.maximum(np.diag(gram)[1:], 1e-300))
-                matrix = gram[1:, 1:] / np.outer(scale, scale) + dampings[key] * np.eye(len(scale))
-                step = np.linalg.lstsq(matrix, (right[1:] - gram[1:, 0]) / scale, rcond=1e-12)[0] / scale
-                slots[key] = _stepped(slot, step)
-                going.append(candidate)
-            active = going
+            active, damping = going, damping / 10.0
         return best
 
     def _settle(self, jobs: Sequence[tuple[Candidate, Slot]], found: dict[int, Promise]) -> None:
@@ -443,9 +431,7 @@ def _has_shape(candidate: Candidate) -> bool:
 
 def _stepped(slot: Slot, step: Array) -> Slot:
     """Return a slot after a step of its free parameters, within their bounds."""
-    low, high = np.array(bounds(slot)).T
-    values = restrained(np.array([slot.values[i] for i in slot.free]), step, low, high)
-    return slot.with_values(slot.free, values)
+    return slot.with_values(slot.free, bounds([slot]).after(np.array(slot.estimated), step))
 
 
 def _thinned(table: Array, thin: int) -> Array:

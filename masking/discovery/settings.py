@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import DeclarationError, Problem
-from masking.estimation.data import InputHold
+from masking.records.hold import InputHold
 
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
 
@@ -19,15 +19,13 @@ class DiscoverySettings:
 
     Args:
         validation: another record to validate by; if not given, the last 30 % of the record are held out.
-        model: model of the rig, a name or a file; in place of the plant's own if both are given.
-        plant: plant file with sensors and actuators; without one, the outputs of the model are its sensors, or else
-            its coordinates or states, and its inputs are the actuators.
         parameters: names of the parameters to re-fit; if empty, all that appear in the equations.
         tolerance: prior standard deviation of a parameter that declares none, relative to its value, between 0 and 1.
         shooting_interval: multiple-shooting interval in s; by default the whole record in one interval, or a
             twentieth of the record for a model that does not settle.
-        hold: how inputs go from sample to sample, see `Data`; by default held, or straight if elements of the
-            model follow inputs.
+        hold: inputs between samples: 'zero-order' for commands, which act after the delay of the plant; 'first-order'
+            for measured inputs; 'band-limited' for inputs measured behind an anti-alias filter. By default
+            'first-order' for inputs that elements of the model follow, and 'zero-order' for all others.
         columns: columns of the files by the names that they get, such as `{"t": "time", "u": "V1"}`.
         dt: time between samples in s, for a table without a clock.
         effects: dictionary of own effects, a file or a packaged name, whose effects are tried, too.
@@ -38,13 +36,11 @@ class DiscoverySettings:
     """
 
     validation: str | Path | None = None
-    model: str | Path | None = None
-    plant: str | Path | None = None
-    parameters: tuple[str, ...] = ()
+    parameters: Sequence[str] = ()
     tolerance: float = TOLERANCE
     shooting_interval: float | None = None
     hold: InputHold | None = None
-    columns: Mapping[str, str] = field(default_factory=dict)
+    columns: Mapping[str, str] | None = None
     dt: float | None = None
     effects: str | Path | None = None
     rules: DecisionRules = RULES

@@ -1,8 +1,12 @@
 """Physical effects that a model may lack: one dictionary, whose entries hold everything that is known of an effect.
 
+In: the name of an effect, ours or a user's.
+Out: its law, parameters and states, and models with it attached.
+Imports: declaration.
+
 `EFFECTS` is the dictionary that comes with the package, `load` reads a user's own, and `dictionary` joins them;
 `attach` puts an effect into an element of a declared model, `attach_all` several; `expressions`, `parameters` and
-`unit_of` give the parts from which those of a sensor or an actuator are compiled. Imports declarations, nothing else.
+`unit_of` give the parts from which those of a sensor or an actuator are compiled.
 """
 
 from masking.effects.attachment import Attachment, Setting, attach, attach_all, expressions, find, parameters, unit_of

@@ -1,8 +1,8 @@
-"""Putting an effect into a declared model, and the parts from which one elsewhere is compiled.
+"""Attaches effects to declared models, and gives the parts from which effects elsewhere are compiled.
 
 The element's displacement, its rate, its acceleration and the force become definitions `<label>_d`, `<label>_v`,
 `<label>_acc` and `<label>_f`; the parameters and states of the effect carry the label too. The parameter `<label>_on`
-multiplies the force: at 0 the model is what it was, and switching takes no compilation.
+multiplies the force: at 0 the model is as before, and switching takes no compilation.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _SUBJECTS = {"sensor": "s", "actuator": "u"}
 
 
 def find(name: str | Effect) -> Effect:
-    """Return an effect by its name in the dictionary; one that is given as itself is returned.
+    """Return an effect by its name in the dictionary; an entry is returned as it is.
 
     Raises:
-        DeclarationError: there is none; says which was probably meant.
+        DeclarationError: there is none; names the nearest.
     """
     if isinstance(name, Effect):
         return name
@@ -47,7 +47,7 @@ def find(name: str | Effect) -> Effect:
 
 
 def expressions(name: str | Effect) -> tuple[Expression, dict[str, Expression]]:
-    """Return what an effect makes of its place, switch included, and the rates of its states.
+    """Return the expression of an effect, switch included, and the rates of its states.
 
     The symbols are those of the dictionary and `on`, the switch: on * f in an element, s + on * (g - s) in a sensor
     whose effect is g, and in an actuator the same with u.
@@ -133,7 +133,7 @@ def attach(
 
     Raises:
         DeclarationError: the effect, the element or a parameter is not known, a value is missing, or the model that
-            results is wrong; says what is meant or needed.
+            results is wrong; says how to mend it.
     """
     return attach_all(declaration, [Attachment(effect, at, label, parameters or {})])
 
@@ -201,7 +201,7 @@ def _with_effect(
 def _motion(
     declaration: ModelDeclaration, effect: Effect, at: str, label: str, used: Set[str]
 ) -> dict[str, Expression]:
-    """Return what an effect follows in an element: its displacement, its rate and its acceleration, as far as used.
+    """Return the motion that an effect follows in an element: displacement, rate and acceleration, as far as used.
 
     Raises:
         DeclarationError: the element does not have one of them; says how to give it.

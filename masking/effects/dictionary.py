@@ -12,7 +12,6 @@ from typing import Final
 
 from masking.declaration import registry
 from masking.declaration.checks import problem_at
-from masking.declaration.dictionary import factors
 from masking.declaration.schema import DictionaryDeclaration, OwnEffect
 from masking.effects.elements import ELEMENTS
 from masking.effects.entry import FAMILIES, Effect, EffectParameter, EffectState
@@ -112,7 +111,6 @@ def _effect(name: str, declared: OwnEffect) -> Effect:
         states,
         family=declared.family,
         label=declared.label,
-        factors=factors(declared),
         nested=declared.nested,
         absorbed_by=declared.absorbed_by,
         is_linear=declared.linear or bool(declared.absorbed_by),

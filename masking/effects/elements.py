@@ -19,7 +19,7 @@ _STRIBECK = EffectParameter(
 _CONTACT = EffectParameter("F/D", "stiffness of the contact", (1e3, 1e6), 2e4, None, NOT_NEGATIVE)
 _SIDE = EffectParameter("1", "1: it is beyond the edge upwards, -1: downwards", (-1.0, 1.0), 1.0, 1.0, (-1.0, 1.0))
 # The square alone, with the cube, and all powers: the fewer are estimated, the weaker a force is still found.
-_POWERS = (Trial(factors=("k2",)), Trial(factors=("k2", "k3")), Trial())
+_POWERS = (Trial(factors=("k2",)), Trial(factors=("k2", "k3")), Trial(factors=("k2", "k3", "k4", "k5")))
 # Without a measured rate the width of the sign is hardly observable: each width is a candidate of its own.
 _TURNS = tuple(Trial(starts.turn(number)) for number in range(len(TURNS)))
 # Breaking loose takes a little more than sliding, or twice as much.
@@ -36,7 +36,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="level the rig or move the zero of the sensor; the model needs only its value, which is cancelled",
         source="Rijlaarsdam (2008), (4.14), rho_i0 of Table B.4",
         family="springs",
-        factors=("f0",),
         absorbed_by="force at rest",
         is_linear=True,
     ),
@@ -50,7 +49,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="correct the eigenfrequency in the model",
         source="Rao (2011), Mechanical Vibrations, section 1.7",
         family="springs",
-        factors=("k",),
         absorbed_by="stiffness",
         is_linear=True,
         joins=True,
@@ -72,7 +70,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="measure the force over the whole stroke and let the controller cancel it",
         source="Rijlaarsdam (2008), (4.14) and Table B.4",
         family="springs",
-        factors=("k2", "k3", "k4", "k5"),
         trials=_POWERS,
         nested=("hardening_spring",),
         is_sum=True,
@@ -87,7 +84,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="give the ends of the springs room to move, or let the controller cancel the force",
         source="Kovacic and Brennan (2011), The Duffing Equation, (1.1)",
         family="springs",
-        factors=("k3",),
         joins=True,
         calibrated=("k3",),
     ),
@@ -101,7 +97,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="correct the damping ratio in the model",
         source="Rayleigh (1877), The Theory of Sound, volume 1, section 81",
         family="damping",
-        factors=("c",),
         absorbed_by="damping",
         is_linear=True,
         joins=True,
@@ -116,7 +111,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="make the moving surfaces smaller, or add it to the model",
         source="Nayfeh and Mook (1979), Nonlinear Oscillations, section 3.3.2",
         family="damping",
-        factors=("c",),
     ),
     Effect(
         "added_mass",
@@ -128,7 +122,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="weigh what moves, and correct the mass in the model",
         source="Smith (2002), IEEE Trans. Autom. Control 47(10), 1648-1662; to the ground it is a mass",
         family="mass",
-        factors=("m",),
         absorbed_by="mass",
         is_linear=True,
     ),
@@ -142,7 +135,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="align the coil and its guide, use leaf springs or air bearings; a disturbance observer follows it",
         source="Olsson, Astrom, Canudas de Wit, Gafvert and Lischinsky (1998), Eur. J. Control 4, section 2",
         family="friction",
-        factors=("fc",),
         trials=_TURNS,
         trials_of_rates=(Trial(starts.turns, ("vs",)),),
         joins=True,
@@ -162,7 +154,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="look for what touches in one direction only; a disturbance observer follows it",
         source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, section 2.1",
         family="friction",
-        factors=("fp", "fm"),
         trials=(Trial(starts.turn(0)),),
         trials_of_rates=(Trial(starts.turns, ("vs",)),),
         nested=("dry_friction", "constant_force"),
@@ -179,7 +170,6 @@ ELEMENTS: tuple[Effect, ...] = (
         source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, (2)",
         family="friction",
         label="Stribeck friction",
-        factors=("fc", "fs"),
         trials=(Trial(starts.falls, ("vst",)),),
         trials_of_rates=(Trial(starts.falls, ("vst", "vs")),),
         nested=("dry_friction",),
@@ -211,7 +201,6 @@ ELEMENTS: tuple[Effect, ...] = (
         },
         family="friction",
         label="LuGre friction",
-        factors=("s0",),
         trials=_BRISTLES,
         nested=("dry_friction", "stribeck_friction"),
         scaled=("fc", "fs", "s0", "s1"),
@@ -240,7 +229,6 @@ ELEMENTS: tuple[Effect, ...] = (
         states={"z": EffectState("(d_rate - abs(d_rate)*z)/x0", "1", "part of the friction that has built up", "1")},
         family="friction",
         label="Dahl friction",
-        factors=("fc",),
     ),
     Effect(
         "hysteresis",
@@ -274,7 +262,6 @@ ELEMENTS: tuple[Effect, ...] = (
             )
         },
         family="hysteresis",
-        factors=("k",),
         calibrated=("k", "zmax"),
     ),
     Effect(
@@ -307,7 +294,6 @@ ELEMENTS: tuple[Effect, ...] = (
         },
         family="hysteresis",
         label="Bouc-Wen hysteresis",
-        factors=("k",),
         nested=("hysteresis", "dahl_friction"),
     ),
     Effect(
@@ -326,7 +312,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="preload the joint or replace it by a flexure",
         source="Nordin and Gutman (2002), Automatica 38, section 2",
         family="backlash",
-        factors=("k",),
     ),
     Effect(
         "stop",
@@ -345,7 +330,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="stay within the stroke: smaller amplitudes, or the limits of the plant",
         source="Hunt and Crossley (1975), J. Appl. Mech. 42, 440-445",
         family="end stop",
-        factors=("k",),
         trials=(Trial(starts.edges, ("edge",)),),
         nested=("constant_force",),
     ),
@@ -365,7 +349,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="align the coil and look for marks at that position; otherwise keep the motion on the free side",
         source="Olsson, Astrom, Canudas de Wit, Gafvert and Lischinsky (1998), Eur. J. Control 4, position dependence",
         family="friction",
-        factors=("fc",),
         trials=(Trial(starts.local_edges, ("edge", "width")),),
         trials_of_rates=(Trial(starts.local_edges_and_turns, ("edge", "width", "vs")),),
         nested=("dry_friction",),
@@ -386,7 +369,6 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="balance it, or let the controller cancel the force",
         source="Rijlaarsdam (2008), (8.4): nu^2 sin(theta)",
         family="springs",
-        factors=("a",),
         nested=("hardening_spring",),
     ),
     Effect(
@@ -403,8 +385,7 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="switch it off or isolate the rig from it; a disturbance observer follows slow ones",
         source="Den Hartog (1985), Mechanical Vibrations, section 2.8",
         family="periodic force",
-        factors=("a", "b"),
-        trials=(Trial(starts.tones, ("nu",)),),
+        trials=(Trial(starts.tones, ("nu",), ("a", "b")),),
         is_sum=True,
     ),
     Effect(
@@ -417,6 +398,5 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="let the rig warm up before it is used, calibrate again",
         source="Ljung (1999), System Identification, section 11.1",
         family="springs",
-        factors=("k",),
     ),
 )

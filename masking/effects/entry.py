@@ -122,7 +122,7 @@ class Trial:
     Args:
         starts: values of other parameters than the factors, from which fits start, for the range of a place.
         free: parameters that are estimated beside the factors; the others are held at the start.
-        factors: factors that are estimated; all of the effect's if none are given.
+        factors: factors that are estimated; all of the effect's if none are named.
     """
 
     starts: Starts = lambda span: [{}]
@@ -146,7 +146,6 @@ class Effect:
         states: internal states by their names.
         family: one of `FAMILIES`; '' gives it a row of its own in the error budget.
         label: its name in a sentence; by default the name with spaces.
-        factors: parameters to which its force or value is in proportion, each in a term of its own: solved for.
         trials: the ways in which discovery fits it; by default one, with every parameter that has values to try.
         trials_of_rates: the same at places whose rate is measured; by default as elsewhere.
         is_searched: whether discovery tries it at each place by these trials.
@@ -173,7 +172,6 @@ class Effect:
     states: Mapping[str, EffectState] = field(default_factory=dict)
     family: str = ""
     label: str = ""
-    factors: tuple[str, ...] = ()
     trials: tuple[Trial, ...] = ()
     trials_of_rates: tuple[Trial, ...] = ()
     is_searched: bool = True
@@ -192,6 +190,18 @@ class Effect:
     def spoken(self) -> str:
         """Return its name in a sentence."""
         return self.label or self.name.replace("_", " ")
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """Return the parameters that scale its force or value, each in a term of its own: a record gives them at once.
+
+        They are those of the last trial, or else have neither a value nor any from which a fit could start.
+        """
+        if self.trials and self.trials[-1].factors:
+            return self.trials[-1].factors
+        tried = {name for trial in self.trials for name in trial.free}
+        found = (n for n, p in self.parameters.items() if p.value is None and not p.tried and n not in tried)
+        return tuple(found) if self.is_searched else ()
 
     @property
     def is_inertia(self) -> bool:

@@ -18,7 +18,6 @@ INSTRUMENTS: tuple[Effect, ...] = (
         remedy="adjust the zero at rest before each run",
         source="Doebelin (2003), Measurement Systems, section 3.2",
         family="sensor errors",
-        factors=("e0",),
     ),
     Effect(
         "sensor_gain",
@@ -30,7 +29,6 @@ INSTRUMENTS: tuple[Effect, ...] = (
         remedy="calibrate against a gauge over the whole stroke",
         source="Doebelin (2003), Measurement Systems, section 3.2",
         family="sensor errors",
-        factors=("e",),
         is_linear=True,
     ),
     Effect(
@@ -76,7 +74,6 @@ INSTRUMENTS: tuple[Effect, ...] = (
         remedy="calibrate over the whole stroke and undo the curve, or stay near the middle",
         source="Doebelin (2003), Measurement Systems, section 3.2",
         family="sensor errors",
-        factors=("c",),
     ),
     Effect(
         "sensor_rectification",
@@ -88,7 +85,6 @@ INSTRUMENTS: tuple[Effect, ...] = (
         remedy="adjust the demodulator, or undo the difference",
         source="Doebelin (2003), Measurement Systems, section 3.2",
         family="sensor errors",
-        factors=("r",),
     ),
     Effect(
         "quantisation",
@@ -127,7 +123,6 @@ INSTRUMENTS: tuple[Effect, ...] = (
         remedy="adjust the zero, or add its negative to the input",
         source="Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, ch. 10",
         family="actuator gains",
-        factors=("u0",),
     ),
     Effect(
         "actuator_gain",
@@ -139,7 +134,6 @@ INSTRUMENTS: tuple[Effect, ...] = (
         remedy="identify the gain anew with the rig as it is",
         source="Rijlaarsdam (2008), Table 4.2, c_i",
         family="actuator gains",
-        factors=("e",),
         absorbed_by="gain",
         is_linear=True,
     ),
@@ -185,7 +179,6 @@ INSTRUMENTS: tuple[Effect, ...] = (
         remedy="ask for less, or undo the curve",
         source="Preumont (2011), Vibration Control of Active Structures, section 3.2",
         family="actuator gains",
-        factors=("c",),
     ),
     Effect(
         "dac_quantisation",

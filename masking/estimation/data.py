@@ -6,21 +6,18 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
 from masking.errors import ModelError, RecordError, nearest
 from masking.numerics.arrays import Array
 from masking.records import clock, readers
+from masking.records.hold import Hold, InputHold
 from masking.records.noise import white_noise
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
 
-# Inputs between samples, as simulations know them, and as records are given: band-limited inputs become a first-order
-# hold that acts alike.
-Hold = Literal["zero-order", "first-order"]
-InputHold = Literal[Hold, "band-limited"]
 _RENAMED = {"held": "zero-order", "straight": "first-order", "smooth": "band-limited"}
 
 _STILL = 4.0  # deviations of the noise: readings that vary by less do not move

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from masking.errors import IntegrationError, ModelError, RecordError
+from masking.errors import RecordError
 from masking.estimation import estimates
 from masking.estimation.data import Data
+from masking.estimation.least_squares import Arrow, Box, Damping, Linearised, minimise
 from masking.estimation.sensitivity import Sensitivity
 from masking.estimation.simulation import first_start, judged, noise_alone, relative
 from masking.numerics.arrays import Array
@@ -25,6 +26,7 @@ from masking.rig.twin import Twin
 Progress = Callable[[float], None]
 
 MOST_ROUNDS = 60
+DAMPING = Damping(1e-3, least=1e-12, most=1e12)
 CONVERGED = 1e-9  # part of the cost that a step may still take off
 REWEIGHTED = 3  # rounds in which the noise of each sensor is found from what is left
 FLAT = 1e-7  # eigenvalue of the scaled information below which the record does not determine a direction
@@ -139,8 +141,9 @@ def fit(
 
     for number, pieces in enumerate(stages):
         problem = _Problem(sensitivity, pieces)
-        theta = problem.solve(theta, part_of(tell, number, len(stages)))
-    made = problem.result(theta)
+        x = problem.solve(theta, part_of(tell, number, len(stages)))
+        theta = x[: len(names)]
+    made = problem.result(x)
     if unseen:
         made = replace(made, validation=judged(sensitivity, theta, unseen, problem.sigma**-2))
     tell(1.0)
@@ -159,7 +162,7 @@ def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ..
     """
     order = tuple(reversed(names))
     problem = _Problem(Sensitivity(twin, order), [record.first(COARSE)])
-    information = problem.information(problem.sensitivity.start())[0]
+    information = problem.linearised(problem.unknowns(problem.sensitivity.start())).equations.information()
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     left = information / np.outer(scale, scale)
     left[np.diag(information) <= 0.0] = 0.0
@@ -187,14 +190,13 @@ class _Problem:
         self.sensitivity, self.pieces = sensitivity, pieces
         self.k = len(sensitivity.names)
         self.free = np.array(sensitivity.twin.free, dtype=int)  # states that are estimated: the others begin at rest
-        self.moving = len(self.free)
         sensors, samples = len(sensitivity.twin.sensors), sum(map(len, pieces))
-        unknown = self.k + self.moving * len(pieces)
+        unknown = self.k + len(self.free) * len(pieces)
         if samples * sensors < FEWEST * unknown:
             raise RecordError(
                 f"{samples} samples of {sensors} sensors are too few for {unknown} unknowns ({self.k} parameters, and "
-                f"{self.moving} of the initial state for each of {len(pieces)} pieces); give longer records, or fewer "
-                "parameters"
+                f"{len(self.free)} of the initial state for each of {len(pieces)} pieces); give longer records, or "
+                "fewer parameters"
             )
         self.substeps = [sensitivity.twin.substeps(piece.rate) for piece in pieces]
         self.acting = [piece.acting for piece in pieces]
@@ -204,116 +206,55 @@ class _Problem:
         self.sigma = np.where(declared > 0.0, declared, np.sqrt((noise**2).mean(axis=0)))
         self.sigma = np.where(self.sigma > 0.0, self.sigma, 1e-9 * self._size())
         self.rounds = 0
-        self.bounds = sensitivity.bounds()
-        self.squares = np.zeros(sensors)
 
     def _size(self) -> Array:
         mean = np.mean([np.mean(piece.readings**2, axis=0) for piece in self.pieces], axis=0)
         return np.asarray(np.maximum(np.sqrt(mean), 1e-300))
 
-    def equations(
-        self, theta: Array, starts: list[Array]
-    ) -> tuple[Array, Array, list[tuple[Array, Array, Array]], Array]:
-        """Return matrix (k, k) and gradient (k,) of the parameters, what each piece adds, and the sums of squares."""
-        k, at = self.k, self.k + self.free
-        matrix, gradient = np.zeros((k, k)), np.zeros(k)
-        own, squares, weights = [], np.zeros(len(self.sigma)), self.sigma**-2
+    def linearised(self, x: Array) -> Linearised[Arrow, Array]:
+        """Return the problem, with the sums of squares (sensors,), at parameters and free initial states (n,)."""
+        k, at, theta = self.k, self.k + self.free, x[: self.k]
+        matrix, gradient, blocks = np.zeros((k, k)), np.zeros(k), []
+        squares, weights = np.zeros(len(self.sigma)), self.sigma**-2
         basis = self.sensitivity.basis(theta)
-        for piece, acting, start, substeps in zip(self.pieces, self.acting, starts, self.substeps, strict=True):
+        moving = np.split(x[k:], len(self.pieces))
+        for piece, acting, start, begun, substeps in zip(
+            self.pieces, self.acting, self.starts, moving, self.substeps, strict=True
+        ):
+            y = start.copy()
+            y[self.free] = begun
             found = self.sensitivity.normal_equations(
-                basis,
-                start,
-                acting,
-                piece.readings,
-                weights,
-                rate=piece.rate,
-                substeps=substeps,
-                hold=piece.hold,
+                basis, y, acting, piece.readings, weights, rate=piece.rate, substeps=substeps, hold=piece.hold
             )
             matrix += found.matrix[:k, :k]
             gradient += found.gradient[:k]
-            own.append((found.matrix[np.ix_(at, at)], found.matrix[at, :k], found.gradient[at]))
+            blocks.append((found.matrix[np.ix_(at, at)], found.matrix[at, :k], found.gradient[at]))
             squares += found.squares
-        return matrix, gradient, own, squares
+        return Linearised(float((squares / self.sigma**2).sum()), Arrow(matrix, gradient, blocks), squares)
+
+    def unknowns(self, theta: Array) -> Array:
+        """Return parameters (k,) with the first guess of the free initial states (n,)."""
+        return np.concatenate([theta, *(start[self.free] for start in self.starts)])
 
     def solve(self, theta: Array, tell: Progress) -> Array:
-        """Return the parameters (k,) that reproduce the records best; keeps the initial states."""
+        """Return the parameters and free initial states (n,) that reproduce the records best, from parameters (k,)."""
+        x, samples, box = self.unknowns(theta), sum(map(len, self.pieces)), Box(*self.sensitivity.bounds())
         for again in range(REWEIGHTED):
-            theta, settled = self._minimise(theta, part_of(tell, again, REWEIGHTED))
-            before, samples = self.sigma, sum(map(len, self.pieces))
-            self.sigma = np.maximum(np.sqrt(self.squares / samples), 1e-12 * self._size())
-            if settled and np.allclose(self.sigma, before, rtol=0.02):
+            made = minimise(
+                self.linearised, x, box, DAMPING, rounds=MOST_ROUNDS,
+                tolerance=lambda at: CONVERGED * at.cost, progress=part_of(tell, again, REWEIGHTED),
+            )  # fmt: skip
+            x, before = made.x, self.sigma
+            self.rounds += made.rounds
+            self.sigma = np.maximum(np.sqrt(made.at.found / samples), 1e-12 * self._size())
+            if made.converged and np.allclose(self.sigma, before, rtol=0.02):
                 break
-        return theta
+        return x
 
-    def _minimise(self, theta: Array, tell: Progress) -> tuple[Array, bool]:
-        damping, starts = 1e-3, self.starts
-        matrix, gradient, own, squares = self.equations(theta, starts)
-        cost = float((squares / self.sigma**2).sum())
-        for number in range(MOST_ROUNDS):
-            self.rounds += 1
-            tell(number / MOST_ROUNDS)
-            step, steps, gain = self._step(matrix, gradient, own, damping)
-            moved = [self._moved(start, s) for start, s in zip(starts, steps, strict=True)]
-            try:
-                farther = self._within(theta, step)
-                tried = self.equations(farther, moved)
-                new = float((tried[3] / self.sigma**2).sum())
-            except (IntegrationError, ModelError):
-                new = np.inf
-            if not new < cost:
-                if gain < CONVERGED * cost or damping > 1e12:
-                    break
-                damping *= 10.0
-                continue
-            theta, starts, taken = farther, moved, cost - new
-            (matrix, gradient, own, squares), cost = tried, new
-            damping = max(damping / 10.0, 1e-12)
-            if taken < CONVERGED * cost:
-                break
-        self.starts, self.squares = starts, squares
-        return theta, number < MOST_ROUNDS - 1
-
-    def _moved(self, start: Array, step: Array) -> Array:
-        """Return an initial state (states,) after a step of what is estimated of it."""
-        found = start.copy()
-        found[self.free] += step
-        return found
-
-    def _within(self, theta: Array, step: Array) -> Array:
-        """Return the parameters after a step that goes no more than half-way to a bound."""
-        low, high = self.bounds
-        return np.clip(theta + step, np.where(np.isfinite(low), 0.5 * (theta + low), low),
-                       np.where(np.isfinite(high), 0.5 * (theta + high), high))  # fmt: skip
-
-    def _step(
-        self, matrix: Array, gradient: Array, own: list[tuple[Array, Array, Array]], damping: float
-    ) -> tuple[Array, list[Array], float]:
-        """Return the steps of parameters and initial states, and what they should take off the cost."""
-        matrix = matrix + damping * np.diag(np.diag(matrix))
-        rest, right = matrix.copy(), gradient.copy()
-        inverses = []
-        for square, cross, slope in own:
-            inverse = np.linalg.pinv(square + damping * np.diag(np.diag(square)), hermitian=True)
-            inverses.append(inverse)
-            rest -= cross.T @ inverse @ cross
-            right -= cross.T @ inverse @ slope
-        step = _solve(rest, right)
-        steps = [inverse @ (slope - cross @ step) for inverse, (_, cross, slope) in zip(inverses, own, strict=True)]
-        gain = float(gradient @ step + sum(slope @ s for (_, _, slope), s in zip(own, steps, strict=True)))
-        return step, steps, gain
-
-    def information(self, theta: Array) -> tuple[Array, Array]:
-        """Return the information on the parameters (k, k), initial states unknown, and the sums of squares."""
-        matrix, _, own, squares = self.equations(theta, self.starts)
-        for square, cross, _ in own:
-            matrix -= cross.T @ np.linalg.pinv(square, hermitian=True) @ cross
-        return matrix, squares
-
-    def result(self, theta: Array) -> Fit:
-        """Return the fit."""
-        # The last equations had the noise of the round before.
-        information, self.squares = self.information(theta)
+    def result(self, x: Array) -> Fit:
+        """Return the fit at parameters and free initial states (n,)."""
+        at, theta = self.linearised(x), x[: self.k]  # the last equations had the noise of the round before
+        information = at.equations.information()
         names = self.sensitivity.names
         scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
         values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
@@ -328,7 +269,7 @@ class _Problem:
             if abs(correlation[i, j]) > CLOSE and not notes
         ]
         twin = self.sensitivity.twin_at(theta)
-        chi, floor = relative(twin.sensors, self.pieces, self.squares), noise_alone(twin.sensors, self.pieces)
+        chi, floor = relative(twin.sensors, self.pieces, at.found), noise_alone(twin.sensors, self.pieces)
         return Fit(twin, names, theta, covariance, self.sigma, chi, floor, {}, self.rounds, tuple(notes))
 
 
@@ -339,11 +280,3 @@ def _flat(names: tuple[str, ...], direction: Array) -> str:
         return f"these records do not tell {strong[0]}; excite what it belongs to, or leave it out"
     listed = f"{', '.join(strong[:-1])} and {strong[-1]}"
     return f"{listed} cannot be distinguished from these records; fix one of them, or give records that excite each"
-
-
-def _solve(matrix: Array, right: Array) -> Array:
-    if not len(right):
-        return right
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    found = np.linalg.lstsq(matrix / np.outer(scale, scale), right / scale, rcond=1e-14)[0]
-    return np.asarray(found / scale)

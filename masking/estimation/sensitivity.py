@@ -23,9 +23,10 @@ from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.codegen.tangent import jacobian
 from masking.errors import IntegrationError, ModelError, nearest
-from masking.estimation.data import Hold, is_first_order
+from masking.estimation.data import is_first_order
 from masking.numerics.arrays import Array, IntMatrix
 from masking.numerics.rig_sizes import RigSizes
+from masking.records.hold import Hold
 from masking.rig.twin import LoweredTwin, Twin
 
 if TYPE_CHECKING:

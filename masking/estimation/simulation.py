@@ -9,13 +9,15 @@ import numpy as np
 
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
+from masking.estimation.least_squares import NO_BOUNDS, Damping, Dense, Linearised, minimise
 from masking.estimation.sensitivity import NormalEquations, Sensitivity
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
 FIRST_READINGS = 20  # readings that the initial state is guessed from
-ROUNDS = 6  # Gauss-Newton steps for the initial state, at most
-SETTLED = 1e-9  # part of the cost that a step must take off
+ROUNDS = 5  # steps for the initial state, at most
+DAMPING = Damping(1e-9, least=1e-12, most=1e6)
+SETTLED = 1e-9  # fraction of the cost that a step must take off
 
 
 @dataclass(frozen=True)
@@ -120,38 +122,60 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
         record: commands and readings.
         weights: of squared residuals of each sensor (sensors,).
     """
-    k, free = len(theta), np.array(sensing.twin.free, dtype=int)
-    substeps, basis, own = sensing.twin.substeps(record.rate), sensing.basis(theta), np.ix_(k + free, k + free)
-    y, best, least = first_start(sensing, record), None, np.inf
-    for _ in range(ROUNDS):
-        try:
-            found_so_far = sensing.normal_equations(
-                basis, y, record.acting, record.readings, weights, rate=record.rate, substeps=substeps,
-                hold=record.hold,
-            )  # fmt: skip
-        except IntegrationError:
-            break
-        cost = float(weights @ found_so_far.squares)
-        if not cost < least * (1.0 - SETTLED):
-            break
-        best, least, y = (y, found_so_far), cost, y.copy()
-        y[free] += np.linalg.lstsq(found_so_far.matrix[own], found_so_far.gradient[k + free], rcond=1e-12)[0]
-    return best
+    free, first, basis = np.array(sensing.twin.free, dtype=int), first_start(sensing, record), sensing.basis(theta)
+    substeps, at, acting = sensing.twin.substeps(record.rate), len(theta) + free, record.acting
+
+    def linearised(x: Array) -> Linearised[Dense, NormalEquations]:
+        first[free] = x
+        made = sensing.normal_equations(
+            basis, first, acting, record.readings, weights, rate=record.rate, substeps=substeps, hold=record.hold
+        )
+        return Linearised(float(weights @ made.squares), Dense(made.matrix[np.ix_(at, at)], made.gradient[at]), made)
+
+    try:
+        found = minimise(
+            linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost
+        )
+    except IntegrationError:
+        return None
+    first[free] = found.x
+    return first, found.at.found
 
 
 def first_start(sensing: Sensitivity, record: Data) -> Array:
-    """Return a guess of the initial state (states,): coordinates and velocities by a parabola through first readings.
-
-    Internal states that may begin anywhere are found beside the coordinates; the others are at rest.
-    """
+    """Return a guess of the initial state of a record (states,), from a parabola through its first readings."""
     n, count = len(sensing.twin.model.coordinates), min(FIRST_READINGS, len(record))
-    y = sensing.twin.rest(np.zeros(n))
-    read, jacobian = sensing.sensed(y, record.acting[0])
-    t = np.arange(count) / record.rate
-    found = np.polyfit(t, record.readings[:count] - read, min(2, count - 1))
-    seen = [i for i in sensing.twin.free if not n <= i < 2 * n]
+    rest, times = sensing.twin.rest(np.zeros(n)), np.arange(count) / record.rate
+    at_rest = sensing.sensed(rest, record.acting[0])
+    return guessed_state(rest, at_rest, sensing.twin.free, times, record.readings[:count], n=n, degree=2)
+
+
+def guessed_state(
+    rest: Array,
+    at_rest: tuple[Array, Array],
+    free: Sequence[int],
+    times: Array,
+    readings: Array,
+    *,
+    n: int,
+    degree: int,
+) -> Array:
+    """Return a guess of a state (states,) from a polynomial through the readings around it.
+
+    Args:
+        rest: the state at rest (states,), in which the states that are not free stay.
+        at_rest: readings there (sensors,), and their derivatives by the state (sensors, states).
+        free: indices of the states that may begin anywhere.
+        times: of the readings, from the instant of the state, s (m,).
+        readings: (m, sensors).
+        n: number of coordinates, which are the first states; their velocities are the next.
+        degree: of the polynomial.
+    """
+    y, (read, jacobian) = rest.copy(), at_rest
+    value, *slope = np.polynomial.polynomial.polyfit(times, readings, min(degree, len(times) - 1))[:2]
+    seen = [i for i in free if not n <= i < 2 * n]
     inverse = np.linalg.pinv(jacobian[:, seen])
-    y[seen] += inverse @ found[-1]
-    if count > 1:
-        y[n : 2 * n] = inverse[:n] @ found[-2]
+    y[seen] += inverse @ (value - read)
+    if slope:
+        y[n : 2 * n] = inverse[:n] @ slope[0]
     return y

@@ -1,1 +1,6 @@
-"""Modelling: a declared model, its equations, its scales and its compiled functions."""
+"""Modelling: a declared model, its equations, its scales and its compiled functions.
+
+In: a declared model.
+Out: its equations, its scales and its compiled functions.
+Imports: numerics, declaration, effects, codegen.
+"""

@@ -1,1 +1,6 @@
-"""Plants: what a controller drives, through one interface, in this process or behind a wire."""
+"""Plants: what a controller drives, through one interface, in this process or behind a wire.
+
+In: commands.
+Out: readings: a rig, simulated here or behind a wire, through one interface.
+Imports: numerics, records, rig.
+"""

@@ -16,13 +16,12 @@ from masking.declaration import units
 from masking.errors import RecordError, nearest
 from masking.modelling.scales import Units
 from masking.numerics.arrays import Array
+from masking.records import clock
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
 
 # A command that changes by this part of its largest value, or less, does not move.
 STILL = 1e-12
-# A clock may be off by this part of a sample.
-UNEVEN = 0.01
 # Option of the command line that names a channel of each kind.
 OPTIONS = {"input": "--input", "sensor": "--sensor"}
 
@@ -68,17 +67,7 @@ class Source:
         Raises:
             RecordError: the clock is not steady.
         """
-        t = self.times
-        if len(t) < 4:
-            raise RecordError(f"{self.name}: it has {len(t)} samples; record it longer")
-        step = float(t[-1] - t[0]) / (len(t) - 1)
-        off = np.flatnonzero(np.abs(np.diff(t) - step) > UNEVEN * step)
-        if len(off):
-            raise RecordError(
-                f"{self.name}: the clock is not steady: after t = {t[off[0]]:.9g} s it goes by "
-                f"{t[off[0] + 1] - t[off[0]]:.6g} s, in the mean by {step:.6g} s; take a stretch without gaps"
-            )
-        return 1.0 / step
+        return clock.rate(self.times, self.name)
 
     def choices(self, kind: str) -> tuple[str, ...]:
         """Return the names of a kind, input or sensor: those with its prefix, or every column where there is none."""

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from masking.errors import RecordError
 from masking.numerics.arrays import Array
+from masking.records import clock
 
 # Samples that are needed.
 LEAST_SAMPLES = 200
@@ -48,15 +49,7 @@ def columns(**values: ArrayLike) -> tuple[Array, ...]:
         raise RecordError(
             f"the record has {lengths[times]} samples, at least {LEAST_SAMPLES} are needed; record it longer"
         )
-    steps = np.diff(found[times])
-    usual = float(np.median(steps))
-    bad = np.flatnonzero(~(np.abs(steps - usual) <= 0.5 * usual))
-    if usual <= 0.0 or len(bad):
-        at = int(bad[0]) if len(bad) else 0
-        raise RecordError(
-            f"the clock does not go in equal steps: after sample {at} (counted from 0) it goes by {steps[at]:.6g} s, "
-            f"usually by {usual:.6g} s; take a stretch of the record without gaps"
-        )
+    clock.rate(found[times], "the record")
     for name in others:
         if np.ptp(found[name]) <= 1e-12 * np.abs(found[name]).max():
             raise RecordError(f"{name} is constant at {found[name][0]:.6g}; see that it is connected and excited")

@@ -1,5 +1,9 @@
 """Signals that excite a rig: multisines with a small crest factor, steps, ramps, saw-teeth, opposed sines and chirps.
 
+In: lines, levels and durations.
+Out: excitations: the samples of each channel.
+Imports: numerics, records.
+
 `Multisine` is a sum of sines with any lines; `minimise_crest` chooses its phases. `multisine`, `steps`, `ramp`,
 `sawtooth`, `opposed_sines`, `linear_chirp` and `logarithmic_chirp` make an `Excitation`: the samples of each channel,
 which is written to and read from csv or parquet.

@@ -1,1 +1,7 @@
-"""Workflows: the verbs as functions, files in and files out."""
+"""Workflows: the verbs as functions, files in and files out.
+
+In: names of files and settings.
+Out: results and files: each verb as a function.
+Imports: numerics, declaration, effects, modelling, records, signals, analysis, rig, control, plants, runs,
+    estimation, discovery, procedures, reports.
+"""

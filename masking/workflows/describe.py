@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 
-from masking.declaration import schema
-from masking.effects import Effect, EffectParameter, own
-from masking.modelling.model import Model
+from masking.declaration import catalogue, registry, schema
+from masking.effects import EFFECTS, Effect, EffectParameter, own
+from masking.modelling.model import Model, load_model
 from masking.runs.experiment import Experiment
 
 if TYPE_CHECKING:
@@ -38,6 +39,28 @@ class Description:
     def to_json(self) -> str:
         """Return the content as JSON."""
         return json.dumps(self.content, indent=2, ensure_ascii=False)
+
+
+def show(name_or_path: str | Path, kind: str | None = None) -> Description:
+    """Describe a model, a plant or an experiment: equations, parameters, blocks; or physical effects.
+
+    Args:
+        name_or_path: a packaged name, a file, or the name of an effect that comes with the package.
+        kind: one of `catalogue.KINDS`, if a name stands for more than one; by default the first of these.
+
+    Raises:
+        DeclarationError: there is no such declaration, or it is wrong.
+    """
+    if kind is None and name_or_path in EFFECTS:
+        return effect(EFFECTS[str(name_or_path)])
+    kind = kind or catalogue.kind_of(name_or_path)
+    if kind == "model":
+        return model(load_model(name_or_path))
+    if kind == "plant":
+        return plant(registry.load_plant(name_or_path))
+    if kind == "dictionary":
+        return dictionary(registry.load_dictionary(name_or_path))
+    return experiment(Experiment.load(name_or_path))
 
 
 def model(subject: Model) -> Description:

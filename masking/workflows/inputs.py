@@ -1,8 +1,8 @@
-"""Asked: the rig and the records that a discovery is asked about, read and checked before anything is searched."""
+"""The rig and the records of a discovery, read and checked before anything is searched."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,8 +12,9 @@ from masking.declaration import registry
 from masking.declaration.couplings import driven_outputs
 from masking.declaration.expression import Expression
 from masking.declaration.schema import ModelDeclaration, PlantDeclaration, Sensor
+from masking.discovery.settings import DiscoverySettings
 from masking.errors import DeclarationError, Problem, RecordError, nearest
-from masking.estimation.data import Data, InputHold
+from masking.estimation.data import Data
 from masking.records import readers
 from masking.records.time_slice import Part
 from masking.reports.discovery_files import Origin
@@ -25,57 +26,21 @@ ALIKE = 1e-6  # relative difference of two rates that are the same
 
 
 @dataclass(frozen=True)
-class Asked:
-    """The rig as it is believed to be, the record, another one for validation, and where these come from."""
+class Inputs:
+    """The record to be explained, a validation record, and where these come from."""
 
-    twin: Twin
     record: Data
     validation: Data | None
     origin: Origin
 
 
-def asked(
-    record: str | Path,
-    model: str | Path | None,
-    plant: str | Path | None,
-    validation: str | Path | None = None,
-    *,
-    hold: InputHold | None = None,
-    columns: Mapping[str, str] | None = None,
-    dt: float | None = None,
-    effects: str | Path | None = None,
-) -> Asked:
-    """Read and check what a discovery needs.
+def read(twin: Twin, record: str | Path, settings: DiscoverySettings) -> Inputs:
+    """Read and check the records of a rig.
 
     Args:
-        record: a folder of a recording, or a parquet, csv, mat or h5 file; or a part of one, see `formats.read`.
-        model: of the rig; in place of the plant's own where both are given.
-        plant: a plant file or a packaged plant; without one, the model's outputs or coordinates are read.
-        validation: another record for validation.
-        hold: how inputs go from sample to sample, see `Data`.
-        columns: of the files, by the names that they get.
-        dt: time between samples in s, for files without a clock.
-        effects: a dictionary of own effects, which are tried, too.
-
-    Raises:
-        DeclarationError: neither a model nor a plant is given, or one is wrong.
-        RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates or share
-            samples.
-    """
-    twin = with_effects(rig(model, plant), effects)
-    return read(twin, record, validation, hold=hold, columns=columns, dt=dt)
-
-
-def read(
-    twin: Twin,
-    record: str | Path,
-    validation: str | Path | None = None,
-    *,
-    hold: InputHold | None = None,
-    columns: Mapping[str, str] | None = None,
-    dt: float | None = None,
-) -> Asked:
-    """Read and check the records of a rig; see `asked`.
+        twin: the rig as its model declares it.
+        record: folder of a recording, or a parquet, csv, mat or h5 file; `FILE@10:20` is its part from 10 s to 20 s.
+        settings: which record validates, and how to read both.
 
     Raises:
         RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates or share
@@ -83,7 +48,7 @@ def read(
     """
 
     def one(path: str | Path) -> Data:
-        found = Data.read(path, twin, hold, columns, dt)
+        found = Data.read(path, twin, settings.hold, settings.columns, settings.dt)
         if len(found) < FEWEST:
             raise RecordError(
                 f"{path}: {len(found)} samples are too few to tell effects apart; give a record of at least {FEWEST}, "
@@ -96,7 +61,7 @@ def read(
             )
         return found
 
-    train = one(record)
+    validation, train = settings.validation, one(record)
     judge = None if validation is None else one(validation)
     if judge is not None and abs(judge.rate / train.rate - 1.0) > ALIKE:
         raise RecordError(
@@ -107,7 +72,7 @@ def read(
     origin = Origin({what: (str(p), readers.digest(p)) for what, p in paths.items()})
     if judge is not None:
         _check_unseen(train, judge, origin)
-    return Asked(twin, train, judge, origin)
+    return Inputs(train, judge, origin)
 
 
 def _check_unseen(train: Data, judge: Data, origin: Origin) -> None:
@@ -170,17 +135,6 @@ def with_effects(twin: Twin, effects: str | Path | None) -> Twin:
     return made
 
 
-def check_tolerance(tolerance: float) -> None:
-    """Refuse a relative deviation of parameters that is none.
-
-    Raises:
-        DeclarationError: it is not between 0 and 1.
-    """
-    if not 0.0 < tolerance < 1.0:
-        message = f"the tolerance is {tolerance:g}"
-        raise DeclarationError(Problem(None, "tolerance", message, "give a part between 0 and 1, such as 0.01"))
-
-
 def parameters(twin: Twin, names: Sequence[str]) -> tuple[str, ...]:
     """Return the parameters that may be off: all of the equations where none are named.
 
@@ -206,4 +160,4 @@ def _sensors(base: ModelDeclaration) -> dict[str, Sensor]:
     return {name: Sensor(measures=Expression(name), unit=c.unit, meaning=c.meaning) for name, c in moving.items()}
 
 
-__all__ = ["Asked", "asked", "check_tolerance", "parameters", "read", "rig", "with_effects"]
+__all__ = ["Inputs", "parameters", "read", "rig", "with_effects"]

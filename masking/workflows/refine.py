@@ -9,34 +9,28 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
 import yaml
 
 from masking.declaration import registry
 from masking.discovery.discover import discover
 from masking.discovery.discovery import Discovery, Named
-from masking.discovery.settings import TOLERANCE, DiscoverySettings
+from masking.discovery.settings import DiscoverySettings
 from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, SingularityError
-from masking.estimation.data import InputHold
 from masking.records.recording import Recording
-from masking.reports import discovery_files, discovery_text
+from masking.reports import discovery_files, discovery_page, discovery_text, run_report
 from masking.reports.discovery_files import Files
 from masking.reports.text import capital, listed
 from masking.rig.twin import Twin
 from masking.runs.error_budget import in_full
 from masking.runs.experiment import Experiment
 from masking.workflows import inputs
-
-if TYPE_CHECKING:
-    from masking.reports import discovery_page, run_report
-else:
-    discovery_page = lazy.load("masking.reports.discovery_page", suppress_warning=True)
-    run_report = lazy.load("masking.reports.run_report", suppress_warning=True)
+from masking.workflows.outputs import check_folder
+from masking.workflows.settings import with_fields_of
 
 Tell = Callable[[str, float], None]
 
@@ -151,68 +145,63 @@ class Refinement:
         return "\n".join(lines)
 
 
-def refine(
-    experiment: Experiment,
-    record: str | Path,
-    *,
-    validation: str | Path | None = None,
-    parameters: Sequence[str] = (),
-    tolerance: float = TOLERANCE,
-    shooting_interval: float | None = None,
-    hold: InputHold | None = None,
-    columns: Mapping[str, str] | None = None,
-    dt: float | None = None,
-    effects: str | Path | None = None,
-    out: str | Path | None = None,
-    tell: Tell | None = None,
-) -> Refinement:
-    """Find out from a record what the controller's model of an experiment is missing, and run it without and with that.
+@dataclass(frozen=True, kw_only=True)
+class Refine(DiscoverySettings):
+    """Settings of a discovery, and of the runs before and after.
 
     Args:
-        experiment: whose controller's model is refined.
-        record: a folder of a recording of the plant, or a parquet, csv, mat or h5 file; or a part of one, such as
-            `record.csv@10:20`.
-        validation: another record for validation; the last part of the record where none is given.
-        parameters: of the controller's model that may be off; all that its equations hold where none are given.
-        tolerance: relative standard deviation of a parameter that declares none.
-        shooting_interval: seconds after which the motion is simulated anew, as for `masking.discover`.
-        hold: how inputs go from each sample to the next, as for `masking.identify`.
-        columns: of the files, by the names that they get.
-        dt: time between samples in s, for a table without a clock.
-        effects: a dictionary of own effects, which are tried, too.
-        out: folder to save in: the files of a discovery, both runs in `before/` and `after/`, each with its report,
-            `experiment.yaml` and `refine.json`; nothing is saved where none is given, and nothing half where it is
-            interrupted.
-        tell: called with what is done, and the fraction done.
+        record: folder of a recording of the experiment's plant, or a parquet, csv, mat or h5 file; `FILE@10:20` is its
+            part from 10 s to 20 s.
+        plant: a plant that replaces the declared one.
+        out: folder to save the files of a discovery, both runs in `before/` and `after/`, each with its report,
+            `experiment.yaml` and `refine.json` in, all of them or none; by default nothing is saved.
+        tell: called with the step under way, and the fraction done.
+    """
+
+    record: str | Path
+    plant: str | None = None
+    out: str | Path | None = None
+    tell: Tell | None = None
+
+
+@with_fields_of(Refine)
+def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
+    """Find out what the controller's model of an experiment lacks, from a record, and run it without and with that.
+
+    Args:
+        name_or_path: an experiment file, or the name of a packaged experiment.
+        settings: the fields of `Refine`.
 
     Raises:
         MaskingError: a declaration, a name, a setting or a record is wrong, or the experiment cannot be run.
     """
-    inputs.check_tolerance(tolerance)
+    out, tell = settings.out, settings.tell
+    check_folder(out)
+    experiment = Experiment.load(name_or_path, plant=settings.plant)
     say = tell or (lambda text, part: None)
-    twin = inputs.with_effects(believed(experiment), effects)
+    twin = inputs.with_effects(believed(experiment), settings.effects)
     if not twin.sensors:
         message, mend = f"{twin.declaration.name} declares no sensors", "declare what the record holds of the rig"
         raise DeclarationError(Problem(None, "sensors", message, mend))
-    wanted = inputs.read(twin, record, validation, hold=hold, columns=columns, dt=dt)
-    names = inputs.parameters(twin, parameters)
+    given = inputs.read(twin, settings.record, settings)
+    named = replace(settings, parameters=inputs.parameters(twin, settings.parameters))
     say("running with the model as it is", 0.0)
     before = _run(experiment, lambda part: say("running with the model as it is", _BEGIN * part))
     found = discover(
         twin,
-        wanted.record,
-        wanted.validation,
-        DiscoverySettings(parameters=names, tolerance=tolerance, shooting_interval=shooting_interval),
+        given.record,
+        given.validation,
+        named,
         tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part),
     )
     folder = None if out is None else Path(out)
     made = _beside(folder)
     try:
-        files = discovery_page.save(found, made, wanted.origin, lies=folder)
+        files = discovery_page.save(found, made, given.origin, lies=folder)
         better = refined(experiment, found, files, folder or made)
         after = _run(better, lambda part: say("running with what was found", _FOUND + (1.0 - _FOUND) * part))
         kept = None if folder is None else discovery_files.paths(found, folder)
-        result = Refinement(before, after, found, better, wanted.origin, folder, kept)
+        result = Refinement(before, after, found, better, given.origin, folder, kept)
         if folder is not None:
             _write(result, made, folder)
             _move(made, folder)

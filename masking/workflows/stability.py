@@ -1,4 +1,4 @@
-"""Assessment: the stability of a model, or of an experiment with its closed loop beside the virtual system."""
+"""The verb stability: of a model, or of an experiment with its closed loop beside the virtual system."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from masking.analysis.stability.study import LoopModes, Stability, loop_modes, s
 from masking.declaration import catalogue
 from masking.errors import DeclarationError, Problem
 from masking.modelling.model import Model, load_model
+from masking.reports import stability_page
 from masking.runs.experiment import Experiment
 from masking.runs.offline import rig_state
+from masking.workflows.choices import STUDIED
+from masking.workflows.outputs import check_folder
 
-KINDS = ("model", "experiment")
 
-
-def assess(
+def stability(
     name_or_path: str | Path,
     *,
     kind: str | None = None,
     changes: Mapping[str, float] | None = None,
     box: Mapping[str, tuple[float, float]] | None = None,
     exponent: float | None = None,
+    out: str | Path | None = None,
     tell: Callable[[str, float], None] | None = None,
 ) -> Stability:
     """Find the equilibria and modes of a system, and what its energy proves of all its motions.
@@ -39,27 +41,32 @@ def assess(
             (`x1'`), in the scales of the system, or in SI units.
         exponent: time over which the largest Lyapunov exponent of the motion from the initial state is found, in the
             scales of the system, or in s; it is not where none is given.
-        tell: called with what is done, and the part done.
+        out: folder to save `stability.html`, `stability.json` and figures in; by default nothing is saved.
+        tell: called with the step under way, and the fraction done.
 
     Raises:
         DeclarationError: a declaration is wrong, or of another kind.
         ModelError: the box names what is no coordinate or velocity, or no rig position gives the virtual equilibrium.
     """
+    check_folder(out)
     kind = kind or catalogue.kind_of(name_or_path)
-    if kind not in KINDS:
+    if kind not in STUDIED:
         message = f"{name_or_path} is a {kind}, which has no stability of its own"
         raise DeclarationError(Problem(None, "", message, "name a model or an experiment"))
-    if kind == "model":
+    experiment = None if kind == "model" else Experiment.load(name_or_path, changes=changes)
+    if experiment is None:
         model = load_model(name_or_path).with_parameters(**(changes or {}))
         model = model.dimensionless() if model.declaration.scales else model
-        return _with_exponent(study(model, box), model, exponent, tell)
-    experiment = Experiment.load(name_or_path, changes=changes)
-    found = _with_exponent(study(experiment.virtual, box), experiment.virtual, exponent, tell)
-    if found.rest is None or not found.rest.points:
-        return found
-    if tell is not None:
-        tell("compiling the closed loop", 0.5)
-    return replace(found, loop=_loop(experiment, found))
+    else:
+        model = experiment.virtual
+    found = _with_exponent(study(model, box), model, exponent, tell)
+    if experiment is not None and found.rest is not None and found.rest.points:
+        if tell is not None:
+            tell("compiling the closed loop", 0.5)
+        found = replace(found, loop=_loop(experiment, found))
+    if out is not None:
+        stability_page.save(found, out)
+    return found
 
 
 def _with_exponent(

@@ -1,0 +1,23 @@
+"""The JSON Schema of each kind of declaration, for editors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from masking.declaration.schema import KINDS
+from masking.errors import DeclarationError, Problem, nearest
+
+
+def json_schema(kind: str) -> dict[str, Any]:
+    """Return the JSON Schema of a kind of declaration, for editors.
+
+    Args:
+        kind: one of `KINDS`.
+
+    Raises:
+        DeclarationError: there is no such kind.
+    """
+    if kind not in KINDS:
+        raise DeclarationError(Problem(None, "", f"there is no kind of declaration '{kind}'", nearest(kind, KINDS)))
+    schema = KINDS[kind].model_json_schema(ref_template="#/$defs/{model}")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -1,0 +1,247 @@
+"""Least squares: the Levenberg-Marquardt method on normal equations, with a normal prior and bounds.
+
+A problem is linearised at values x of its unknowns; each step solves (J^T W J + damping diag(J^T W J)) s = J^T W r.
+Source: Nocedal and Wright, Numerical Optimization (2006), section 10.3; Marquardt, SIAM J. Appl. Math. 11 (1963),
+431-441, for the scaling; Bock (1981) for the condensing of the initial states of shooting intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.errors import IntegrationError, ModelError
+from masking.numerics.arrays import Array
+
+SINGULAR = 1e-13  # of the largest singular value of the scaled matrix: what is smaller is rounding
+TOWARDS = 0.7  # of the way to a bound that a step may go: values stay inside
+GROWTH = 2.0  # times its size that a positive value may take in a step
+
+
+class NormalEquations(Protocol):
+    """Normal equations that a damped step can be found from."""
+
+    def step(self, damping: float) -> tuple[Array, float]:
+        """Return the step of all unknowns (n,), and the reduction of the cost that it should give."""
+
+
+@dataclass(frozen=True)
+class Dense:
+    """Normal equations as one matrix.
+
+    Args:
+        matrix: J^T W J (n, n).
+        gradient: J^T W r (n,), of the residuals r.
+        fixed: unknowns that are not estimated (n,); none by default.
+    """
+
+    matrix: Array
+    gradient: Array
+    fixed: NDArray[np.bool_] | None = None
+
+    def with_prior(self, off: Array, deviation: Array) -> Dense:
+        """Return the equations with a normal prior.
+
+        Args:
+            off: mean less value (n,).
+            deviation: standard deviations (n,); infinite for unknowns without a prior.
+        """
+        weights = deviation**-2.0
+        return replace(self, matrix=self.matrix + np.diag(weights), gradient=self.gradient + off * weights)
+
+    def step(self, damping: float) -> tuple[Array, float]:
+        """Return the step of all unknowns (n,), and the reduction of the cost that it should give."""
+        free = np.arange(len(self.gradient)) if self.fixed is None else np.flatnonzero(~self.fixed)
+        step, matrix = np.zeros(len(self.gradient)), self.matrix[np.ix_(free, free)]
+        step[free], gain = _scaled_solution(matrix, self.gradient[free], damping)
+        return step, gain
+
+    def covariance(self) -> Array:
+        """Return the covariance of the unknowns (n, n)."""
+        scale = _scale(self.matrix)
+        inverse = np.linalg.pinv(self.matrix / np.outer(scale, scale), hermitian=True, rcond=SINGULAR)
+        return np.asarray(inverse / np.outer(scale, scale))
+
+
+@dataclass(frozen=True)
+class Arrow:
+    """Normal equations of shared unknowns, and of blocks that only these connect, such as initial states of records.
+
+    Args:
+        matrix: of the shared unknowns (k, k).
+        gradient: of these (k,).
+        blocks: of each block its matrix (b, b), the products with the shared unknowns (b, k) and its gradient (b,).
+    """
+
+    matrix: Array
+    gradient: Array
+    blocks: Sequence[tuple[Array, Array, Array]]
+
+    def step(self, damping: float) -> tuple[Array, float]:
+        """Return the step of all unknowns (k + b + b ...,), and the reduction of the cost that it should give."""
+        matrix, gradient, inverses = self._condensed(damping)
+        shared = _scaled_solution(matrix, gradient, 0.0)[0]
+        pairs = zip(inverses, self.blocks, strict=True)
+        steps = [inverse @ (slope - cross @ shared) for inverse, (_, cross, slope) in pairs]
+        gain = self.gradient @ shared + sum(slope @ s for (_, _, slope), s in zip(self.blocks, steps, strict=True))
+        return np.concatenate([shared, *steps]), float(gain)
+
+    def information(self) -> Array:
+        """Return the information on the shared unknowns (k, k) if the others are unknown: the Schur complement."""
+        return self._condensed(0.0)[0]
+
+    def _condensed(self, damping: float) -> tuple[Array, Array, list[Array]]:
+        matrix, gradient = self.matrix + damping * np.diag(np.diag(self.matrix)), self.gradient.copy()
+        inverses: list[Array] = []
+        for square, cross, slope in self.blocks:
+            inverse: Array = np.asarray(np.linalg.pinv(square + damping * np.diag(np.diag(square)), hermitian=True))
+            inverses.append(inverse)
+            matrix -= cross.T @ inverse @ cross
+            gradient -= cross.T @ inverse @ slope
+        return matrix, gradient, inverses
+
+
+E = TypeVar("E", bound=NormalEquations)
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Linearised(Generic[E, T]):
+    """A problem at values of its unknowns: the cost, the normal equations, and whatever else was computed."""
+
+    cost: float
+    equations: E
+    found: T
+
+
+@dataclass(frozen=True)
+class Box:
+    """Bounds of the first unknowns; the others have none.
+
+    Args:
+        low, high: least and largest values (b,); infinite if there is none.
+        growing: whether a value that is positive by its bounds may at most double in a step (b,).
+    """
+
+    low: Array
+    high: Array
+    growing: NDArray[np.bool_] | bool = False
+
+    def after(self, x: Array, step: Array) -> Array:
+        """Return values (n,) after a step that goes at most `TOWARDS` of the way to a bound."""
+        farther, count = x + step, len(self.low)
+        x = x[:count]
+        least = np.where(np.isfinite(self.low), x - TOWARDS * np.abs(x - self.low), -np.inf)
+        most = np.where(np.isfinite(self.high), x + TOWARDS * np.abs(self.high - x), np.inf)
+        doubled = np.where(self.growing & (self.low >= 0.0) & (x > 0.0), GROWTH * x, np.inf)
+        farther[:count] = np.minimum(np.clip(farther[:count], least, most), doubled)
+        return farther
+
+
+NO_BOUNDS = Box(np.empty(0), np.empty(0))
+
+
+@dataclass(frozen=True)
+class Damping:
+    """Damping of a step, relative to the diagonal of the matrix, and how it goes on.
+
+    It falls tenfold after a success that follows a success. After steps in vain it rises 10, 100, 1000 ... times: a
+    step that is far too long is soon far shorter.
+
+    Args:
+        value: of the next step.
+        least: that it falls to.
+        most: beyond which no shorter step is tried.
+        vain: steps in vain in a row.
+    """
+
+    value: float
+    least: float
+    most: float
+    vain: int = 0
+
+    def after(self, *, success: bool) -> Damping:
+        """Return the damping of the next step."""
+        if not success:
+            return replace(self, value=self.value * 10.0 ** (self.vain + 1), vain=self.vain + 1)
+        return replace(self, value=self.value if self.vain else max(self.value / 10.0, self.least), vain=0)
+
+
+@dataclass(frozen=True)
+class Minimum(Generic[E, T]):
+    """Where the method ended: values (n,), the problem there, rounds, and whether it stopped by itself."""
+
+    x: Array
+    at: Linearised[E, T]
+    rounds: int
+    converged: bool
+
+
+def minimise(
+    linearise: Callable[[Array], Linearised[E, T]],
+    x: Array,
+    box: Box,
+    damping: Damping,
+    *,
+    rounds: int,
+    tolerance: Callable[[Linearised[E, T]], float],
+    is_hopeless: Callable[[float, float], bool] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Minimum[E, T]:
+    """Minimise a sum of squares by the Levenberg-Marquardt method.
+
+    Args:
+        linearise: what returns the problem at values of the unknowns; raises if it has none there.
+        x: values to begin from (n,).
+        box: bounds.
+        damping: to begin with.
+        rounds: most steps that are tried.
+        tolerance: reduction of the cost below which the method stops, at a linearised problem.
+        is_hopeless: whether to give up, from the cost and that of the step that was tried, infinite if it failed.
+        progress: called with the part done.
+
+    Raises:
+        IntegrationError: the problem has no value at x.
+    """
+    at, number = linearise(x), 0
+    for number in range(1, rounds + 1):
+        if progress is not None:
+            progress((number - 1) / rounds)
+        step, gain = at.equations.step(damping.value)
+        enough = tolerance(at)
+        if gain < enough:
+            return Minimum(x, at, number, converged=True)
+        farther = box.after(x, step)
+        try:
+            tried = linearise(farther)
+        except (IntegrationError, ModelError):
+            tried = replace(at, cost=np.inf)
+        if is_hopeless is not None and is_hopeless(at.cost, tried.cost):
+            return Minimum(x, at, number, converged=True)
+        success = tried.cost < at.cost
+        damping = damping.after(success=success)
+        if success:
+            taken, x, at = at.cost - tried.cost, farther, tried
+            if taken < enough:
+                return Minimum(x, at, number, converged=True)
+        elif damping.value > damping.most:
+            return Minimum(x, at, number, converged=True)
+    return Minimum(x, at, number, converged=False)
+
+
+def _scale(matrix: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(np.diag(matrix), 1e-300)))
+
+
+def _scaled_solution(matrix: Array, right: Array, damping: float) -> tuple[Array, float]:
+    """Return the damped solution (n,) with a diagonal scaled to 1, and its product with the right side."""
+    if not len(right):
+        return right, 0.0
+    scale = _scale(matrix)
+    scaled = matrix / np.outer(scale, scale) + damping * np.eye(len(right))
+    found = np.linalg.lstsq(scaled, right / scale, rcond=SINGULAR)[0]
+    return found / scale, float((right / scale) @ found)

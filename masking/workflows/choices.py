@@ -1,0 +1,14 @@
+"""Values that settings of the verbs may have, for the command line; loads no large package."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from masking.discovery.settings import TOLERANCE
+from masking.records.hold import InputHold
+
+HOLDS = get_args(InputHold)
+METHODS = ("least-squares", "kalman")  # of identify
+STUDIED = ("model", "experiment")  # kinds of declaration that stability studies
+
+__all__ = ["HOLDS", "METHODS", "STUDIED", "TOLERANCE"]

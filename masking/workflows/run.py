@@ -1,0 +1,58 @@
+"""The verbs run and report: an experiment to its recording, and a recording to its report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from masking.records.recording import Recording
+from masking.reports import run_report
+from masking.runs import error_budget
+from masking.runs.experiment import Experiment
+from masking.workflows.outputs import check_folder
+
+
+def run(
+    name_or_path: str | Path,
+    *,
+    changes: Mapping[str, float] | None = None,
+    plant: str | None = None,
+    out: str | Path | None = None,
+    budget: bool | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Recording:
+    """Run an experiment: the plant under the controller, and the virtual system by itself beside it.
+
+    Args:
+        name_or_path: an experiment file, or the name of a packaged experiment.
+        changes: parameters of the virtual system that replace the declared ones.
+        plant: a plant that replaces the declared one.
+        out: folder to save the recording and its report in; by default nothing is saved.
+        budget: whether to make an error budget, by further runs; by default if these take a few seconds.
+        progress: called with the fraction done.
+
+    Raises:
+        MaskingError: a declaration is wrong, the rig cannot be masked as asked, or the run could not go on.
+    """
+    wanted = Experiment.load(name_or_path, plant=plant, changes=changes)
+    check_folder(out)
+    made = error_budget.run(wanted, budget, progress)
+    if out is not None:
+        made.save(Path(out))
+        run_report.report(made, out)
+    return made
+
+
+def report(record: str | Path, out: str | Path | None = None) -> run_report.Report:
+    """Write the report of a recording: one HTML page and its figures.
+
+    Args:
+        record: the folder of a recording, or its parquet file.
+        out: folder of the report; by default the recording's own.
+
+    Raises:
+        RecordError: there is no recording, or the report cannot be written.
+    """
+    path = Path(record)
+    folder = Path(out) if out is not None else path if path.is_dir() else path.parent
+    return run_report.report(Recording.load(path), folder)
