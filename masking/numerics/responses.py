@@ -27,14 +27,14 @@ def places_along(derivative: Kernel, placed: Kernel, sizes: RigSizes, ports: tup
     """Make the motion of places.
 
     Returns:
-        `follow(count, dt, p, states, commands, motions, work)`, which writes displacements, rates and accelerations of
+        `follow(count, dt, p, states, commands, moved, work)`, which writes displacements, rates and accelerations of
         the places (count, 3 places).
     """
     n, coordinates, forces, at = sizes.states, sizes.coordinates, len(ports), ports or (0,)
 
     @compiled
     def follow(
-        count: int, dt: float, p: Vector, states: Matrix, commands: Matrix, motions: Matrix, work: Matrix,
+        count: int, dt: float, p: Vector, states: Matrix, commands: Matrix, moved: Matrix, work: Matrix,
     ) -> None:  # fmt: skip
         work[:] = 0.0
         followed, work = take(work, 2 * places)
@@ -45,12 +45,12 @@ def places_along(derivative: Kernel, placed: Kernel, sizes: RigSizes, ports: tup
             placed(index * dt, states[index], commands[index], p, d, followed)
             derivative(index * dt, states[index], commands[index], p, rate)
             for e in range(places):
-                motions[index, e] = d[e]
-                motions[index, places + e] = d[places + e]
+                moved[index, e] = d[e]
+                moved[index, places + e] = d[places + e]
                 total = 0.0
                 for i in range(coordinates):
                     total += followed[e, i] * rate[coordinates + i]
-                motions[index, 2 * places + e] = total
+                moved[index, 2 * places + e] = total
 
     return follow
 
