@@ -37,7 +37,7 @@ NOT_YET: dict[str, set[str]] = {
     "masking/discovery/discover.py": {"judges", "tells"},
     "masking/discovery/discovery.py": {"belief", "believed", "judged", "judges", "tells", "what is left"},
     "masking/discovery/explanation.py": {"judged"},
-    "masking/discovery/fitting.py": {"belief", "believed", "judges", "slot", "slots"},
+    "masking/discovery/fitting.py": {"slots"},
     "masking/discovery/flow.py": {"slots"},
     "masking/discovery/force_decomposition.py": {"portrait", "told"},
     "masking/discovery/latent_force.py": {"lacking", "told", "what is left"},
@@ -59,10 +59,7 @@ NOT_YET: dict[str, set[str]] = {
     "masking/discovery/search.py": {"belief", "believed", "lacking", "simpler kin", "slot", "slots", "told"},
     "masking/discovery/smoothing.py": {"lacking", "told"},
     "masking/discovery/steps.py": {"begins anew", "slot", "slots"},
-    "masking/estimation/fit.py": {"so many", "tells", "what is left"},
     "masking/workflows/discover.py": {"believed"},
-    "masking/workflows/inputs.py": {"believed", "judge", "judged"},
-    "masking/workflows/refine.py": {"believed", "believes", "simulated anew", "tells", "told", "truer"},
 }
 
 
