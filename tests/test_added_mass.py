@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from masking.discovery.augmented_model import OpenRig, Slot
+from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.candidates import Span, candidates
 from masking.discovery.discover import discover
 from masking.discovery.prior import prior_of
-from masking.discovery.problem import Evidence
+from masking.discovery.problem import EstimationProblem
 from masking.estimation.data import Data
 from masking.estimation.simulation import simulate
 from masking.reports import discovery_files, discovery_text
@@ -32,7 +32,7 @@ def twin(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rig(twin):
-    return OpenRig(twin, twin.equation_parameters())
+    return AugmentedModel(twin, twin.equation_parameters())
 
 
 def setup(p, masses, springs=(0.0, 0.0)):
@@ -61,7 +61,7 @@ def excitation(seconds, channels, seed=3, rate=RATE):
 
 
 def evidence_of(rig, record):
-    return Evidence(rig, record, prior_of(rig.twin, rig, 0.01), np.full(record.readings.shape[1], NOISE), 2)
+    return EstimationProblem(rig, record, prior_of(rig.twin, rig, 0.01), np.full(record.readings.shape[1], NOISE), 2)
 
 
 def test_several_at_once_are_a_mass_matrix(rig):
@@ -70,7 +70,7 @@ def test_several_at_once_are_a_mass_matrix(rig):
     p = dict(zip(rig.names, rig.start, strict=True))
     evidence = evidence_of(rig, Data("a record", RATE, commands, np.zeros_like(commands)))
     places = (("x1", 0.05), ("spring1", 0.4), ("beam", -0.2), ("x2", 0.1), ("spring2", 0.7))
-    slots = tuple(Slot("added_mass", at, (m,), (0,)) for at, m in places)
+    slots = tuple(EffectInstance("added_mass", at, (m,), (0,)) for at, m in places)
     found = evidence.equations(rig.start, np.zeros((1, 6)), slots, np.array([m for _, m in places]))
     exact = read(setup(p, (0.05, 0.1, -0.2), (0.4, 0.7)), commands)
     assert np.abs(found.simulated - exact).max() < 1e-7 * np.abs(exact).max()
@@ -187,7 +187,7 @@ def single(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def single_rig(single):
-    return OpenRig(single, single.equation_parameters())
+    return AugmentedModel(single, single.equation_parameters())
 
 
 def test_it_is_the_parameter_of_a_single_mass(single_rig):
@@ -198,7 +198,7 @@ def test_it_is_the_parameter_of_a_single_mass(single_rig):
     assert np.abs(exact).max() > 0.8  # 30 % more inertia than at rest, or so
     evidence, start = evidence_of(rig, Data("a record", 200.0, commands, np.zeros_like(exact))), np.zeros((1, 2))
     larger = rig.start * np.where(np.array(rig.names) == "m", 1.3, 1.0)
-    added = evidence.equations(rig.start, start, (Slot("added_mass", "x", (0.3,), (0,)),), np.array([0.3]))
+    added = evidence.equations(rig.start, start, (EffectInstance("added_mass", "x", (0.3,), (0,)),), np.array([0.3]))
     heavy = evidence.equations(larger, start)
     for found in (added, heavy):
         np.testing.assert_allclose(found.simulated, exact, atol=1e-6)
@@ -216,5 +216,5 @@ def test_the_parameter_of_a_single_mass_wins(single, single_rig):
     (effect,) = found.effects
     assert (found.verdict, effect.name) == ("parameter", "m")
     assert effect.parameters["m"][0] == pytest.approx(1.3, rel=1e-3)
-    own = {promise.candidate.key: promise.own for promise in found.search.tried}
+    own = {score.candidate.key: score.unique for score in found.search.tried}
     assert own["added_mass", "x"] < 0.01

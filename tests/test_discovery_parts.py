@@ -9,14 +9,14 @@ from scipy import optimize, signal
 from masking.declaration import catalogue
 from masking.declaration.dimensions import is_plain
 from masking.discovery import fitting
-from masking.discovery.augmented_model import OpenRig, Slot
+from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.candidates import candidates
 from masking.discovery.composites import is_composite
 from masking.discovery.explanation import occam
 from masking.discovery.noise import steps_of
 from masking.discovery.places import opened, places
 from masking.discovery.prior import prior_of
-from masking.discovery.problem import Evidence
+from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import Screen
 from masking.discovery.search import Search
 from masking.discovery.smoothing import smooth
@@ -30,16 +30,16 @@ from tests.test_discovery import PLANT
 
 RATE, SECONDS, NOISE = 1000.0, 12.0, 1e-3
 SLOTS = {
-    "dry friction": Slot("dry_friction", "spring1", (0.05, 1e-3), (0,)),
-    "hysteresis": Slot("hysteresis", "beam", (10.0, 1e-3, 0.5, 2.0), (0, 1)),
-    "a stop": Slot("stop", "spring2", (50.0, 1e-3, 0.0, 1.0), (0, 1)),
-    "a spring between oscillators": Slot("linear_spring", "x1-x2", (5.0,), (0,)),
-    "an added mass": Slot("added_mass", "x1", (0.05,), (0,)),
-    "an inertia between oscillator and beam": Slot("added_mass", "spring2", (0.3,), (0,)),
-    "a lag of a sensor": Slot("sensor_lag", "s2", (0.004,), (0,)),
-    "a bent sensor": Slot("sensor_cubic", "s1", (0.1,), (0,)),
-    "a lag of an actuator": Slot("actuator_lag", "V3", (0.01,), (0,)),
-    "a late actuator": Slot("delay", "V1", (0.0021,), (0,)),
+    "dry friction": EffectInstance("dry_friction", "spring1", (0.05, 1e-3), (0,)),
+    "hysteresis": EffectInstance("hysteresis", "beam", (10.0, 1e-3, 0.5, 2.0), (0, 1)),
+    "a stop": EffectInstance("stop", "spring2", (50.0, 1e-3, 0.0, 1.0), (0, 1)),
+    "a spring between oscillators": EffectInstance("linear_spring", "x1-x2", (5.0,), (0,)),
+    "an added mass": EffectInstance("added_mass", "x1", (0.05,), (0,)),
+    "an inertia between oscillator and beam": EffectInstance("added_mass", "spring2", (0.3,), (0,)),
+    "a lag of a sensor": EffectInstance("sensor_lag", "s2", (0.004,), (0,)),
+    "a bent sensor": EffectInstance("sensor_cubic", "s1", (0.1,), (0,)),
+    "a lag of an actuator": EffectInstance("actuator_lag", "V3", (0.01,), (0,)),
+    "a late actuator": EffectInstance("delay", "V1", (0.0021,), (0,)),
 }
 
 
@@ -52,7 +52,7 @@ def twin(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rig(twin):
-    return OpenRig(twin, twin.equation_parameters())
+    return AugmentedModel(twin, twin.equation_parameters())
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def commands():
 @pytest.fixture(scope="module")
 def evidence(twin, rig, commands):
     record = Data("a record", RATE, commands, np.zeros((len(commands), 3)))
-    return Evidence(rig, record, prior_of(twin, rig, 0.01), np.full(3, NOISE), 2)
+    return EstimationProblem(rig, record, prior_of(twin, rig, 0.01), np.full(3, NOISE), 2)
 
 
 def equations(evidence, slots=(), added=None, theta=None):
@@ -148,7 +148,7 @@ def test_two_coordinates_push_each_other_by_their_masses():
 def test_every_packaged_model_has_a_place_at_each_coordinate(name):
     # pushed by 1 in the unit of its place, each coordinate gets what its equation divides by
     twin = inputs.rig(name, None)
-    rig = OpenRig(twin, twin.equation_parameters())
+    rig = AugmentedModel(twin, twin.equation_parameters())
     assert rig.start.shape == (len(rig.names),)
     assert len(rig.coordinate_places) == len(rig.coordinates)
     units = UNITS.get(name, dict.fromkeys(rig.coordinates, "1" if is_plain(twin.base) else "m/s**2"))
@@ -180,7 +180,7 @@ def test_a_coordinate_without_an_equation_of_its_own_is_refused(tmp_path):
 
 
 def test_the_smoother_finds_a_force_and_how_well_it_is_known(evidence):
-    hidden = Slot("periodic_force", "beam", (0.05, 0.02, 0.7), (0, 1, 2))
+    hidden = EffectInstance("periodic_force", "beam", (0.05, 0.02, 0.7), (0, 1, 2))
     record = noisy(evidence, (hidden,))
     motion = smooth(record, evidence.rig.start, np.zeros((1, 6)))
     t = np.arange(len(motion.forces)) / RATE
@@ -199,8 +199,8 @@ def test_screening_tells_what_a_fit_would_take_off(evidence):
     motion = smooth(record, base.theta, base.start)
     search = Search(record)
     every = [c for c in candidates(record.rig, search._spans(motion), record.dt) if c.at in ("spring1", "s1")]
-    best = Screen(record, base, motion).promises(every)
-    friction = next(promise for promise in best if promise.candidate.key == ("dry_friction", "spring1"))
+    best = Screen(record, base, motion).scores(every)
+    friction = next(score for score in best if score.candidate.key == ("dry_friction", "spring1"))
     fitted = fitting.fit(record, (friction.slot,), theta=base.theta, start=base.start)
     assert friction.gain == pytest.approx(base.cost - fitted.cost, rel=0.02)
     assert friction.slot.values[0] == pytest.approx(0.05, rel=0.01)
@@ -211,7 +211,7 @@ def test_a_parameter_that_the_record_does_not_tell_pays_nothing(evidence):
     # friction without a dip: the rate at which it would have fallen is not told
     record = noisy(evidence, (SLOTS["dry friction"],))
     plain = fitting.fit(record, (SLOTS["dry friction"],))
-    dip = Slot("stribeck_friction", "spring1", (0.05, 0.05, 0.01, 1e-3), (0, 2))
+    dip = EffectInstance("stribeck_friction", "spring1", (0.05, 0.05, 0.01, 1e-3), (0, 2))
     assert occam(fitting.fit(record, (dip,))) == pytest.approx(occam(plain), abs=1.5)
 
 
@@ -227,7 +227,7 @@ def test_first_states_of_windows_lie_on_the_readings_also_where_the_last_is_shor
     t = np.arange(1000 + rest) / RATE
     readings = np.add(np.outer(t, (1e-3, -2e-3, 3e-3)), (1e-3, 2e-3, 0.0))
     record = Data("a line", RATE, np.zeros_like(readings), readings)
-    windows = replace(evidence, record=record, horizon=500)
+    windows = replace(evidence, record=record, interval=500)
     found = fitting.first_states(windows, evidence.rig.start)
     offset, sensing = evidence.rig.reading(evidence.rig.start, np.zeros(6))
     assert found.shape == (3, 6)
@@ -237,7 +237,7 @@ def test_first_states_of_windows_lie_on_the_readings_also_where_the_last_is_shor
 
 def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, evidence, commands):
     """By scipy's least squares on the residuals of both, simulated by the rig alone."""
-    slot = Slot("hardening_spring", "spring1", (3e4,), (0,))
+    slot = EffectInstance("hardening_spring", "spring1", (3e4,), (0,))
     records = []
     for seed, more in ((1, 1.0), (2, 0.7)):
         record = noisy(replace(evidence, record=replace(evidence.record, commands=more * commands)), (slot,), seed)
@@ -250,7 +250,7 @@ def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, evidence
 
     def residuals(x):
         theta, k3, states = x[:k] * rig.start, x[k] * 3e4, x[k + 1 :].reshape(2, 1, 6) * 1e-4
-        parts = [(theta - first.belief.mean) / first.belief.deviation]
+        parts = [(theta - first.prior.mean) / first.prior.deviation]
         for one, state in zip(records, states, strict=True):
             simulated = one.equations(theta, state, (start,), np.array([k3])).simulated
             parts.append(((one.record.readings - simulated) / one.sigma).ravel())

@@ -81,7 +81,7 @@ def test_a_strong_spring_is_found(discovered, k3, in_windows):
     assert (found.verdict, [(e.name, e.on) for e in found.effects]) == ("named", [("hardening_spring", "spring")])
     assert found.effects[0].parameters["k3"][0] == pytest.approx(k3, rel=1e-3)
     assert found.closed
-    assert (0 < found.evidence.horizon < len(found.record)) is in_windows
+    assert (0 < found.evidence.interval < len(found.record)) is in_windows
 
 
 def test_what_only_the_record_that_judges_shows_is_not_nothing(discovered):

@@ -16,7 +16,7 @@ from masking.codegen import store
 from masking.declaration import registry
 from masking.declaration.dictionary import factors
 from masking.declaration.schema import OwnEffect
-from masking.discovery.augmented_model import OpenRig
+from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.candidates import candidates
 from masking.effects import EFFECTS, Effect, EffectParameter, Span
 from masking.errors import DeclarationError
@@ -222,7 +222,9 @@ class TestDiscovery:
     def test_what_is_tried_is_part_of_the_motion(self, folder, own):
         twin = inputs.with_effects(inputs.rig(folder / "leaf.yaml", None), own)
         span = Span(-2e-3, 1e-3, 2e-3, 0.03)
-        found = {c.key: c for c in candidates(OpenRig(twin, ("k", "c")), {"leaf": span, "x": span, "u": span}, 2e-3)}
+        found = {
+            c.key: c for c in candidates(AugmentedModel(twin, ("k", "c")), {"leaf": span, "x": span, "u": span}, 2e-3)
+        }
         made = found["magnet", "leaf"]
         assert [slot.values for slot in made.slots] == [(0.0, part * 2e-3) for part in (1.2, 2.0, 4.0)]
         assert (made.factors, made.free) == ((0,), (0, 1))

@@ -10,13 +10,13 @@ import pytest
 from scipy import integrate
 
 from masking.discovery import fitting
-from masking.discovery.augmented_model import OpenRig, Slot
+from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.discovery import Discovery, Named, SimulationError
 from masking.discovery.explanation import Explanation
 from masking.discovery.force_decomposition import decompose, followed
 from masking.discovery.harmonics import Periods, period
 from masking.discovery.prior import prior_of
-from masking.discovery.problem import Evidence
+from masking.discovery.problem import EstimationProblem
 from masking.discovery.search import SearchResult
 from masking.discovery.smoothing import smooth
 from masking.estimation.data import Data
@@ -292,10 +292,10 @@ def test_residuals_that_are_zero_are_white():
 
 NOISE = 1e-3
 SLOTS = {
-    "friction": Slot("dry_friction", "spring1", (0.0055, 1e-3), (0,)),
-    "square": Slot("polynomial_spring", "spring2", (0.0, 0.0, 3e3, 0.0, 0.0, 0.0), (2,)),
-    "limit": Slot("saturation", "V3", (0.08,), (0,)),
-    "bent": Slot("sensor_cubic", "s1", (0.1,), (0,)),
+    "friction": EffectInstance("dry_friction", "spring1", (0.0055, 1e-3), (0,)),
+    "square": EffectInstance("polynomial_spring", "spring2", (0.0, 0.0, 3e3, 0.0, 0.0, 0.0), (2,)),
+    "limit": EffectInstance("saturation", "V3", (0.08,), (0,)),
+    "bent": EffectInstance("sensor_cubic", "s1", (0.1,), (0,)),
 }
 
 
@@ -304,7 +304,7 @@ def rig(tmp_path_factory):
     path = tmp_path_factory.mktemp("plant") / "plant.yaml"
     path.write_text(PLANT)
     twin = Twin.load(path)
-    return OpenRig(twin, twin.equation_parameters())
+    return AugmentedModel(twin, twin.equation_parameters())
 
 
 @pytest.fixture(scope="module")
@@ -314,7 +314,7 @@ def discoveries(rig):
     commands = np.array([multisine(24.0, i, odd[i::3], cycle=8.0)[0] for i in range(3)]).T
     commands = np.ascontiguousarray(commands / commands.std(axis=0) * np.array([0.004, 0.004, 0.05]))
     empty = Data("a record", RATE, commands, np.zeros((len(commands), 3)))
-    plain = Evidence(rig, empty, prior_of(rig.twin, rig, 0.01), np.full(3, NOISE), 2)
+    plain = EstimationProblem(rig, empty, prior_of(rig.twin, rig, 0.01), np.full(3, NOISE), 2)
 
     def find(slot):
         told = plain.equations(rig.start, np.zeros((1, 6)), (slot,), np.array(slot.estimated)).simulated

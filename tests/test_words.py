@@ -8,7 +8,7 @@ import pytest
 
 from masking.declaration.quantities import number, power, quantity
 from masking.discovery import latent_force
-from masking.discovery.augmented_model import Slot
+from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.discovery import Named, SimulationError
 from masking.discovery.explanation import Explanation
 from masking.discovery.next_experiment import NextExperiment
@@ -86,13 +86,13 @@ def test_parameters_that_moved_are_told(discoveries, wide, how):
     at, known = found.rig.names.index("z2"), found.explanation.hypothesis
     theta = found.rig.start.copy()
     theta[at] *= 1.05
-    belief = found.evidence.belief
+    belief = found.evidence.prior
     moved = replace(
         found,
         explanation=replace(
             found.explanation, hypothesis=replace(known, theta=theta, covariance=0.0 * known.covariance)
         ),
-        evidence=replace(found.evidence, belief=replace(belief, deviation=wide * belief.deviation)),
+        evidence=replace(found.evidence, prior=replace(belief, deviation=wide * belief.deviation)),
     )
     assert discovery_text.moved(moved).startswith("Adjusted: z2 = ")
     assert discovery_text.moved(moved).endswith(f", 5 % more than declared, {how} its prior uncertainty")
@@ -165,7 +165,7 @@ def test_the_map_credits_each_law_with_its_own_part(discoveries):
     found = discoveries("friction")
     lacking = latent_force.lack(found, "spring1")
     friction, hypothesis = SLOTS["friction"], found.explanation.hypothesis
-    weak = Slot("hardening_spring", "spring1", (1e-3,), (0,))
+    weak = EffectInstance("hardening_spring", "spring1", (1e-3,), (0,))
     both = (hypothesis.slots[0], weak)
     laws = [force_map.along(found, lacking, [slot]) for slot in both]
     assert np.allclose(force_map.along(found, lacking, both), sum(laws))

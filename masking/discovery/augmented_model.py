@@ -46,7 +46,7 @@ KINDS = {"element": ELEMENT, "actuator": ACTUATOR, "sensor": SENSOR}
 
 
 @dataclass(frozen=True)
-class Slot:
+class EffectInstance:
     """An effect at a place with values of all its parameters, and which of them are estimated.
 
     Args:
@@ -78,14 +78,14 @@ class Slot:
         """Return the values of the estimated parameters (f,)."""
         return tuple(self.values[i] for i in self.free)
 
-    def with_values(self, at: Sequence[int], values: Iterable[float]) -> Slot:
+    def with_values(self, at: Sequence[int], values: Iterable[float]) -> EffectInstance:
         """Return the slot with other values of some of its parameters."""
         made = list(self.values)
         for i, value in zip(at, values, strict=True):
             made[i] = float(value)
         return replace(self, values=tuple(made))
 
-    def with_free_times(self, factor: float) -> Slot:
+    def with_free_times(self, factor: float) -> EffectInstance:
         """Return the slot with its estimated parameters multiplied."""
         return self.with_values(self.free, (self.values[i] * factor for i in self.free))
 
@@ -142,7 +142,7 @@ class Instances:
 
 
 @dataclass(frozen=True)
-class OpenRig:
+class AugmentedModel:
     """A twin with open places.
 
     Args:
@@ -324,7 +324,7 @@ class OpenRig:
         self.kernels.sensed(0.0, state, given, p, np.zeros(sensors), s, js, jps)
         return s, js, jps
 
-    def instances(self, slots: Sequence[Slot], theta: Array) -> Instances:
+    def instances(self, slots: Sequence[EffectInstance], theta: Array) -> Instances:
         """Return the tables of effect instances that kernels read.
 
         Args:
@@ -364,7 +364,7 @@ class OpenRig:
         found = np.array([columns[i] for i in order], dtype=np.int64).reshape(-1, MOST_PARAMETERS)
         return Instances(table, found, read, acts, late, late_columns, states)
 
-    def along(self, slot: Slot, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
+    def along(self, slot: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
         """Return what an effect gives along a known motion, and its derivatives by some parameters (m, 1 + c).
 
         Args:
@@ -382,12 +382,12 @@ class OpenRig:
         self.kernels.along(len(x), dt, number, has_state, x, rate, parameters, values, features)
         return features
 
-    def index(self, slot: Slot) -> int:
+    def index(self, slot: EffectInstance) -> int:
         """Return the index of a slot's place among the places, sensors or actuators."""
         names = {"element": [p.name for p in self.places], "sensor": self.twin.sensors, "actuator": self.twin.actuators}
         return list(names[slot.where]).index(slot.at)
 
-    def _number(self, slot: Slot) -> int:
+    def _number(self, slot: EffectInstance) -> int:
         """Return the number of a slot's effect among the laws."""
         return list(self.laws).index(slot.effect)
 

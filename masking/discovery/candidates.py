@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from masking.discovery.augmented_model import OpenRig, Slot
+from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.places import is_of_one
 from masking.effects import DELAY, Effect, Span, Trial
 
@@ -30,7 +30,7 @@ class Candidate:
     at: str
     factors: tuple[int, ...]
     free: tuple[int, ...]
-    slots: tuple[Slot, ...]
+    slots: tuple[EffectInstance, ...]
 
     @property
     def key(self) -> tuple[str, str]:
@@ -43,7 +43,7 @@ class Candidate:
         return self.slots[0].entry
 
 
-def candidates(rig: OpenRig, spans: Mapping[str, Span], period: float) -> Iterator[Candidate]:
+def candidates(rig: AugmentedModel, spans: Mapping[str, Span], period: float) -> Iterator[Candidate]:
     """Give every candidate.
 
     Args:
@@ -69,7 +69,7 @@ def candidates(rig: OpenRig, spans: Mapping[str, Span], period: float) -> Iterat
                     yield from _candidate(effect, trial, name, spans[name])
     samples = DELAY.parameters[DELAY.grows_with].tried
     for at in ("", *commanded) if commanded == rig.twin.actuators else commanded:
-        slots = tuple(Slot(DELAY.name, at, (number * period,), (0,)) for number in samples)
+        slots = tuple(EffectInstance(DELAY.name, at, (number * period,), (0,)) for number in samples)
         yield Candidate(DELAY.name, at, (), (0,), slots)
 
 
@@ -81,5 +81,5 @@ def _candidate(effect: Effect, trial: Trial, at: str, span: Span) -> Iterator[Ca
     usual = {name: parameter.value or 0.0 for name, parameter in effect.parameters.items()}
     starts = [{**usual, **dict.fromkeys(names, 0.0), **start} for start in trial.starts(span)]
     if starts:
-        slots = tuple(Slot(effect.name, at, tuple(start.values()), free, effect) for start in starts)
+        slots = tuple(EffectInstance(effect.name, at, tuple(start.values()), free, effect) for start in starts)
         yield Candidate(effect.name, at, factors, free, slots)

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from masking.declaration.expression import Expression
 from masking.discovery import verdict
-from masking.discovery.augmented_model import OpenRig
+from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.rules import RULES, DecisionRules
 from masking.discovery.verdict import Key, Law
 from masking.effects import Effect
 
 
-def is_composite(causes: Sequence[Key], rig: OpenRig, rules: DecisionRules = RULES) -> bool:
+def is_composite(causes: Sequence[Key], rig: AugmentedModel, rules: DecisionRules = RULES) -> bool:
     """Return whether several effects imitate one that the dictionary lacks, see `verdict.is_composite`.
 
     A coordinate that only one element moves counts as that element.
@@ -27,7 +27,7 @@ def is_composite(causes: Sequence[Key], rig: OpenRig, rules: DecisionRules = RUL
     return verdict.is_composite(laws, rules)
 
 
-def _seat(rig: OpenRig, name: str) -> str:
+def _seat(rig: AugmentedModel, name: str) -> str:
     """Return the element that a coordinate is of alone; what is no such coordinate itself."""
     if not any(place.name == name and place.coordinate and not place.declared for place in rig.places):
         return name

@@ -14,7 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from masking.discovery import fitting, shooting, verdict
-from masking.discovery.augmented_model import OpenRig
+from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.composites import is_composite
 from masking.discovery.discovery import Discovery, Named, SimulationError
 from masking.discovery.explanation import Explanation
@@ -22,7 +22,7 @@ from masking.discovery.fitting import Hypothesis
 from masking.discovery.next_experiment import next_experiment
 from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.prior import prior_of, train_validation_split
-from masking.discovery.problem import Evidence
+from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.search import Search, SearchResult
 from masking.discovery.settings import DiscoverySettings
@@ -43,7 +43,7 @@ def discover(
     validation: Data | None = None,
     settings: DiscoverySettings | None = None,
     *,
-    rig: OpenRig | None = None,
+    rig: AugmentedModel | None = None,
     tell: Tell | None = None,
 ) -> Discovery:
     """Find out which physical effect the model of a rig lacks.
@@ -65,21 +65,21 @@ def discover(
         IntegrationError: the rig cannot be simulated along the record.
     """
     settings = settings or DiscoverySettings()
-    rig = rig or OpenRig(twin, tuple(settings.parameters) or twin.equation_parameters())
+    rig = rig or AugmentedModel(twin, tuple(settings.parameters) or twin.equation_parameters())
     say = tell or (lambda text, part: None)
     say("preparing the rig; the first time, it is compiled", 0.0)
     rules = settings.rules
     train, judge = train_validation_split(record, rules.held_out) if validation is None else (record, validation)
     prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
-    whole = Evidence(rig, train, prior, noise_of(rig, train, rules), most, rules=rules)
-    evidence = replace(whole, horizon=shooting.horizon(whole, settings.shooting_interval))
+    whole = EstimationProblem(rig, train, prior, noise_of(rig, train, rules), most, rules=rules)
+    evidence = replace(whole, interval=shooting.interval(whole, settings.shooting_interval))
     evidence = replace(evidence, substeps=shooting.substeps(evidence))
     noise = noise_of(rig, judge, rules)
     found = _explained(evidence, judge, noise, say)
-    if settings.shooting_interval is None and not evidence.horizon and _is_out_of_step(found):
+    if settings.shooting_interval is None and not evidence.interval and _is_out_of_step(found):
         for seconds in shooting.shorter(whole):
             say(f"the motion comes out of step with the record: in windows of {seconds:.2g} s", 0.0)
-            again = _explained(replace(evidence, horizon=shooting.horizon(whole, seconds)), judge, noise, say)
+            again = _explained(replace(evidence, interval=shooting.interval(whole, seconds)), judge, noise, say)
             if again.verdict != "unknown":
                 found = again
                 break
@@ -106,7 +106,7 @@ def _is_out_of_step(found: Discovery) -> bool:
     return found.verdict == "unknown" and max(left.values()) > found.evidence.rules.phase_loss
 
 
-def _explained(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discovery:
+def _explained(evidence: EstimationProblem, judge: Data, noise: Array, say: Tell) -> Discovery:
     """Return what explains a record, simulated in steps that are fine enough for the law that is found."""
     found = _found(evidence, judge, noise, say)
     if found.verdict == "unknown":
@@ -119,7 +119,7 @@ def _explained(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Disc
     return _found(replace(evidence, substeps=steps), judge, noise, say)
 
 
-def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discovery:
+def _found(evidence: EstimationProblem, judge: Data, noise: Array, say: Tell) -> Discovery:
     """Return the explanation of a record, given the noise of the validation record (sensors,)."""
     rig, rules = evidence.rig, evidence.rules
     judged, size = replace(evidence, record=judge, sigma=noise), evidence.record.readings.size
@@ -134,7 +134,7 @@ def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discover
         if is_demoted:
             rivals = tuple(sorted(rivals, key=lambda rival: rival.score(tempering)))
         chosen = rivals[0]
-        declared = fitting.fit(evidence, theta=evidence.belief.mean, frozen=True)
+        declared = fitting.fit(evidence, theta=evidence.prior.mean, frozen=True)
         before, after = fitting.judged(judged, declared), fitting.judged(judged, chosen.hypothesis)
     tempering = evidence.tempering(chosen.hypothesis.residuals)
     excess, left = (verdict.excess_cost(one.cost, size) for one in (found.base, chosen))
@@ -183,14 +183,16 @@ def _limits(twin: Twin) -> Array | None:
     return np.array([declared[n].max * twin.size(declared[n].unit) / twin.size(ports[n].unit) for n in twin.actuators])
 
 
-def _cost(evidence: Evidence, hypothesis: Hypothesis) -> float:
+def _cost(evidence: EstimationProblem, hypothesis: Hypothesis) -> float:
     try:
         return float(fitting.judged(evidence, hypothesis).squares @ evidence.weights)
     except IntegrationError:
         return np.inf
 
 
-def _reordered(rivals: tuple[Explanation, ...], evidence: Evidence, judged: Evidence) -> tuple[Explanation, ...]:
+def _reordered(
+    rivals: tuple[Explanation, ...], evidence: EstimationProblem, judged: EstimationProblem
+) -> tuple[Explanation, ...]:
     """Return explanations that are nearly as good as the best, ordered by how well they explain another record, too."""
     tempering, margin = evidence.tempering(rivals[0].hypothesis.residuals), evidence.rules.validation_margin
     near = [rival for rival in rivals if rival.score(tempering) <= rivals[0].score(tempering) + margin]
@@ -200,12 +202,12 @@ def _reordered(rivals: tuple[Explanation, ...], evidence: Evidence, judged: Evid
     for rival in near:
         best = min((one.joint.cost for one in both if one.joint), default=np.inf)
         with suppress(IntegrationError):
-            joint = fitting.together(rival.believed(evidence), judged, rival.hypothesis, best)
+            joint = fitting.together(rival.with_prior(evidence), judged, rival.hypothesis, best)
             both.append(replace(rival, joint=joint))
     return tuple(sorted(both, key=lambda rival: rival.score(tempering)))
 
 
-def _needed(found: SearchResult, judged: Evidence, adjusted: Hypothesis) -> tuple[Explanation, ...]:
+def _needed(found: SearchResult, judged: EstimationProblem, adjusted: Hypothesis) -> tuple[Explanation, ...]:
     """Return the explanations of the last step that is needed, and that the validation record supports."""
     size = found.base.hypothesis.residuals.size
 
@@ -223,10 +225,10 @@ def _needed(found: SearchResult, judged: Evidence, adjusted: Hypothesis) -> tupl
 def _plain(explanation: Explanation) -> Scored:
     """Return an explanation as plain data, without what takes another record or a tempering factor."""
     absorbed = tuple(bool(slot.entry.absorbed_by) for slot in explanation.hypothesis.slots)
-    return Scored(explanation.kind, explanation.names, explanation.cost, absorbed=absorbed, unique=explanation.own)
+    return Scored(explanation.kind, explanation.names, explanation.cost, absorbed=absorbed, unique=explanation.unique)
 
 
-def _scored(explanation: Explanation, evidence: Evidence, tempering: float) -> Scored:
+def _scored(explanation: Explanation, evidence: EstimationProblem, tempering: float) -> Scored:
     """Return an explanation as plain data, with its score and the estimates of its last cause."""
     rig, estimates = evidence.rig, _estimates(evidence.rig, explanation, tempering)
     usual = rig.start[rig.names.index(explanation.names[0][0])] if explanation.kind == "parameter" else 0.0
@@ -234,7 +236,7 @@ def _scored(explanation: Explanation, evidence: Evidence, tempering: float) -> S
     return replace(_plain(explanation), score=explanation.score(tempering), estimates=last)
 
 
-def _rounded(evidence: Evidence, hypothesis: Hypothesis) -> list[tuple[Named, bool]]:
+def _rounded(evidence: EstimationProblem, hypothesis: Hypothesis) -> list[tuple[Named, bool]]:
     """Return the rounding of each sensor that makes much of its noise, and whether it makes much of the residual, too.
 
     It is seen in the readings themselves, and named if the rig does not declare it.
@@ -252,7 +254,7 @@ def _rounded(evidence: Evidence, hypothesis: Hypothesis) -> list[tuple[Named, bo
     return found
 
 
-def _estimates(rig: OpenRig, explanation: Explanation, tempering: float) -> list[dict[str, tuple[float, float]]]:
+def _estimates(rig: AugmentedModel, explanation: Explanation, tempering: float) -> list[dict[str, tuple[float, float]]]:
     """Return the estimated parameters of each cause: values and standard deviations by name."""
     hypothesis, deviations = explanation.hypothesis, explanation.deviations(tempering)
     if explanation.kind == "parameter":
@@ -269,7 +271,7 @@ def _estimates(rig: OpenRig, explanation: Explanation, tempering: float) -> list
 
 
 def _causes(
-    rig: OpenRig, rivals: Sequence[Explanation], tempering: float, scored: Sequence[Scored], rules: DecisionRules
+    rig: AugmentedModel, rivals: Sequence[Explanation], tempering: float, scored: Sequence[Scored], rules: DecisionRules
 ) -> tuple[Named, ...]:
     """Return the causes of the chosen explanation; the last one with its probability and its alternatives."""
     chosen, weights = rivals[0], [float(weight) for weight in verdict.probabilities([one.score for one in scored])]
@@ -282,9 +284,9 @@ def _causes(
     return (*causes[:-1], replace(causes[-1], probability=weights[0], alternatives=others))
 
 
-def _chi(evidence: Evidence, hypothesis: Hypothesis) -> dict[str, float]:
+def _chi(evidence: EstimationProblem, hypothesis: Hypothesis) -> dict[str, float]:
     return relative(evidence.rig.twin.sensors, [evidence.record], hypothesis.squares)
 
 
-def _floor(evidence: Evidence) -> dict[str, float]:
+def _floor(evidence: EstimationProblem) -> dict[str, float]:
     return relative(evidence.rig.twin.sensors, [evidence.record], len(evidence.record) * evidence.sigma**2)

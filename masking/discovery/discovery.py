@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from masking.discovery.augmented_model import OpenRig
+from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.latent_force import Smoothed, smoothed
 from masking.discovery.localisation import Localisation, localise
 from masking.discovery.next_experiment import NextExperiment
-from masking.discovery.problem import Evidence
+from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.search import SearchResult
 from masking.discovery.verdict import Verdict, at_noise_floor, is_closed
@@ -82,7 +82,7 @@ class Discovery:
         twin: the rig as its model declares it.
         explanation: the one that was chosen.
         rivals: the explanations that it was chosen from, itself first.
-        tempering: factor by which costs were divided, see `Evidence.tempering`.
+        tempering: factor by which costs were divided, see `EstimationProblem.tempering`.
         search: the whole search.
         evidence: the record that was explained.
         validation: the estimation problem of the validation record.
@@ -102,8 +102,8 @@ class Discovery:
     rivals: tuple[Explanation, ...]
     tempering: float
     search: SearchResult
-    evidence: Evidence
-    validation: Evidence
+    evidence: EstimationProblem
+    validation: EstimationProblem
     before: Hypothesis
     after: Hypothesis
     adjusted: Hypothesis
@@ -117,7 +117,7 @@ class Discovery:
         return f"<Discovery: {self.verdict}{f', {causes}' if causes else ''}; error on unseen data: {errors}>"
 
     @property
-    def rig(self) -> OpenRig:
+    def rig(self) -> AugmentedModel:
         """Return the rig with its places open."""
         return self.evidence.rig
 
@@ -192,7 +192,7 @@ class Discovery:
         }
 
 
-def whiteness_of(evidence: Evidence, residuals: Array) -> dict[str, Whiteness]:
+def whiteness_of(evidence: EstimationProblem, residuals: Array) -> dict[str, Whiteness]:
     """Return how white residuals (m, sensors) of a record are, by sensor."""
     readings, rate = evidence.record.readings, evidence.record.rate
     return {

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from masking.discovery import laws
-from masking.discovery.augmented_model import Slot
+from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.problem import Evidence
+from masking.discovery.problem import EstimationProblem
 from masking.discovery.verdict import Key, Kind
 from masking.numerics.arrays import Array
 
@@ -25,14 +25,14 @@ class Explanation:
         kind: `none`, `parameter` or `effects`.
         names: (parameter, '') or (effect, place) of each.
         hypothesis: fitted.
-        own: unique fraction: the least part of an effect that parameters could not have.
+        unique: unique fraction, the least part of an effect that parameters could not have.
         joint: the hypothesis fitted to both records, if it has been validated on another.
     """
 
     kind: Kind
     names: tuple[Key, ...]
     hypothesis: Hypothesis
-    own: float = 1.0
+    unique: float = 1.0
     joint: Hypothesis | None = None
 
     @property
@@ -40,12 +40,12 @@ class Explanation:
         """Return the cost of the record to which it was fitted."""
         return self.hypothesis.cost
 
-    def believed(self, evidence: Evidence) -> Evidence:
+    def with_prior(self, evidence: EstimationProblem) -> EstimationProblem:
         """Return the problem with the parameter of this explanation free, if it is one."""
         if self.kind != "parameter":
             return evidence
         index = evidence.rig.names.index(self.names[0][0])
-        return replace(evidence, belief=evidence.belief.freed(index, evidence.rules.freed_factor))
+        return replace(evidence, prior=evidence.prior.freed(index, evidence.rules.freed_factor))
 
     def score(self, tempering: float) -> float:
         """Return its cost over a tempering factor, with the Occam factor of its parameters."""
@@ -88,7 +88,7 @@ def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
     return float(np.log1p(np.maximum(told, 0.0)).sum())
 
 
-def _expected(slot: Slot) -> list[float]:
+def _expected(slot: EffectInstance) -> list[float]:
     """Return half the range in which each estimated parameter is expected, where it is a plain number; else 0."""
     if slot.effect == laws.DELAY:
         return [0.0]

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from masking.discovery import laws
-from masking.discovery.augmented_model import Equations, Slot
-from masking.discovery.problem import Evidence
+from masking.discovery.augmented_model import EffectInstance, Equations
+from masking.discovery.problem import EstimationProblem
 from masking.errors import IntegrationError
 from masking.estimation.least_squares import Box, Damping, Dense, Linearised, minimise
 from masking.estimation.simulation import guessed_state
@@ -41,7 +41,7 @@ class Hypothesis:
         residuals: of each sample (m, sensors).
     """
 
-    slots: tuple[Slot, ...]
+    slots: tuple[EffectInstance, ...]
     theta: Array
     start: Array
     cost: float
@@ -61,14 +61,14 @@ class Hypothesis:
         return found
 
 
-def estimated(slots: Sequence[Slot]) -> Array:
+def estimated(slots: Sequence[EffectInstance]) -> Array:
     """Return the values of the estimated parameters of slots, one after the other (f,)."""
     return np.array([value for slot in slots for value in slot.estimated])
 
 
 def fit(
-    evidence: Evidence,
-    slots: Sequence[Slot] = (),
+    evidence: EstimationProblem,
+    slots: Sequence[EffectInstance] = (),
     *,
     theta: Array | None = None,
     start: Array | None = None,
@@ -90,12 +90,14 @@ def fit(
     Raises:
         IntegrationError: the motion is not finite from where it begins.
     """
-    x = evidence.belief.mean.copy() if theta is None else theta.copy()
+    x = evidence.prior.mean.copy() if theta is None else theta.copy()
     state = first_states(evidence, x) if start is None else start.copy()
     return _Problem(evidence, tuple(slots), state, frozen=frozen).solve(x, rounds, rival)
 
 
-def together(evidence: Evidence, other: Evidence, known: Hypothesis, rival: float = np.inf) -> Hypothesis:
+def together(
+    evidence: EstimationProblem, other: EstimationProblem, known: Hypothesis, rival: float = np.inf
+) -> Hypothesis:
     """Fit a hypothesis to its own record and to another one at once, from where the first has left it.
 
     Args:
@@ -114,12 +116,12 @@ def together(evidence: Evidence, other: Evidence, known: Hypothesis, rival: floa
     return _Problem(evidence, known.slots, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
 
 
-def judged(evidence: Evidence, hypothesis: Hypothesis) -> Hypothesis:
+def judged(evidence: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:
     """Return a hypothesis on a validation record: only its initial state is estimated."""
     return fit(evidence, hypothesis.slots, theta=hypothesis.theta, frozen=True)
 
 
-def cost(evidence: Evidence, slots: Sequence[Slot], theta: Array, start: Array) -> float:
+def cost(evidence: EstimationProblem, slots: Sequence[EffectInstance], theta: Array, start: Array) -> float:
     """Return the cost of a hypothesis that is not fitted; infinite if its motion is not finite."""
     problem = _Problem(evidence, tuple(slots), start)
     try:
@@ -128,7 +130,7 @@ def cost(evidence: Evidence, slots: Sequence[Slot], theta: Array, start: Array) 
         return np.inf
 
 
-def first_states(evidence: Evidence, theta: Array, samples: int = 20) -> Array:
+def first_states(evidence: EstimationProblem, theta: Array, samples: int = 20) -> Array:
     """Return a first guess of initial states (windows, states), from straight lines through the first readings."""
     rig, record, acting = evidence.rig, evidence.record, evidence.record.acting
     found = []
@@ -155,14 +157,14 @@ class _Problem:
         frozen: whether only initial states are estimated.
     """
 
-    evidence: Evidence
-    slots: tuple[Slot, ...]
+    evidence: EstimationProblem
+    slots: tuple[EffectInstance, ...]
     start: Array
-    others: tuple[Evidence, ...] = ()
+    others: tuple[EstimationProblem, ...] = ()
     frozen: bool = False
 
     @property
-    def records(self) -> tuple[Evidence, ...]:
+    def records(self) -> tuple[EstimationProblem, ...]:
         """Return the evidence of each record."""
         return (self.evidence, *self.others)
 
@@ -174,7 +176,7 @@ class _Problem:
     @cached_property
     def edges(self) -> tuple[int, int, int]:
         """Return where the unknowns of the rig, of the effects, and of the states of effects end."""
-        k, f = len(self.evidence.belief.mean), len(estimated(self.slots))
+        k, f = len(self.evidence.prior.mean), len(estimated(self.slots))
         return k, k + f, k + f + len(self.begins)
 
     @property
@@ -205,7 +207,7 @@ class _Problem:
         def tolerance(at: Linearised[Dense, Equations]) -> float:
             return CONVERGED * self.evidence.tempering(self.evidence.record.readings - at.found.simulated)
 
-        belief, effects = self.evidence.belief, bounds(self.slots)
+        belief, effects = self.evidence.prior, bounds(self.slots)
         low, high = np.concatenate([belief.low, effects.low]), np.concatenate([belief.high, effects.high])
         box = Box(low, high, np.arange(len(low)) >= self.edges[0])
         made = minimise(
@@ -231,7 +233,7 @@ class _Problem:
             len(inner) // len(self.records),
             [one.weights / self.evidence.weights for one in self.records],
         )
-        (k, first, last), belief = self.edges, self.evidence.belief
+        (k, first, last), belief = self.edges, self.evidence.prior
         off, deviation, fixed = np.zeros(len(x)), np.full(len(x), np.inf), np.zeros(len(x), dtype=bool)
         off[:k], deviation[:k], fixed[:first] = belief.mean - theta, belief.deviation, self.frozen
         known = self.begins == 0.0
@@ -263,7 +265,7 @@ def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequen
     return Equations(matrix, gradient, squares, parts[0].simulated)
 
 
-def bounds(slots: Sequence[Slot]) -> Box:
+def bounds(slots: Sequence[EffectInstance]) -> Box:
     """Return the bounds of the free parameters of effects (f,); what is positive may at most double in a step."""
     pairs: list[tuple[float | None, float | None]] = []
     for slot in slots:

@@ -19,10 +19,10 @@ from masking.declaration.dimensions import dimension_in, displacement_dimension,
 from masking.declaration.expression import Expression
 from masking.declaration.units import Dimension, describe
 from masking.discovery import laws
-from masking.discovery.augmented_model import OpenRig, Slot
+from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.explanation import Explanation
 from masking.discovery.places import is_of_one
-from masking.discovery.problem import Evidence
+from masking.discovery.problem import EstimationProblem
 from masking.discovery.search import SearchResult
 from masking.discovery.smoothing import Motion, smooth
 from masking.discovery.verdict import Verdict
@@ -95,7 +95,7 @@ class Explained(Protocol):
         """Return the rig as its model declares it."""
 
     @property
-    def rig(self) -> OpenRig:
+    def rig(self) -> AugmentedModel:
         """Return its augmented model."""
 
     @property
@@ -103,7 +103,7 @@ class Explained(Protocol):
         """Return the estimation record."""
 
     @property
-    def evidence(self) -> Evidence:
+    def evidence(self) -> EstimationProblem:
         """Return the estimation problem."""
 
     @property
@@ -185,7 +185,7 @@ def _sensor(found: Explained, name: str) -> LatentForce:
     return LatentForce(name, "sensor", x, rate, before, left, (sigma, sigma), units)
 
 
-def along(found: Explained, slot: Slot, x: Array, rate: Array) -> Array:
+def along(found: Explained, slot: EffectInstance, x: Array, rate: Array) -> Array:
     """Return what an effect gives along a motion of its place (m,)."""
     if slot.effect == laws.DELAY:
         t = np.arange(len(x)) / found.record.rate
@@ -200,7 +200,7 @@ def smoothed(found: Explained) -> Smoothed:
         return Smoothed(found.search.motion, None, base.residuals)
     record, evidence = found.record, found.evidence
     try:
-        if evidence.horizon:  # readings without causes would jump from window to window
+        if evidence.interval:  # readings without causes would jump from window to window
             before = smooth(evidence, chosen.theta, chosen.start)
             return Smoothed(before, _without(found, before), base.residuals)
         without = evidence.equations(chosen.theta, chosen.start).simulated

@@ -15,9 +15,9 @@ import numpy as np
 
 from masking import signals
 from masking.discovery import fitting
-from masking.discovery.augmented_model import OpenRig
+from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.problem import Evidence
+from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import RULES
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
@@ -85,7 +85,11 @@ class NextExperiment:
 
 
 def next_experiment(
-    evidence: Evidence, first: Hypothesis, second: Hypothesis, names: tuple[str, str], limits: Array | None = None
+    evidence: EstimationProblem,
+    first: Hypothesis,
+    second: Hypothesis,
+    names: tuple[str, str],
+    limits: Array | None = None,
 ) -> NextExperiment | None:
     """Return the excitation, of those that are tried, that separates two explanations best.
 
@@ -116,13 +120,13 @@ def next_experiment(
     return best
 
 
-def _left(evidence: Evidence, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
+def _left(evidence: EstimationProblem, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
     """Return the cost of one explanation on readings that the other one simulates."""
     hold: Hold = "first-order" if evidence.rig.twin.measured_actuators else "zero-order"
     nothing = np.zeros((len(commands), len(evidence.sigma)))
     record = Data("simulated", evidence.record.rate, commands, nothing, hold=hold)
     state = evidence.rig.rest[None]
-    free = replace(evidence, record=record, horizon=0)
+    free = replace(evidence, record=record, interval=0)
     try:
         made = free.equations(truth.theta, state, truth.slots, truth.added)
         told = replace(free, record=replace(record, readings=made.simulated))
@@ -131,7 +135,7 @@ def _left(evidence: Evidence, commands: Array, truth: Hypothesis, other: Hypothe
         return 0.0
 
 
-def _rates(rig: OpenRig) -> dict[int, int] | None:
+def _rates(rig: AugmentedModel) -> dict[int, int] | None:
     """Return which measured input is the rate of which other, by their numbers; None where that is not known of all."""
     twin, found = rig.twin, dict[int, int]()
     names = {name: i for i, name in enumerate(twin.actuators)}
@@ -144,7 +148,7 @@ def _rates(rig: OpenRig) -> dict[int, int] | None:
 
 
 def _possible(
-    evidence: Evidence, size: Array, most: Array, rates: Mapping[int, int]
+    evidence: EstimationProblem, size: Array, most: Array, rates: Mapping[int, int]
 ) -> Iterator[tuple[str, dict[str, Any], Array]]:
     """Give the excitations in which each rate is that of its displacement; a step would have none."""
     for name, settings, commands in _excitations(evidence, size, most):
@@ -159,7 +163,7 @@ def _possible(
         yield name, told, made
 
 
-def _excitations(evidence: Evidence, size: Array, most: Array) -> Iterator[tuple[str, dict[str, Any], Array]]:
+def _excitations(evidence: EstimationProblem, size: Array, most: Array) -> Iterator[tuple[str, dict[str, Any], Array]]:
     rate, actuators = evidence.record.rate, evidence.rig.twin.actuators
     t = np.arange(round(SECONDS * rate)) / rate
     for factor in FACTORS:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from masking.discovery.augmented_model import OpenRig
+from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import RecordError
 from masking.estimation.data import Data
@@ -17,7 +17,7 @@ from masking.records.noise import third_differences, white_noise
 MEDIAN = 0.6745  # magnitude that half of all samples of a standard normal distribution stay below
 
 
-def noise_of(rig: OpenRig, record: Data, rules: DecisionRules = RULES) -> Array:
+def noise_of(rig: AugmentedModel, record: Data, rules: DecisionRules = RULES) -> Array:
     """Return the standard deviation of the noise of each reading (sensors,), from the record.
 
     What a force changes at once may jump, as that of a friction does: there the noise is that of most readings, and

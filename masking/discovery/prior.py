@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from masking.discovery.augmented_model import OpenRig
+from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.rules import RULES, DecisionRules
 from masking.estimation.data import Data
 from masking.numerics.arrays import Array
@@ -39,7 +39,7 @@ class Prior:
         return replace(self, deviation=deviation)
 
 
-def prior_of(twin: Twin, rig: OpenRig, tolerance: float, rules: DecisionRules = RULES) -> Prior:
+def prior_of(twin: Twin, rig: AugmentedModel, tolerance: float, rules: DecisionRules = RULES) -> Prior:
     """Return the prior of the rig's parameters: declared values, standard deviations and bounds.
 
     Args:

@@ -1,4 +1,4 @@
-"""Evidence: a record, the rig that it is held against, and what is believed of both before."""
+"""Problem: a record, the augmented model of its rig, the prior of the parameters and the noise."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from masking.discovery.augmented_model import NEARLY_ZERO, Equations, OpenRig, Slot
+from masking.discovery.augmented_model import NEARLY_ZERO, AugmentedModel, EffectInstance, Equations
 from masking.discovery.prior import Prior
 from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import IntegrationError
@@ -17,31 +17,31 @@ from masking.numerics.arrays import Array
 
 
 @dataclass(frozen=True)
-class Evidence:
+class EstimationProblem:
     """A record and the rig that it is held against.
 
     Args:
         rig: the rig.
         record: commands and readings.
-        belief: of the rig's parameters.
+        prior: of the rig's parameters.
         sigma: standard deviation of the noise of each reading (sensors,).
         substeps: integration steps between samples.
-        horizon: samples after which the motion begins anew, from a state of its own; 0 for none.
+        interval: samples of a shooting interval; 0 for one interval that is the whole record.
         rules: the thresholds of all decisions.
     """
 
-    rig: OpenRig
+    rig: AugmentedModel
     record: Data
-    belief: Prior
+    prior: Prior
     sigma: Array
     substeps: int
-    horizon: int = 0
+    interval: int = 0
     rules: DecisionRules = RULES
 
     @property
     def begin(self) -> int:
         """Return the samples of a window in which the rig moves from one initial state."""
-        return self.horizon or len(self.record)
+        return self.interval or len(self.record)
 
     @property
     def windows(self) -> int:
@@ -62,7 +62,7 @@ class Evidence:
         self,
         theta: Array,
         start: Array,
-        slots: Sequence[Slot] = (),
+        slots: Sequence[EffectInstance] = (),
         added: Array | None = None,
         *,
         inner: Array | None = None,
@@ -118,7 +118,7 @@ class Evidence:
         found, block = 1.0, self.rules.tempering_block
         for column, sigma in zip(residuals.T, self.sigma, strict=True):
             found = max(found, float((column**2).mean() / sigma**2))
-            for length in {block, self.horizon or block}:
+            for length in {block, self.interval or block}:
                 blocks = column[: len(column) // length * length].reshape(-1, length).mean(axis=1)
                 slow = float((blocks**2).mean() * length / sigma**2)
                 found = max(found, slow if slow > self.rules.slow_excess else 1.0)

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from masking.discovery import laws
-from masking.discovery.augmented_model import MOST_COLUMNS, OpenRig, Slot
+from masking.discovery.augmented_model import MOST_COLUMNS, AugmentedModel, EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.fitting import Hypothesis, bounds
-from masking.discovery.problem import Evidence
+from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import Motion, linearised
 from masking.estimation.least_squares import Dense
 from masking.numerics.arrays import Array, IntVector
@@ -32,27 +32,28 @@ KEPT = 4e7  # numbers of what candidates do along a motion that are kept for the
 
 
 @dataclass(frozen=True)
-class Promise:
+class Score:
     """What a candidate could take off the cost, with the slot from which to begin.
 
     Args:
         candidate: the candidate.
         slot: with the best shape, and its factors.
         gain: of the cost (-2 log likelihood).
-        own: part of its effect on the sensors that parameters of the rig could not have; of an inertia, that no one of
-            them could have: equations that are divided by a mass hold it in several.
+        unique: unique fraction of its effect on the sensors, which parameters of the rig could not have; of an inertia,
+            that no one of them could have: equations that are divided by a mass hold it in several.
     """
 
     candidate: Candidate
-    slot: Slot
+    slot: EffectInstance
     gain: float
-    own: float
+    unique: float
 
 
-Along = MutableMapping[tuple[tuple[int, ...], Slot], tuple[Array, Array]]  # thinned features by factors, and columns
+# Thinned features by factors, and columns.
+Along = MutableMapping[tuple[tuple[int, ...], EffectInstance], tuple[Array, Array]]
 
 
-def thinning(rig: OpenRig, rate: float) -> tuple[int, int]:
+def thinning(rig: AugmentedModel, rate: float) -> tuple[int, int]:
     """Return the samples over which motions, and over which readings are averaged, at a rate in Hz."""
     own = np.abs(np.linalg.eigvals(linearised(rig, rig.start)[0]).imag).max(initial=0.0) / (2.0 * np.pi)
     highest = max(HIGHEST, 2.0 * float(own))
@@ -74,20 +75,20 @@ class Screen:
 
     def __init__(
         self,
-        evidence: Evidence,
+        evidence: EstimationProblem,
         base: Hypothesis,
         motion: Motion,
-        found: Sequence[Slot] = (),
+        found: Sequence[EffectInstance] = (),
         *,
         taken: bool = False,
         along: Along | None = None,
     ) -> None:
         self.rig, self.record, self.base, self.motion = evidence.rig, evidence.record, base, motion
         self.along: Along = {} if along is None else along
-        rig, record, belief, sigma = evidence.rig, evidence.record, evidence.belief, evidence.sigma
+        rig, record, prior, sigma = evidence.rig, evidence.record, evidence.prior, evidence.sigma
         self.thin, self.every = thinning(rig, record.rate)
         self.blocks = len(record) // self.every
-        self.begin = evidence.begin // self.thin if evidence.horizon else len(record)
+        self.begin = evidence.begin // self.thin if evidence.interval else len(record)
         self._states = _thinned(motion.states, self.thin)
         self._commands = _thinned(record.acting, self.thin)
         self.scale = np.sqrt(self.every) / sigma
@@ -101,9 +102,9 @@ class Screen:
         start = self._of_windows(self._spread(np.zeros((coarse, len(free))), np.zeros(len(free)), free))
         values, slopes = self._found(found)
         own = self._rows(np.concatenate([of_parameters, start, slopes], axis=2))
-        prior = np.zeros((k, own.shape[1]))
-        prior[:, :k] = np.diag(1.0 / belief.deviation)
-        whole = np.vstack([own, prior])
+        prior_rows = np.zeros((k, own.shape[1]))
+        prior_rows[:, :k] = np.diag(1.0 / prior.deviation)
+        whole = np.vstack([own, prior_rows])
         size = np.linalg.norm(whole, axis=0)
         size = np.where(size > 0.0, size, 1.0)
         u, s, v = np.linalg.svd(whole / size, full_matrices=False)
@@ -113,7 +114,7 @@ class Screen:
         self.possible = u[:, s > 1e-7 * s[0]]
         self.single = _apart(own[:, :k], own[:, k:])
         left = self._rows((self._means(base.residuals) - (0.0 if taken else values))[:, :, None])[:, 0]
-        self._whole_left = np.concatenate([left, (belief.mean - base.theta) / belief.deviation])
+        self._whole_left = np.concatenate([left, (prior.mean - base.theta) / prior.deviation])
         self.left = self._out(self._whole_left)
         self.total = float(self.left @ self.left)
 
@@ -124,7 +125,7 @@ class Screen:
         found: Array = np.einsum("bsc,bw->bswc", columns, apart).reshape(*columns.shape[:2], -1)
         return found
 
-    def _found(self, slots: Sequence[Slot]) -> tuple[Array, Array]:
+    def _found(self, slots: Sequence[EffectInstance]) -> tuple[Array, Array]:
         """Return what effects that were found do to the sensors (blocks, sensors), and its derivatives (..., f)."""
         sensors = len(self.rig.twin.sensors)
         values, slopes = np.zeros((self.blocks, sensors)), [np.zeros((self.blocks, sensors, 0))]
@@ -133,7 +134,7 @@ class Screen:
             slopes.append(made[:, :, 1:])
         return values, np.concatenate(slopes, axis=2)
 
-    def _effects(self, slots: Sequence[Slot]) -> list[Array]:
+    def _effects(self, slots: Sequence[EffectInstance]) -> list[Array]:
         """Return what effects with given values do to the sensors, and its derivatives (blocks, sensors, 1 + f)."""
         features, at = [], []
         for slot in slots:
@@ -170,7 +171,7 @@ class Screen:
                 found[i][:, int(at[i][0])] = self._means(table, self.every // self.thin)
         return found
 
-    def around(self, slot: Slot) -> tuple[Array, Array]:
+    def around(self, slot: EffectInstance) -> tuple[Array, Array]:
         """Return parameters of the rig (k,) and initial states (windows, states) that go best with an effect."""
         (table,) = self._effects([slot])
         left = self._whole_left.copy()
@@ -182,7 +183,7 @@ class Screen:
         start[:, free] += step[len(theta) : len(theta) + len(start) * len(free)].reshape(len(start), len(free))
         return theta + step[: len(theta)], start
 
-    def _with_slopes(self, slot: Slot) -> tuple[Array, Array]:
+    def _with_slopes(self, slot: EffectInstance) -> tuple[Array, Array]:
         """Return what a slot adds where it acts, with derivatives by its free parameters (m, c), and columns (c,)."""
         if slot.effect == laws.DELAY:
             half = 0.5 / self.record.rate
@@ -195,29 +196,29 @@ class Screen:
             made[:, 0] -= x
         return made, np.full(made.shape[1], column)
 
-    def promises(self, candidates: Sequence[Candidate]) -> list[Promise]:
+    def scores(self, candidates: Sequence[Candidate]) -> list[Score]:
         """Return what each candidate could take off, the best first."""
-        found: dict[int, Promise] = {}
+        found: dict[int, Score] = {}
         self._settle([(candidate, slot) for candidate in candidates for slot in candidate.slots], found)
         self._zoom(found)
-        best = max((promise.gain for promise in found.values()), default=0.0)
+        best = max((score.gain for score in found.values()), default=0.0)
         near = [p for p in found.values() if p.gain > NEAR * best and _has_shape(p.candidate)]
-        sharper = self._sharpened(sorted(near, key=lambda promise: -promise.gain)[:MOST_SHARPENED])
-        kept = [sharper.get(id(promise.candidate), promise) for promise in found.values()]
-        return sorted(kept, key=lambda promise: -promise.gain)
+        sharper = self._sharpened(sorted(near, key=lambda score: -score.gain)[:MOST_SHARPENED])
+        kept = [sharper.get(id(score.candidate), score) for score in found.values()]
+        return sorted(kept, key=lambda score: -score.gain)
 
-    def _zoom(self, found: dict[int, Promise]) -> None:
+    def _zoom(self, found: dict[int, Score]) -> None:
         """Look nearer at the steps of converters, whose effect has no slope to follow."""
         for width in ZOOMS:
             near = [p for p in found.values() if p.candidate.entry.quantum and p.gain > 0.0]
             parts = 1.0 + np.linspace(-width, width, 9)
             self._settle([(p.candidate, p.slot.with_free_times(part)) for p in near for part in parts], found)
 
-    def _sharpened(self, promises: Sequence[Promise]) -> dict[int, Promise]:
-        """Return promises whose shapes are brought to their best values, by the method of Levenberg and Marquardt."""
-        best = {id(promise.candidate): promise for promise in promises}
-        slots = {key: promise.slot for key, promise in best.items()}
-        damping, active = 1e-4, [promise.candidate for promise in promises]
+    def _sharpened(self, scores: Sequence[Score]) -> dict[int, Score]:
+        """Return scores whose shapes are brought to their best values, by the method of Levenberg and Marquardt."""
+        best = {id(score.candidate): score for score in scores}
+        slots = {key: score.slot for key, score in best.items()}
+        damping, active = 1e-4, [score.candidate for score in scores]
         for number in range(SHARPENINGS):
             columns = self._effects([slots[id(candidate)] for candidate in active])
             going = []
@@ -239,9 +240,9 @@ class Screen:
             active, damping = going, damping / 10.0
         return best
 
-    def _settle(self, jobs: Sequence[tuple[Candidate, Slot]], found: dict[int, Promise]) -> None:
+    def _settle(self, jobs: Sequence[tuple[Candidate, EffectInstance]], found: dict[int, Score]) -> None:
         """Judge slots of candidates, and keep the best of each candidate."""
-        chunks: list[list[tuple[Candidate, Slot]]] = [[]]
+        chunks: list[list[tuple[Candidate, EffectInstance]]] = [[]]
         many = 0
         for candidate, slot in jobs:
             columns = len(self.rig.twin.actuators) if candidate.effect == laws.DELAY else max(1, len(candidate.factors))
@@ -251,13 +252,13 @@ class Screen:
             chunks[-1].append((candidate, slot))
             many += columns
         with ThreadPoolExecutor(2) as pool:
-            for promises in pool.map(self._judged, filter(None, chunks)):
-                for promise in promises:
-                    before = found.get(id(promise.candidate))
-                    if before is None or promise.gain > before.gain:
-                        found[id(promise.candidate)] = promise
+            for scores in pool.map(self._judged, filter(None, chunks)):
+                for score in scores:
+                    before = found.get(id(score.candidate))
+                    if before is None or score.gain > before.gain:
+                        found[id(score.candidate)] = score
 
-    def _judged(self, jobs: Sequence[tuple[Candidate, Slot]]) -> list[Promise]:
+    def _judged(self, jobs: Sequence[tuple[Candidate, EffectInstance]]) -> list[Score]:
         """Return what slots of candidates take off; their columns together are at most `MOST_COLUMNS`."""
         candidates, slots = zip(*jobs, strict=True)
         features, at = zip(*(self._thin(candidate, slot) for candidate, slot in jobs), strict=True)
@@ -286,10 +287,10 @@ class Screen:
             first += count
             total = float(squares[part].sum())
             own = float(np.sqrt(beyond[part].sum() / total)) if total > 0.0 else 0.0
-            made.append(self._judge(Promise(candidate, slot, 0.0, own), gram[part, part], right[part], squares[part]))
+            made.append(self._judge(Score(candidate, slot, 0.0, own), gram[part, part], right[part], squares[part]))
         return made
 
-    def _judge(self, nothing: Promise, gram: Array, right: Array, squares: Array) -> Promise:
+    def _judge(self, nothing: Score, gram: Array, right: Array, squares: Array) -> Score:
         """Return what a slot takes off.
 
         Args:
@@ -298,7 +299,7 @@ class Screen:
             right: products of its columns with what is left (c,).
             squares: of its columns, with what rig and belief explain (c,).
         """
-        candidate, slot, own = nothing.candidate, nothing.slot, nothing.own
+        candidate, slot, own = nothing.candidate, nothing.slot, nothing.unique
         diagonal = np.diag(gram)
         keep = diagonal > 1e-12 * squares
         if not keep.any():
@@ -313,7 +314,7 @@ class Screen:
                 slot = slot.with_free_times(min(factor, 20.0))
             elif slot.entry.quantum:
                 gain = max(gain, float(right[0]) ** 2 / float(diagonal[0])) if right[0] > 0.0 else 0.0
-            return Promise(candidate, slot, max(gain, 0.0), own)
+            return Score(candidate, slot, max(gain, 0.0), own)
         scale = np.sqrt(diagonal[keep])
         factors = np.zeros(len(keep))
         scaled = gram[np.ix_(keep, keep)] / np.outer(scale, scale)
@@ -331,9 +332,9 @@ class Screen:
                     return nothing
                 factors = np.maximum(factors, 1e-3 * np.abs(factors).max())
             slot = slot.with_values(candidate.factors, factors)
-        return Promise(candidate, slot, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
+        return Score(candidate, slot, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
 
-    def _thin(self, candidate: Candidate, slot: Slot) -> tuple[Array, Array]:
+    def _thin(self, candidate: Candidate, slot: EffectInstance) -> tuple[Array, Array]:
         """Return what a candidate does along the motion, thinned (m, c), and the columns where it acts (c,)."""
         key = candidate.factors, slot
         found = self.along.get(key)
@@ -346,7 +347,7 @@ class Screen:
                 self.along[key] = found
         return found
 
-    def _features(self, candidate: Candidate, slot: Slot) -> tuple[Array, Array]:
+    def _features(self, candidate: Candidate, slot: EffectInstance) -> tuple[Array, Array]:
         """Return what a candidate does along the motion (m, c), by its factors, and the columns where it acts (c,)."""
         if candidate.effect == laws.DELAY:
             return self._late(slot)
@@ -359,7 +360,7 @@ class Screen:
         made = rig.along(slot, x, rate, 1.0 / record.rate, candidate.factors)
         return made[:, 1:], np.full(len(candidate.factors), column)
 
-    def _late(self, slot: Slot) -> tuple[Array, Array]:
+    def _late(self, slot: EffectInstance) -> tuple[Array, Array]:
         """Return what a delay changes of each command (m, actuators), and the columns where these act (actuators,)."""
         acting, m = self.record.acting, len(self.record)
         early = np.clip(np.arange(m) - slot.values[0] * self.record.rate, 0.0, None)
@@ -370,7 +371,7 @@ class Screen:
         at = [actuators.index(slot.at)] if slot.at else [*range(len(actuators))]
         return (late - acting)[:, at], np.array([self.rig.columns[2][i] for i in at], dtype=float)
 
-    def _subject(self, slot: Slot) -> tuple[Array, Array, float]:
+    def _subject(self, slot: EffectInstance) -> tuple[Array, Array, float]:
         """Return what an effect acts on and its rate (m,), and the column where it acts."""
         rig, record, motion = self.rig, self.record, self.motion
         where, at = slot.where, rig.index(slot)
@@ -429,7 +430,7 @@ def _has_shape(candidate: Candidate) -> bool:
     return bool(set(candidate.free) - set(candidate.factors)) and not candidate.entry.quantum
 
 
-def _stepped(slot: Slot, step: Array) -> Slot:
+def _stepped(slot: EffectInstance, step: Array) -> EffectInstance:
     """Return a slot after a step of its free parameters, within their bounds."""
     return slot.with_values(slot.free, bounds([slot]).after(np.array(slot.estimated), step))
 

@@ -17,14 +17,14 @@ import numpy as np
 from scipy import signal
 
 from masking.discovery import fitting, verdict
-from masking.discovery.augmented_model import Slot
+from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import Candidate, candidates
 from masking.discovery.composites import is_composite
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.problem import Evidence
+from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
-from masking.discovery.screening import Along, Promise, Screen
+from masking.discovery.screening import Along, Score, Screen
 from masking.discovery.smoothing import Motion, smooth
 from masking.discovery.verdict import Key
 from masking.effects import RELATIVE_TURNS, Span
@@ -51,7 +51,7 @@ class SearchResult:
     base: Explanation
     steps: tuple[tuple[Explanation, ...], ...]
     motion: Motion
-    tried: tuple[Promise, ...] = ()
+    tried: tuple[Score, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Search:
         tell: called with what is done, and the fraction done.
     """
 
-    evidence: Evidence
+    evidence: EstimationProblem
     tell: Tell = lambda text, part: None
 
     @property
@@ -117,7 +117,7 @@ class Search:
         motion = smooth(self.evidence, base.hypothesis.theta, base.hypothesis.start)
         ground = _Ground(base, motion, list(candidates(self.evidence.rig, self._spans(motion), self.evidence.dt)))
         steps: list[tuple[Explanation, ...]] = []
-        tried: tuple[Promise, ...] = ()
+        tried: tuple[Score, ...] = ()
         now = settled = base
         number = 0
         while number < self.rules.most_effects:
@@ -133,9 +133,9 @@ class Search:
             self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
             near = now.cost < self.rules.small_residual * self.size
             screen = self._screen(ground, now.hypothesis if near else base.hypothesis, now.hypothesis.slots, taken=near)
-            promises = screen.promises(ground.every)
-            tried = tried or tuple(promises)
-            found = self._round(now, promises, screen, parameters=number == 0)
+            scores = screen.scores(ground.every)
+            tried = tried or tuple(scores)
+            found = self._round(now, scores, screen, parameters=number == 0)
             if not found or self._is_too_little(base, now, found[0]):
                 break
             if len(now.names) > 1 and now is not settled:
@@ -159,30 +159,30 @@ class Search:
         return SearchResult(base, tuple(steps), motion, tried)
 
     def _round(
-        self, now: Explanation, promises: Sequence[Promise], screen: Screen, *, parameters: bool
+        self, now: Explanation, scores: Sequence[Score], screen: Screen, *, parameters: bool
     ) -> list[Explanation]:
         """Return explanations with one more cause, best first; none where the best is no better than chance."""
         rules, gains = self.rules, self._releases(now.hypothesis)
-        best = max([promise.gain for promise in promises] + [*gains], default=0.0)
+        best = max([score.gain for score in scores] + [*gains], default=0.0)
         most = self._worth(screen, screen.total - best)
-        chosen: list[Promise] = []
-        for promise in promises:
-            pays = promise.gain > self.price * len(promise.candidate.free) + 0.5 * rules.effect_evidence
-            if promise.candidate.key in now.names or not pays or len(chosen) == rules.most_fits:
+        chosen: list[Score] = []
+        for score in scores:
+            pays = score.gain > self.price * len(score.candidate.free) + 0.5 * rules.effect_evidence
+            if score.candidate.key in now.names or not pays or len(chosen) == rules.most_fits:
                 continue
-            if screen.total - promise.gain < most or len(chosen) < rules.fewest_fits:
-                chosen.append(promise)
+            if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
+                chosen.append(score)
         excess = now.cost - self.size
         if now.names and self._closes(now) and verdict.is_excess(now.cost, self.size, rules):
-            chosen = [promise for promise in chosen if promise.gain > rules.gain_fraction * excess]
+            chosen = [score for score in chosen if score.gain > rules.gain_fraction * excess]
         keys = _keys(chosen)
         simpler = set().union(*map(self._nested_in, keys)) - keys - {*now.names}
         inside = {name for names in self.nested.values() for name in names}
         nested = simpler | {key for key in keys if key[0] in inside}
-        others = [p for p in promises if p.candidate.key in nested and all(p is not one for one in chosen)]
+        others = [p for p in scores if p.candidate.key in nested and all(p is not one for one in chosen)]
         chosen += [p for i, p in enumerate(others) if p.candidate.key not in _keys([*chosen, *others[:i]])]
         variants = [p for p in others if all(p is not one for one in chosen)]
-        jobs = [partial(self._added, now, promise, screen) for promise in chosen]
+        jobs = [partial(self._added, now, score, screen) for score in chosen]
         if parameters:
             wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
             jobs += [partial(self._released, now, i) for i in wrong]
@@ -197,7 +197,7 @@ class Search:
         rival = min(e.hypothesis.cost for e in found)
         least = now.hypothesis.cost - rules.nested_fraction * (now.hypothesis.cost - rival)
         near = {e.names[-1] for e in found if e.hypothesis.cost < least}
-        again = [partial(self._added, now, promise, screen) for promise in variants if promise.candidate.key in near]
+        again = [partial(self._added, now, score, screen) for score in variants if score.candidate.key in near]
         found += [e for e in self._tried(again, rival) if e is not None]
         found += self._simpler(found)
         tempering = self.evidence.tempering(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
@@ -258,7 +258,9 @@ class Search:
         with ThreadPoolExecutor(2) as pool:
             return [*pool.map(tried, jobs)]
 
-    def _screen(self, ground: _Ground, looked_at: Hypothesis, found: Sequence[Slot], *, taken: bool = False) -> Screen:
+    def _screen(
+        self, ground: _Ground, looked_at: Hypothesis, found: Sequence[EffectInstance], *, taken: bool = False
+    ) -> Screen:
         return Screen(self.evidence, looked_at, ground.motion, found, taken=taken, along=ground.along)
 
     def _is_too_little(self, base: Explanation, now: Explanation, then: Explanation) -> bool:
@@ -276,9 +278,9 @@ class Search:
             self.tell(f"trying others than {best.names[i][0]}", 0.9)
             screen = self._screen(ground, ground.base.hypothesis, _without(best, i)[1])
             most = self._worth(screen, best.hypothesis.cost / screen.every)
-            promises = [p for p in screen.promises(ground.every) if p.candidate.key not in best.names]
-            chosen = [p for p in promises if screen.total - p.gain < most][: self.rules.most_exchanges]
-            jobs = [partial(self._in_place, best, i, promise) for promise in chosen]
+            scores = [p for p in screen.scores(ground.every) if p.candidate.key not in best.names]
+            chosen = [p for p in scores if screen.total - p.gain < most][: self.rules.most_exchanges]
+            jobs = [partial(self._in_place, best, i, score) for score in chosen]
             others = [
                 e for e in self._tried(jobs, best.hypothesis.cost) if e and self._is_better(ground.base, e, best, i)
             ]
@@ -288,11 +290,11 @@ class Search:
                 return self._swapped(best, ground) if i + 1 < len(best.names) - 1 else best
         return best
 
-    def _in_place(self, best: Explanation, i: int, promise: Promise, rival: float) -> Explanation:
+    def _in_place(self, best: Explanation, i: int, score: Score, rival: float) -> Explanation:
         """Return a fit with an effect in the place of one."""
         names, others = _without(best, i)
-        found = self._fit((promise.slot, *others), best.hypothesis, rival)
-        return Explanation("effects", (promise.candidate.key, *names), found, min(best.own, promise.own))
+        found = self._fit((score.slot, *others), best.hypothesis, rival)
+        return Explanation("effects", (score.candidate.key, *names), found, min(best.unique, score.unique))
 
     def _is_better(self, base: Explanation, other: Explanation, best: Explanation, i: int) -> bool:
         """Return whether an explanation is better than the best with another effect in the place of one."""
@@ -316,44 +318,44 @@ class Search:
     def _less(self, best: Explanation, i: int, rival: float) -> Explanation:
         """Return a fit without one cause."""
         names, slots = _without(best, i)
-        return Explanation("effects", names, self._fit(slots, best.hypothesis, rival), best.own)
+        return Explanation("effects", names, self._fit(slots, best.hypothesis, rival), best.unique)
 
-    def _fit(self, slots: tuple[Slot, ...], like: Hypothesis, rival: float) -> Hypothesis:
+    def _fit(self, slots: tuple[EffectInstance, ...], like: Hypothesis, rival: float) -> Hypothesis:
         return fitting.fit(self.evidence, slots, theta=like.theta, start=like.start, rival=rival)
 
-    def _added(self, now: Explanation, promise: Promise, screen: Screen, rival: float) -> Explanation:
+    def _added(self, now: Explanation, score: Score, screen: Screen, rival: float) -> Explanation:
         """Return a fit with one more effect, from parameters as they are or as screening has them.
 
         Where that ends worse than without the effect, as where a resonance is sharp, it begins again with less of it.
         """
         here = (now.hypothesis.theta, now.hypothesis.start)
 
-        def cost(slot: Slot, at: tuple[Array, Array]) -> float:
+        def cost(slot: EffectInstance, at: tuple[Array, Array]) -> float:
             return fitting.cost(self.evidence, (*now.hypothesis.slots, slot), *at)
 
-        def fitted(slot: Slot, at: tuple[Array, Array]) -> Explanation:
+        def fitted(slot: EffectInstance, at: tuple[Array, Array]) -> Explanation:
             slots = (*now.hypothesis.slots, slot)
             found = fitting.fit(self.evidence, slots, theta=at[0], start=at[1], rival=rival)
-            return Explanation("effects", (*now.names, promise.candidate.key), found, promise.own)
+            return Explanation("effects", (*now.names, score.candidate.key), found, score.unique)
 
-        found = fitted(promise.slot, min((here, screen.around(promise.slot)), key=partial(cost, promise.slot)))
+        found = fitted(score.slot, min((here, screen.around(score.slot)), key=partial(cost, score.slot)))
         if found.hypothesis.cost <= now.hypothesis.cost:
             return found
-        less = (_scaled(promise.slot, part) for part in LESS)
+        less = (_scaled(score.slot, part) for part in LESS)
         better = (fitted(slot, here) for slot in less if cost(slot, here) < now.hypothesis.cost)
         return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
 
     def _released(self, now: Explanation, index: int, rival: float) -> Explanation:
         names = ((self.evidence.rig.names[index], ""),)
-        free = Explanation("parameter", names, now.hypothesis).believed(self.evidence)
+        free = Explanation("parameter", names, now.hypothesis).with_prior(self.evidence)
         found = fitting.fit(free, theta=now.hypothesis.theta, start=now.hypothesis.start, rival=rival)
         return Explanation("parameter", names, found)
 
     def _releases(self, hypothesis: Hypothesis) -> Array:
         """Return what setting each parameter free would take off the cost, to first order (k,)."""
-        k = len(self.evidence.belief.mean)
-        pull = (hypothesis.theta - self.evidence.belief.mean) / self.evidence.belief.deviation
-        variance = np.diag(hypothesis.covariance)[:k] / self.evidence.belief.deviation**2
+        k = len(self.evidence.prior.mean)
+        pull = (hypothesis.theta - self.evidence.prior.mean) / self.evidence.prior.deviation
+        variance = np.diag(hypothesis.covariance)[:k] / self.evidence.prior.deviation**2
         # The parameter's own prior term, and what the others give once it is gone.
         found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
         return np.where(variance < 1.0 - 1e-9, found, 0.0)
@@ -400,17 +402,17 @@ class Search:
         return tuple(found)
 
 
-def _keys(promises: Iterable[Promise]) -> set[tuple[str, str]]:
-    return {promise.candidate.key for promise in promises}
+def _keys(scores: Iterable[Score]) -> set[tuple[str, str]]:
+    return {score.candidate.key for score in scores}
 
 
-def _without(explanation: Explanation, i: int) -> tuple[tuple[tuple[str, str], ...], tuple[Slot, ...]]:
+def _without(explanation: Explanation, i: int) -> tuple[tuple[tuple[str, str], ...], tuple[EffectInstance, ...]]:
     """Return names and slots of an explanation without one of its causes."""
     names, slots = explanation.names, explanation.hypothesis.slots
     return (*names[:i], *names[i + 1 :]), (*slots[:i], *slots[i + 1 :])
 
 
-def _scaled(slot: Slot, part: float) -> Slot:
+def _scaled(slot: EffectInstance, part: float) -> EffectInstance:
     """Return a slot with a part of the effect."""
     at = [i for i, name in zip(slot.free, slot.names, strict=True) if name in slot.entry.factors]
     return slot.with_values(at, (part * slot.values[i] for i in at))

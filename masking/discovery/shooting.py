@@ -15,14 +15,14 @@ import numpy as np
 
 from masking.discovery import fitting
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.problem import Evidence
+from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import thinning
 from masking.discovery.smoothing import linearised
 from masking.errors import RecordError
 from masking.numerics.arrays import Array
 
 
-def horizon(evidence: Evidence, seconds: float | None) -> int:
+def interval(evidence: EstimationProblem, seconds: float | None) -> int:
     """Return the samples of a window, in whole blocks of the screening: as asked, or as the model needs; 0 for none.
 
     Raises:
@@ -44,7 +44,7 @@ def horizon(evidence: Evidence, seconds: float | None) -> int:
     return samples if samples < count else 0
 
 
-def shorter(evidence: Evidence) -> Iterator[float]:
+def shorter(evidence: EstimationProblem) -> Iterator[float]:
     """Give horizons in s, the longest first, for a motion that comes out of step with its record."""
     speeds = np.abs(_speeds(evidence).imag)
     slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
@@ -56,10 +56,10 @@ def shorter(evidence: Evidence) -> Iterator[float]:
             yield seconds
 
 
-def substeps(evidence: Evidence) -> int:
+def substeps(evidence: EstimationProblem) -> int:
     """Return how many integration steps between samples simulate the readings within their noise."""
     least = evidence.rules.stiff_steps if len(evidence.rig.twin.free) > 2 * len(evidence.rig.coordinates) else 1
-    theta, most = evidence.belief.mean, max(least, evidence.substeps)
+    theta, most = evidence.prior.mean, max(least, evidence.substeps)
     start = fitting.first_states(evidence, theta)
 
     def simulated(number: int) -> Array:
@@ -75,7 +75,7 @@ def substeps(evidence: Evidence) -> int:
     return steps
 
 
-def finer(evidence: Evidence, found: Hypothesis) -> int:
+def finer(evidence: EstimationProblem, found: Hypothesis) -> int:
     """Return how many steps simulate a law that was found: friction that turns round fast, a stop, a gap.
 
     Steps are enough where four times as many change the readings by no more than `law_error` of their noise.
@@ -97,5 +97,5 @@ def finer(evidence: Evidence, found: Hypothesis) -> int:
     return steps
 
 
-def _speeds(evidence: Evidence) -> Array:
-    return np.asarray(np.linalg.eigvals(linearised(evidence.rig, evidence.belief.mean)[0]))
+def _speeds(evidence: EstimationProblem) -> Array:
+    return np.asarray(np.linalg.eigvals(linearised(evidence.rig, evidence.prior.mean)[0]))

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from masking.discovery.augmented_model import OpenRig
-from masking.discovery.problem import Evidence
+from masking.discovery.augmented_model import AugmentedModel
+from masking.discovery.problem import EstimationProblem
 from masking.effects import Effect
 from masking.errors import IntegrationError
 from masking.estimation.data import is_first_order
@@ -67,7 +67,7 @@ class _Gains:
     spread: Array
 
 
-def smooth(evidence: Evidence, theta: Array, start: Array) -> Motion:
+def smooth(evidence: EstimationProblem, theta: Array, start: Array) -> Motion:
     """Return the motion and the latent forces of a record.
 
     Args:
@@ -101,7 +101,7 @@ def smooth(evidence: Evidence, theta: Array, start: Array) -> Motion:
     )  # fmt: skip
 
 
-def _filter(evidence: Evidence, theta: Array, start: Array, gains: _Gains) -> tuple[Array, Array, Array]:
+def _filter(evidence: EstimationProblem, theta: Array, start: Array, gains: _Gains) -> tuple[Array, Array, Array]:
     """Return innovations (m, sensors), filtered and predicted states with forces (m, n + degrees)."""
     rig, record = evidence.rig, evidence.record
     size = start.shape[1] + len(rig.degrees)
@@ -120,7 +120,7 @@ def _filter(evidence: Evidence, theta: Array, start: Array, gains: _Gains) -> tu
     return record.readings - sensed, states, predicted
 
 
-def linearised(rig: OpenRig, theta: Array) -> tuple[Array, Array, Array, Array]:
+def linearised(rig: AugmentedModel, theta: Array) -> tuple[Array, Array, Array, Array]:
     """Return A (n, n), B of forces on the degrees (n, degrees), C (sensors, n) and D (sensors, degrees) at rest.
 
     Raises:
@@ -140,13 +140,13 @@ def linearised(rig: OpenRig, theta: Array) -> tuple[Array, Array, Array, Array]:
     return jy, jp[:, columns], js, jps[:, columns]
 
 
-def fastest(rig: OpenRig, theta: Array) -> complex:
+def fastest(rig: AugmentedModel, theta: Array) -> complex:
     """Return the eigenvalue of largest magnitude of the rig at rest, rad/s; 0 of a rig that has no states."""
     found = linalg.eigvals(linearised(rig, theta)[0]) if rig.twin.state_names else np.zeros(1)
     return complex(found[int(np.argmax(np.abs(found)))])
 
 
-def _unit(rig: OpenRig, theta: Array, sigma: Array, rate: float) -> Array:
+def _unit(rig: AugmentedModel, theta: Array, sigma: Array, rate: float) -> Array:
     """Return the intensity (degrees,) whose walk over the time of a motion moves sensors by their noise.
 
     A force on a state or an output is followed with the speed w where its intensity is s^2 w^4 / rate or
@@ -163,7 +163,7 @@ def _unit(rig: OpenRig, theta: Array, sigma: Array, rate: float) -> Array:
     return np.concatenate([np.maximum(reached, 1e-300) ** 2 * speed, np.maximum(walked, 1e-300)])
 
 
-def _gains(rig: OpenRig, theta: Array, rate: float, sigma: Array, intensity: Array) -> _Gains:
+def _gains(rig: AugmentedModel, theta: Array, rate: float, sigma: Array, intensity: Array) -> _Gains:
     a, b, c, d = linearised(rig, theta)
     n, m = len(a), b.shape[1]
     flow = np.zeros((n + m, n + m))

@@ -11,7 +11,7 @@ from masking.declaration.quantities import percent
 from masking.declaration.units import pretty
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
-from masking.discovery.screening import Promise
+from masking.discovery.screening import Score
 from masking.discovery.verdict import noise_threshold
 from masking.reports import discovery_text, force_map
 from masking.reports.figure_parts import (
@@ -292,17 +292,17 @@ def _colour(key: tuple[str, str], chosen: set[tuple[str, str]], fitted: set[tupl
 
 def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
     """Return each candidate once, the best first: effect, place, part of the gap, part of what would count."""
-    best: dict[str, Promise] = {}
-    for promise in found.search.tried:
-        told = discovery_text.spoken(found, *promise.candidate.key)
-        if promise.gain > 0.0 and promise.gain > getattr(best.get(told), "gain", 0.0):
-            best[told] = promise
+    best: dict[str, Score] = {}
+    for score in found.search.tried:
+        told = discovery_text.spoken(found, *score.candidate.key)
+        if score.gain > 0.0 and score.gain > getattr(best.get(told), "gain", 0.0):
+            best[told] = score
     size = found.record.readings.size
     whole = max(found.search.base.hypothesis.cost - size, *(p.gain for p in best.values()), 1e-300)
     price, least = float(np.log(size)), found.evidence.rules.effect_evidence
     return [
         (*p.candidate.key, p.gain / whole, p.gain / (price * len(p.candidate.free) + least))
-        for p in sorted(best.values(), key=lambda promise: -promise.gain)
+        for p in sorted(best.values(), key=lambda score: -score.gain)
     ]
 
 

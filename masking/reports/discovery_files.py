@@ -20,7 +20,7 @@ from masking.declaration.checks import equation_of
 from masking.declaration.schema import ModelDeclaration, Parameter
 from masking.declaration.units import dimension_of, factor_of
 from masking.discovery import laws
-from masking.discovery.augmented_model import Slot
+from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.places import identifier, opened
 from masking.effects import LAG, attach
@@ -217,9 +217,9 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
     return model_files.plant(twin, folder, heading, found.rig.names, {**first, **before, **last})
 
 
-def labels(found: Discovery) -> dict[Slot, str]:
+def labels(found: Discovery) -> dict[EffectInstance, str]:
     """Return the label of each cause in the equations."""
-    made: dict[Slot, str] = {}
+    made: dict[EffectInstance, str] = {}
     base = found.twin.attached
     for slot in found.explanation.hypothesis.slots:
         if slot.where != "element":
@@ -232,7 +232,7 @@ def labels(found: Discovery) -> dict[Slot, str]:
     return made
 
 
-def _attached(found: Discovery, whole: ModelDeclaration, slot: Slot, label: str) -> ModelDeclaration:
+def _attached(found: Discovery, whole: ModelDeclaration, slot: EffectInstance, label: str) -> ModelDeclaration:
     """Return a model with one more cause in its equations, at an element that is made where there is none."""
     at = _element(found, slot)
     if at not in whole.elements:
@@ -242,7 +242,7 @@ def _attached(found: Discovery, whole: ModelDeclaration, slot: Slot, label: str)
     return attach(whole, slot.entry, at, label, values)
 
 
-def _element(found: Discovery, slot: Slot) -> str:
+def _element(found: Discovery, slot: EffectInstance) -> str:
     place = found.rig.places[found.rig.index(slot)]
     return place.name if place.declared else identifier(place.name)
 
@@ -261,7 +261,7 @@ def _terms(found: Discovery, whole: ModelDeclaration) -> dict[str, str]:
     return terms
 
 
-def _add_delay(found: Discovery, slot: Slot, effects: dict[str, Any], taken: set[str]) -> None:
+def _add_delay(found: Discovery, slot: EffectInstance, effects: dict[str, Any], taken: set[str]) -> None:
     """Add a delay in whole samples; its remainder, or a delay of a single actuator, becomes a lag of the same time."""
     rate, seconds = found.record.rate, slot.values[0]
     whole = 0 if slot.at else int(seconds * rate + WHOLE)

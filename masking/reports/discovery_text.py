@@ -115,7 +115,7 @@ def hardly(found: Discovery) -> str:
 def adjusted(found: Discovery) -> dict[str, tuple[float, float, bool]]:
     """Return the parameters that moved beside the causes: value, declared value, and whether the prior allows it."""
     off = {one.name for one in found.effects if one.name not in found.twin.dictionary}
-    belief, theta = found.evidence.belief, found.explanation.hypothesis.theta
+    belief, theta = found.evidence.prior, found.explanation.hypothesis.theta
     told = {}
     for name, value, std, start, wide in zip(
         found.rig.names, theta, found.deviations, found.rig.start, belief.deviation, strict=False

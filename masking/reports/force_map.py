@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from masking.declaration.quantities import percent
 from masking.declaration.units import pretty
 from masking.discovery import latent_force
-from masking.discovery.augmented_model import Slot
+from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.discovery import Discovery
 from masking.discovery.force_decomposition import SEEN
 from masking.numerics.arrays import Array
@@ -85,7 +85,7 @@ def figure(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigu
     return CaptionedFigure("map", f"{capital(what)} over displacement and rate", caption, figure)
 
 
-def laws_at(found: Discovery, lacking: latent_force.LatentForce) -> list[Slot]:
+def laws_at(found: Discovery, lacking: latent_force.LatentForce) -> list[EffectInstance]:
     """Return the causes at the place in view that are reported."""
     told = {(one.name, one.on) for one in discovery_text.offered(found)}
     return [
@@ -95,7 +95,7 @@ def laws_at(found: Discovery, lacking: latent_force.LatentForce) -> list[Slot]:
     ]
 
 
-def along(found: Discovery, lacking: latent_force.LatentForce, slots: Sequence[Slot]) -> Array:
+def along(found: Discovery, lacking: latent_force.LatentForce, slots: Sequence[EffectInstance]) -> Array:
     """Return what causes at the place that is looked at give together (m,): force, command or reading."""
     law = np.zeros_like(lacking.before)
     motion, names = found.smoothed.before, [place.name for place in found.rig.places]

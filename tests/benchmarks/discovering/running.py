@@ -23,7 +23,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from masking.declaration import schema
-from masking.discovery.augmented_model import OpenRig
+from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.discover import discover
 from masking.estimation.data import Data
 from masking.rig.twin import Twin
@@ -42,7 +42,7 @@ Outcome = dict[str, Any]
 
 
 @cache
-def rig(damping: Damping) -> tuple[Twin, OpenRig]:
+def rig(damping: Damping) -> tuple[Twin, AugmentedModel]:
     """Return the rig as it is declared, without effects, and the same with its places open."""
     twin = Twin.load("linear_rig")
     changes: dict[str, Any] = {"effects": {}}
@@ -50,7 +50,7 @@ def rig(damping: Damping) -> tuple[Twin, OpenRig]:
         changes["parameters"] = dict.fromkeys(("z1", "z2", "z3"), LIGHT)
     declaration: schema.PlantDeclaration = twin.declaration.model_copy(update=changes)
     twin = Twin(declaration, twin.base)
-    return twin, OpenRig(twin, twin.equation_parameters())
+    return twin, AugmentedModel(twin, twin.equation_parameters())
 
 
 def data(record: hidden.Record, name: str) -> Data:
