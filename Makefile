@@ -20,6 +20,9 @@ QUICK := architecture vocabulary documentation declaration expression model scal
 
 .PHONY: demo test quick docs dist bench bench-discovery clean
 
+# Machine code is kept between runs of the tests: its names are hashes of all that it is made of.
+export MASKING_CACHE ?= $(CURDIR)/.venv/kernels
+
 demo: $(READY)
 	$(BIN)/masking run examples/duffing.yaml --out results/duffing
 
@@ -27,12 +30,12 @@ test: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist loadfile
 
 quick: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/pytest -n 2 $(QUICK:%=tests/test_%.py)
+	$(BIN)/pytest -n 2 --dist loadfile $(QUICK:%=tests/test_%.py)
 
 docs: $(DOCS_READY)
 	$(BIN)/mkdocs build --strict

@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 
 import masking
 from masking.plants.simulated import SimulatedPlant
-from masking.procedures import calibration_records
 from masking.runs.experiment import Experiment
+from masking.workflows import calibration_records
 
 EXPERIMENT = """
 name: Duffing oscillators on a rig that rubs

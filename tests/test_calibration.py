@@ -84,7 +84,7 @@ def test_it_ends_in_a_report_that_needs_no_other_file(full):
     html.parser.HTMLParser().feed(page)
     text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", re.sub(r"src=\"data:[^\"]*\"", "", page)))
     assert "setup_springs with dry friction and hysteresis reproduces an unseen multisine to 0.0" in text
-    assert "; the noise alone makes 0.0" in text
+    assert "; the noise floor is 0.0" in text
     for number in ("0.0649", "0.1025", "0.2267", "0.0545", "0.1307", "0.0869"):  # Tables 4.3 and 4.5
         assert number in text
     for name in found.best.fit.names:

@@ -157,7 +157,7 @@ def test_page_says_what_helps(discovered, folder):
     page = (out / "discovery.html").read_text()
     for words in (
         "Dry friction in spring1",
-        "of what is lacking sits at spring1",
+        "of the model error is at spring1",
         "Ljung and Box",
         "use leaf springs or air bearings",
         "data:image/png;base64",

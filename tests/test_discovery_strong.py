@@ -90,7 +90,7 @@ def test_what_only_the_record_that_judges_shows_is_not_nothing(discovered):
     assert found.gap.validation[1]["x"] > 2.0 * found.gap.validation_floor["x"]
     assert (found.verdict, found.closed) == ("unknown", False)
     assert discovery_text.sentence(found).startswith(
-        "The record shows nothing that is missing, but data that were not used do: let these be the record. On "
+        "The record shows no missing effect, but the validation record does: run discover on that one. The "
     )
 
 

@@ -352,7 +352,7 @@ def test_a_filter_identifies_and_draws_its_estimates(capsys, tmp_path, mass):
         assert (tmp_path / f"{name}.png").read_bytes().startswith(PNG)
     page = (tmp_path / "fit.html").read_text(encoding="utf-8")
     assert page.count("<img ") == 3
-    assert "In the unseen record the model leaves" in page
+    assert "In the validation record the residual is " in page
 
 
 def test_least_squares_draw_the_fit_too(tmp_path, mass):

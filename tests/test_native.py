@@ -12,7 +12,7 @@ import masking
 from masking.codegen import native, store
 from masking.codegen.files import read_sealed
 from masking.codegen.graph import Graph
-from masking.codegen.source import Module
+from masking.codegen.source import DECORATOR, Module
 
 RUN = """
 import sys, numpy as np
@@ -120,3 +120,27 @@ def test_an_argument_of_a_kernel_says_its_type():
     module = Module("test", {})
     with pytest.raises(TypeError, match="f: t is of the type 'str'; give float, int, Vector, Matrix"):
         module.add("f(t: str)", Graph(), [], {})
+
+
+def test_linked_functions_are_compiled_apart_from_those_that_call_them(tmp_path, monkeypatch):
+    monkeypatch.setenv("MASKING_CACHE", str(tmp_path))
+
+    def caller():
+        module = Module("caller", {})
+        module.add_link("law(kind: int, x, rows: Matrix)")
+        module.add_kernel("@compiled\ndef f(kind: int, x: Vector, rows: Matrix):\n    law(kind, x[1:], rows[1:])", "")
+        return module
+
+    def law(sign):
+        module = Module("law", {})
+        text = f"{DECORATOR}\ndef law(kind, x, rows):\n    rows[0, kind] = {sign}x[0] * x.size + rows.shape[0]"
+        module.add_text("law(kind: int, x, rows: Matrix)", text)
+        return module
+
+    for sign, expected in (("+", 17.0), ("-", -13.0)):
+        own = store.load(f"law{sign}", lambda sign=sign: law(sign)).function("law")
+        rows = np.zeros((3, 4))
+        store.load("caller", caller, {"law": own}).function("f")(2, np.array([7.0, 5.0, 6.0, 1.0]), rows)
+        assert rows[1, 2] == expected
+        assert np.count_nonzero(rows) == 1
+    assert len(list(tmp_path.glob("objects/*"))) == 3  # two laws, and one function that calls either

@@ -5,8 +5,9 @@ import pytest
 
 from masking.declaration import schema
 from masking.errors import ModelError, RecordError
-from masking.procedures import procedures
-from masking.procedures.procedures import actuator_ratio, locate_friction, shift_of_equilibrium, spring_curve
+from masking.procedures.actuators import actuator_ratio
+from masking.procedures.friction import locate_friction, shift_of_equilibrium
+from masking.procedures.springs import spring_curve
 from masking.rig.twin import Twin
 
 STROKE, VOLTS = 5e-3, 0.42
@@ -364,8 +365,3 @@ def test_the_shift_of_the_beam_is_the_largest(rig):
         found.append(shift_of_equilibrium(np.arange(len(x)) / rate, x, force).shift[-1])
     assert found[2] > 3 * max(found[:2])
     assert 2e-4 < found[2] < 4e-4
-
-
-def test_the_procedures_are_listed():
-    assert sorted(procedures.__all__) == procedures.__all__
-    assert all(hasattr(procedures, name) for name in procedures.__all__)

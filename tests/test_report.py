@@ -263,8 +263,8 @@ def test_an_input_at_its_limit_does_not_exceed_it():
 )
 def test_the_cost_of_sampling_is_named(rate, words, half, tmp_path):
     said = (
-        f"Sampled at {words}, inputs act half a sample ({half}) late on average, which nothing here predicts; "
-        "'observer: disturbance' does, and a higher controller.rate makes it less."
+        f"Sampled at {words}, inputs act half a sample ({half}) late on average, and nothing here compensates for it; "
+        "'observer: disturbance' does, and a higher controller.rate reduces it."
     )
     recording = duffing(2000, 0.02, rate=rate)
     assert warnings(recording) == [said]
@@ -356,7 +356,7 @@ STOP = {
 def test_what_ended_a_run_is_said():
     said = "The run ended after 211.5 of 2500 units of time, when x1 and x2 were in anti-phase to 5 % of the amplitude."
     assert said in summary(duffing(stop=STOP)).splitlines()
-    said = "Nothing ended the run early: x1 and x2 were in-phase to 5 % of the amplitude for 1.5 periods at no time."
+    said = "The run was not ended early: x1 and x2 were in-phase to 5 % of the amplitude for 1.5 periods at no time."
     assert said in summary(duffing(stop={**STOP, "met": False, "at": None, "phase": "in"})).splitlines()
 
 

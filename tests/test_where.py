@@ -347,7 +347,7 @@ def test_what_is_left_is_closed_where_it_is_white_on_both_records(discoveries, r
     assert not found.closed
     assert found.as_dict()["closed"] is False
     assert discovery_text.beside(found).startswith(
-        "This does not explain all, or the noise is not white: little is left"
+        "This does not explain all, or the noise is not white: the residual is near"
     )
     assert discovery_text.beside(replace(found, verdict="unknown")) == ""
     many = replace(known, start=np.zeros((len(known.residuals) // 100, 6)))  # windows of a tenth of a second
@@ -379,7 +379,7 @@ def test_friction_is_where_it_is(discoveries):
 def test_what_is_said_of_friction(discoveries):
     found = discoveries("friction")
     (told,) = discovery_text.whereabouts(found)
-    assert told.startswith("All of what is lacking sits at spring1: 9")
+    assert told.startswith("All of the model error is at spring1: 9")
     assert "of its energy follows the rate, alike in both directions; it takes " in told
     assert told.endswith("µW/kg out of the motion")
     lost = replace(found, verdict="unknown")
@@ -408,7 +408,7 @@ def test_a_gap_on_the_side_of_sensors_follows_a_reading(discoveries):
     lacking = found.where.lacking
     assert lacking.sensors["s1"] > 0.95
     assert max(lacking.sensors["s2"], lacking.sensors["s3"]) < 0.1
-    assert discovery_text.whereabouts(found)[0].endswith("of what is lacking of s1 follows its reading")
+    assert discovery_text.whereabouts(found)[0].endswith("of the model error in s1 follows its reading")
 
 
 def test_it_goes_into_json(discoveries):

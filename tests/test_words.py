@@ -32,8 +32,7 @@ def test_without_effects_the_title_says_what_is_left(discoveries):
     found = replace(discoveries("friction"), verdict="unknown", effects=())
     found = replace(found, gap=gaps((1.33, 0.1, 0.1), (0.94, 0.1, 0.1), (0.001, 0.1, 0.1), (0.94, 0.1, 0.1)))
     assert discovery_text.gap(found) == (
-        "On data that were not used, the error in s1 is 133 % as declared and "
-        "94 % with parameters adjusted alone; noise alone makes 0.1 %"
+        "The validation error of s1 is 133 % as declared and 94 % with adjusted parameters; the noise floor is 0.1 %"
     )
 
 
@@ -41,12 +40,12 @@ def test_a_parameter_is_compared_with_what_is_declared(discoveries):
     named = (Named("z2", "", {"z2": (0.02, 1e-5)}, 1.0),)
     found = replace(discoveries("friction"), verdict="parameter", effects=named)
     found = replace(found, gap=gaps((0.027, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3)))
-    assert "the error in s1 is 2.7 % as declared and 0.1" in discovery_text.gap(found)
+    assert "The validation error of s1 is 2.7 % as declared and 0.1" in discovery_text.gap(found)
 
 
 @pytest.mark.parametrize(
     ("after", "floor", "told"),
-    [(0.98, 0.01, "s1 (98 % is left): check units"), (0.8, 0.01, ""), (0.98, 0.9, "")],
+    [(0.98, 0.01, "s1 (error 98 %): check units"), (0.8, 0.01, ""), (0.98, 0.9, "")],
 )
 def test_a_reading_that_is_hardly_followed(discoveries, after, floor, told):
     found = replace(discoveries("friction"), gap=gaps((1.0, 0.1, 0.1), (after, 0.1, 0.1), (floor, 0.1, 0.1)))
@@ -67,7 +66,9 @@ def test_commands_that_seem_measured_are_told(discoveries):
 def test_a_law_that_may_be_nothing_is_not_offered(discoveries):
     sure, unsure = (Named("stiffness_drift", "spring1", {"k": (-4.0, std)}, 0.9) for std in (1.0, 161.0))
     found = replace(discoveries("friction"), verdict="unknown")
-    assert "The nearest of it is stiffness drift in spring1" in discovery_text.sentence(replace(found, effects=(sure,)))
+    assert "The nearest known effect is stiffness drift in spring1" in discovery_text.sentence(
+        replace(found, effects=(sure,))
+    )
     lost = replace(found, effects=(unsure,))
     assert "nearest" not in discovery_text.sentence(lost)
     assert list(discovery_page._causes(lost)) == []
@@ -90,7 +91,7 @@ def test_parameters_that_moved_are_told(discoveries, wide, how):
         evidence=replace(found.evidence, belief=replace(belief, deviation=wide * belief.deviation)),
     )
     assert discovery_text.moved(moved).startswith("Adjusted: z2 = ")
-    assert discovery_text.moved(moved).endswith(f", 5 % more than declared, {how} what is believed of it")
+    assert discovery_text.moved(moved).endswith(f", 5 % more than declared, {how} its prior uncertainty")
     off = Named("z2", "", {"z2": (theta[at], 0.0)}, 1.0)
     assert discovery_text.moved(replace(moved, verdict="parameter", effects=(off,))) == ""
     assert [*discovery_text.adjusted(moved)] == ["z2"]
@@ -119,7 +120,7 @@ def test_an_experiment_is_said_in_words(discoveries):
     assert "{" not in said
     assert "{" not in str(coming(found, most).next_experiment)
     lasting = discovery_text.sentence(coming(found, 3.0 * most, separation=0.0))
-    assert lasting.endswith("No excitation of the actuators that was tried tells dry friction in spring1 from "
+    assert lasting.endswith("No excitation that was tried can tell dry friction in spring1 from "
                             "Dahl friction in spring1")  # fmt: skip
     assert "multisine" not in str([*discovery_page._causes(coming(found, most))])  # it is in the first paragraph
 
@@ -172,11 +173,11 @@ def test_the_map_credits_each_law_with_its_own_part(discoveries):
         found, effects=effects, explanation=replace(found.explanation, hypothesis=replace(hypothesis, slots=both))
     )
     said = force_map._seen(together, lacking, "force", laws[0])
-    assert said.startswith("Dry friction in spring1 and hardening spring in spring1 together take away ")
+    assert said.startswith("Dry friction in spring1 and hardening spring in spring1 together explain ")
     alone = replace(together, effects=effects[1:])  # the other is not offered at this place
     part = force_map._seen(replace(alone, explanation=together.explanation), lacking, "force", laws[1])
-    assert part.startswith("Hardening spring in spring1 takes away ")
-    assert "; all that was found takes " in part
+    assert part.startswith("Hardening spring in spring1 explains ")
+    assert "; the whole finding explains " in part
 
 
 def test_no_force_is_told_where_a_parameter_explains_it(discoveries):

@@ -55,6 +55,7 @@ class NativeFunction:
         work: the shape of its work space, which callers need not give; None if it has none.
         source: imports the generated module.
         stem: path of its machine code, which the processor and an ending follow.
+        links: functions whose machine code it calls, by the names that it has for them.
     """
 
     name: str
@@ -63,7 +64,8 @@ class NativeFunction:
     work: tuple[int, int] | None
     source: Callable[[], ModuleType]
     stem: Path
-    _call: Callable[..., None] | None = field(default=None, repr=False)
+    links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
+    _call: Any = field(default=None, repr=False)
 
     def __call__(self, *given: Any) -> Any:  # noqa: ANN401
         """Call the machine code; arrays are read and written in place.
@@ -93,11 +95,16 @@ class NativeFunction:
         read = [int(x) if kind == "int" else x for kind, x in zip(self.results, found, strict=False)]
         return None if not read else read[0] if len(read) == 1 else tuple(read)
 
-    def prepare(self) -> Callable[..., None]:
+    def prepare(self) -> Any:  # noqa: ANN401  (a ctypes function)
         """Compile or load the function now; return its C interface."""
         if self._call is None:
             self._call = self._load()
         return self._call
+
+    @property
+    def address(self) -> int:
+        """Return the address of the machine code, compiled or loaded now."""
+        return int(ctypes.cast(self.prepare(), ctypes.c_void_p).value or 0)
 
     def _load(self) -> Callable[..., None]:
         path = self.stem.with_name(f"{self.stem.name}.{_processor()}.o")
@@ -106,13 +113,17 @@ class NativeFunction:
             code = self._compile()
             write_sealed(path, code)
         types = [c_type for kind in self.arguments.values() for c_type in C_TYPES[kind]]
-        return ctypes.CFUNCTYPE(None, *types, ctypes.c_void_p)(_linked(path.stem, code))
+        called = {symbol(name): one for name, one in self.links.items() if symbol(name).encode() in code}
+        addresses = {name: one.address for name, one in called.items()}
+        return ctypes.CFUNCTYPE(None, *types, ctypes.c_void_p)(_linked(path.stem, code, addresses))
 
     def _compile(self) -> bytes:
         """Return the machine code of the function behind a C interface."""
         types = [NUMBA_TYPES[kind] for kind in self.arguments.values()]
         signature = f"void({', '.join(types)}, CPointer(f8))"
         interface = getattr(self.source(), f"{self.name}_c")
+        for name in self.links:  # numba links what it compiles at once, although it is not called there
+            llvm.add_symbol(symbol(name), _stop())
         made = numba.cfunc(signature, error_model="numpy")(interface)
         module = llvm.parse_assembly(_without_aliases(made.inspect_llvm()))
         # Names are kept inside: numba gives functions of different processes the same ones.
@@ -144,6 +155,33 @@ def interface(name: str, arguments: Mapping[str, str], results: Sequence[str]) -
         lines += [f"    {names} = {call}", f"    results = carray(found, ({RESULTS},))"]
         lines += [f"    results[{i}] = r{i}" for i in range(len(results))]
     return "\n".join(lines)
+
+
+def link(name: str, arguments: Mapping[str, str]) -> str:
+    """Return the source of a function that calls machine code of its own, which is linked when it is loaded.
+
+    Args:
+        name: of the function.
+        arguments: their types by their names; one at least is an array.
+    """
+    types, passed = [], []
+    for argument, kind in arguments.items():
+        axes = [f"{argument}.shape[{axis}]" for axis in range(DIMENSIONS.get(kind, 0))]
+        types.append(NUMBA_TYPES[kind].replace("CPointer(", "numba.types.CPointer("))
+        passed += [f"{argument}.ctypes", *axes] if axes else [argument]
+    unused = next(f"{argument}.ctypes" for argument, kind in arguments.items() if kind in DIMENSIONS)
+    signature = re.sub(r"\b([fi]8)", r"numba.\1", f"numba.void({', '.join(types)}, numba.types.CPointer(f8))")
+    typed = ", ".join(f"{argument}: {kind}" for argument, kind in arguments.items())
+    return "\n".join(
+        [
+            f'_{name} = numba.types.ExternalFunction("{symbol(name)}", {signature})',
+            "",
+            "",
+            '@numba.njit(nogil=True, error_model="numpy")',
+            f"def {name}({typed}) -> None:",
+            f"    _{name}({', '.join([*passed, unused])})",
+        ]
+    )
 
 
 def _without_aliases(text: str) -> str:
@@ -194,17 +232,27 @@ _libraries: dict[str, Any] = {}  # the machine code that this process has linked
 _linking = threading.Lock()
 
 
-def _linked(name: str, code: bytes) -> int:
-    """Link machine code into this process, once for each name; return the address of its entry."""
+def symbol(name: str) -> str:
+    """Return what machine code calls a function that is linked to it."""
+    return f"masking_link_{name}"
+
+
+def _linked(content: str, code: bytes, addresses: Mapping[str, int]) -> int:
+    """Link machine code into this process, once with the same functions; return the address of its entry."""
+    name = " ".join([content, *(f"{address:x}" for _, address in sorted(addresses.items()))])
     with _linking:
         if name not in _libraries:
             builder = llvm.JITLibraryBuilder().add_object_img(code).add_current_process().export_symbol(ENTRY)
             # Numba's error handlers get an address also if numba is not loaded: generated code raises nothing.
-            stop = ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value
-            for symbol in ERROR_SYMBOLS:
-                builder.import_symbol(symbol, stop)
+            for one, address in {**dict.fromkeys(ERROR_SYMBOLS, _stop()), **addresses}.items():
+                builder.import_symbol(one, address)
             _libraries[name] = builder.link(_linker(), name)
         return int(_libraries[name][ENTRY])
+
+
+@cache
+def _stop() -> int:
+    return int(ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value or 0)
 
 
 @cache

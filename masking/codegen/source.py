@@ -164,6 +164,22 @@ class Module:
         self._imports.add(f"from {package} import {module}\n")
         return f"{module}.{one.__qualname__}"
 
+    def add_link(self, signature: str) -> None:
+        """Add a function that is machine code of its own: those that call it do not depend on what it is made of.
+
+        Args:
+            signature: as for `add`, with arrays that are not empty; the function returns nothing. Its machine code is
+                that of the function of this name in the `links` of `store.load`.
+        """
+        name, types = _read(signature)
+        self.functions.append(native.link(name, types))
+        self.meta.setdefault("links", []).append(name)
+
+    def add_text(self, signature: str, text: str) -> None:
+        """Add functions that are printed already, the last of which has this signature and returns nothing."""
+        self.functions.append(text)
+        self._export(*_read(signature), "None")
+
     def add_kernel(self, text: str, results: str, work: tuple[int, int] | None = None) -> None:
         """Add a function written out as text, in which the line `@compiled` stands for the decorator.
 

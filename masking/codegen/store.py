@@ -13,7 +13,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -50,11 +50,13 @@ class Generated:
         path: of its text.
         meta: what it says of itself.
         objects: the content hash of each function.
+        links: functions of other modules that it calls, by the names that it has for them.
     """
 
     path: Path
     meta: Mapping[str, Any]
     objects: Mapping[str, str] = field(repr=False)
+    links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
 
     def module(self) -> ModuleType:
         """Import the module, and numba with it."""
@@ -82,7 +84,8 @@ class Generated:
         described = self.meta["functions"][name]
         work = tuple(described["work"]) if described["work"] else None
         stem = self.path.parent.parent / "objects" / self.objects[name]
-        return NativeFunction(name, described["arguments"], described["results"], work, self.module, stem)
+        types = described["arguments"], described["results"]
+        return NativeFunction(name, *types, work, self.module, stem, self.links)
 
 
 def exists(name: str) -> bool:
@@ -90,11 +93,19 @@ def exists(name: str) -> bool:
     return _read(name) is not None
 
 
-def load(name: str, build: Callable[[], Module]) -> Generated:
-    """Return the generated module of a key; `build` makes it if it is not on disk yet, or not as it was written."""
-    found = _read(name)
-    if found is not None:
-        return found
+def load(name: str, build: Callable[[], Module], links: Mapping[str, NativeFunction] | None = None) -> Generated:
+    """Return the generated module of a key; `build` makes it if it is not on disk yet, or not as it was written.
+
+    Args:
+        name: the key.
+        build: prints the module.
+        links: functions of other modules, by the names that `Module.add_link` gives them.
+    """
+    found = _read(name) or _made(name, build)
+    return replace(found, links=links or {})
+
+
+def _made(name: str, build: Callable[[], Module]) -> Generated:
     made = build()
     text = made.text()
     objects = contents(text, made.meta.get("functions", ()))

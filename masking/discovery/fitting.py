@@ -18,6 +18,7 @@ from masking.discovery.augmented_model import Equations, Slot
 from masking.discovery.problem import Evidence
 from masking.errors import IntegrationError
 from masking.estimation.least_squares import Box, Damping, Dense, Linearised, minimise
+from masking.estimation.simulation import guessed_state
 from masking.numerics.arrays import Array
 
 MOST_ROUNDS = 40
@@ -129,21 +130,15 @@ def cost(evidence: Evidence, slots: Sequence[Slot], theta: Array, start: Array) 
 
 def first_states(evidence: Evidence, theta: Array, samples: int = 20) -> Array:
     """Return a first guess of initial states (windows, states), from straight lines through the first readings."""
-    rig, record = evidence.rig, evidence.record
-    n, acting = len(rig.coordinates), record.acting
-    seen = [i for i in rig.twin.free if not n <= i < 2 * n]
-    found = np.tile(rig.rest, (evidence.windows, 1))
-    for i, state in enumerate(found):
-        begin = i * evidence.begin
-        early = min(begin, max(len(record) - samples, 0))  # the line of a short last window begins before it
+    rig, record, acting = evidence.rig, evidence.record, evidence.record.acting
+    found = []
+    for begin in range(0, len(record), evidence.begin):
+        early = min(begin, max(len(record) - samples, 0))  # the line of a short last interval begins before it
         read = record.readings[early:][:samples]
         times = (np.arange(len(read)) + early - begin) / record.rate
-        slope, first = np.polynomial.polynomial.polyfit(times, read, 1)[::-1]
-        told, sensing = rig.reading(theta, rig.rest, acting[begin])
-        back = np.linalg.pinv(sensing[:, seen])
-        state[seen] += back @ (first - told)
-        state[n : 2 * n] = back[:n] @ slope
-    return found
+        at_rest = rig.reading(theta, rig.rest, acting[begin])
+        found.append(guessed_state(rig.rest, at_rest, rig.twin.free, times, read, n=len(rig.coordinates), degree=1))
+    return np.array(found)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import RecordError
 from masking.estimation.data import Data
 from masking.numerics.arrays import Array
-from masking.records.noise import white_noise
+from masking.records.noise import third_differences, white_noise
 
 MEDIAN = 0.6745  # magnitude that half of all samples of a standard normal distribution stay below
 
@@ -44,8 +44,7 @@ def noise_of(rig: OpenRig, record: Data, rules: DecisionRules = RULES) -> Array:
 
 def _smooth(table: Array) -> Array:
     """Return the noise of columns (m, c) that are smooth but for jumps: what is usual of it, if less than its mean."""
-    thirds = np.diff(table, n=3, axis=0)
-    usual = np.median(np.abs(thirds), axis=0) / (MEDIAN * np.sqrt(20.0))
+    usual = np.median(np.abs(third_differences(table)), axis=0) / MEDIAN
     return np.asarray(np.minimum(usual, white_noise(table)))
 
 

@@ -143,18 +143,39 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
 
 
 def first_start(sensing: Sensitivity, record: Data) -> Array:
-    """Return a guess of the initial state (states,): coordinates and velocities by a parabola through first readings.
-
-    Internal states that may begin anywhere are found beside the coordinates; the others are at rest.
-    """
+    """Return a guess of the initial state of a record (states,), from a parabola through its first readings."""
     n, count = len(sensing.twin.model.coordinates), min(FIRST_READINGS, len(record))
-    y = sensing.twin.rest(np.zeros(n))
-    read, jacobian = sensing.sensed(y, record.acting[0])
-    t = np.arange(count) / record.rate
-    found = np.polyfit(t, record.readings[:count] - read, min(2, count - 1))
-    seen = [i for i in sensing.twin.free if not n <= i < 2 * n]
+    rest, times = sensing.twin.rest(np.zeros(n)), np.arange(count) / record.rate
+    at_rest = sensing.sensed(rest, record.acting[0])
+    return guessed_state(rest, at_rest, sensing.twin.free, times, record.readings[:count], n=n, degree=2)
+
+
+def guessed_state(
+    rest: Array,
+    at_rest: tuple[Array, Array],
+    free: Sequence[int],
+    times: Array,
+    readings: Array,
+    *,
+    n: int,
+    degree: int,
+) -> Array:
+    """Return a guess of a state (states,) from a polynomial through the readings around it.
+
+    Args:
+        rest: the state at rest (states,), in which the states that are not free stay.
+        at_rest: readings there (sensors,), and their derivatives by the state (sensors, states).
+        free: indices of the states that may begin anywhere.
+        times: of the readings, from the instant of the state, s (m,).
+        readings: (m, sensors).
+        n: number of coordinates, which are the first states; their velocities are the next.
+        degree: of the polynomial.
+    """
+    y, (read, jacobian) = rest.copy(), at_rest
+    value, *slope = np.polynomial.polynomial.polyfit(times, readings, min(degree, len(times) - 1))[:2]
+    seen = [i for i in free if not n <= i < 2 * n]
     inverse = np.linalg.pinv(jacobian[:, seen])
-    y[seen] += inverse @ found[-1]
-    if count > 1:
-        y[n : 2 * n] = inverse[:n] @ found[-2]
+    y[seen] += inverse @ (value - read)
+    if slope:
+        y[n : 2 * n] = inverse[:n] @ slope[0]
     return y

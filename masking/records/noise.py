@@ -18,6 +18,15 @@ ALIKE = 2.63
 MULTIPLE = 128
 
 
+def third_differences(readings: Array) -> Array:
+    """Return third differences (samples - 3, columns), scaled so that those of white noise are as large as the noise.
+
+    Args:
+        readings: in equal steps of time (samples, columns); what moves smoothly leaves next to nothing.
+    """
+    return np.asarray(np.diff(readings, n=3, axis=0) / np.sqrt(20.0))  # 1 + 9 + 9 + 1
+
+
 def white_noise(readings: Array) -> Array:
     """Return the standard deviation of white noise in each column (columns,).
 
@@ -33,8 +42,8 @@ def white_noise(readings: Array) -> Array:
     et al., Annals of Mathematical Statistics 12 (1941), 153-162, for differences.
     """
     if len(readings) < FEWEST:
-        thirds = np.diff(readings, n=3, axis=0)
-        return np.asarray(np.sqrt((thirds**2).mean(axis=0) / 20.0)) if len(thirds) else np.zeros(readings.shape[1])
+        thirds = third_differences(readings)
+        return np.asarray(np.sqrt((thirds**2).mean(axis=0))) if len(thirds) else np.zeros(readings.shape[1])
     count = len(readings) - len(readings) % MULTIPLE
     window = np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 4  # side lobes fall by 30 dB in an octave
     window /= np.sqrt((window**2).mean())

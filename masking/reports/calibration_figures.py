@@ -1,4 +1,4 @@
-"""Figures of a calibration: the unseen record, what each model leaves of it, springs, and what was excited."""
+"""Figures of a calibration: the unseen record, the residual of each model, springs, and the excitation."""
 
 from __future__ import annotations
 
@@ -99,15 +99,15 @@ def _residuals(found: Calibration) -> CaptionedFigure:
         logarithmic(axes, "y", 6)
         axes.set_ylim(_FLOOR * noise, 1.6 * highest)
         axes.axhspan(_FLOOR * noise, noise, color=_NOISE, lw=0, zorder=0)
-        axes.set(xlim=(0.0, len(record) / record.rate), ylabel=f"rms left of {_reading(found, name)}")
+        axes.set(xlim=(0.0, len(record) / record.rate), ylabel=f"rms residual of {_reading(found, name)}")
         _beside(axes, [*ends, (0.67 * noise, f"noise {_si(noise, _unit(found, name))}", MUTED)])
     rows[-1].set_xlabel("time (s)")
     caption = (
-        f"What each model leaves of the unseen record: the rms of measured less simulated over {_WINDOW:g} s. The grey "
-        "band is white noise in the readings, found where their spectra are quietest; a line at its edge leaves "
-        "nothing."
+        f"Residual of each model on the unseen record: the rms of measured less simulated over {_WINDOW:g} s. The grey "
+        "band is white noise in the readings, estimated where their spectra are quietest; a line at its edge is at the "
+        "noise floor."
     )
-    return CaptionedFigure("residuals", "What each model leaves", caption, figure)
+    return CaptionedFigure("residuals", "Residual of each model", caption, figure)
 
 
 def _spectra(found: Calibration) -> CaptionedFigure:
@@ -136,11 +136,11 @@ def _spectra(found: Calibration) -> CaptionedFigure:
     note(rows[0], f"excited up to {HIGHEST:g} Hz", side="left")
     rows[-1].set_xlabel("frequency (Hz)")
     caption = (
-        "Amplitude density of the unseen record (grey line) and of what each model leaves of it. The dashed line is "
-        "the density of white noise as large as that of the readings; the band is where the rig was excited. What "
-        "stands above the line there is what the model lacks."
+        "Amplitude density of the unseen record (grey line) and of the residual of each model. The dashed line is the "
+        "density of white noise as large as that of the readings; the band is where the rig was excited. A residual "
+        "above the line there is an effect that the model does not have."
     )
-    return CaptionedFigure("spectra", "Where in the spectrum it is left", caption, figure)
+    return CaptionedFigure("spectra", "Spectra of the residuals", caption, figure)
 
 
 def _springs(found: Calibration) -> CaptionedFigure:
@@ -205,7 +205,7 @@ def _excitation(found: Calibration) -> CaptionedFigure:
         "One period of the multisine of each actuator in the record that was fitted, with phases for the least crest "
         "factor, and its lines, which no other actuator has; in the unseen record the lines are others."
     )
-    return CaptionedFigure("excitation", "What was excited", caption, figure)
+    return CaptionedFigure("excitation", "Excitation", caption, figure)
 
 
 # ---- parts

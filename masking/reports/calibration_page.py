@@ -82,7 +82,7 @@ def sentence(found: Calibration) -> str:
     reads = "reads" if len(chi) == 1 else "read"
     return (
         f"{_spoken(found.best)} reproduces an unseen multisine to {errors} of what {listed(list(chi))} {reads}; the "
-        f"noise alone makes {noise}."
+        f"noise floor is {noise}."
     )
 
 
@@ -94,9 +94,9 @@ def _cautions(found: Calibration) -> list[str]:
     if far:
         times = listed([f"{fit.validation[name] / found.unseen_floor[name]:.2g}" for name in far])
         told.append(
-            f"In {listed(far)} the error is {times} times that of the noise: the rig does something that the model "
-            "lacks. The spectrum of what is left shows where; an effect in the plant file, or another --model, may "
-            "be it."
+            f"In {listed(far)} the error is {times} times that of the noise: the model misses something that "
+            "the rig does. The spectrum of the residual shows where; add an effect to the plant file, or try another "
+            "--model."
         )
     missed = found.records.missed
     if max(missed.values()) > _MISSED * len(found.records.fit):
@@ -182,7 +182,7 @@ def _declared(found: Calibration, name: str) -> float:
 
 
 def _pairs(found: Calibration) -> list[str]:
-    """Name the parameters that are told apart worst."""
+    """Name the pairs of parameters that are hardest to separate."""
     fit = found.best.fit
     correlation = np.tril(fit.correlation, -1)
     order = np.argsort(-np.abs(correlation), axis=None)[:_PAIRS]
@@ -253,7 +253,7 @@ def _digits(chi: float) -> str:
 
 
 def _with_deviation(value: float, std: float) -> tuple[str, str]:
-    """Write a value with as many digits as its deviation tells, and the deviation with two."""
+    """Write a value with as many digits as its deviation warrants, and the deviation with two."""
     if not (np.isfinite(std) and std > 0.0):
         return _plain(value), ""
     digits = max(0, int(np.floor(np.log10(max(abs(value), std)))) - int(np.floor(np.log10(std)))) + 2

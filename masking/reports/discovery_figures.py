@@ -1,4 +1,4 @@
-"""Plates: the figures of a discovery: the gap, the lacking force, what is left, and what was tried."""
+"""Figures of a discovery: simulation errors, the latent force, residuals, and candidates."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from masking.reports.figure_parts import (
     ticks,
     top,
 )
-from masking.reports.force_map import AFTER, BEFORE, CLOUD, POINTS, scale
+from masking.reports.force_map import AFTER, BEFORE, CLOUD, MISSING, POINTS, scale
 from masking.reports.style import (
     COLOURS,
     GRID,
@@ -61,7 +61,7 @@ def figures(found: Discovery) -> list[CaptionedFigure]:
 
 
 def _gap(found: Discovery) -> CaptionedFigure:
-    """Draw the error of each sensor before and after, in the record and in the one that judges, beside the noise."""
+    """Draw the error of each sensor before and after, in the record and in the validation record, beside the noise."""
     names = found.twin.sensors
     said = capital(discovery_text.left(found)) if found.verdict == "none" else discovery_text.gap(found)
     figure, (row,) = panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), top(said) + 0.28)
@@ -69,7 +69,7 @@ def _gap(found: Discovery) -> CaptionedFigure:
     own = own_gap(found)
     sides = (
         ((gap.train[0], own, gap.train[1], gap.floor), "record"),
-        ((gap.validation[0], found.gap.adjusted, gap.validation[1], gap.validation_floor), "data that were not used"),
+        ((gap.validation[0], found.gap.adjusted, gap.validation[1], gap.validation_floor), "validation record"),
     )
     every = [v for parts, _ in sides for part in parts for v in part.values() if 0.0 < v < np.inf]
     low, high = 100.0 * min(every) / 1.6, 100.0 * max(every) * 1.6
@@ -88,28 +88,28 @@ def _gap(found: Discovery) -> CaptionedFigure:
         axes.yaxis.set_major_locator(FixedLocator([float(i) for i in range(len(names))]))
         axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: symbol(names[round(y)])))
         axes.grid(visible=False, axis="y")
-        axes.set_xlabel("error, part of the reading")
+        axes.set_xlabel("error relative to the reading")
         axes.set_title(title, loc="left", fontsize=SIZE, color=MUTED, pad=5)
     heading(figure, said)
     handles = [
         marker_key("as declared", "white", mec=MUTED, mew=1.4),
-        marker_key("parameters adjusted alone", BEFORE),
+        marker_key("adjusted parameters", BEFORE),
     ]
     if found.effects:
-        handles.append(marker_key("with what was found", AFTER))
-    handles.append(marker_key("noise alone", INK, "|", 11.0, mew=1.4))
+        handles.append(marker_key("with the finding", AFTER))
+    handles.append(marker_key("noise floor", INK, "|", 11.0, mew=1.4))
     legend(figure, row[-1], handles, above=0.28)
     caption = (
         "The error of the free simulation of each sensor, chi = ||measured - simulated|| / ||measured||, with the best "
-        "initial state: of the model as it is declared, with its parameters adjusted within what is believed of them, "
-        "and with what was found. What the noise makes alone is the least that can be left."
+        "initial state: of the model as declared, with its parameters adjusted within their prior uncertainty, and "
+        "with the finding. The noise floor is the error that the noise alone makes."
     )
-    return CaptionedFigure("gap", "The gap", caption, figure)
+    return CaptionedFigure("gap", "Simulation error", caption, figure)
 
 
 def _course(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
-    """Draw what is lacking over a command, time and frequency, before and after."""
-    what = {"element": "force", "actuator": "command"}[lacking.where]
+    """Draw the latent force over a command, time and frequency, before and after."""
+    what = MISSING[lacking.where]
     seen = discovery_text.subject(found)
     command = max(seen.actuators, key=lambda name: seen.actuators[name])
     column = found.record.acting[:, found.twin.actuators.index(command)]
@@ -137,7 +137,7 @@ def _course(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
     time.tick_params(labelleft=False)
     time.yaxis.get_offset_text().set_visible(False)
     over.xaxis.set_major_locator(MaxNLocator(4))
-    over.set_ylabel(with_unit(f"lacking {what}", pretty(unit)))
+    over.set_ylabel(with_unit(what, pretty(unit)))
     over.set_xlabel(with_unit(f"command {symbol(command)}", pretty(name)))
     time.set_xlabel("time (s)")
     logarithmic(spectrum)
@@ -148,24 +148,24 @@ def _course(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
     spectrum.xaxis.set_major_locator(LogLocator(subs=steps))
     spectrum.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
     heading(figure, said)
-    handles = [line_key(f"{what} that the model lacks", BEFORE)]
+    handles = [line_key(what, BEFORE)]
     if len(drawn) > 1:
-        handles.append(line_key("what is left", AFTER))
+        handles.append(line_key(f"remaining {what}", AFTER))
     label = "± 2 deviations" + " of the first" * (len(drawn) > 1)
     handles.append(line_key(label, INK, 1, dashed=True))
     legend(figure, spectrum, handles)
     caption = (
-        f"The {what} at {lacking.place} that the model lacks, over the command that it follows most, over time, and "
-        "the root of its power spectral density. What changes with time, or at a frequency of its own, shows here."
+        f"The {what} at {lacking.place} over the command that it follows most, over time, and the root of its power "
+        "spectral density. Effects that change with time, or have a frequency of their own, show here."
     )
-    return CaptionedFigure("course", "When, and under which command", caption, figure)
+    return CaptionedFigure("course", f"{capital(what)} over command, time and frequency", caption, figure)
 
 
 def _coursed(found: Discovery, lacking: latent_force.Lack, command: str) -> str:
-    """Say how much of what is lacking follows a command, and how alike the thirds of the record are."""
+    """Say how much of the model error follows a command, and how alike the thirds of the record are."""
     seen = discovery_text.subject(found)
     if not any(seen.coordinates.values()):
-        return f"What seems to be lacking at {lacking.place} is not beyond its deviation"
+        return f"The model error at {lacking.place} is not beyond its deviation"
     told = capital(discovery_text.follows_command(seen, command))
     place = next((place for place in seen.places if place.name == lacking.place), None)
     if place is None or not place.portrait.regions:
@@ -176,7 +176,7 @@ def _coursed(found: Discovery, lacking: latent_force.Lack, command: str) -> str:
 
 
 def _residual(found: Discovery) -> CaptionedFigure:
-    """Draw what is left of the record that judges, over time and frequency, before and after."""
+    """Draw the residuals of the validation record, over time and frequency, before and after."""
     names = found.twin.sensors[:MOST_SENSORS]
     sigma, record = found.judged.sigma, found.judge
     most = noise_threshold(len(record), found.evidence.rules)
@@ -184,9 +184,9 @@ def _residual(found: Discovery) -> CaptionedFigure:
         n for i, n in enumerate(found.twin.sensors) if found.after.squares[i] > most**2 * len(record) * sigma[i] ** 2
     ]
     said = (
-        f"What is left of {listed(found.twin.sensors)} on data that were not used is noise"
+        f"On the validation record, the residual of {listed(found.twin.sensors)} is noise"
         if not more
-        else f"On data that were not used, more than noise is left of {listed(more)}"
+        else f"On the validation record, the residual of {listed(more)} is above the noise floor"
     )
     figure, rows = panels(len(names), 1.35, (4.55, 2.55), top(said))
     t = np.arange(len(record)) / record.rate
@@ -213,25 +213,25 @@ def _residual(found: Discovery) -> CaptionedFigure:
     rows[-1][0].set_xlabel("time (s)")
     rows[-1][1].set_xlabel("frequency (Hz)")
     heading(figure, said)
-    handles = [line_key("parameters adjusted alone", BEFORE)]
+    handles = [line_key("adjusted parameters", BEFORE)]
     if found.effects:
-        handles.append(line_key("with what was found", AFTER))
+        handles.append(line_key("with the finding", AFTER))
     handles.append(line_key("noise: 95 % of it, and its spectrum", INK, 1, dashed=True))
     legend(figure, rows[0][1], handles)
     caption = (
         f"{record.name}: measured less simulated, over time and as the root of its power spectral density. A line "
-        "above the noise is something that the model does not say."
+        "above the noise is an effect that the model does not have."
     )
-    return CaptionedFigure("residual", "What is left", caption, figure)
+    return CaptionedFigure("residual", "Residuals", caption, figure)
 
 
 def _candidates(found: Discovery) -> CaptionedFigure:
-    """Draw what each candidate would have closed of the gap; where nothing is missing, of what would have counted."""
+    """Draw how much of the residual each candidate would explain; if nothing is missing, of the least that counts."""
     every, nothing = tried(found), found.verdict == "none"
     chosen = {(one.name, one.on) for one in found.effects}
     rows = [row for i, row in enumerate(every) if i < MOST_TRIED or (row[0], row[1]) in chosen]
     if not rows:
-        return CaptionedFigure("candidates", "What was tried", "No candidate would have closed any of the gap.", None)
+        return CaptionedFigure("candidates", "Candidates", "No candidate would explain any of the residual.", None)
     names = [discovery_text.labelled(found, effect, at) for effect, at, _, _ in rows]
     parts = [100.0 * (paid if nothing else part) for _, _, part, paid in rows]
     fitted = {key for rival in found.rivals for key in rival.names}
@@ -239,18 +239,18 @@ def _candidates(found: Discovery) -> CaptionedFigure:
     count = len(found.found.tried)
     if nothing and parts[0] > 100.0:
         many = sum(part > 100.0 for part in parts)
-        said = f"The model leaves noise; of {count} candidates, {many} would gain more than it costs, to first order"
+        said = f"The residual is noise; of {count} candidates, {many} would be worth their parameters to first order"
     elif nothing:
-        said = f"None of {count} candidates would close enough to be worth its parameters"
+        said = f"None of {count} candidates would explain enough to be worth its parameters"
     elif not found.effects:
-        said = f"None of {count} candidates explains what is left"
+        said = f"None of {count} candidates explains the residual"
     elif len(near) == 1:
         first = discovery_text.spoken(found, *rows[0][:2])
-        said = f"Of {count} candidates, {first} alone would close {near[0]:.3g} % of the gap"
+        said = f"Of {count} candidates, {first} alone would explain {near[0]:.3g} % of the residual"
     else:
         said = (
-            f"Of {count} candidates, {len(near)} would each close more than {min(near):.2g} % of the gap; full fits "
-            "tell them apart as far as they can be told"
+            f"Of {count} candidates, {len(near)} would each explain more than {min(near):.2g} % of the residual; full "
+            "fits decide between them as far as the record allows"
         )
     figure, ((axes,),) = panels(1, 0.235 * len(rows) + 0.1, (5.6,), top(said))
     box = axes.get_position()
@@ -270,17 +270,17 @@ def _candidates(found: Discovery) -> CaptionedFigure:
     axes.tick_params(axis="y", length=0)
     if nothing:
         axes.axvline(100.0, color=INK, lw=1.2, ls=DASHED)
-        axes.set_xlabel("gain in likelihood, as a part of what it would have to be to count (%)")
+        axes.set_xlabel("gain in log-likelihood, relative to the least that counts (%)")
     else:
-        axes.set_xlabel("part of what the model leaves beyond noise that the candidate alone would take (%)")
+        axes.set_xlabel("part of the residual beyond noise that the candidate alone would explain (%)")
     heading(figure, said)
     kinds = {AFTER: "chosen", COLOURS[4]: "fitted in full", GRID: "looked at"}
     legend(figure, axes, [Patch(color=colour, label=text) for colour, text in kinds.items() if colour in colours])
     caption = (
-        "To first order along the measured motion, with what the model's own parameters could explain taken out first; "
-        "the best are then fitted in full, and their likelihoods decide."
+        "To first order along the measured motion, less the part that the model's own parameters could explain; the "
+        "best are then fitted in full, and their likelihoods decide."
     )
-    return CaptionedFigure("candidates", "What was tried", caption, figure)
+    return CaptionedFigure("candidates", "Candidates", caption, figure)
 
 
 def _colour(key: tuple[str, str], chosen: set[tuple[str, str]], fitted: set[tuple[str, str]]) -> str:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import os
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -165,7 +164,7 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
     made: dict[str, Any] = {
         "name": f"{twin.base.name} with {_causes(found)}",
         "source": "; ".join(filter(None, (twin.base.source, origin.source(found)))),
-        "extends": _reference(twin, folder),
+        "extends": registry.name_from(twin.base, folder),
     }
     parameters: dict[str, Any] = {
         name: {"value": _rounded(value)} | ({"std": _rounded(std, 3)} if std > 0.0 else {})
@@ -275,7 +274,7 @@ def _terms(found: Discovery, whole: ModelDeclaration) -> dict[str, str]:
 
 
 def _add_delay(found: Discovery, slot: Slot, effects: dict[str, Any], taken: set[str]) -> None:
-    """Add a delay in whole samples, and what is left of it, or one of a single actuator, as a lag of the same time."""
+    """Add a delay in whole samples; its remainder, or a delay of a single actuator, becomes a lag of the same time."""
     rate, seconds = found.record.rate, slot.values[0]
     whole = 0 if slot.at else int(seconds * rate + WHOLE)
     rest = seconds - whole / rate
@@ -327,15 +326,6 @@ def _free(name: str, taken: set[str]) -> str:
     """Return a name that is not taken."""
     name = "".join(c if c.isalnum() or c == "_" else "_" for c in name)
     return next(n for n in (name, *(f"{name}_{i}" for i in range(2, 99))) if n not in taken)
-
-
-def _reference(twin: Twin, folder: Path) -> str:
-    """Return how a file in a folder names the model: by its packaged name, or by its path from there."""
-    name = twin.declaration.model
-    if name in catalogue.names("model"):
-        return name
-    (file, *_) = [*twin.base.files, name]
-    return os.path.relpath(Path(file).resolve(), folder.resolve())
 
 
 def _rounded(value: float, digits: int = DIGITS) -> float:

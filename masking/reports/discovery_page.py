@@ -95,7 +95,7 @@ def _tiles(found: Discovery) -> Iterator[Tile]:
     if found.effects:
         before, how = discovery_text.without(found)
         label = f"error in {worst} {'as declared' if how == 'as declared' else 'without it'}"
-        yield Tile(label, percent(before[worst]), "unseen")
+        yield Tile(label, percent(before[worst]), "validation")
     label = f"error in {worst}" + " with it" * bool(found.effects)
     most = noise_threshold(len(found.judge), found.evidence.rules)
     yield Tile(label, percent(after[worst]), f"noise {percent(floor[worst])}", after[worst] > most * floor[worst])
@@ -122,8 +122,8 @@ def _gaps(found: Discovery) -> Iterator[tuple[str, ...]]:
         parts = (gap.train[0], own, gap.train[1], gap.floor)
         unseen = (gap.validation[0], found.gap.adjusted, gap.validation[1], gap.validation_floor)
         part_of = percent(share[name]) if sum(share.values()) else ""
-        yield name, "record", *(percent(part[name]) for part in parts), part_of
-        yield name, "unseen", *(percent(part[name]) for part in unseen), ""
+        yield name, "fitted", *(percent(part[name]) for part in parts), part_of
+        yield name, "validation", *(percent(part[name]) for part in unseen), ""
 
 
 def _places(lacking: Lacking) -> Iterator[tuple[str, ...]]:
@@ -142,15 +142,15 @@ def _places(lacking: Lacking) -> Iterator[tuple[str, ...]]:
 
 
 def _sides(lacking: Lacking) -> str:
-    """Say what functions of commands and readings would explain, and which harmonics the force has."""
+    """Say how much functions of commands and readings would explain, and which harmonics the force has."""
     said = ""
     for what, those, of in (
-        ("command", lacking.actuators, "what is lacking"),
-        ("reading", lacking.sensors, "what the simulation leaves of it"),
+        ("command", lacking.actuators, "the model error"),
+        ("reading", lacking.sensors, "its residual"),
     ):
         if those:
             each = listed([f"{percent(part)} ({name})" for name, part in those.items()])
-            said += f"A function of a {what} would make {each} of {of}. "
+            said += f"A function of a {what} would explain {each} of {of}. "
     harmonics = lacking.best.harmonics
     if harmonics is not None and harmonics.only_odd:
         said += (
@@ -164,7 +164,7 @@ def _sides(lacking: Lacking) -> str:
 def _whiteness(found: Discovery) -> Iterator[tuple[str, ...]]:
     """Yield whether the residuals of each sensor are white, before and after."""
     for name, pair in found.where.whiteness.items():
-        for what, one in zip(("adjusted alone", "with what was found"), pair, strict=True):
+        for what, one in zip(("adjusted", "with the finding"), pair, strict=True):
             if one is not None:
                 yield name, what, discovery_text.white(one), _probability(one.p), percent(one.beyond)
 
@@ -221,7 +221,7 @@ def _provenance(found: Discovery, origin: Origin, folder: Path) -> list[tuple[st
     record, judge = found.record, found.judge
     return [
         *((what, f"{path}, SHA-256 {sha}") for what, (path, sha) in origin.records.items()),
-        ("samples", f"{len(record)} to find, {len(judge)} to judge by, {record.rate:g} Hz"),
+        ("samples", f"{len(record)} to find, {len(judge)} to validate, {record.rate:g} Hz"),
         ("rig", found.twin.declaration.name),
         ("model", ", ".join(found.twin.base.files) or found.twin.declaration.model),
         *(("own effects", file) for one in found.twin.declaration.dictionaries for file in one.files),
@@ -237,15 +237,15 @@ def summary(found: Discovery, files: Files | None) -> str:
         lines.append(f"{discovery_text.beside(found)}.")
     lines += [f"{told}." for told in discovery_text.whereabouts(found)]
     gap = found.gap
-    head = ("error on unseen data", *found.twin.sensors)
+    head = ("validation error", *found.twin.sensors)
     table = [head]
     for what, part in (
         ("as declared", gap.validation[0]),
-        ("parameters adjusted alone", found.gap.adjusted),
-        ("with what was found", gap.validation[1]),
-        ("noise alone", gap.validation_floor),
+        ("adjusted parameters", found.gap.adjusted),
+        ("with the finding", gap.validation[1]),
+        ("noise floor", gap.validation_floor),
     ):
-        if what == "with what was found" and not found.effects:
+        if what == "with the finding" and not found.effects:
             continue
         table.append((what, *(percent(part[name]) for name in found.twin.sensors)))
     widths = [max(len(row[i]) for row in table) for i in range(len(head))]

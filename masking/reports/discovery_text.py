@@ -31,7 +31,7 @@ NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured
 def sentence(found: Discovery) -> str:
     """Say what was found, in a few sentences without a full stop at the end."""
     if found.verdict == "none":
-        first = f"Nothing is missing: with its parameters adjusted within what is believed of them, {left(found)}"
+        first = f"Nothing is missing: with the parameters adjusted within their prior uncertainty, {left(found)}"
         told = [first, moved(found)]
     elif found.verdict == "parameter":
         first = f"No effect is missing, but a parameter is off: {cause(found, found.effects[-1])}"
@@ -39,10 +39,10 @@ def sentence(found: Discovery) -> str:
     elif found.verdict == "unknown":
         known = [cause(found, one) for one in offered(found)]
         do = "does" if len(known) == 1 else "do"
-        near = f"The nearest of it is {listed(known, '; ')}, which {do} not explain the rest" if known else ""
-        first = "Something is missing that is not in the dictionary"
+        near = f"The nearest known effect is {listed(known, '; ')}, which {do} not explain everything" if known else ""
+        first = "The model misses an effect that is not in the dictionary"
         if found.is_hidden:
-            first = "The record shows nothing that is missing, but data that were not used do: let these be the record"
+            first = "The record shows no missing effect, but the validation record does: run discover on that one"
         told = [first, hardly(found), near, gap(found) if found.is_hidden else look(found)]
     elif is_open(found):
         before = [cause(found, one) for one in found.effects[:-1]]
@@ -59,14 +59,14 @@ def sentence(found: Discovery) -> str:
 
 
 def measured(found: Discovery) -> str:
-    """Say that commands seem to be measured ones; '' where they do not."""
+    """Say that commands seem to be measured ones; '' if they do not."""
     if found.as_measured is None:
         return ""
     name = worst(found)
     left = f"{percent(found.as_measured[name])} of {name}, against {percent(found.gap.train[1][name])}"
     return (
-        "Commands are taken to act until the next sample; where they go in straight lines between samples instead, as "
-        f"measured ones do, the model alone leaves {left}: if they were measured, use --hold first-order"
+        "Inputs are taken to be constant between samples (zero-order hold); with straight lines between samples, as in "
+        f"measured inputs, the model alone leaves {left}: if they were measured, use --hold first-order"
     )
 
 
@@ -89,7 +89,7 @@ def probability(found: Discovery, named: Named) -> float:
 
 
 def offered(found: Discovery) -> list[Named]:
-    """Return the causes that are told: where they do not explain all, those whose strength is surely not 0."""
+    """Return the causes to report; if they do not explain everything, those that differ surely from 0."""
     if found.verdict != "unknown":
         return list(found.effects)
     kept = []
@@ -102,17 +102,17 @@ def offered(found: Discovery) -> list[Named]:
 
 
 def hardly(found: Discovery) -> str:
-    """Say which readings the model hardly follows at all; '' where there are none."""
+    """Say which readings the model hardly follows at all; '' if there are none."""
     remains = found.gap.adjusted if found.verdict == "unknown" else found.gap.validation[1]
     floor = found.gap.validation_floor
-    lost = [f"{name} ({percent(part)} is left)" for name, part in remains.items() if part >= LOST > 2.0 * floor[name]]
+    lost = [f"{name} (error {percent(part)})" for name, part in remains.items() if part >= LOST > 2.0 * floor[name]]
     if not lost:
         return ""
-    return f"The model follows hardly anything of {listed(lost)}: {CHECK}"
+    return f"The model hardly follows {listed(lost)}: {CHECK}"
 
 
 def adjusted(found: Discovery) -> dict[str, tuple[float, float, bool]]:
-    """Return the parameters that moved beside the causes: the value, what is declared, and whether it is believed."""
+    """Return the parameters that moved beside the causes: value, declared value, and whether the prior allows it."""
     off = {one.name for one in found.effects if one.name not in found.twin.dictionary}
     belief, theta = found.evidence.belief, found.explanation.hypothesis.theta
     told = {}
@@ -126,7 +126,7 @@ def adjusted(found: Discovery) -> dict[str, tuple[float, float, bool]]:
 
 
 def moved(found: Discovery) -> str:
-    """Say which parameters moved far beside the causes; '' where none did."""
+    """Say which parameters moved far beside the causes; '' if none did."""
     told, known = [], found.twin.base.parameters
     for is_believed, how in ((True, "within"), (False, "beyond")):
         those = [
@@ -135,8 +135,8 @@ def moved(found: Discovery) -> str:
             if held is is_believed
         ]
         if those:
-            every = {1: f"{how} what is believed of it", 2: f"both {how} what is believed of them"}
-            told.append(f"{'; '.join(those)}, {every.get(len(those), f'all {how} what is believed of them')}")
+            every = {1: f"{how} its prior uncertainty", 2: f"both {how} their prior uncertainty"}
+            told.append(f"{'; '.join(those)}, {every.get(len(those), f'all {how} their prior uncertainty')}")
     far = any(not held and not 0.5 < value / start < 2.0 for value, start, held in adjusted(found).values() if start)
     return f"Adjusted: {'; '.join(told)}{f': {CHECK}' if far else ''}" if told else ""
 
@@ -150,13 +150,13 @@ def beyond(value: float, declared: float) -> str:
 
 
 def experiment(found: Discovery) -> str:
-    """Say which experiment would tell apart what the record leaves open."""
+    """Say which experiment would decide between the causes that the record leaves open."""
     coming = found.next_experiment
     if coming is None:
         return NO_EXPERIMENT
     one, other = (spoken(found, *rival.names[-1]) for rival in found.rivals[:2])
     if not coming.separates:
-        return f"no excitation of the actuators that was tried tells {one} from {other}"
+        return f"no excitation that was tried can tell {one} from {other}"
     most = np.abs(found.record.commands).max(axis=0)
     peaks = dict(zip(found.twin.actuators, most, strict=True))
     size = {
@@ -172,12 +172,12 @@ def experiment(found: Discovery) -> str:
 
 
 def left(found: Discovery) -> str:
-    """Say what the model leaves, where nothing is missing."""
+    """Say how near to the noise floor the residuals are, if nothing is missing."""
     name = worst(found)
     after, floor = found.gap.validation[1][name], found.gap.validation_floor[name]
     return (
-        f"the model leaves of {listed(found.twin.sensors)} what noise makes (of {name}, on data that were not used, "
-        f"{percent(after)}; noise {percent(floor)})"
+        f"the residual of {listed(found.twin.sensors)} is indistinguishable from noise (validation error of {name} "
+        f"{percent(after)}; noise floor {percent(floor)})"
     )
 
 
@@ -220,45 +220,45 @@ def cause(found: Discovery, named: Named) -> str:
 
 
 def gap(found: Discovery) -> str:
-    """Say how far the gap closes on the record that judges, for the sensor in which it was largest."""
+    """Say how the validation error falls, for the sensor in which it was largest beside its noise."""
     before, how = without(found)
     after, floor = found.gap.validation[1], found.gap.validation_floor
     name = worst(found)
     if not found.effects:
-        before, how, what = found.gap.validation[0], "as declared", "with parameters adjusted alone"
+        before, how, what = found.gap.validation[0], "as declared", "with adjusted parameters"
     else:
         what = "with this"
     return (
-        f"On data that were not used, the error in {name} is {percent(before[name])} {how} and {percent(after[name])} "
-        f"{what}; noise alone makes {percent(floor[name])}"
+        f"The validation error of {name} is {percent(before[name])} {how} and {percent(after[name])} {what}; the noise "
+        f"floor is {percent(floor[name])}"
     )
 
 
 def without(found: Discovery) -> tuple[dict[str, float], str]:
-    """Return the error of each sensor on the record that judges, without what was found, and how that is."""
+    """Return the validation error of each sensor without the finding, and which model that is."""
     if found.verdict == "parameter":
         return found.gap.validation[0], "as declared"
-    return found.gap.adjusted, "with parameters adjusted alone"
+    return found.gap.adjusted, "with adjusted parameters"
 
 
 def worst(found: Discovery) -> str:
-    """Return the sensor in which most is left without what was found, beside its noise."""
+    """Return the sensor with the largest error without the finding, relative to its noise floor."""
     floor, (before, _) = found.gap.validation_floor, without(found)
     return max(floor, key=lambda name: before[name] / max(floor[name], 1e-300))
 
 
 def beside(found: Discovery) -> str:
-    """Say what is left beside the causes that are known, where more than noise is; '' where not, or it is said."""
+    """Say what the known causes do not explain; '' if the residual is noise, or this is said already."""
     if found.closed or not found.effects or found.verdict == "unknown":
         return ""
-    little = ", or the noise is not white: little is left beyond it" if found.within else ""
+    little = ", or the noise is not white: the residual is near the noise floor" if found.within else ""
     return f"{'This does' if len(found.effects) == 1 else 'These do'} not explain all{little}. {look(found)}"
 
 
 def look(found: Discovery) -> str:
-    """Say what is lacking, or is left beside the causes, looks like."""
+    """Say what the model error looks like, or the residual beside the causes."""
     lacking = rest(found)
-    what = "It" if lacking is found.where.lacking else "What is left"
+    what = "It" if lacking is found.where.lacking else "The residual"
     place = lacking.best
     portrait, (unit, *_) = place.portrait, place.units
     of_command = max(lacking.actuators, key=lambda name: lacking.actuators[name], default="")
@@ -268,29 +268,29 @@ def look(found: Discovery) -> str:
 
 
 def rest(found: Discovery) -> Lacking:
-    """Return what is lacking, or what is left where causes are told that do not explain it."""
+    """Return the model error, or the residual if causes are reported that do not explain it."""
     seen = found.where
     return seen.lacking if seen.left is None or not offered(found) else seen.left
 
 
 def subject(found: Discovery) -> Lacking:
-    """Return what is lacking, or what is left where the causes that are known do not explain it."""
+    """Return the model error, or the residual if the known causes do not explain it."""
     return rest(found) if found.verdict == "unknown" else found.where.lacking
 
 
 def whereabouts(found: Discovery) -> list[str]:
-    """Say where it is lacking, and whether what is left is white; nothing where neither says anything."""
+    """Say where the model error is, and whether the residuals are white; empty if neither says anything."""
     seen, lacking = found.where, found.where.lacking
     told = []
     if found.verdict in {"named", "ambiguous"} and found.effects[-1].name in found.twin.dictionary:
         on, side = found.effects[-1].on, found.twin.dictionary[found.effects[-1].name].where
         if side == "element" and lacking.best.explained > MOST:
             place = lacking.best
-            told.append(f"{capital(much(place.share))} of what is lacking sits at {place.name}: {portrayed(place)}")
+            told.append(f"{capital(much(place.share))} of the model error is at {place.name}: {portrayed(place)}")
         elif side == "actuator" and lacking.actuators.get(on, 0.0) > MOST:
             told.append(capital(follows_command(lacking, on)))
         elif side == "sensor" and lacking.sensors.get(on, 0.0) > MOST:
-            told.append(f"{capital(much(lacking.sensors[on]))} of what is lacking of {on} follows its reading")
+            told.append(f"{capital(much(lacking.sensors[on]))} of the model error in {on} follows its reading")
     if found.verdict == "unknown":
         return told
     coloured = {
@@ -298,14 +298,14 @@ def whereabouts(found: Discovery) -> list[str]:
     }
     if coloured:
         told.append(
-            f"On data that were not used, what is left of {listed([f'{n} is {white(w)}' for n, w in coloured.items()])}"
+            f"On the validation record, the residual of {listed([f'{n} is {white(w)}' for n, w in coloured.items()])}"
         )
     return told
 
 
 def follows_command(lacking: Lacking, name: str) -> str:
-    """Say how much of what is lacking follows a command."""
-    return f"{much(lacking.actuators[name])} of what is lacking follows the command of {name}"
+    """Say how much of the model error follows a command."""
+    return f"{much(lacking.actuators[name])} of the model error follows the command of {name}"
 
 
 def portrayed(place: Place) -> str:

@@ -48,7 +48,7 @@ def _wrapped(sentence: str) -> list[str]:
 
 
 def legend(figure: Figure, axes: Axes | None, handles: Sequence[Any], above: float = 0.04) -> None:
-    """Put a legend at the right in a row: so many inches above axes, or at the top of the figure."""
+    """Put a legend at the right in a row: a number of inches above axes, or at the top of the figure."""
     if not handles:
         return
     height, x = figure.get_size_inches()[1], 1.0 - RIGHT / WIDTH
@@ -82,7 +82,7 @@ def ticks(axes: Axes, count: int = 5) -> None:
 
 
 def logarithmic(axes: Axes, which: str = "xy", count: int = 5) -> None:
-    """Make axes logarithmic, with at most so many numbers."""
+    """Make axes logarithmic, with a few numbers."""
     for name in which:
         axes.set(**{f"{name}scale": "log"})
         axis = {"x": axes.xaxis, "y": axes.yaxis}[name]

@@ -1,4 +1,4 @@
-"""Figures of a fit: records beside their simulation, what is left and its spectrum, and estimates over time."""
+"""Figures of a fit: records beside their simulation, residuals and their spectra, and estimates over time."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def fit(made: Simulated, *, was_fitted: bool) -> CaptionedFigure:
 
     Args:
         made: the record and its simulation with the fitted values.
-        was_fitted: False for a record that judges the fit.
+        was_fitted: False for a validation record.
     """
     names = made.sensors[:_MOST_SENSORS]
     sentence = verdict(made, was_fitted=was_fitted)
@@ -108,16 +108,16 @@ def fit(made: Simulated, *, was_fitted: bool) -> CaptionedFigure:
     heading(figure, sentence)
     legend(figure, rows[0][0], [
         line_key("measured", COLOURS[0]),
-        line_key("what is left", COLOURS[1], 1.4),
-        line_key("simulated; of what is left, the noise alone", INK, 1, dashed=True),
+        line_key("residual", COLOURS[1], 1.4),
+        line_key("simulated; noise floor of the residual", INK, 1, dashed=True),
     ])  # fmt: skip
     caption = (
-        f"{made.record.name}: left, its first {seconds:.3g} s and the simulation; in the middle what is left, with "
-        "the lines that hold 95 % of the noise; right, spectra of the whole record. Where the residual is above the "
-        "noise, the model lacks something."
+        f"{made.record.name}: left, its first {seconds:.3g} s and the simulation; in the middle the residual, with "
+        "the lines that hold 95 % of the noise; right, spectra of the whole record. A residual above the noise is an "
+        "effect that the model does not have."
     )
     name = "fit" if was_fitted else "validation"
-    return CaptionedFigure(name, "The fit" if was_fitted else "The fit on unseen data", caption, figure)
+    return CaptionedFigure(name, "The fit" if was_fitted else "The fit on the validation record", caption, figure)
 
 
 def estimates(found: KalmanFit) -> CaptionedFigure:
@@ -160,7 +160,7 @@ def estimates(found: KalmanFit) -> CaptionedFigure:
     more = first_of(len(names), len(found.names), "parameters")
     caption = (
         "The estimate of each parameter after each sample, and two standard deviations of it, which hold if the noise "
-        f"is what the filter was told; above each, the final value.{more}"
+        f"is what the filter assumes; above each, the final value.{more}"
     )
     return CaptionedFigure("estimates", "Estimates over time", caption, figure)
 
@@ -181,11 +181,11 @@ def _span(made: Simulated) -> float:
 
 
 def verdict(made: Simulated, *, was_fitted: bool) -> str:
-    """Say in a sentence whether a simulation leaves more than noise of a record that was fitted, or was not."""
-    chi, floor, which = made.chi, made.floor, "fitted" if was_fitted else "unseen"
+    """Say in a sentence whether the residual of a record is above the noise floor."""
+    chi, floor, which = made.chi, made.floor, "fitted" if was_fitted else "validation"
     more = [name for name in chi if chi[name] > _MORE * floor[name]]
     if not more:
         told = ", ".join(f"{name} {percent(chi[name])}" for name in chi)
-        return f"In the {which} record the model leaves hardly more than the noise: {told} of the readings"
+        return f"In the {which} record the residual is hardly above the noise floor: {told} of the readings"
     told = ", ".join(f"{name} {percent(chi[name])} ({percent(floor[name])})" for name in more)
-    return f"In the {which} record the model leaves more of the readings than the noise (in brackets): {told}"
+    return f"In the {which} record the residual is above the noise floor (in brackets), as part of the readings: {told}"

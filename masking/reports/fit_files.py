@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from masking.declaration import catalogue, registry
+from masking.declaration import registry
 from masking.estimation.fit import Fit
 from masking.estimation.innovations import KalmanFit
-from masking.rig.twin import Twin
 
 _DIGITS = 10
 
@@ -43,7 +41,11 @@ def model(fit: Fit | KalmanFit, folder: Path) -> dict[str, Any]:
         fit.names[i]: {"value": _rounded(fit.values[i]), **({"std": _rounded(fit.std[i])} if fit.std[i] > 0.0 else {})}
         for i in own
     }
-    return {"name": f"{twin.base.name}, identified", "extends": _reference(twin, folder), "parameters": values}
+    return {
+        "name": f"{twin.base.name}, identified",
+        "extends": registry.name_from(twin.base, folder),
+        "parameters": values,
+    }
 
 
 def plant(fit: Fit | KalmanFit, folder: Path) -> dict[str, Any]:
@@ -74,15 +76,6 @@ def plant(fit: Fit | KalmanFit, folder: Path) -> dict[str, Any]:
         else:
             effects[effect.label if key in effects else key] = entry
     return {**made, "effects": effects} if effects else made
-
-
-def _reference(twin: Twin, folder: Path) -> str:
-    """Return how a file in a folder names the fitted model: by its packaged name, or by its path from there."""
-    name = twin.declaration.model
-    if name in catalogue.names("model"):
-        return name
-    (file, *_) = [*twin.base.files, name]
-    return os.path.relpath(file, folder)
 
 
 def _rounded(value: float) -> float:

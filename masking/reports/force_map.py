@@ -1,4 +1,4 @@
-"""Map: the figure of what is lacking at a place over displacement and rate, with the laws that were found there."""
+"""Map: the latent force at a place over displacement and rate, with the laws that were found there."""
 
 from __future__ import annotations
 
@@ -24,22 +24,23 @@ from masking.reports.text import capital, listed
 
 BEFORE: Final = COLOURS[1]
 AFTER: Final = COLOURS[0]
+MISSING: Final = {"element": "latent force", "actuator": "command error", "sensor": "reading error"}
 CLOUD: Final = 0.4  # opacity
 POINTS = 5000  # of a cloud
 ALSO = 0.02  # part that all takes beyond what the laws at the place take, from which that is told
 
 
 def figure(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
-    """Draw the lacking force over displacement and rate, before and after, with the laws that were found there."""
+    """Draw the latent force over displacement and rate, before and after, with the laws that were found there."""
     has_after = lacking.after is not None and bool(found.explanation.hypothesis.slots)
-    what = {"element": "force", "actuator": "command", "sensor": "reading"}[lacking.where]
+    what = MISSING[lacking.where]
     slots = laws_at(found, lacking)
     law = along(found, lacking, slots) if slots else None
     said = _seen(found, lacking, what, law)
     values = [lacking.before, *([law] if law is not None else [])]
     by, unit = scale(lacking.units[0], values)
     reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
-    rows_of = [(lacking.before, BEFORE, "lacking"), *([(lacking.after, AFTER, "left")] if has_after else [])]
+    rows_of = [(lacking.before, BEFORE, "before"), *([(lacking.after, AFTER, "after")] if has_after else [])]
     seen = lacking.seen
     figure, rows = panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), top(said))
     low = np.array([np.quantile(x, [0.0005, 0.9995]) for x, _ in seen])
@@ -53,7 +54,7 @@ def figure(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
             half = 2.0 * lacking.deviations[row is not rows[0]]
             axes.fill_between(times * centres, by * (means - half), by * (means + half), color=colour, alpha=0.16, lw=0)
             axes.plot(times * centres, by * means, color=colour, lw=1.8)
-            if kind == "lacking" and law is not None:
+            if kind == "before" and law is not None:
                 _law(axes, times * x, by * law)
             pad = 0.03 * (right - left)
             axes.set(xlim=(times * (left - pad), times * (right + pad)), ylim=(-reach, reach))
@@ -61,33 +62,31 @@ def figure(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
             label = {"element": "displacement", "actuator": "command", "sensor": "reading"}[lacking.where]
             if row is rows[-1]:
                 axes.set_xlabel(with_unit(label if x is lacking.x else f"rate of {label}", pretty(name)))
-        label = f"lacking {what}" if kind == "lacking" else f"{what} that is left"
+        label = what if kind == "before" else f"remaining {what}"
         row[0].set_ylabel(with_unit(label, pretty(unit)))
         for axes in row[1:]:
             axes.tick_params(labelleft=False)
             axes.yaxis.get_offset_text().set_visible(False)
     heading(figure, said)
-    handles: list[Line2D | Patch] = [line_key(f"{what} that the model lacks, its mean and ± 2 deviations", BEFORE)]
+    handles: list[Line2D | Patch] = [line_key(f"{what}, its mean and ± 2 deviations", BEFORE)]
     if law is not None:
         label = "law that was fitted" if len(slots) == 1 else f"sum of the {len(slots)} laws that were fitted"
         handles.append(line_key(label, INK, 1.6))
     if has_after:
-        handles.append(line_key("what is left", AFTER))
+        handles.append(line_key(f"remaining {what}", AFTER))
     legend(figure, rows[0][-1], handles)
     caption = (
-        f"The {what} at {lacking.place} that the model lacks along the record, from its readings by a Kalman smoother "
-        "that adds a random walk to the equations. It takes no differences of readings, and rounds off what changes "
-        "faster than the noise lets it see. Points are samples; the line is their mean over equal ranges."
+        f"The {what} at {lacking.place} along the record, estimated from its readings by a Kalman smoother that adds a "
+        "random walk to the equations. No reading is differentiated; changes faster than the noise allows are smoothed "
+        "out. Points are samples; the line is their mean over equal ranges."
     )
     if lacking.where == "sensor":
-        caption = (
-            f"What the simulation leaves of the reading of {lacking.place} along the record, over what it should read."
-        )
-    return CaptionedFigure("map", "What it looks like", caption, figure)
+        caption = f"The residual of the reading of {lacking.place} along the record, over the simulated reading."
+    return CaptionedFigure("map", f"{capital(what)} over displacement and rate", caption, figure)
 
 
 def laws_at(found: Discovery, lacking: latent_force.Lack) -> list[Slot]:
-    """Return the causes that sit at the place that is looked at, and are told."""
+    """Return the causes at the place in view that are reported."""
     told = {(one.name, one.on) for one in discovery_text.offered(found)}
     return [
         slot
@@ -109,7 +108,7 @@ def along(found: Discovery, lacking: latent_force.Lack, slots: Sequence[Slot]) -
 
 
 def share(lacking: latent_force.Lack, law: Array | None) -> float:
-    """Return which part of the mean square of what is lacking a law takes away; without one, all that was found."""
+    """Return the part of the mean square of the latent force that a law explains; without one, the whole finding."""
     if law is None:
         assert lacking.after is not None  # noqa: S101  # asked only where something was found
         rest = lacking.after
@@ -121,7 +120,7 @@ def share(lacking: latent_force.Lack, law: Array | None) -> float:
 
 
 def _seen(found: Discovery, lacking: latent_force.Lack, what: str, law: Array | None) -> str:
-    """Say what the laws at the place take away there, and what all that was found does where that is more."""
+    """Say how much the laws at the place explain there, and the whole finding if that is more."""
     square = float((lacking.before**2).mean())
     is_small = lacking.where == "element" and square < SEEN * lacking.deviations[0] ** 2
     if found.verdict == "none" or (found.verdict == "parameter" and is_small):
@@ -130,18 +129,18 @@ def _seen(found: Discovery, lacking: latent_force.Lack, what: str, law: Array | 
     if found.verdict == "unknown" or lacking.after is None or not found.effects:
         return discovery_text.look(found)
     whole = share(lacking, None)
-    of = f"of the mean square of the {what} that the model lacks at {lacking.place}"
+    of = f"of the mean square of the {what} at {lacking.place}"
     if law is None:
-        return f"What was found takes away {percent(whole, 3)} {of}"
+        return f"The finding explains {percent(whole, 3)} {of}"
     slots = laws_at(found, lacking)
     name = listed([discovery_text.spoken(found, slot.effect, slot.at) for slot in slots])
-    takes = "takes" if len(slots) == 1 else "together take"
+    explains = "explains" if len(slots) == 1 else "together explain"
     if len(slots) == len(found.explanation.hypothesis.slots) and lacking.where != "sensor":
-        return f"{capital(name)} {takes} away {percent(whole, 3)} {of}"
+        return f"{capital(name)} {explains} {percent(whole, 3)} {of}"
     # Others act here, too: parameters of a sensor's simulation, or causes at other places.
     alone = share(lacking, law)
-    told = f"{capital(name)} {takes} away {percent(alone, 3)} {of}"
-    return f"{told}; all that was found takes {percent(whole, 3)}" if whole > alone + ALSO else told
+    told = f"{capital(name)} {explains} {percent(alone, 3)} {of}"
+    return f"{told}; the whole finding explains {percent(whole, 3)}" if whole > alone + ALSO else told
 
 
 def _law(axes: Axes, x: Array, law: Array) -> None:

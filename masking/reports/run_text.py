@@ -25,7 +25,7 @@ STEADY = 0.7  # length of the mean unit vector below which a phase is not locked
 
 
 def warnings(recording: Recording, uses: Iterable[InputUse], chi: Mapping[str, float]) -> list[str]:
-    """Say in plain sentences what makes the result not hold as it stands; nothing where all is well."""
+    """Return sentences on what limits the validity of the result; empty if all is well."""
     uses, manifest = tuple(uses), recording.manifest
     found = [text for text in (exceeded(uses), cut(uses)) if text]
     rate = float(manifest.get("rate") or 0.0)
@@ -35,8 +35,8 @@ def warnings(recording: Recording, uses: Iterable[InputUse], chi: Mapping[str, f
         late = 0.5 / rate
         late_words = f"{number(late)} s" if late >= 1.0 else f"{number(1e3 * late)} ms"
         found.append(
-            f"Sampled at {rate_words(rate)}, inputs act half a sample ({late_words}) late on average, which nothing "
-            "here predicts; 'observer: disturbance' does, and a higher controller.rate makes it less."
+            f"Sampled at {rate_words(rate)}, inputs act half a sample ({late_words}) late on average, and nothing here "
+            "compensates for it; 'observer: disturbance' does, and a higher controller.rate reduces it."
         )
     if missed(manifest):
         found.append(missed(manifest))
@@ -158,7 +158,7 @@ def ended(manifest: Mapping[str, Any]) -> str:
     if told["met"]:
         whole = number(told["duration"], 4)
         return f"The run ended after {number(told['at'], 4)} of {whole} units of time, when {what} {eps}."
-    return f"Nothing ended the run early: {what} {eps} for {number(told['periods_needed'])} periods at no time."
+    return f"The run was not ended early: {what} {eps} for {number(told['periods_needed'])} periods at no time."
 
 
 def regulation(manifest: Mapping[str, Any]) -> str:

@@ -28,5 +28,5 @@ def much(part: float) -> str:
 
 
 def short(text: str, most: int) -> str:
-    """Return a text in at most so many letters, an ellipsis for the rest."""
+    """Return a text cut to a number of letters, an ellipsis for the rest."""
     return text if len(text) <= most else f"{text[: most - 1].rstrip(' ,')}…"
