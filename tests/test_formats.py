@@ -349,6 +349,6 @@ def test_parts_of_one_file_are_records_of_a_discovery(mass, tmp_path):
     np.testing.assert_array_equal(made.record.readings[:, 0], np.cos(3.0 * T[:600]))
     np.testing.assert_array_equal(made.validation.readings[:, 0], np.cos(3.0 * T[600:]))
     digest = readers.digest(path)
-    assert made.origin.records == {"record": (f"{path}@:6", digest), "judged by": (f"{path}@6:", digest)}
+    assert made.origin.records == {"record": (f"{path}@:6", digest), "validation": (f"{path}@6:", digest)}
     with pytest.raises(RecordError, match=r"a\.h5@:2: 200 samples are too few"):
         inputs.read(mass, f"{path}@:2", DiscoverySettings(columns=names))

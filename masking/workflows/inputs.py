@@ -62,35 +62,35 @@ def read(twin: Twin, record: str | Path, settings: DiscoverySettings) -> Inputs:
         return found
 
     validation, train = settings.validation, one(record)
-    judge = None if validation is None else one(validation)
-    if judge is not None and abs(judge.rate / train.rate - 1.0) > ALIKE:
+    held_out = None if validation is None else one(validation)
+    if held_out is not None and abs(held_out.rate / train.rate - 1.0) > ALIKE:
         raise RecordError(
-            f"{record} has {train.rate:g} samples in a second, {validation} {judge.rate:g}: two rates; resample one of "
-            "them, or judge by the last part of the record"
+            f"{record} has {train.rate:g} samples in a second, {validation} {held_out.rate:g}: two rates; resample one "
+            "of them, or validate on the last part of the record"
         )
-    paths = {"record": record} | ({"judged by": validation} if validation is not None else {})
+    paths = {"record": record} | ({"validation": validation} if validation is not None else {})
     origin = Origin({what: (str(p), readers.digest(p)) for what, p in paths.items()})
-    if judge is not None:
-        _check_unseen(train, judge, origin)
-    return Inputs(train, judge, origin)
+    if held_out is not None:
+        _check_unseen(train, held_out, origin)
+    return Inputs(train, held_out, origin)
 
 
-def _check_unseen(train: Data, judge: Data, origin: Origin) -> None:
+def _check_unseen(train: Data, held_out: Data, origin: Origin) -> None:
     """Refuse for validation what is searched: the same record, or parts of one file that overlap.
 
     Raises:
         RecordError: the two share samples.
     """
-    (record, content), (validation, other) = origin.records["record"], origin.records["judged by"]
-    mend = "leave --validate out, and the last 30 % of the record judge, or give another record"
-    if np.array_equal(train.readings, judge.readings) and np.array_equal(train.commands, judge.commands):
-        raise RecordError(f"{validation}: it holds the same samples as {record}, which it is to judge; {mend}")
+    (record, content), (validation, other) = origin.records["record"], origin.records["validation"]
+    mend = "leave --validate out, and validate on the last 30 % of the record, or give another record"
+    if np.array_equal(train.readings, held_out.readings) and np.array_equal(train.commands, held_out.commands):
+        raise RecordError(f"{validation}: it holds the same samples as {record}, which it is to validate; {mend}")
     first, second = Part.of(record), Part.of(validation)
     start, end = max(first.limits[0], second.limits[0]), min(first.limits[1], second.limits[1])
     if content == other and start < end:
         border = start if np.isfinite(start) else end
         raise RecordError(
-            f"{validation}: its samples{_between(start, end)} are also in {record}, which it is to judge; give "
+            f"{validation}: its samples{_between(start, end)} are also in {record}, which it is to validate; give "
             f"parts that share no time, such as {first.file}@:{border:.9g} and {first.file}@{border:.9g}:, or {mend}"
         )
 

@@ -1,7 +1,7 @@
 """Refinement: what a controller's model is missing, found from a record of its plant, and put into the control law.
 
-The controller believes a model. A record of the plant tells what that model is missing; with it, the block L cancels
-what the rig really does, and the masked motion is truer. What sits in sensors and actuators is no part of that model.
+The controller has a model of the rig. A record of the plant shows what that model is missing; with it, the block L
+cancels the real dynamics, and the masking error falls. Effects of sensors and actuators are no part of that model.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from masking.workflows.settings import with_fields_of
 Tell = Callable[[str, float], None]
 
 EXPERIMENT, NUMBERS, BEFORE, AFTER = "experiment.yaml", "refine.json", "before", "after"
-WORTH = 0.9  # of chi: what it must come down to, to be called truer
+WORTH = 0.9  # of chi: what it must fall to, to be called a smaller error
 _BEGIN, _FOUND = 0.1, 0.9  # parts done when the discovery begins and ends
 
 
@@ -69,7 +69,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Refinement:
-    """An experiment before and after its controller was told what its model was missing.
+    """An experiment before and after the missing effects were added to its controller's model.
 
     Args:
         before, after: the run with the model as it was, and with what was found.
@@ -88,7 +88,7 @@ class Refinement:
 
     @property
     def sentence(self) -> str:
-        """Say how much truer the masking became."""
+        """Return the change of the masking error as a sentence."""
         found = self.discovery
         causes = [discovery_text.spoken(found, c.name, c.on) for c in found.effects if _is_of_model(found, c)]
         told = f"With {listed([*causes, 'adjusted parameters'])} in the controller's model, "
@@ -101,8 +101,8 @@ class Refinement:
         if self.after.worst <= WORTH * self.before.worst:
             return f"{told}."
         if self.experiment.observer_settings.kind == "differences":
-            return f"{told}: no truer; differences of positions are too rough for it, try 'observer: disturbance'."
-        return f"{told}: no truer, something else limits it; masking run --budget tells what."
+            return f"{told}: no smaller; differences of positions are too rough for it, try 'observer: disturbance'."
+        return f"{told}: no smaller, something else limits it; masking run --budget shows what."
 
     @property
     def uncompensated(self) -> tuple[str, ...]:
@@ -213,7 +213,7 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
 
 
 def believed(experiment: Experiment) -> Twin:
-    """Return the plant as the controller believes it: its own model, and of the plant's effects noise and delay."""
+    """Return the plant as the controller models it: its own model, and of the plant's effects noise and delay."""
     assembly, settings = experiment.assembly, experiment.declaration.controller
     base = assembly.believed_model
     known = {}
@@ -231,7 +231,7 @@ def believed(experiment: Experiment) -> Twin:
 
 
 def refined(experiment: Experiment, found: Discovery, files: Files, folder: Path) -> Experiment:
-    """Return an experiment whose controller believes what was found.
+    """Return an experiment whose controller's model has what was found.
 
     Args:
         experiment: as it was.
