@@ -44,10 +44,10 @@ with TemporaryDirectory() as name:
 
 print(found)
 
-gap = found.discovery.gap
+gap = found.discovery.simulation_error
 (cause,) = found.discovery.effects
 for sensor, left in gap.validation[1].items():
-    assert left < 1.1 * gap.validation_floor[sensor] < gap.validation[0][sensor]
+    assert left < 1.1 * gap.validation_noise_floor[sensor] < gap.validation[0][sensor]
 assert (cause.name, cause.on) == ("dry_friction", "beam")
 assert found.before.worst > 0.05
 assert found.after.worst < 0.02

@@ -140,8 +140,8 @@ def test_a_mass_beside_parameters_that_are_known(tmp_path, rig):
     assert effect.parameters["m"][0] == pytest.approx(0.04, rel=0.02)
     files = discovery_files.save(found, tmp_path / "found", discovery_files.Origin({}), "", {})
     assert "added_mass_acc: x1''" in files.model.read_text()
-    for sensor, chi in simulate(Twin.load(files.plant), found.judge).chi.items():
-        assert chi < 1.1 * found.gap.validation_floor[sensor]
+    for sensor, chi in simulate(Twin.load(files.plant), found.validation_record).chi.items():
+        assert chi < 1.1 * found.simulation_error.validation_noise_floor[sensor]
 
 
 SLIDER = """
@@ -216,5 +216,5 @@ def test_the_parameter_of_a_single_mass_wins(single, single_rig):
     (effect,) = found.effects
     assert (found.verdict, effect.name) == ("parameter", "m")
     assert effect.parameters["m"][0] == pytest.approx(1.3, rel=1e-3)
-    own = {promise.candidate.key: promise.own for promise in found.found.tried}
+    own = {promise.candidate.key: promise.own for promise in found.search.tried}
     assert own["added_mass", "x"] < 0.01

@@ -153,7 +153,13 @@ def test_gaps_are_told_in_units_of_the_noise():
 def outcome(verdict, causes, after):
     effects = [{"name": n, "on": on, "parameters": {}, "probability": 1.0, "alternatives": []} for n, on in causes]
     gap = {"validation": {"before": {"s1": 0.1}, "after": {"s1": after}}}
-    answer = {"verdict": verdict, "closed": True, "effects": effects, "gap": gap, "validation_floor": {"s1": 0.01}}
+    answer = {
+        "verdict": verdict,
+        "closed": True,
+        "effects": effects,
+        "simulation_error": gap,
+        "validation_noise_floor": {"s1": 0.01},
+    }
     return {"tool": "masking", "answer": answer, "seconds": 30.0, "memory": 0.5}
 
 

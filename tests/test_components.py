@@ -145,8 +145,8 @@ def test_what_is_hidden_is_named_where_it_is(discovered, name):
     told = {key: found.effects[0].parameters[key][0] for key in parameters}
     assert told == pytest.approx(parameters, rel=0.02)
     assert f"<Discovery: named, {found.effects[0].name} in {on}; error on unseen data: " in repr(found)
-    for sensor, after in found.gap.validation[1].items():
-        assert after < 1.1 * components.NOISE < found.gap.adjusted[sensor]
+    for sensor, after in found.simulation_error.validation[1].items():
+        assert after < 1.1 * components.NOISE < found.simulation_error.adjusted[sensor]
 
 
 @pytest.mark.parametrize("name", ["damper/none", "motor/none", "tank/none"])
@@ -189,14 +189,16 @@ def test_the_extended_model_simulates_the_record(discovered, folder, name):
 
 def test_where_is_told_at_outputs_and_states(discovered, folder):
     discovered("damper/dry_friction")
-    told = json.loads((folder / "damper/dry_friction/found/discovery.json").read_text())["where"]["lacking"]
+    told = json.loads((folder / "damper/dry_friction/found/discovery.json").read_text())["localisation"]["latent_force"]
     assert (told["coordinates"], list(told["places"])) == ({"F": 1.0}, ["strut"])
     assert told["places"]["strut"]["energy"]["rate"] > 0.9
     # its mean product with the rate is fc |v|
     speed = np.abs(components.Motion.of(1, 5e-3).rate(np.arange(20_000) / 1e3)).mean()
     assert told["places"]["strut"]["loss"] == pytest.approx(0.4 * speed, rel=0.02)
     discovered("tank/hardening_spring")
-    told = json.loads((folder / "tank/hardening_spring/found/discovery.json").read_text())["where"]["lacking"]
+    told = json.loads((folder / "tank/hardening_spring/found/discovery.json").read_text())["localisation"][
+        "latent_force"
+    ]
     assert (told["coordinates"], list(told["places"])) == ({"level": 1.0}, ["valve"])
 
 

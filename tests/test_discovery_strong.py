@@ -87,7 +87,7 @@ def test_a_strong_spring_is_found(discovered, k3, in_windows):
 def test_what_only_the_record_that_judges_shows_is_not_nothing(discovered):
     found = discovered(lambda x, v: 5e3 * x**3, loud=0.05, louder=1.0)
     assert found.explanation.kind == "none"
-    assert found.gap.validation[1]["x"] > 2.0 * found.gap.validation_floor["x"]
+    assert found.simulation_error.validation[1]["x"] > 2.0 * found.simulation_error.validation_noise_floor["x"]
     assert (found.verdict, found.closed) == ("unknown", False)
     assert discovery_text.sentence(found).startswith(
         "The record shows no missing effect, but the validation record does: run discover on that one. The "
@@ -114,7 +114,7 @@ def test_a_command_of_the_other_sign_hides_no_spring(discovered):
 def test_commands_that_were_measured_are_told_from_those_that_are_held(discovered):
     found = discovered(lambda x, v: 0.0, rate=4000.0, seconds=20.0, every=8)
     assert found.verdict == "unknown"
-    assert found.as_measured["x"] < 0.2 * found.gap.train[1]["x"]
+    assert found.first_order_hold["x"] < 0.2 * found.simulation_error.estimation[1]["x"]
 
 
 def test_parameters_keep_their_signs_and_bounds(discovered):

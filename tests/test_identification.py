@@ -216,7 +216,7 @@ def test_a_parameter_that_is_not_excited_is_named(linear):
     record = recorded(linear, sines(6.0, size=(0.04, 0.04, 0.0)))
     still = replace(record, commands=record.commands * [1.0, 0.0, 0.0])
     (note,) = fit(linear, recorded(linear, still.commands), ("w1", "c2")).notes
-    assert note.startswith("these records do not tell c2")
+    assert note.startswith("these records do not determine c2")
 
 
 def test_a_parameter_named_twice_is_refused(linear):

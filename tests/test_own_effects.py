@@ -175,7 +175,7 @@ class TestDiscovery:
             value, std = effect.parameters[name]
             assert value == pytest.approx(truth, rel=0.02)
             assert abs(value - truth) < 4.0 * std
-        assert found.gap.validation[1]["x"] < 1.1 * found.gap.validation_floor["x"]
+        assert found.simulation_error.validation[1]["x"] < 1.1 * found.simulation_error.validation_noise_floor["x"]
 
     def test_a_law_is_one_entry_also_in_the_dictionary_of_the_package(self, folder, own, magnet, monkeypatch):
         for entry in (MAGNET_ENTRY, effects.load(own)["ripple"]):  # in this order its kernels are those of the file's

@@ -15,7 +15,7 @@ from masking.records.recording import Recording
 from masking.runs.experiment import Experiment
 from masking.workflows import calibration_records
 from masking.workflows import refine as refinement
-from masking.workflows.refine import believed, refined
+from masking.workflows.refine import assumed, refined
 
 SECONDS = 12.0
 EXPERIMENT = """
@@ -66,11 +66,11 @@ def known(found, monkeypatch):
 
 def test_the_controller_believes_neither_hidden_effects_nor_gains(rubs):
     made = Experiment.load(rubs / "e.yaml")
-    twin = believed(made.changed(effects={"gains": True, "noise": {"parameters": {"sigma": 3e-4}}}))
+    twin = assumed(made.changed(effects={"gains": True, "noise": {"parameters": {"sigma": 3e-4}}}))
     assert {effect.kind for effect in twin.effects} == {"noise", "delay"}
     assert twin.noise() == dict.fromkeys(("s1", "s2", "s3"), 3e-4)
     assert (twin.delay, twin.declaration.model) == (1, "setup")
-    other = believed(made.changed(controller={"rate": "1 kHz", "parameters": {"w1": 12.0}}))
+    other = assumed(made.changed(controller={"rate": "1 kHz", "parameters": {"w1": 12.0}}))
     assert other.parameter_value("w1") == 12.0
 
 

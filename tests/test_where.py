@@ -9,13 +9,13 @@ from scipy import integrate
 
 from masking.discovery import fitting
 from masking.discovery.augmented_model import OpenRig, Slot
-from masking.discovery.discovery import Discovery, Gap, Named
+from masking.discovery.discovery import Discovery, Named, SimulationError
 from masking.discovery.explanation import Explanation
-from masking.discovery.force_decomposition import followed, portrait
+from masking.discovery.force_decomposition import decompose, followed
 from masking.discovery.harmonics import Periods, period
 from masking.discovery.prior import prior_of
 from masking.discovery.problem import Evidence
-from masking.discovery.search import Found
+from masking.discovery.search import SearchResult
 from masking.discovery.smoothing import smooth
 from masking.estimation.data import Data
 from masking.estimation.whiteness import autocorrelation, evenness, ljung_box, whiteness
@@ -77,7 +77,7 @@ FORCES = {
 @pytest.mark.parametrize("name", FORCES)
 def test_parts_of_the_energy(name):
     force, truth, odd = FORCES[name]
-    parts = portrait(X, V, force).parts
+    parts = decompose(X, V, force).parts
     assert (parts.displacement, parts.rate, parts.both, parts.neither) == pytest.approx(truth, abs=0.03)
     assert parts.odd == pytest.approx(odd, abs=0.03)
     told = parts.as_dict()
@@ -87,7 +87,7 @@ def test_parts_of_the_energy(name):
 def test_what_follows_displacement_and_rate_together():
     # x^2 v less its best function of the rate: a share that depends on neither alone
     force = X**2 * V
-    parts = portrait(X, V, force).parts
+    parts = decompose(X, V, force).parts
     alone = np.mean(X**2 * V**2) ** 2 / np.mean(V**2) / np.mean(force**2)  # of a damper, the best straight one
     assert parts.rate == pytest.approx(alone, abs=0.1)
     assert parts.rate + parts.both > 0.97
@@ -96,7 +96,7 @@ def test_what_follows_displacement_and_rate_together():
 
 @pytest.mark.parametrize("force", [jenkins(X, 100.0, 0.05), dahl(X, 0.05, 1e-3)], ids=["Jenkins", "Dahl"])
 def test_a_memory_follows_neither(force):
-    found = portrait(X, V, force)
+    found = decompose(X, V, force)
     assert found.parts.neither > 0.12
     assert found.loss > 0.0
     assert found.parts.odd > 0.95
@@ -104,11 +104,11 @@ def test_a_memory_follows_neither(force):
 
 def test_what_does_not_follow_the_motion_follows_neither():
     t = np.arange(len(X)) / RATE
-    parts = portrait(X, V, np.sin(2.0 * np.pi * 0.7123 * t)).parts
+    parts = decompose(X, V, np.sin(2.0 * np.pi * 0.7123 * t)).parts
     assert parts.neither > 0.9
     assert parts.odd is None
     # of another multisine on other lines, which repeats itself as the motion does
-    parts = portrait(X, V, multisine(60.0, seed=5, lines=np.arange(2, 60, 2))[0], cycle=20000).parts
+    parts = decompose(X, V, multisine(60.0, seed=5, lines=np.arange(2, 60, 2))[0], cycle=20000).parts
     assert parts.neither > 0.9
 
 
@@ -116,22 +116,22 @@ def test_noise_is_no_energy():
     rng = np.random.default_rng(0)
     force = 100.0 * X
     noise = 0.5 * force.std() * rng.standard_normal(len(X))
-    found = portrait(X, V, force + noise, 0.5 * force.std())
+    found = decompose(X, V, force + noise, 0.5 * force.std())
     assert found.parts.displacement == pytest.approx(1.0, abs=0.03)
-    nothing = portrait(X, V, noise, 0.5 * force.std())
+    nothing = decompose(X, V, noise, 0.5 * force.std())
     assert nothing.parts is None
     assert nothing.regions == {}
 
 
 def test_losses_are_those_of_the_laws():
     x, v = multisine(20.0)  # one whole period
-    assert portrait(x, v, 100.0 * x).taken == pytest.approx(0.0, abs=1e-9)
-    assert portrait(x, v, 1e6 * x**3).taken == pytest.approx(0.0, abs=1e-3)
-    viscous = portrait(x, v, 3.0 * v)
+    assert decompose(x, v, 100.0 * x).taken == pytest.approx(0.0, abs=1e-9)
+    assert decompose(x, v, 1e6 * x**3).taken == pytest.approx(0.0, abs=1e-3)
+    viscous = decompose(x, v, 3.0 * v)
     assert viscous.loss == pytest.approx(3.0 * np.mean(v**2), rel=1e-3)
     assert viscous.taken == pytest.approx(1.0)
-    assert portrait(x, v, 0.05 * np.sign(v)).loss == pytest.approx(0.05 * np.mean(np.abs(v)), rel=1e-3)
-    assert portrait(x, v, -3.0 * v).taken == pytest.approx(-1.0)
+    assert decompose(x, v, 0.05 * np.sign(v)).loss == pytest.approx(0.05 * np.mean(np.abs(v)), rel=1e-3)
+    assert decompose(x, v, -3.0 * v).taken == pytest.approx(-1.0)
 
 
 def test_the_area_of_a_loop():
@@ -139,7 +139,7 @@ def test_the_area_of_a_loop():
     t, k, fc, a, f = np.arange(10000) / RATE, 100.0, 0.05, 2e-3, 1.0
     x, v = a * np.sin(2.0 * np.pi * f * t), a * 2.0 * np.pi * f * np.cos(2.0 * np.pi * f * t)
     whole = slice(1000, None)  # it begins at rest
-    assert portrait(x[whole], v[whole], jenkins(x, k, fc)[whole]).loss == pytest.approx(
+    assert decompose(x[whole], v[whole], jenkins(x, k, fc)[whole]).loss == pytest.approx(
         4.0 * fc * (a - fc / k) * f, rel=1e-2
     )
 
@@ -147,7 +147,7 @@ def test_the_area_of_a_loop():
 def test_regions():
     t = np.arange(30000) / RATE
     x, v = np.sin(2.0 * np.pi * t), 2.0 * np.pi * np.cos(2.0 * np.pi * t)
-    of = portrait(x, v, x * t).regions
+    of = decompose(x, v, x * t).regions
     # the integral of t^2 over each third
     assert [energy for energy, _ in of["record"].values()] == pytest.approx([1 / 27, 7 / 27, 19 / 27], abs=0.01)
     # |sin| < 1/3 for 2/pi asin(1/3) of the time, with (u - sin(u) cos(u)) 2/pi of its square, u = asin(1/3)
@@ -156,14 +156,14 @@ def test_regions():
     assert time == pytest.approx(2.0 / np.pi * u, abs=0.005)
     assert energy == pytest.approx(2.0 / np.pi * (u - np.sin(u) * np.cos(u)), abs=0.005)
     # cos^2 above its median: 1/2 + 1/pi
-    assert portrait(x, v, v).regions["speed"]["fast"] == pytest.approx((0.5 + 1.0 / np.pi, 0.5), abs=0.005)
-    high = portrait(x, v, np.maximum(x - 0.5, 0.0)).regions["displacement"]["high"]
+    assert decompose(x, v, v).regions["speed"]["fast"] == pytest.approx((0.5 + 1.0 / np.pi, 0.5), abs=0.005)
+    high = decompose(x, v, np.maximum(x - 0.5, 0.0)).regions["displacement"]["high"]
     assert high[0] > 0.99
     assert high[1] < 0.4
 
 
 def test_a_motion_on_one_side_tells_no_symmetry():
-    found = portrait(X + 5.0, V, 100.0 * (X + 5.0))
+    found = decompose(X + 5.0, V, 100.0 * (X + 5.0))
     assert found.parts.odd is None
     assert found.parts.displacement == pytest.approx(1.0, abs=1e-3)
 
@@ -172,14 +172,14 @@ def test_a_motion_on_one_side_tells_no_symmetry():
 def test_a_place_that_does_not_move(still):
     x = X if still == "rate" else np.zeros(len(X))
     v = V if still == "displacement" else np.zeros(len(V))
-    found = portrait(x, v, 1.0 + 0.0 * X)
+    found = decompose(x, v, 1.0 + 0.0 * X)
     assert found.parts.displacement == pytest.approx(1.0)
     assert followed(x, 1.0 + 0.0 * X) == pytest.approx(1.0)
 
 
 def test_a_short_record():
     x, v = X[::50][:400], V[::50][:400]
-    assert portrait(x, v, 100.0 * x).parts.displacement == pytest.approx(1.0, abs=0.01)
+    assert decompose(x, v, 100.0 * x).parts.displacement == pytest.approx(1.0, abs=0.01)
 
 
 def test_what_follows_a_command():
@@ -321,11 +321,11 @@ def discoveries(rig):
         first = Explanation("none", (), base)
         chosen = Explanation("effects", ((slot.effect, slot.at),), known)
         motion = smooth(evidence, base.theta, base.start)
-        found = Found(first, ((chosen,),), motion)
+        found = SearchResult(first, ((chosen,),), motion)
         parameters = {n: (slot.values[i], 0.0) for n, i in zip(slot.names, slot.free, strict=True)}
         named = (Named(slot.effect, slot.at, parameters, 1.0),)
         each = dict.fromkeys(rig.twin.sensors, 0.1)
-        gap = Gap((each, each), (each, each), each, each, each)
+        gap = SimulationError((each, each), (each, each), each, each, each)
         return Discovery(
             "named", named, gap, 0.0, rig.twin, chosen, (chosen,), 1.0, found, evidence, evidence, base, known, base
         )
@@ -343,7 +343,7 @@ def test_what_is_left_is_closed_where_it_is_white_on_both_records(discoveries, r
     slow = replace(known, residuals=known.residuals + tone[:, None])
     chosen = replace(found.explanation, hypothesis=slow)
     found = replace(found, explanation=chosen) if record == "explained" else replace(found, after=slow)
-    assert found.within
+    assert found.is_at_noise_floor
     assert not found.closed
     assert found.as_dict()["closed"] is False
     assert discovery_text.beside(found).startswith(
@@ -356,22 +356,22 @@ def test_what_is_left_is_closed_where_it_is_white_on_both_records(discoveries, r
 
 def test_friction_is_where_it_is(discoveries):
     found = discoveries("friction")
-    seen = found.where
-    assert found.where is seen
-    assert seen.lacking.coordinates["x1"] > 0.95
-    assert sum(seen.lacking.coordinates.values()) == pytest.approx(1.0)
-    best = seen.lacking.best
+    seen = found.localisation
+    assert found.localisation is seen
+    assert seen.latent.coordinates["x1"] > 0.95
+    assert sum(seen.latent.coordinates.values()) == pytest.approx(1.0)
+    best = seen.latent.best
     assert best.name == "spring1"
     assert best.share > 0.95
-    assert best.portrait.parts.rate > 0.9
-    assert best.portrait.parts.odd > 0.95
+    assert best.decomposition.parts.rate > 0.9
+    assert best.decomposition.parts.odd > 0.95
     assert best.harmonics.only_odd
     assert best.harmonics.even < 0.02
-    rate = found.found.motion.rate[:, 0]
-    assert best.portrait.loss == pytest.approx(0.0055 * np.mean(np.abs(rate)), rel=0.05)
+    rate = found.search.motion.rate[:, 0]
+    assert best.decomposition.loss == pytest.approx(0.0055 * np.mean(np.abs(rate)), rel=0.05)
     assert best.units == ("m/s**2", "m", "m/s")
-    assert max(seen.lacking.actuators.values()) < 0.5
-    assert max(seen.left.coordinates.values()) == 0.0
+    assert max(seen.latent.actuators.values()) < 0.5
+    assert max(seen.residual.coordinates.values()) == 0.0
     assert [after.white for _, after in seen.whiteness.values()] == [True] * 3
     assert not seen.whiteness["s1"][0].white
 
@@ -387,17 +387,17 @@ def test_what_is_said_of_friction(discoveries):
 
 
 def test_a_quadratic_spring_is_even(discoveries):
-    best = discoveries("square").where.lacking.best
+    best = discoveries("square").localisation.latent.best
     assert best.name == "spring2"
-    assert best.portrait.parts.displacement > 0.9
-    assert best.portrait.parts.odd < 0.05
+    assert best.decomposition.parts.displacement > 0.9
+    assert best.decomposition.parts.odd < 0.05
     assert best.harmonics.even > 0.95
     assert "the same way on both sides" in discovery_text.portrayed(best)
 
 
 def test_a_gap_on_the_side_of_actuators_follows_a_command(discoveries):
     found = discoveries("limit")
-    lacking = found.where.lacking
+    lacking = found.localisation.latent
     assert lacking.actuators["V3"] > 0.9 > 2.0 * lacking.best.explained
     assert "follows the command of V3" in discovery_text.whereabouts(found)[0]
     assert "follows the command of V3" in discovery_text.look(replace(found, verdict="unknown", effects=()))
@@ -405,16 +405,16 @@ def test_a_gap_on_the_side_of_actuators_follows_a_command(discoveries):
 
 def test_a_gap_on_the_side_of_sensors_follows_a_reading(discoveries):
     found = discoveries("bent")
-    lacking = found.where.lacking
+    lacking = found.localisation.latent
     assert lacking.sensors["s1"] > 0.95
     assert max(lacking.sensors["s2"], lacking.sensors["s3"]) < 0.1
     assert discovery_text.whereabouts(found)[0].endswith("of the model error in s1 follows its reading")
 
 
 def test_it_goes_into_json(discoveries):
-    told = json.loads(json.dumps(discoveries("square").where.as_dict(), allow_nan=False))
-    assert told.keys() == {"lacking", "left", "whiteness"}
-    spring = told["lacking"]["places"]["spring2"]
+    told = json.loads(json.dumps(discoveries("square").localisation.as_dict(), allow_nan=False))
+    assert told.keys() == {"latent_force", "residual_force", "whiteness"}
+    spring = told["latent_force"]["places"]["spring2"]
     assert spring["energy"]["even"] > 0.95
     assert spring["units"] == {"force": "m/s**2", "displacement": "m", "rate": "m/s"}
     assert told["whiteness"]["s1"]["before"].keys() >= {"p", "white", "beyond"}

@@ -9,7 +9,7 @@ import pytest
 from masking.declaration.quantities import number, power, quantity
 from masking.discovery import latent_force
 from masking.discovery.augmented_model import Slot
-from masking.discovery.discovery import Gap, Named
+from masking.discovery.discovery import Named, SimulationError
 from masking.discovery.explanation import Explanation
 from masking.discovery.next_experiment import NextExperiment
 from masking.effects import EFFECTS
@@ -25,12 +25,14 @@ def gaps(declared, after, floor, adjusted=None):
     """Return a gap that is the same in both records; parameters alone leave what is declared if nothing is said."""
     each = (dict(zip(SENSORS, declared, strict=True)), dict(zip(SENSORS, after, strict=True)))
     noise = dict(zip(SENSORS, floor, strict=True))
-    return Gap(each, each, noise, noise, dict(zip(SENSORS, adjusted or declared, strict=True)))
+    return SimulationError(each, each, noise, noise, dict(zip(SENSORS, adjusted or declared, strict=True)))
 
 
 def test_without_effects_the_title_says_what_is_left(discoveries):
     found = replace(discoveries("friction"), verdict="unknown", effects=())
-    found = replace(found, gap=gaps((1.33, 0.1, 0.1), (0.94, 0.1, 0.1), (0.001, 0.1, 0.1), (0.94, 0.1, 0.1)))
+    found = replace(
+        found, simulation_error=gaps((1.33, 0.1, 0.1), (0.94, 0.1, 0.1), (0.001, 0.1, 0.1), (0.94, 0.1, 0.1))
+    )
     assert discovery_text.gap(found) == (
         "The validation error of s1 is 133 % as declared and 94 % with adjusted parameters; the noise floor is 0.1 %"
     )
@@ -39,7 +41,7 @@ def test_without_effects_the_title_says_what_is_left(discoveries):
 def test_a_parameter_is_compared_with_what_is_declared(discoveries):
     named = (Named("z2", "", {"z2": (0.02, 1e-5)}, 1.0),)
     found = replace(discoveries("friction"), verdict="parameter", effects=named)
-    found = replace(found, gap=gaps((0.027, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3)))
+    found = replace(found, simulation_error=gaps((0.027, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3)))
     assert "The validation error of s1 is 2.7 % as declared and 0.1" in discovery_text.gap(found)
 
 
@@ -48,7 +50,9 @@ def test_a_parameter_is_compared_with_what_is_declared(discoveries):
     [(0.98, 0.01, "s1 (error 98 %): check units"), (0.8, 0.01, ""), (0.98, 0.9, "")],
 )
 def test_a_reading_that_is_hardly_followed(discoveries, after, floor, told):
-    found = replace(discoveries("friction"), gap=gaps((1.0, 0.1, 0.1), (after, 0.1, 0.1), (floor, 0.1, 0.1)))
+    found = replace(
+        discoveries("friction"), simulation_error=gaps((1.0, 0.1, 0.1), (after, 0.1, 0.1), (floor, 0.1, 0.1))
+    )
     said = discovery_text.hardly(found)
     assert told in said
     assert bool(said) is bool(told)
@@ -56,8 +60,8 @@ def test_a_reading_that_is_hardly_followed(discoveries, after, floor, told):
 
 
 def test_commands_that_seem_measured_are_told(discoveries):
-    found = replace(discoveries("friction"), gap=gaps((1.0, 0.1, 0.1), (0.2, 0.1, 0.1), (0.01, 0.1, 0.1)))
-    told = discovery_text.sentence(replace(found, as_measured={"s1": 0.01, "s2": 0.1, "s3": 0.1}))
+    found = replace(discoveries("friction"), simulation_error=gaps((1.0, 0.1, 0.1), (0.2, 0.1, 0.1), (0.01, 0.1, 0.1)))
+    told = discovery_text.sentence(replace(found, first_order_hold={"s1": 0.01, "s2": 0.1, "s3": 0.1}))
     assert told.endswith(
         "the model alone leaves 1 % of s1, against 20 %: if they were measured, use --hold first-order"
     )

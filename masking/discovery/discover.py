@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from masking.discovery import fitting, shooting, verdict
 from masking.discovery.augmented_model import OpenRig
 from masking.discovery.composites import is_composite
-from masking.discovery.discovery import Discovery, Gap, Named
+from masking.discovery.discovery import Discovery, Named, SimulationError
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.next_experiment import next_experiment
@@ -24,7 +24,7 @@ from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.prior import prior_of, train_validation_split
 from masking.discovery.problem import Evidence
 from masking.discovery.rules import DecisionRules
-from masking.discovery.search import Found, Search
+from masking.discovery.search import Search, SearchResult
 from masking.discovery.settings import DiscoverySettings
 from masking.discovery.verdict import Scored
 from masking.effects import ROUNDING
@@ -83,10 +83,10 @@ def discover(
             if again.verdict != "unknown":
                 found = again
                 break
-    return found if found.within else replace(found, as_measured=_as_measured(found))
+    return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
 
 
-def _as_measured(found: Discovery) -> dict[str, float] | None:
+def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
     """Return the errors that are left where held commands were measured; None where they are no smaller."""
     if found.record.hold != "zero-order" or not found.twin.actuators:
         return None
@@ -102,7 +102,7 @@ def _as_measured(found: Discovery) -> dict[str, float] | None:
 
 def _is_out_of_step(found: Discovery) -> bool:
     """Return whether nothing is found by simulating the whole record in one, whose motion the model does not follow."""
-    left = relative(found.twin.sensors, [found.record], found.found.base.hypothesis.squares)
+    left = relative(found.twin.sensors, [found.record], found.search.base.hypothesis.squares)
     return found.verdict == "unknown" and max(left.values()) > found.evidence.rules.phase_loss
 
 
@@ -129,26 +129,26 @@ def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discover
         found = replace(found, steps=tuple(_reordered(step, evidence, judged) for step in found.steps))
         adjusted = fitting.judged(judged, found.base.hypothesis)
         rivals = _needed(found, judged, adjusted)
-        heat = evidence.temperature(rivals[0].hypothesis.residuals)
-        is_demoted = verdict.is_demoted([_scored(rival, evidence, heat) for rival in rivals], size, rules)
+        tempering = evidence.tempering(rivals[0].hypothesis.residuals)
+        is_demoted = verdict.is_demoted([_scored(rival, evidence, tempering) for rival in rivals], size, rules)
         if is_demoted:
-            rivals = tuple(sorted(rivals, key=lambda rival: rival.score(heat)))
+            rivals = tuple(sorted(rivals, key=lambda rival: rival.score(tempering)))
         chosen = rivals[0]
         declared = fitting.fit(evidence, theta=evidence.belief.mean, frozen=True)
         before, after = fitting.judged(judged, declared), fitting.judged(judged, chosen.hypothesis)
-    heat = evidence.temperature(chosen.hypothesis.residuals)
+    tempering = evidence.tempering(chosen.hypothesis.residuals)
     excess, left = (verdict.excess_cost(one.cost, size) for one in (found.base, chosen))
     rest = left / excess if excess > 0.0 else 0.0
-    gap = Gap(
+    gap = SimulationError(
         (_chi(evidence, declared), _chi(evidence, chosen.hypothesis)),
         (_chi(judged, before), _chi(judged, after)),
         _floor(evidence),
         _floor(judged),
         _chi(judged, adjusted),
     )
-    scored = [_scored(rival, evidence, heat) for rival in rivals]
+    scored = [_scored(rival, evidence, tempering) for rival in rivals]
     told = verdict.decide(scored, rest, size, rules, composite=is_composite(chosen.names, rig, rules))
-    effects, rounded = _causes(rig, rivals, heat, scored, rules), _rounded(evidence, chosen.hypothesis)
+    effects, rounded = _causes(rig, rivals, tempering, scored, rules), _rounded(evidence, chosen.hypothesis)
     answer = verdict.revised(
         told,
         demoted=is_demoted,
@@ -164,8 +164,8 @@ def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discover
             coming = next_experiment(evidence, first.hypothesis, second.hypothesis, names_of, _limits(rig.twin))
     causes = (*effects, *(cause for cause, _ in rounded))
     return Discovery(
-        answer, causes, gap, rest, rig.twin, chosen, rivals, heat, found, evidence, judged, before, after, adjusted,
-        coming,
+        answer, causes, gap, rest, rig.twin, chosen, rivals, tempering, found, evidence, judged, before, after,
+        adjusted, coming,
     )  # fmt: skip
 
 
@@ -192,20 +192,20 @@ def _cost(evidence: Evidence, hypothesis: Hypothesis) -> float:
 
 def _reordered(rivals: tuple[Explanation, ...], evidence: Evidence, judged: Evidence) -> tuple[Explanation, ...]:
     """Return explanations that are nearly as good as the best, ordered by how well they explain another record, too."""
-    heat, margin = evidence.temperature(rivals[0].hypothesis.residuals), evidence.rules.validation_margin
-    near = [rival for rival in rivals if rival.score(heat) <= rivals[0].score(heat) + margin]
-    if len(near) < 2 or any(rival.score(heat) < rivals[0].score(heat) for rival in near):
+    tempering, margin = evidence.tempering(rivals[0].hypothesis.residuals), evidence.rules.validation_margin
+    near = [rival for rival in rivals if rival.score(tempering) <= rivals[0].score(tempering) + margin]
+    if len(near) < 2 or any(rival.score(tempering) < rivals[0].score(tempering) for rival in near):
         return rivals
     both: list[Explanation] = []
     for rival in near:
-        best = min((one.judged.cost for one in both if one.judged), default=np.inf)
+        best = min((one.joint.cost for one in both if one.joint), default=np.inf)
         with suppress(IntegrationError):
             joint = fitting.together(rival.believed(evidence), judged, rival.hypothesis, best)
-            both.append(replace(rival, judged=joint))
-    return tuple(sorted(both, key=lambda rival: rival.score(heat)))
+            both.append(replace(rival, joint=joint))
+    return tuple(sorted(both, key=lambda rival: rival.score(tempering)))
 
 
-def _needed(found: Found, judged: Evidence, adjusted: Hypothesis) -> tuple[Explanation, ...]:
+def _needed(found: SearchResult, judged: Evidence, adjusted: Hypothesis) -> tuple[Explanation, ...]:
     """Return the explanations of the last step that is needed, and that the validation record supports."""
     size = found.base.hypothesis.residuals.size
 
@@ -226,12 +226,12 @@ def _plain(explanation: Explanation) -> Scored:
     return Scored(explanation.kind, explanation.names, explanation.cost, absorbed=absorbed, unique=explanation.own)
 
 
-def _scored(explanation: Explanation, evidence: Evidence, heat: float) -> Scored:
+def _scored(explanation: Explanation, evidence: Evidence, tempering: float) -> Scored:
     """Return an explanation as plain data, with its score and the estimates of its last cause."""
-    rig, estimates = evidence.rig, _estimates(evidence.rig, explanation, heat)
+    rig, estimates = evidence.rig, _estimates(evidence.rig, explanation, tempering)
     usual = rig.start[rig.names.index(explanation.names[0][0])] if explanation.kind == "parameter" else 0.0
     last = tuple((value - float(usual), std) for value, std in estimates[-1].values()) if estimates else ()
-    return replace(_plain(explanation), score=explanation.score(heat), estimates=last)
+    return replace(_plain(explanation), score=explanation.score(tempering), estimates=last)
 
 
 def _rounded(evidence: Evidence, hypothesis: Hypothesis) -> list[tuple[Named, bool]]:
@@ -252,9 +252,9 @@ def _rounded(evidence: Evidence, hypothesis: Hypothesis) -> list[tuple[Named, bo
     return found
 
 
-def _estimates(rig: OpenRig, explanation: Explanation, heat: float) -> list[dict[str, tuple[float, float]]]:
+def _estimates(rig: OpenRig, explanation: Explanation, tempering: float) -> list[dict[str, tuple[float, float]]]:
     """Return the estimated parameters of each cause: values and standard deviations by name."""
-    hypothesis, deviations = explanation.hypothesis, explanation.deviations(heat)
+    hypothesis, deviations = explanation.hypothesis, explanation.deviations(tempering)
     if explanation.kind == "parameter":
         ((name, _),) = explanation.names
         i = rig.names.index(name)
@@ -269,11 +269,11 @@ def _estimates(rig: OpenRig, explanation: Explanation, heat: float) -> list[dict
 
 
 def _causes(
-    rig: OpenRig, rivals: Sequence[Explanation], heat: float, scored: Sequence[Scored], rules: DecisionRules
+    rig: OpenRig, rivals: Sequence[Explanation], tempering: float, scored: Sequence[Scored], rules: DecisionRules
 ) -> tuple[Named, ...]:
     """Return the causes of the chosen explanation; the last one with its probability and its alternatives."""
     chosen, weights = rivals[0], [float(weight) for weight in verdict.probabilities([one.score for one in scored])]
-    estimates = _estimates(rig, chosen, heat)
+    estimates = _estimates(rig, chosen, tempering)
     if not estimates:
         return ()
     pairs = zip(rivals[1:], weights[1:], strict=True)

@@ -10,11 +10,11 @@ from masking.discovery.augmented_model import OpenRig
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.latent_force import Smoothed, smoothed
-from masking.discovery.localisation import Where, where
+from masking.discovery.localisation import Localisation, localise
 from masking.discovery.next_experiment import NextExperiment
 from masking.discovery.problem import Evidence
 from masking.discovery.rules import DecisionRules
-from masking.discovery.search import Found
+from masking.discovery.search import SearchResult
 from masking.discovery.verdict import Verdict, at_noise_floor, is_closed
 from masking.estimation.data import Data
 from masking.estimation.whiteness import Whiteness, whiteness
@@ -44,29 +44,29 @@ class Named:
 
 
 @dataclass(frozen=True)
-class Gap:
+class SimulationError:
     """Relative error of each sensor, by name: before and after, in the record and in the one that judges; and noise.
 
     `adjusted` is that of the model with its parameters adjusted alone, in the record that judges.
     """
 
-    train: tuple[dict[str, float], dict[str, float]]
+    estimation: tuple[dict[str, float], dict[str, float]]
     validation: tuple[dict[str, float], dict[str, float]]
-    floor: dict[str, float]
-    validation_floor: dict[str, float]
+    noise_floor: dict[str, float]
+    validation_noise_floor: dict[str, float]
     adjusted: dict[str, float]
 
     def is_noise(self, readings: int, rules: DecisionRules) -> bool:
         """Return whether each sensor is at the noise floor in the validation record, with its number of readings."""
-        return at_noise_floor(self.validation[1].values(), self.validation_floor.values(), readings, rules)
+        return at_noise_floor(self.validation[1].values(), self.validation_noise_floor.values(), readings, rules)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the gap as JSON can hold it."""
         return {
-            "train": {"before": self.train[0], "after": self.train[1]},
+            "estimation": {"before": self.estimation[0], "after": self.estimation[1]},
             "validation": {"before": self.validation[0], "after": self.validation[1]},
-            "floor": self.floor,
-            "validation_floor": self.validation_floor,
+            "noise_floor": self.noise_floor,
+            "validation_noise_floor": self.validation_noise_floor,
         }
 
 
@@ -77,42 +77,42 @@ class Discovery:
     Args:
         verdict: `none`, `parameter`, `named`, `ambiguous` or `unknown`.
         effects: causes, in the order in which they were found.
-        gap: before and after.
-        rest: part of the gap beyond noise that is left on the record.
+        simulation_error: before and after.
+        unexplained: fraction of the excess cost that is left in the estimation record.
         twin: the rig as it was believed to be.
         explanation: the one that was chosen.
         rivals: the explanations that it was chosen from, itself first.
-        temperature: by which costs of these were divided, see `Evidence.temperature`.
-        found: the whole search.
+        tempering: factor by which costs were divided, see `Evidence.tempering`.
+        search: the whole search.
         evidence: the record that was explained.
-        judged: the record that it was judged by.
+        validation: the estimation problem of the validation record.
         before, after: the rig without and with the causes on the record that judges.
         adjusted: the rig without causes, its parameters adjusted within belief, on the record that judges.
         next_experiment: that tells the two likeliest explanations apart, where the record does not.
-        as_measured: relative error of each sensor that adjusted parameters alone leave in the record where commands go
-            in straight lines between samples, where that is far less than what was found leaves.
+        first_order_hold: relative error of each sensor with adjusted parameters alone and inputs in straight lines
+            between samples; None unless that is far less than what was found leaves.
     """
 
     verdict: Verdict
     effects: tuple[Named, ...]
-    gap: Gap
-    rest: float
+    simulation_error: SimulationError
+    unexplained: float
     twin: Twin
     explanation: Explanation
     rivals: tuple[Explanation, ...]
-    temperature: float
-    found: Found
+    tempering: float
+    search: SearchResult
     evidence: Evidence
-    judged: Evidence
+    validation: Evidence
     before: Hypothesis
     after: Hypothesis
     adjusted: Hypothesis
     next_experiment: NextExperiment | None = None
-    as_measured: dict[str, float] | None = None
+    first_order_hold: dict[str, float] | None = None
 
     def __repr__(self) -> str:
         causes = ", ".join(f"{one.name} in {one.on}" if one.on else one.name for one in self.effects)
-        before, after = self.gap.validation
+        before, after = self.simulation_error.validation
         errors = ", ".join(f"{name} {before[name]:.2g} to {after[name]:.2g}" for name in after)
         return f"<Discovery: {self.verdict}{f', {causes}' if causes else ''}; error on unseen data: {errors}>"
 
@@ -127,19 +127,19 @@ class Discovery:
         return self.evidence.record
 
     @property
-    def judge(self) -> Data:
+    def validation_record(self) -> Data:
         """Return the record that it was judged by."""
-        return self.judged.record
+        return self.validation.record
 
     @property
     def deviations(self) -> Array:
         """Return the standard deviations of the rig's parameters and of those of the effects (k + f,)."""
-        return self.explanation.deviations(self.temperature)
+        return self.explanation.deviations(self.tempering)
 
     @cached_property
     def whiteness(self) -> dict[str, Whiteness]:
         """Return how white what is left of each sensor is, on the record that judges."""
-        return whiteness_of(self.judged, self.after.residuals)
+        return whiteness_of(self.validation, self.after.residuals)
 
     @cached_property
     def smoothed(self) -> Smoothed:
@@ -147,23 +147,25 @@ class Discovery:
         return smoothed(self)
 
     @cached_property
-    def where(self) -> Where:
+    def localisation(self) -> Localisation:
         """Return where the model error is: its coordinates, places, displacements, rates, times and sides."""
-        before, after = whiteness_of(self.judged, self.adjusted.residuals), self.whiteness
+        before, after = whiteness_of(self.validation, self.adjusted.residuals), self.whiteness
         pairs = {name: (before[name], after[name] if self.effects else None) for name in self.twin.sensors}
-        return where(self, pairs)
+        return localise(self, pairs)
 
     @property
-    def within(self) -> bool:
+    def is_at_noise_floor(self) -> bool:
         """Return whether what was found leaves no more than the noise of any sensor, on the record that judges."""
-        return self.gap.is_noise(len(self.judge), self.evidence.rules)
+        return self.simulation_error.is_noise(len(self.validation_record), self.evidence.rules)
 
     @property
     def is_hidden(self) -> bool:
         """Return whether something is missing that shows in the record that judges alone."""
-        after, floor = self.gap.train[1].values(), self.gap.floor.values()
+        after, floor = self.simulation_error.estimation[1].values(), self.simulation_error.noise_floor.values()
         is_seen = not at_noise_floor(after, floor, len(self.record), self.evidence.rules)
-        return self.verdict == "unknown" and self.explanation.kind == "none" and not is_seen and not self.within
+        return (
+            self.verdict == "unknown" and self.explanation.kind == "none" and not is_seen and not self.is_at_noise_floor
+        )
 
     @cached_property
     def closed(self) -> bool:
@@ -174,8 +176,8 @@ class Discovery:
         fitted = self.explanation.hypothesis
         seen = [*self.whiteness.values(), *whiteness_of(self.evidence, fitted.residuals).values()]
         states = max(fitted.start.size, self.after.start.size)
-        estimated, white = states / self.judge.readings.size, (one.white for one in seen)
-        return is_closed(at_noise=self.within, white=white, estimated=estimated, rules=self.evidence.rules)
+        estimated, white = states / self.validation_record.readings.size, (one.white for one in seen)
+        return is_closed(at_noise=self.is_at_noise_floor, white=white, estimated=estimated, rules=self.evidence.rules)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the discovery as JSON can hold it."""
@@ -183,10 +185,10 @@ class Discovery:
             "verdict": self.verdict,
             "closed": self.closed,
             "effects": [effect.as_dict() for effect in self.effects],
-            "gap": self.gap.as_dict(),
-            "rest": self.rest,
+            "simulation_error": self.simulation_error.as_dict(),
+            "unexplained_fraction": self.unexplained,
             "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
-            "as_measured": self.as_measured,
+            "first_order_hold": self.first_order_hold,
         }
 
 

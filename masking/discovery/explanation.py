@@ -26,14 +26,14 @@ class Explanation:
         names: (parameter, '') or (effect, place) of each.
         hypothesis: fitted.
         own: least part of an effect that parameters could not have.
-        judged: the hypothesis fitted to this and another record, where it has been judged by one.
+        joint: the hypothesis fitted to this and another record, where it has been judged by one.
     """
 
     kind: Kind
     names: tuple[Key, ...]
     hypothesis: Hypothesis
     own: float = 1.0
-    judged: Hypothesis | None = None
+    joint: Hypothesis | None = None
 
     @property
     def cost(self) -> float:
@@ -47,17 +47,17 @@ class Explanation:
         index = evidence.rig.names.index(self.names[0][0])
         return replace(evidence, belief=evidence.belief.freed(index, evidence.rules.freed_factor))
 
-    def score(self, temperature: float) -> float:
-        """Return its cost, divided by a temperature, with what its parameters pay."""
-        told = self.judged or self.hypothesis
-        return told.cost / temperature + occam(told, temperature)
+    def score(self, tempering: float) -> float:
+        """Return its cost, divided by a tempering, with what its parameters pay."""
+        told = self.joint or self.hypothesis
+        return told.cost / tempering + occam(told, tempering)
 
-    def deviations(self, temperature: float) -> Array:
+    def deviations(self, tempering: float) -> Array:
         """Return the standard deviations of its parameters (k + f,), larger where more than white noise is left."""
-        return np.asarray(np.sqrt(temperature) * self.hypothesis.deviations)
+        return np.asarray(np.sqrt(tempering) * self.hypothesis.deviations)
 
 
-def occam(hypothesis: Hypothesis, temperature: float = 1.0) -> float:
+def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
     """Return what the parameters of effects must pay: how much narrower they become than they could have been.
 
     Before the record, each factor of an effect could have been as large as makes it as strong as the strongest of them,
@@ -84,7 +84,7 @@ def occam(hypothesis: Hypothesis, temperature: float = 1.0) -> float:
         if own:
             alone = np.sqrt(np.maximum(np.diag(information)[own], 1e-300))
             widths[own] = np.maximum(widths[own], strength[own].max() / alone)
-    told = np.linalg.eigvalsh(information * np.outer(widths, widths)) / temperature
+    told = np.linalg.eigvalsh(information * np.outer(widths, widths)) / tempering
     return float(np.log1p(np.maximum(told, 0.0)).sum())
 
 

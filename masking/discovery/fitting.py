@@ -1,7 +1,7 @@
 """Fitting: the rig with effects at some places, brought as near to its records as its parameters let it.
 
-The parameters of the rig are held near their declared values by how far these may be off; the initial state of each
-window of the record is estimated. Source: as `masking.estimation.fit`, with a normal prior.
+The parameters of the rig have a normal prior around their declared values; the initial state of each shooting interval
+is estimated. Source: as `masking.estimation.least_squares`.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from masking.numerics.arrays import Array
 
 MOST_ROUNDS = 40
 DAMPING = Damping(1e-6, least=1e-9, most=1e8)
-HOPE, SLOW = 0.03, 6  # a fit ends that comes nearer to a better one by no more than this part so many times
-CONVERGED = 0.02  # of the cost, divided by the temperature, that a step may still take off
+HOPE, SLOW = 0.03, 6  # a fit ends that comes nearer to a better one by no more than this fraction, this often in a row
+CONVERGED = 0.02  # of the tempering factor: a smaller reduction of the cost ends a fit
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Hypothesis:
         slots: the effects with fitted values.
         theta: parameters of the rig (k,).
         start: initial state of each window (windows, states).
-        cost: -2 log likelihood and belief, up to a constant: squared residuals over their variance.
+        cost: -2 log likelihood and prior, up to a constant: squared residuals over their variance.
         squares: of each sensor (sensors,).
         covariance: of rig's parameters and free parameters of the effects (k + f, k + f).
         residuals: of each sample (m, sensors).
@@ -81,11 +81,11 @@ def fit(
     Args:
         evidence: the record and the rig.
         slots: effects with values to begin from.
-        theta: parameters to begin from; those believed where none are given.
-        start: initial states to begin from (windows, states); from the first readings where none are given.
+        theta: parameters to begin from; the prior's means if none are given.
+        start: initial states to begin from (windows, states); from the first readings if none are given.
         rounds: most rounds.
         frozen: whether only the initial state is estimated.
-        rival: cost of another hypothesis; where this one does not come near it any more, it is left as it is.
+        rival: cost of another hypothesis; a fit that no longer comes near it is abandoned.
 
     Raises:
         IntegrationError: the motion is not finite from where it begins.
@@ -115,12 +115,12 @@ def together(evidence: Evidence, other: Evidence, known: Hypothesis, rival: floa
 
 
 def judged(evidence: Evidence, hypothesis: Hypothesis) -> Hypothesis:
-    """Return a hypothesis on a record that judges: only its initial state is estimated."""
+    """Return a hypothesis on a validation record: only its initial state is estimated."""
     return fit(evidence, hypothesis.slots, theta=hypothesis.theta, frozen=True)
 
 
 def cost(evidence: Evidence, slots: Sequence[Slot], theta: Array, start: Array) -> float:
-    """Return the cost of a hypothesis that is not fitted; infinite where its motion is not finite."""
+    """Return the cost of a hypothesis that is not fitted; infinite if its motion is not finite."""
     problem = _Problem(evidence, tuple(slots), start)
     try:
         return problem.linearised(problem.unknowns(theta)).cost
@@ -203,7 +203,7 @@ class _Problem:
             return slow == SLOW
 
         def tolerance(at: Linearised[Dense, Equations]) -> float:
-            return CONVERGED * self.evidence.temperature(self.evidence.record.readings - at.found.simulated)
+            return CONVERGED * self.evidence.tempering(self.evidence.record.readings - at.found.simulated)
 
         belief, effects = self.evidence.belief, bounds(self.slots)
         low, high = np.concatenate([belief.low, effects.low]), np.concatenate([belief.high, effects.high])

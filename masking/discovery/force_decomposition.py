@@ -1,4 +1,4 @@
-"""Portrait: what a force looks like along a motion.
+"""ForceDecomposition: what a force looks like along a motion.
 
 Which parts of its energy follow the displacement alone, the rate alone, both together, and neither; how alike it is in
 the two directions; what it takes out of the motion; and where in the travel, in speed and in time it sits. Energy is
@@ -68,7 +68,7 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class Portrait:
+class ForceDecomposition:
     """What a force looks like.
 
     Args:
@@ -105,7 +105,9 @@ class Portrait:
         }
 
 
-def portrait(x: Array, rate: Array, force: Array, deviation: float = 0.0, cycle: int | None = None) -> Portrait:
+def decompose(
+    x: Array, rate: Array, force: Array, deviation: float = 0.0, cycle: int | None = None
+) -> ForceDecomposition:
     """Return what a force looks like along a motion.
 
     Args:
@@ -123,7 +125,7 @@ def portrait(x: Array, rate: Array, force: Array, deviation: float = 0.0, cycle:
     parts = _parts(x, rate, force, square - deviation**2, stretches) if is_seen else None
     regions = _regions(x, rate, force**2 - deviation**2) if is_seen else {}
     size, mean = float(np.sqrt(square)), float(force.mean())
-    return Portrait(size, mean, deviation, loss, loss / most if most else 0.0, parts, regions)
+    return ForceDecomposition(size, mean, deviation, loss, loss / most if most else 0.0, parts, regions)
 
 
 def followed(x: Array, force: Array, cycle: int | None = None) -> float:

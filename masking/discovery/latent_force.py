@@ -23,7 +23,7 @@ from masking.discovery.augmented_model import OpenRig, Slot
 from masking.discovery.explanation import Explanation
 from masking.discovery.places import is_of_one
 from masking.discovery.problem import Evidence
-from masking.discovery.search import Found
+from masking.discovery.search import SearchResult
 from masking.discovery.smoothing import Motion, smooth
 from masking.discovery.verdict import Verdict
 from masking.errors import IntegrationError
@@ -36,7 +36,7 @@ FEWEST = 30  # samples of a bin
 
 
 @dataclass(frozen=True)
-class Lack:
+class LatentForce:
     """What is lacking at a place along the record.
 
     Args:
@@ -75,12 +75,12 @@ class Smoothed:
     Args:
         before: the motion with the forces that are lacking without causes.
         after: with the causes taken out of the readings; None where none is known or it cannot be told.
-        gap: readings less what is simulated without causes (m, sensors).
+        error: readings less the simulation without causes (m, sensors).
     """
 
     before: Motion
     after: Motion | None
-    gap: Array
+    error: Array
 
 
 class Explained(Protocol):
@@ -111,7 +111,7 @@ class Explained(Protocol):
         """Return the explanation that was chosen."""
 
     @property
-    def found(self) -> Found:
+    def search(self) -> SearchResult:
         """Return the result of the search."""
 
     @property
@@ -119,7 +119,7 @@ class Explained(Protocol):
         """Return the latent forces along the record."""
 
 
-def lack(found: Explained, most: str) -> Lack:
+def lack(found: Explained, most: str) -> LatentForce:
     """Return what is lacking at the place of the last cause.
 
     Args:
@@ -147,12 +147,12 @@ def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Arra
 def energies(found: Explained) -> dict[str, float]:
     """Return the share of each sensor in what is beyond noise in the record, by name."""
     m, sigma = len(found.record), found.evidence.sigma
-    beyond = np.maximum(found.found.base.hypothesis.squares / sigma**2 - m, 0.0)
+    beyond = np.maximum(found.search.base.hypothesis.squares / sigma**2 - m, 0.0)
     whole = float(beyond.sum()) or 1.0
     return dict(zip(found.twin.sensors, (float(part / whole) for part in beyond), strict=True))
 
 
-def _force(found: Explained, where: str, name: str) -> Lack:
+def _force(found: Explained, where: str, name: str) -> LatentForce:
     rig, seen, known = found.rig, found.smoothed, (True, True)
     motion, left = seen.before, seen.after
     if where == "actuator":
@@ -172,17 +172,17 @@ def _force(found: Explained, where: str, name: str) -> Lack:
     by = directions(found, column)
     before, deviation = projected(motion, by)
     after, afterwards = (None, deviation) if left is None else projected(left, by)
-    return Lack(name, where, x, rate, before, after, (deviation, afterwards), units, known)
+    return LatentForce(name, where, x, rate, before, after, (deviation, afterwards), units, known)
 
 
-def _sensor(found: Explained, name: str) -> Lack:
-    at, base, after = found.twin.sensors.index(name), found.found.base.hypothesis, found.explanation.hypothesis
+def _sensor(found: Explained, name: str) -> LatentForce:
+    at, base, after = found.twin.sensors.index(name), found.search.base.hypothesis, found.explanation.hypothesis
     x = (found.record.readings - after.residuals)[:, at]
     rate = np.gradient(x) * found.record.rate
     unit, sigma = found.twin.declaration.sensors[name].unit, float(found.evidence.sigma[at])
     units = unit, unit, _per_second(unit)
     before, left = base.residuals[:, at], after.residuals[:, at]
-    return Lack(name, "sensor", x, rate, before, left, (sigma, sigma), units)
+    return LatentForce(name, "sensor", x, rate, before, left, (sigma, sigma), units)
 
 
 def along(found: Explained, slot: Slot, x: Array, rate: Array) -> Array:
@@ -195,9 +195,9 @@ def along(found: Explained, slot: Slot, x: Array, rate: Array) -> Array:
 
 def smoothed(found: Explained) -> Smoothed:
     """Return what the model lacks along the record, with the parameters found, before and after the causes."""
-    chosen, base = found.explanation.hypothesis, found.found.base.hypothesis
+    chosen, base = found.explanation.hypothesis, found.search.base.hypothesis
     if chosen is base:
-        return Smoothed(found.found.motion, None, base.residuals)
+        return Smoothed(found.search.motion, None, base.residuals)
     record, evidence = found.record, found.evidence
     try:
         if evidence.horizon:  # readings without causes would jump from window to window
@@ -207,7 +207,7 @@ def smoothed(found: Explained) -> Smoothed:
         cleaned = replace(record, readings=np.ascontiguousarray(chosen.residuals + without))
         before, after = (smooth(replace(evidence, record=r), chosen.theta, chosen.start) for r in (record, cleaned))
     except IntegrationError:
-        return Smoothed(found.found.motion, None, base.residuals)
+        return Smoothed(found.search.motion, None, base.residuals)
     return Smoothed(before, after, record.readings - without)
 
 

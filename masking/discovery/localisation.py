@@ -1,9 +1,9 @@
-"""Where: in which coordinate and place, at which displacement, speed and time, and on which side of the rig it lacks.
+"""Localisation of the model error: coordinate, element, displacement, speed and time, and the side of the rig.
 
-The forces that the model lacks are those that a Kalman smoother finds along the record, before and after the causes.
-Forces of different coordinates are compared in units of their deviations. A gap on the side of the actuators shows as a
-force that follows a command, one on the side of the sensors as a residual that follows the reading itself.
-Source: see `smoothing`, `portrait`, `harmonics` and `masking.estimation.whiteness`.
+The latent forces are those that a Kalman smoother finds along the record, with the causes left out and with them.
+Forces of different coordinates are compared in units of their deviations. An error on the side of the actuators shows
+as a force that follows a command, one on the side of the sensors as a residual that follows the reading itself.
+Source: see `smoothing`, `force_decomposition`, `harmonics` and `masking.estimation.whiteness`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from masking.discovery import latent_force
-from masking.discovery.force_decomposition import SEEN, Portrait, followed, portrait
+from masking.discovery.force_decomposition import SEEN, ForceDecomposition, decompose, followed
 from masking.discovery.harmonics import Harmonics, Periods
 from masking.discovery.latent_force import Explained
 from masking.discovery.smoothing import Motion
@@ -26,47 +26,47 @@ BEYOND = 1.05  # of the noise's variance, from which a residual is looked at
 
 
 @dataclass(frozen=True)
-class Place:
+class LocatedForce:
     """What is lacking at a place.
 
     Args:
         name: of the place.
         share: of all that is lacking, what a force at this place alone would make.
-        portrait: of that force, in the place's units.
+        decomposition: of that force, in the place's units.
         harmonics: of it; None where the commands are not periodic, or nothing is lacking.
         units: of force, displacement and rate.
     """
 
     name: str
     share: float
-    portrait: Portrait
+    decomposition: ForceDecomposition
     harmonics: Harmonics | None
     units: tuple[str, str, str]
 
     @property
     def explained(self) -> float:
         """Return the share of all that is lacking that follows displacement and rate of this place."""
-        parts = self.portrait.parts
+        parts = self.decomposition.parts
         return 0.0 if parts is None else self.share * (1.0 - parts.neither)
 
     @property
-    def strength(self) -> float:
+    def signal_to_noise(self) -> float:
         """Return the root mean square of the force, in its deviations."""
-        return self.portrait.size / max(self.portrait.deviation, 1e-300)
+        return self.decomposition.size / max(self.decomposition.deviation, 1e-300)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the place as JSON can hold it."""
         return {
             "share": self.share,
             "explained": self.explained,
-            **self.portrait.as_dict(),
+            **self.decomposition.as_dict(),
             "harmonics": self.harmonics and self.harmonics.as_dict(),
             "units": dict(zip(("force", "displacement", "rate"), self.units, strict=True)),
         }
 
 
 @dataclass(frozen=True)
-class Lacking:
+class LatentForces:
     """What is lacking along the record, and where.
 
     Args:
@@ -78,14 +78,14 @@ class Lacking:
     """
 
     coordinates: Mapping[str, float]
-    places: tuple[Place, ...]
+    places: tuple[LocatedForce, ...]
     actuators: Mapping[str, float]
     sensors: Mapping[str, float]
 
     @property
-    def best(self) -> Place:
+    def best(self) -> LocatedForce:
         """Return the place whose displacement and rate explain most of what is lacking, or where most of it is."""
-        return max(self.places, key=lambda place: (round(place.explained, 2), place.share, place.strength))
+        return max(self.places, key=lambda place: (round(place.explained, 2), place.share, place.signal_to_noise))
 
     def as_dict(self) -> dict[str, Any]:
         """Return what is lacking as JSON can hold it."""
@@ -98,25 +98,25 @@ class Lacking:
 
 
 @dataclass(frozen=True)
-class Where:
+class Localisation:
     """Where a model lacks something.
 
     Args:
-        lacking: with the parameters that were found beside the causes, but without these.
-        left: with the causes; None where none is known.
+        latent: with the parameters that were found beside the causes, but without these.
+        residual: with the causes; None where none is known.
         whiteness: of the residuals of each sensor on the record that judges: with parameters adjusted alone, and with
             the causes, which is None where none is known.
     """
 
-    lacking: Lacking
-    left: Lacking | None
+    latent: LatentForces
+    residual: LatentForces | None
     whiteness: Mapping[str, tuple[Whiteness, Whiteness | None]]
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON can hold it."""
         return {
-            "lacking": self.lacking.as_dict(),
-            "left": self.left and self.left.as_dict(),
+            "latent_force": self.latent.as_dict(),
+            "residual_force": self.residual and self.residual.as_dict(),
             "whiteness": {
                 name: {"before": before.as_dict(), "after": after and after.as_dict()}
                 for name, (before, after) in self.whiteness.items()
@@ -124,7 +124,7 @@ class Where:
         }
 
 
-def where(found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whiteness | None]]) -> Where:
+def localise(found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whiteness | None]]) -> Localisation:
     """Localise the model error of a record.
 
     Args:
@@ -132,14 +132,14 @@ def where(found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whiteness |
         whiteness: of the validation residual of each sensor, before and after.
     """
     seen, periods = found.smoothed, Periods.of(found.record.commands, found.record.rate)
-    lacking = _lacking(found, seen.before, seen.gap, periods)
+    lacking = _latent_forces(found, seen.before, seen.error, periods)
     residuals = found.explanation.hypothesis.residuals
-    left = None if seen.after is None else _lacking(found, seen.after, residuals, periods)
-    return Where(lacking, left, whiteness)
+    left = None if seen.after is None else _latent_forces(found, seen.after, residuals, periods)
+    return Localisation(lacking, left, whiteness)
 
 
-def _lacking(found: Explained, motion: Motion, gap: Array, periods: Periods | None) -> Lacking:
-    """Return what is lacking along a motion whose readings differ by a gap (m, sensors) from what is simulated."""
+def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Periods | None) -> LatentForces:
+    """Return what is lacking along a motion whose readings differ by an error (m, sensors) from the simulation."""
     rig, cycle = found.rig, None if periods is None else periods.length
     ratios = (motion.forces**2).mean(axis=0) / np.maximum(motion.deviation, 1e-300) ** 2
     energies = np.where(ratios > SEEN, ratios - 1.0, 0.0)
@@ -151,10 +151,10 @@ def _lacking(found: Explained, motion: Motion, gap: Array, periods: Periods | No
     at = [latent_force.projected(motion, latent_force.directions(found, column)) for column in rig.columns[1]]
     places = []
     for place, x, rate, (force, deviation) in zip(rig.places, motion.displacement.T, motion.rate.T, at, strict=True):
-        drawn = portrait(x, rate, force, deviation, cycle)
+        drawn = decompose(x, rate, force, deviation, cycle)
         harmonics = None if periods is None or drawn.parts is None else periods.harmonics(force)
         units = latent_force.element_units(found, place.name)
-        places.append(Place(place.name, share(force, deviation), drawn, harmonics, units))
+        places.append(LocatedForce(place.name, share(force, deviation), drawn, harmonics, units))
     actuators = {}
     for name, command, column in zip(found.twin.actuators, found.record.acting.T, rig.columns[2], strict=True):
         force, deviation = latent_force.projected(motion, latent_force.directions(found, column))
@@ -163,10 +163,10 @@ def _lacking(found: Explained, motion: Motion, gap: Array, periods: Periods | No
         actuators[name] = share(force, deviation) * part
     sensors = {}
     for name, reading, rest, sigma in zip(
-        found.twin.sensors, (found.record.readings - gap).T, gap.T, found.evidence.sigma, strict=True
+        found.twin.sensors, (found.record.readings - error).T, error.T, found.evidence.sigma, strict=True
     ):
         square = float((rest**2).mean())
         is_seen = square > BEYOND * sigma**2
         sensors[name] = min(followed(reading, rest, cycle) / (square - float(sigma) ** 2), 1.0) if is_seen else 0.0
     shares = (float(energy / whole) if whole else 0.0 for energy in energies)
-    return Lacking(dict(zip(rig.degrees, shares, strict=True)), tuple(places), actuators, sensors)
+    return LatentForces(dict(zip(rig.degrees, shares, strict=True)), tuple(places), actuators, sensors)

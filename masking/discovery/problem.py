@@ -105,7 +105,7 @@ class Evidence:
         matrix += np.tril(matrix, -1).T
         return Equations(matrix, gradient, squares, simulated)
 
-    def temperature(self, residuals: Array) -> float:
+    def tempering(self, residuals: Array) -> float:
         """Return by how much more is left than white noise, and how much more slowly it changes; at least 1.
 
         Costs are divided by it: what is left is so many times the noise, or so many readings tell the same.

@@ -38,7 +38,7 @@ LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """What a search found: the steps that were taken, and the explanations of the last, best first.
 
     Args:
@@ -108,7 +108,7 @@ class Search:
         """Return what each added parameter must pay."""
         return float(np.log(self.size))
 
-    def run(self) -> Found:
+    def run(self) -> SearchResult:
         """Search for causes, one after the other, until nothing pays."""
         self.tell("fitting the model as it is", 0.0)
         plain = fitting.fit(self.evidence)
@@ -156,7 +156,7 @@ class Search:
         if len(now.names) > 1 and now is steps[-1][0] and now is not settled:
             settled = self._settled(now, ground)
             steps[-1] = steps[-1] if settled is now else (settled,)
-        return Found(base, tuple(steps), motion, tried)
+        return SearchResult(base, tuple(steps), motion, tried)
 
     def _round(
         self, now: Explanation, promises: Sequence[Promise], screen: Screen, *, parameters: bool
@@ -200,21 +200,21 @@ class Search:
         again = [partial(self._added, now, promise, screen) for promise in variants if promise.candidate.key in near]
         found += [e for e in self._tried(again, rival) if e is not None]
         found += self._simpler(found)
-        heat = self.evidence.temperature(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
+        tempering = self.evidence.tempering(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
         merged: dict[tuple[tuple[str, str], ...], Explanation] = {}
-        for explanation in sorted(found, key=lambda e: e.score(heat)):
+        for explanation in sorted(found, key=lambda e: e.score(tempering)):
             merged.setdefault(tuple(sorted(explanation.names)), explanation)
         every = merged.values()
 
         def is_redundant(e: Explanation) -> bool:
-            return verdict.is_redundant(e, every, self._nested_in(e.names[-1]), now.cost, rules, tempering=heat)
+            return verdict.is_redundant(e, every, self._nested_in(e.names[-1]), now.cost, rules, tempering=tempering)
 
         telling = [e for e in every if not is_redundant(e)]
         # Of what is the same, a parameter of the rig comes first.
         bonus = rules.parameter_preference * self.price
-        ranked = sorted(telling, key=lambda e: e.score(heat) - bonus * (e.kind == "parameter"))
+        ranked = sorted(telling, key=lambda e: e.score(tempering) - bonus * (e.kind == "parameter"))
         least = rules.parameter_evidence if ranked[0].kind == "parameter" else rules.effect_evidence
-        if now.score(heat) - ranked[0].score(heat) < least:
+        if now.score(tempering) - ranked[0].score(tempering) < least:
             return []
         return verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules)
 
@@ -283,8 +283,8 @@ class Search:
                 e for e in self._tried(jobs, best.hypothesis.cost) if e and self._is_better(ground.base, e, best, i)
             ]
             if others:
-                heat = self.evidence.temperature(min(others, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
-                best = min(others, key=lambda e: e.score(heat))
+                tempering = self.evidence.tempering(min(others, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
+                best = min(others, key=lambda e: e.score(tempering))
                 return self._swapped(best, ground) if i + 1 < len(best.names) - 1 else best
         return best
 
@@ -299,17 +299,17 @@ class Search:
         richer = best.names[i][0] in self.nested[other.names[0][0]]
         if richer and self._is_too_little(base, best, other):
             return False
-        heat = self.evidence.temperature(other.hypothesis.residuals)
-        return other.score(heat) < best.score(heat) - self.rules.indifferent
+        tempering = self.evidence.tempering(other.hypothesis.residuals)
+        return other.score(tempering) < best.score(tempering) - self.rules.indifferent
 
     def _reduced(self, best: Explanation) -> Explanation:
         """Leave out each cause in turn: where the rest is as good without it, it goes."""
         if len(best.names) < 2:
             return best
-        heat = self.evidence.temperature(best.hypothesis.residuals)
+        tempering = self.evidence.tempering(best.hypothesis.residuals)
         jobs = [partial(self._less, best, i) for i in reversed(range(len(best.names)))]
         for fewer in self._tried(jobs, best.hypothesis.cost):
-            if fewer and fewer.score(heat) < best.score(heat) + self.rules.effect_evidence:
+            if fewer and fewer.score(tempering) < best.score(tempering) + self.rules.effect_evidence:
                 return self._reduced(fewer)
         return best
 

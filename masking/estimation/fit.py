@@ -1,21 +1,20 @@
 """Fit: parameters of a twin that reproduce its records best, with how well they are known.
 
-Sensors are simulated over each record and compared with what they read: output error, by the Levenberg-Marquardt method
-with derivatives from the equations. The initial state of each record is estimated too. Cut into windows, each with an
-initial state of its own, a record is fitted even where the simulation of the whole would leave it.
-Source: Ljung, System Identification (1999), chapters 7 to 10; Nocedal and Wright (2006), section 10.3.
+Simulated readings are compared with measured ones (output error) by the Levenberg-Marquardt method, with derivatives
+from the equations; the initial state of each record is estimated too. Multiple shooting, with an initial state for each
+interval, fits a record that a simulation of the whole would diverge from.
+Source: Ljung, System Identification (1999), chapters 7 to 10; Bock (1981) for multiple shooting.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from masking.errors import RecordError
-from masking.estimation import estimates
 from masking.estimation.data import Data
 from masking.estimation.least_squares import Arrow, Box, Damping, Linearised, minimise
 from masking.estimation.sensitivity import Sensitivity
@@ -25,15 +24,44 @@ from masking.rig.twin import Twin
 
 Progress = Callable[[float], None]
 
+Z_975 = 1.959963984540054  # quantile of the normal distribution
 MOST_ROUNDS = 60
 DAMPING = Damping(1e-3, least=1e-12, most=1e12)
-CONVERGED = 1e-9  # part of the cost that a step may still take off
-REWEIGHTED = 3  # rounds in which the noise of each sensor is found from what is left
+CONVERGED = 1e-9  # fraction of the cost: a smaller reduction ends the fit
+REWEIGHTED = 3  # rounds in which the noise of each sensor is estimated from the residuals
 FLAT = 1e-7  # eigenvalue of the scaled information below which the record does not determine a direction
 INDEPENDENT = 1e-6  # part of its information that a parameter has for itself, to be fitted beside others
 CLOSE = 0.999  # correlation from which two parameters are hardly distinguished
 COARSE = 30.0  # s of the first record that the fit of a longer one begins with
 FEWEST = 5  # samples of each sensor for each unknown
+
+
+class Estimate(Protocol):
+    """Parameters found by any method."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the parameters."""
+
+    @property
+    def values(self) -> Array:
+        """Return the values (k,)."""
+
+    @property
+    def std(self) -> Array:
+        """Return the standard deviations (k,)."""
+
+    @property
+    def chi(self) -> dict[str, float]:
+        """Return the relative error by sensor."""
+
+    @property
+    def validation(self) -> dict[str, float]:
+        """Return the relative error by sensor on validation records."""
+
+    @property
+    def floor(self) -> dict[str, float]:
+        """Return the relative error that the noise alone makes, by sensor."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +73,10 @@ class Fit:
         names: of the parameters.
         values: in the units in which they are declared (k,).
         covariance: of the values (k, k).
-        sigma: standard deviation of what is left in each reading (sensors,).
+        sigma: standard deviation of the residual of each sensor (sensors,).
         chi: relative error of each sensor in the records together, by name.
         floor: chi that the noise of the record alone makes, by name.
-        validation: chi in records that were not fitted, by name; empty where there are none.
+        validation: chi in records that were not fitted, by name; empty if there are none.
         rounds: of the method.
         notes: what must be known to trust the values.
     """
@@ -73,7 +101,7 @@ class Fit:
     @property
     def intervals(self) -> Array:
         """Return the 95 % confidence intervals (k, 2)."""
-        half = estimates.Z_975 * self.std
+        half = Z_975 * self.std
         found: Array = np.array([self.values - half, self.values + half]).T
         return found
 
@@ -87,14 +115,14 @@ class Fit:
     def as_dict(self) -> dict[str, Any]:
         """Return the fit as JSON can hold it."""
         return {
-            "parameters": estimates.parameters(self),
+            "parameters": parameters(self),
             "chi": {"train": self.chi, "validation": self.validation},
             "floor": self.floor,
             "notes": list(self.notes),
         }
 
     def __str__(self) -> str:
-        return "\n".join([*estimates.lines(self), *self.notes])
+        return "\n".join([*lines(self), *self.notes])
 
 
 def fit(
@@ -114,13 +142,14 @@ def fit(
         records: one or several.
         names: of the parameters, as `Twin.parameter_names` has them.
         validation: records that the fit is validated on.
-        shooting_interval: seconds of the windows into which records are cut at first; none by default.
+        shooting_interval: length of the intervals of multiple shooting with which the fit starts, s; by default
+            records are simulated whole.
         shared: parameters of other fits of the same twin, with which this one shares its compiled functions.
         progress: called with the part done.
 
     Raises:
         ModelError: a parameter is not known or named twice.
-        RecordError: the records are too short for so many parameters.
+        RecordError: the records are too short for the number of parameters.
         IntegrationError: the motion is not finite with the values to begin from; a shorter shooting interval may help.
     """
     records, unseen = _several(records), _several(validation)
@@ -151,7 +180,7 @@ def fit(
 
 
 def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ...]:
-    """Return parameters that together tell all that the named ones do, with the values that the twin has.
+    """Return those of some parameters that a record determines independently, at the values that the twin has.
 
     Later names are taken first: what a model adds is declared after what it extends.
 
@@ -179,7 +208,7 @@ def _several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
 
 
 def part_of(tell: Progress, number: int, count: int) -> Progress:
-    """Return what tells of the part done of one of several."""
+    """Return the progress of one of several parts as that of all of them."""
     return lambda part: tell((number + part) / count)
 
 
@@ -277,6 +306,29 @@ def _flat(names: tuple[str, ...], direction: Array) -> str:
     """Say which parameters a flat direction makes up."""
     strong = [name for name, part in zip(names, direction, strict=True) if abs(part) > 0.1 * np.abs(direction).max()]
     if len(strong) == 1:
-        return f"these records do not tell {strong[0]}; excite what it belongs to, or leave it out"
+        return f"these records do not determine {strong[0]}; excite what it belongs to, or leave it out"
     listed = f"{', '.join(strong[:-1])} and {strong[-1]}"
     return f"{listed} cannot be distinguished from these records; fix one of them, or give records that excite each"
+
+
+def parameters(found: Estimate) -> dict[str, Any]:
+    """Return values and deviations as JSON can hold them."""
+    pairs = zip(found.names, found.values, found.std, strict=True)
+    return {name: {"value": float(value), "std": float(std)} for name, value, std in pairs}
+
+
+def lines(found: Estimate) -> list[str]:
+    """Return a line for each parameter, with half its 95 % interval, and one for the errors."""
+    width = max(map(len, found.names), default=0)
+    rows = [
+        f"  {name:{width}}  {value:<12.6g} +- {Z_975 * std:.2g}"
+        for name, value, std in zip(found.names, found.values, found.std, strict=True)
+    ]
+    text = [f"chi {_each(found.chi)}"]
+    if found.validation:
+        text.append(f"on unseen data {_each(found.validation)}")
+    return [*rows, "; ".join([*text, f"the noise alone {_each(found.floor)}"])]
+
+
+def _each(errors: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.3g}" for name, value in errors.items())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import numpy as np
 
-from masking.estimation import estimates
+from masking.estimation import fit
 from masking.estimation.whiteness import ljung_box
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
@@ -102,7 +102,7 @@ class KalmanFit:
         mean, low, high = self.consistency
         train = {name: value if np.isfinite(value) else None for name, value in self.chi.items()}
         return {
-            "parameters": estimates.parameters(self),
+            "parameters": fit.parameters(self),
             "chi": {"train": train, "validation": self.validation},
             "floor": self.floor,
             "nis": {"mean": mean, "low": low, "high": high},
@@ -113,4 +113,4 @@ class KalmanFit:
     def __str__(self) -> str:
         mean, low, high = self.consistency
         text = f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}"
-        return "\n".join([*estimates.lines(self), text, *self.notes])
+        return "\n".join([*fit.lines(self), text, *self.notes])

@@ -47,7 +47,7 @@ def write(found: Calibration) -> tuple[Path, ...]:
     """
     figures = calibration_figures.figures(found)
     images = html.images(figures, found.folder)
-    rows, strays, notes = _parameters(found), _strays(found), [*found.best.fit.notes, *_pairs(found)]
+    rows, differing, notes = _parameters(found), _differing(found), [*found.best.fit.notes, *_pairs(found)]
     page = html.render(
         "calibration",
         names={*found.twin.sensors, *found.twin.actuators, *found.best.fit.names, *found.twin.model.coordinates},
@@ -63,7 +63,7 @@ def write(found: Calibration) -> tuple[Path, ...]:
         excited=_excited(found),
         reached=_reached(found),
         parameters=rows,
-        strays=strays,
+        differing=differing,
         far=f"{_FAR:g}",
         has_marks=any(row[3].endswith("*") for row in rows),
         lumped=_lumped(found),
@@ -154,7 +154,7 @@ def _parameters(found: Calibration) -> list[list[str]]:
     return rows
 
 
-def _strays(found: Calibration) -> int:
+def _differing(found: Calibration) -> int:
     """Return how many values differ notably from the plant file's."""
     fit = found.best.fit
     before = np.array([_declared(found, name) for name in fit.names])

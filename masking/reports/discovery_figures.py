@@ -65,11 +65,14 @@ def _gap(found: Discovery) -> CaptionedFigure:
     names = found.twin.sensors
     said = capital(discovery_text.left(found)) if found.verdict == "none" else discovery_text.gap(found)
     figure, (row,) = panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), top(said) + 0.28)
-    gap = found.gap
+    gap = found.simulation_error
     own = own_gap(found)
     sides = (
-        ((gap.train[0], own, gap.train[1], gap.floor), "record"),
-        ((gap.validation[0], found.gap.adjusted, gap.validation[1], gap.validation_floor), "validation record"),
+        ((gap.estimation[0], own, gap.estimation[1], gap.noise_floor), "record"),
+        (
+            (gap.validation[0], found.simulation_error.adjusted, gap.validation[1], gap.validation_noise_floor),
+            "validation record",
+        ),
     )
     every = [v for parts, _ in sides for part in parts for v in part.values() if 0.0 < v < np.inf]
     low, high = 100.0 * min(every) / 1.6, 100.0 * max(every) * 1.6
@@ -107,7 +110,7 @@ def _gap(found: Discovery) -> CaptionedFigure:
     return CaptionedFigure("gap", "Simulation error", caption, figure)
 
 
-def _course(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
+def _course(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigure:
     """Draw the latent force over a command, time and frequency, before and after."""
     what = MISSING[lacking.where]
     seen = discovery_text.subject(found)
@@ -161,16 +164,16 @@ def _course(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
     return CaptionedFigure("course", f"{capital(what)} over command, time and frequency", caption, figure)
 
 
-def _coursed(found: Discovery, lacking: latent_force.Lack, command: str) -> str:
+def _coursed(found: Discovery, lacking: latent_force.LatentForce, command: str) -> str:
     """Say how much of the model error follows a command, and how alike the thirds of the record are."""
     seen = discovery_text.subject(found)
     if not any(seen.coordinates.values()):
         return f"The model error at {lacking.place} is not beyond its deviation"
     told = capital(discovery_text.follows_command(seen, command))
     place = next((place for place in seen.places if place.name == lacking.place), None)
-    if place is None or not place.portrait.regions:
+    if place is None or not place.decomposition.regions:
         return told
-    thirds = [energy for energy, _ in place.portrait.regions["record"].values()]
+    thirds = [energy for energy, _ in place.decomposition.regions["record"].values()]
     parts = listed([percent(part) for part in thirds])
     return f"{told}; the thirds of the record hold {parts} of the energy of the force at {lacking.place}"
 
@@ -178,7 +181,7 @@ def _coursed(found: Discovery, lacking: latent_force.Lack, command: str) -> str:
 def _residual(found: Discovery) -> CaptionedFigure:
     """Draw the residuals of the validation record, over time and frequency, before and after."""
     names = found.twin.sensors[:MOST_SENSORS]
-    sigma, record = found.judged.sigma, found.judge
+    sigma, record = found.validation.sigma, found.validation_record
     most = noise_threshold(len(record), found.evidence.rules)
     more = [
         n for i, n in enumerate(found.twin.sensors) if found.after.squares[i] > most**2 * len(record) * sigma[i] ** 2
@@ -236,7 +239,7 @@ def _candidates(found: Discovery) -> CaptionedFigure:
     parts = [100.0 * (paid if nothing else part) for _, _, part, paid in rows]
     fitted = {key for rival in found.rivals for key in rival.names}
     near = [part for part in parts if part > NEAR * parts[0]]
-    count = len(found.found.tried)
+    count = len(found.search.tried)
     if nothing and parts[0] > 100.0:
         many = sum(part > 100.0 for part in parts)
         said = f"The residual is noise; of {count} candidates, {many} would be worth their parameters to first order"
@@ -290,12 +293,12 @@ def _colour(key: tuple[str, str], chosen: set[tuple[str, str]], fitted: set[tupl
 def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
     """Return each candidate once, the best first: effect, place, part of the gap, part of what would count."""
     best: dict[str, Promise] = {}
-    for promise in found.found.tried:
+    for promise in found.search.tried:
         told = discovery_text.spoken(found, *promise.candidate.key)
         if promise.gain > 0.0 and promise.gain > getattr(best.get(told), "gain", 0.0):
             best[told] = promise
     size = found.record.readings.size
-    whole = max(found.found.base.hypothesis.cost - size, *(p.gain for p in best.values()), 1e-300)
+    whole = max(found.search.base.hypothesis.cost - size, *(p.gain for p in best.values()), 1e-300)
     price, least = float(np.log(size)), found.evidence.rules.effect_evidence
     return [
         (*p.candidate.key, p.gain / whole, p.gain / (price * len(p.candidate.free) + least))
@@ -306,7 +309,7 @@ def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
 def own_gap(found: Discovery) -> dict[str, float]:
     """Return the relative error of each sensor that adjusted parameters alone leave in the record."""
     size = (found.record.readings**2).sum(axis=0)
-    parts = np.sqrt(found.found.base.hypothesis.squares / np.maximum(size, 1e-300))
+    parts = np.sqrt(found.search.base.hypothesis.squares / np.maximum(size, 1e-300))
     return dict(zip(found.twin.sensors, map(float, parts), strict=True))
 
 

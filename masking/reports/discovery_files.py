@@ -142,7 +142,7 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     told["adjusted"] = list(discovery_text.adjusted(found))
     told["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
     told["page"] = str(files.page)
-    told["where"] = found.where.as_dict()
+    told["localisation"] = found.localisation.as_dict()
     return told
 
 

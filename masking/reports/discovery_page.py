@@ -13,7 +13,7 @@ from masking.declaration.quantities import number, percent, power, with_deviatio
 from masking.declaration.units import pretty
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
-from masking.discovery.localisation import Lacking
+from masking.discovery.localisation import LatentForces
 from masking.discovery.verdict import noise_threshold, probabilities
 from masking.estimation.whiteness import DOUBTED
 from masking.reports import discovery_files, discovery_text, html
@@ -91,13 +91,14 @@ def _tiles(found: Discovery) -> Iterator[Tile]:
         sure = discovery_text.probability(found, one)
         told = percent(sure) if sure > LEAST_SURE else f"< {percent(LEAST_SURE)}"
         yield Tile(discovery_text.labelled(found, one.name, one.on), told, "probability")
-    floor, after, worst = found.gap.validation_floor, found.gap.validation[1], discovery_text.worst(found)
+    errors, worst = found.simulation_error, discovery_text.worst(found)
+    floor, after = errors.validation_noise_floor, errors.validation[1]
     if found.effects:
         before, how = discovery_text.without(found)
         label = f"error in {worst} {'as declared' if how == 'as declared' else 'without it'}"
         yield Tile(label, percent(before[worst]), "validation")
     label = f"error in {worst}" + " with it" * bool(found.effects)
-    most = noise_threshold(len(found.judge), found.evidence.rules)
+    most = noise_threshold(len(found.validation_record), found.evidence.rules)
     yield Tile(label, percent(after[worst]), f"noise {percent(floor[worst])}", after[worst] > most * floor[worst])
 
 
@@ -117,20 +118,20 @@ def _causes(found: Discovery) -> Iterator[tuple[str, ...]]:
 
 def _gaps(found: Discovery) -> Iterator[tuple[str, ...]]:
     """Yield the errors of each sensor on each record."""
-    gap, share, own = found.gap, latent_force.energies(found), discovery_figures.own_gap(found)
+    gap, share, own = found.simulation_error, latent_force.energies(found), discovery_figures.own_gap(found)
     for name in found.twin.sensors:
-        parts = (gap.train[0], own, gap.train[1], gap.floor)
-        unseen = (gap.validation[0], found.gap.adjusted, gap.validation[1], gap.validation_floor)
+        parts = (gap.estimation[0], own, gap.estimation[1], gap.noise_floor)
+        unseen = (gap.validation[0], found.simulation_error.adjusted, gap.validation[1], gap.validation_noise_floor)
         part_of = percent(share[name]) if sum(share.values()) else ""
         yield name, "fitted", *(percent(part[name]) for part in parts), part_of
         yield name, "validation", *(percent(part[name]) for part in unseen), ""
 
 
-def _places(lacking: Lacking) -> Iterator[tuple[str, ...]]:
+def _places(lacking: LatentForces) -> Iterator[tuple[str, ...]]:
     """Yield the force at each place: its share, what it follows, the power that it takes out, and where it sits."""
     seen = [place for place in lacking.places if place.share > LEAST]
     for place in sorted(seen, key=lambda place: -place.explained):
-        parts, portrait = place.portrait.parts, place.portrait
+        parts, portrait = place.decomposition.parts, place.decomposition
         told, odd, at = [""] * 4, "", ""
         if parts is not None:
             told = [percent(part) for part in (parts.displacement, parts.rate, parts.both, parts.neither)]
@@ -141,7 +142,7 @@ def _places(lacking: Lacking) -> Iterator[tuple[str, ...]]:
         yield place.name, percent(place.share), *told, odd, loss if abs(portrait.taken) > LITTLE else "little", at
 
 
-def _sides(lacking: Lacking) -> str:
+def _sides(lacking: LatentForces) -> str:
     """Say how much functions of commands and readings would explain, and which harmonics the force has."""
     said = ""
     for what, those, of in (
@@ -163,7 +164,7 @@ def _sides(lacking: Lacking) -> str:
 
 def _whiteness(found: Discovery) -> Iterator[tuple[str, ...]]:
     """Yield whether the residuals of each sensor are white, before and after."""
-    for name, pair in found.where.whiteness.items():
+    for name, pair in found.localisation.whiteness.items():
         for what, one in zip(("adjusted", "with the finding"), pair, strict=True):
             if one is not None:
                 yield name, what, discovery_text.white(one), _probability(one.p), percent(one.beyond)
@@ -175,11 +176,11 @@ def _probability(p: float) -> str:
 
 def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
     """Return the explanations that were fitted in full: explanation, probability, worse by, values."""
-    rivals, heat = found.rivals, found.temperature
+    rivals, tempering = found.rivals, found.tempering
     if len(rivals) < 2 or not found.effects:
         return []
     rows: dict[str, tuple[float, str, str]] = {}
-    sure = map(float, probabilities([rival.score(heat) for rival in rivals]))
+    sure = map(float, probabilities([rival.score(tempering) for rival in rivals]))
     for rival, probability in zip(rivals, sure, strict=True):
         first, *more = rival.names
         told = " and ".join(
@@ -188,13 +189,13 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
         if told in rows:  # a delay of the only actuator is that of all of them
             rows[told] = (rows[told][0] + probability, *rows[told][1:])
             continue
-        deviations = iter(np.sqrt(heat) * rival.hypothesis.deviations[len(found.rig.names) :])
+        deviations = iter(np.sqrt(tempering) * rival.hypothesis.deviations[len(found.rig.names) :])
         values = [
             f"{name} = {with_deviation(slot.values[i], float(next(deviations)), '')}"
             for slot in rival.hypothesis.slots
             for name, i in zip(slot.names, slot.free, strict=True)
         ]
-        rows[told] = probability, number(rival.score(heat) - rivals[0].score(heat), 4), ", ".join(values)
+        rows[told] = probability, number(rival.score(tempering) - rivals[0].score(tempering), 4), ", ".join(values)
     return [(told, _probability(p), worse, values) for told, (p, worse, values) in rows.items()]
 
 
@@ -218,7 +219,7 @@ def _parameters(found: Discovery) -> Iterator[tuple[str, ...]]:
 
 def _provenance(found: Discovery, origin: Origin, folder: Path) -> list[tuple[str, object]]:
     files = discovery_files.paths(found, folder)
-    record, judge = found.record, found.judge
+    record, judge = found.record, found.validation_record
     return [
         *((what, f"{path}, SHA-256 {sha}") for what, (path, sha) in origin.records.items()),
         ("samples", f"{len(record)} to find, {len(judge)} to validate, {record.rate:g} Hz"),
@@ -236,14 +237,14 @@ def summary(found: Discovery, files: Files | None) -> str:
     if discovery_text.beside(found):
         lines.append(f"{discovery_text.beside(found)}.")
     lines += [f"{told}." for told in discovery_text.whereabouts(found)]
-    gap = found.gap
+    gap = found.simulation_error
     head = ("validation error", *found.twin.sensors)
     table = [head]
     for what, part in (
         ("as declared", gap.validation[0]),
-        ("adjusted parameters", found.gap.adjusted),
+        ("adjusted parameters", found.simulation_error.adjusted),
         ("with the finding", gap.validation[1]),
-        ("noise floor", gap.validation_floor),
+        ("noise floor", gap.validation_noise_floor),
     ):
         if what == "with the finding" and not found.effects:
             continue

@@ -8,7 +8,7 @@ from masking.declaration.quantities import number, percent, power, quantity, wit
 from masking.declaration.units import combined, describe, dimension_of, pretty
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery, Named
-from masking.discovery.localisation import Lacking, Place
+from masking.discovery.localisation import LatentForces, LocatedForce
 from masking.estimation.whiteness import Whiteness
 from masking.reports.text import alternatives, capital, listed, much
 
@@ -60,10 +60,11 @@ def sentence(found: Discovery) -> str:
 
 def measured(found: Discovery) -> str:
     """Say that commands seem to be measured ones; '' if they do not."""
-    if found.as_measured is None:
+    if found.first_order_hold is None:
         return ""
     name = worst(found)
-    left = f"{percent(found.as_measured[name])} of {name}, against {percent(found.gap.train[1][name])}"
+    after = found.simulation_error.estimation[1][name]
+    left = f"{percent(found.first_order_hold[name])} of {name}, against {percent(after)}"
     return (
         "Inputs are taken to be constant between samples (zero-order hold); with straight lines between samples, as in "
         f"measured inputs, the model alone leaves {left}: if they were measured, use --hold first-order"
@@ -103,8 +104,8 @@ def offered(found: Discovery) -> list[Named]:
 
 def hardly(found: Discovery) -> str:
     """Say which readings the model hardly follows at all; '' if there are none."""
-    remains = found.gap.adjusted if found.verdict == "unknown" else found.gap.validation[1]
-    floor = found.gap.validation_floor
+    remains = found.simulation_error.adjusted if found.verdict == "unknown" else found.simulation_error.validation[1]
+    floor = found.simulation_error.validation_noise_floor
     lost = [f"{name} (error {percent(part)})" for name, part in remains.items() if part >= LOST > 2.0 * floor[name]]
     if not lost:
         return ""
@@ -174,7 +175,7 @@ def experiment(found: Discovery) -> str:
 def left(found: Discovery) -> str:
     """Say how near to the noise floor the residuals are, if nothing is missing."""
     name = worst(found)
-    after, floor = found.gap.validation[1][name], found.gap.validation_floor[name]
+    after, floor = found.simulation_error.validation[1][name], found.simulation_error.validation_noise_floor[name]
     return (
         f"the residual of {listed(found.twin.sensors)} is indistinguishable from noise (validation error of {name} "
         f"{percent(after)}; noise floor {percent(floor)})"
@@ -222,10 +223,10 @@ def cause(found: Discovery, named: Named) -> str:
 def gap(found: Discovery) -> str:
     """Say how the validation error falls, for the sensor in which it was largest beside its noise."""
     before, how = without(found)
-    after, floor = found.gap.validation[1], found.gap.validation_floor
+    after, floor = found.simulation_error.validation[1], found.simulation_error.validation_noise_floor
     name = worst(found)
     if not found.effects:
-        before, how, what = found.gap.validation[0], "as declared", "with adjusted parameters"
+        before, how, what = found.simulation_error.validation[0], "as declared", "with adjusted parameters"
     else:
         what = "with this"
     return (
@@ -237,13 +238,13 @@ def gap(found: Discovery) -> str:
 def without(found: Discovery) -> tuple[dict[str, float], str]:
     """Return the validation error of each sensor without the finding, and which model that is."""
     if found.verdict == "parameter":
-        return found.gap.validation[0], "as declared"
-    return found.gap.adjusted, "with adjusted parameters"
+        return found.simulation_error.validation[0], "as declared"
+    return found.simulation_error.adjusted, "with adjusted parameters"
 
 
 def worst(found: Discovery) -> str:
     """Return the sensor with the largest error without the finding, relative to its noise floor."""
-    floor, (before, _) = found.gap.validation_floor, without(found)
+    floor, (before, _) = found.simulation_error.validation_noise_floor, without(found)
     return max(floor, key=lambda name: before[name] / max(floor[name], 1e-300))
 
 
@@ -251,36 +252,36 @@ def beside(found: Discovery) -> str:
     """Say what the known causes do not explain; '' if the residual is noise, or this is said already."""
     if found.closed or not found.effects or found.verdict == "unknown":
         return ""
-    little = ", or the noise is not white: the residual is near the noise floor" if found.within else ""
+    little = ", or the noise is not white: the residual is near the noise floor" if found.is_at_noise_floor else ""
     return f"{'This does' if len(found.effects) == 1 else 'These do'} not explain all{little}. {look(found)}"
 
 
 def look(found: Discovery) -> str:
     """Say what the model error looks like, or the residual beside the causes."""
     lacking = rest(found)
-    what = "It" if lacking is found.where.lacking else "The residual"
+    what = "It" if lacking is found.localisation.latent else "The residual"
     place = lacking.best
-    portrait, (unit, *_) = place.portrait, place.units
+    portrait, (unit, *_) = place.decomposition, place.units
     of_command = max(lacking.actuators, key=lambda name: lacking.actuators[name], default="")
     if of_command and lacking.actuators[of_command] > max(MOST, place.explained):
         return f"{what} looks like a force: {follows_command(lacking, of_command)}"
     return f"{what} looks like a force of {quantity(portrait.size, unit, 2)} (rms) at {place.name}: {portrayed(place)}"
 
 
-def rest(found: Discovery) -> Lacking:
+def rest(found: Discovery) -> LatentForces:
     """Return the model error, or the residual if causes are reported that do not explain it."""
-    seen = found.where
-    return seen.lacking if seen.left is None or not offered(found) else seen.left
+    seen = found.localisation
+    return seen.latent if seen.residual is None or not offered(found) else seen.residual
 
 
-def subject(found: Discovery) -> Lacking:
+def subject(found: Discovery) -> LatentForces:
     """Return the model error, or the residual if the known causes do not explain it."""
-    return rest(found) if found.verdict == "unknown" else found.where.lacking
+    return rest(found) if found.verdict == "unknown" else found.localisation.latent
 
 
 def whereabouts(found: Discovery) -> list[str]:
     """Say where the model error is, and whether the residuals are white; empty if neither says anything."""
-    seen, lacking = found.where, found.where.lacking
+    seen, lacking = found.localisation, found.localisation.latent
     told = []
     if found.verdict in {"named", "ambiguous"} and found.effects[-1].name in found.twin.dictionary:
         on, side = found.effects[-1].on, found.twin.dictionary[found.effects[-1].name].where
@@ -303,17 +304,17 @@ def whereabouts(found: Discovery) -> list[str]:
     return told
 
 
-def follows_command(lacking: Lacking, name: str) -> str:
+def follows_command(lacking: LatentForces, name: str) -> str:
     """Say how much of the model error follows a command."""
     return f"{much(lacking.actuators[name])} of the model error follows the command of {name}"
 
 
-def portrayed(place: Place) -> str:
+def portrayed(place: LocatedForce) -> str:
     """Say what a force at a place follows, how alike it is in both directions, where it sits and what it takes."""
-    parts = place.portrait.parts
+    parts = place.decomposition.parts
     if parts is None:
         return "it is hardly beyond its deviation"
-    if place.portrait.mean**2 > CONSTANT * place.portrait.size**2:
+    if place.decomposition.mean**2 > CONSTANT * place.decomposition.size**2:
         return "it hardly changes"
     follows = [
         (much(part), what)
@@ -334,9 +335,9 @@ def portrayed(place: Place) -> str:
             f"{much(parts.neither)} follows neither displacement nor rate: time, memory or another place matters"
         )
     told.extend(regions(place))
-    if abs(place.portrait.taken) > TAKEN:
-        way = ("takes", "out of") if place.portrait.loss > 0.0 else ("puts", "into")
-        told.append(f"it {way[0]} {power(abs(place.portrait.loss), place.units)} {way[1]} the motion")
+    if abs(place.decomposition.taken) > TAKEN:
+        way = ("takes", "out of") if place.decomposition.loss > 0.0 else ("puts", "into")
+        told.append(f"it {way[0]} {power(abs(place.decomposition.loss), place.units)} {way[1]} the motion")
     return "; ".join(told)
 
 
@@ -347,11 +348,11 @@ def symmetry(odd: float) -> str:
     return "the same way on both sides" if odd < 1.0 - ALIKE else "different in the two directions"
 
 
-def regions(place: Place) -> list[str]:
+def regions(place: LocatedForce) -> list[str]:
     """Say in which part of travel, speed and record a force has much more of its energy than there is time."""
-    told, of = [], place.portrait.regions
+    told, of = [], place.decomposition.regions
     ends = [of["displacement"][name] for name in ("low", "high")]
-    (energy, time), parts = np.sum(ends, axis=0), place.portrait.parts
+    (energy, time), parts = np.sum(ends, axis=0), place.decomposition.parts
     if energy > MUCH * time and energy > MOST and min(part / max(spent, 1e-9) for part, spent in ends) > 1.0:
         told.append("most of it is at the ends of the travel")
     else:

@@ -30,7 +30,7 @@ POINTS = 5000  # of a cloud
 ALSO = 0.02  # part that all takes beyond what the laws at the place take, from which that is told
 
 
-def figure(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
+def figure(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigure:
     """Draw the latent force over displacement and rate, before and after, with the laws that were found there."""
     has_after = lacking.after is not None and bool(found.explanation.hypothesis.slots)
     what = MISSING[lacking.where]
@@ -85,7 +85,7 @@ def figure(found: Discovery, lacking: latent_force.Lack) -> CaptionedFigure:
     return CaptionedFigure("map", f"{capital(what)} over displacement and rate", caption, figure)
 
 
-def laws_at(found: Discovery, lacking: latent_force.Lack) -> list[Slot]:
+def laws_at(found: Discovery, lacking: latent_force.LatentForce) -> list[Slot]:
     """Return the causes at the place in view that are reported."""
     told = {(one.name, one.on) for one in discovery_text.offered(found)}
     return [
@@ -95,7 +95,7 @@ def laws_at(found: Discovery, lacking: latent_force.Lack) -> list[Slot]:
     ]
 
 
-def along(found: Discovery, lacking: latent_force.Lack, slots: Sequence[Slot]) -> Array:
+def along(found: Discovery, lacking: latent_force.LatentForce, slots: Sequence[Slot]) -> Array:
     """Return what causes at the place that is looked at give together (m,): force, command or reading."""
     law = np.zeros_like(lacking.before)
     motion, names = found.smoothed.before, [place.name for place in found.rig.places]
@@ -107,7 +107,7 @@ def along(found: Discovery, lacking: latent_force.Lack, slots: Sequence[Slot]) -
     return law
 
 
-def share(lacking: latent_force.Lack, law: Array | None) -> float:
+def share(lacking: latent_force.LatentForce, law: Array | None) -> float:
     """Return the part of the mean square of the latent force that a law explains; without one, the whole finding."""
     if law is None:
         assert lacking.after is not None  # noqa: S101  # asked only where something was found
@@ -119,7 +119,7 @@ def share(lacking: latent_force.Lack, law: Array | None) -> float:
     return max(1.0 - after / max(before, 1e-300), 0.0)
 
 
-def _seen(found: Discovery, lacking: latent_force.Lack, what: str, law: Array | None) -> str:
+def _seen(found: Discovery, lacking: latent_force.LatentForce, what: str, law: Array | None) -> str:
     """Say how much the laws at the place explain there, and the whole finding if that is more."""
     square = float((lacking.before**2).mean())
     is_small = lacking.where == "element" and square < SEEN * lacking.deviations[0] ** 2

@@ -119,8 +119,8 @@ def effect(subject: Effect) -> Description:
 
 def dictionary(declaration: schema.DictionaryDeclaration) -> Description:
     """Describe a dictionary of own effects: each of them as `effect` does."""
-    told = [effect(one).text for one in own(declaration).values()]
-    return Description("\n\n".join(["\n".join(_head(declaration)).rstrip(), *told]), declaration.canonical())
+    texts = [effect(one).text for one in own(declaration).values()]
+    return Description("\n\n".join(["\n".join(_head(declaration)).rstrip(), *texts]), declaration.canonical())
 
 
 def _range(parameter: EffectParameter) -> str:

@@ -1,7 +1,12 @@
 """Refinement: what a controller's model is missing, found from a record of its plant, and put into the control law.
 
+<<<<<<< HEAD
 The controller has a model of the rig. A record of the plant shows what that model is missing; with it, the block L
 cancels the real dynamics, and the masking error falls. Effects of sensors and actuators are no part of that model.
+=======
+The controller assumes a model. A record of the plant shows what that model lacks; with it, the block L cancels what the
+rig really does, and the masking error falls. Effects in sensors and actuators are no part of that model.
+>>>>>>> main
 """
 
 from __future__ import annotations
@@ -35,7 +40,11 @@ from masking.workflows.settings import with_fields_of
 Tell = Callable[[str, float], None]
 
 EXPERIMENT, NUMBERS, BEFORE, AFTER = "experiment.yaml", "refine.json", "before", "after"
+<<<<<<< HEAD
 WORTH = 0.9  # of chi: what it must fall to, to be called a smaller error
+=======
+WORTH = 0.9  # of the masking error before: above it, the run is called no better
+>>>>>>> main
 _BEGIN, _FOUND = 0.1, 0.9  # parts done when the discovery begins and ends
 
 
@@ -69,7 +78,11 @@ class Run:
 
 @dataclass(frozen=True)
 class Refinement:
+<<<<<<< HEAD
     """An experiment before and after the missing effects were added to its controller's model.
+=======
+    """An experiment before and after its controller's model got what it lacked.
+>>>>>>> main
 
     Args:
         before, after: the run with the model as it was, and with what was found.
@@ -88,26 +101,35 @@ class Refinement:
 
     @property
     def sentence(self) -> str:
+<<<<<<< HEAD
         """Return the change of the masking error as a sentence."""
+=======
+        """Say by how much the masking error fell."""
+>>>>>>> main
         found = self.discovery
         causes = [discovery_text.spoken(found, c.name, c.on) for c in found.effects if _is_of_model(found, c)]
-        told = f"With {listed([*causes, 'adjusted parameters'])} in the controller's model, "
+        sentence = f"With {listed([*causes, 'adjusted parameters'])} in the controller's model, "
         if self.after.recording is None:
-            return f"{told}the run could not go on: {self.after.trouble}"
+            return f"{sentence}the run could not go on: {self.after.trouble}"
         after = _chi(self.after.worst)
         if self.before.recording is None:
-            return f"{told}chi is at most {after}; without, the run could not go on: {self.before.trouble}."
-        told += f"masking error chi went from {_chi(self.before.worst)} to {after} in the worst coordinate"
+            return f"{sentence}chi is at most {after}; without, the run could not go on: {self.before.trouble}."
+        sentence += f"masking error chi went from {_chi(self.before.worst)} to {after} in the worst coordinate"
         if self.after.worst <= WORTH * self.before.worst:
-            return f"{told}."
+            return f"{sentence}."
         if self.experiment.observer_settings.kind == "differences":
+<<<<<<< HEAD
             return f"{told}: no smaller; differences of positions are too rough for it, try 'observer: disturbance'."
         return f"{told}: no smaller, something else limits it; masking run --budget shows what."
+=======
+            return f"{sentence}: no better; differences of positions are too rough for it, try 'observer: disturbance'."
+        return f"{sentence}: no better, something else limits it; masking run --budget shows what."
+>>>>>>> main
 
     @property
     def uncompensated(self) -> tuple[str, ...]:
         """Say of each finding in sensors, actuators and the loop that the control law does not make up for it."""
-        told = []
+        sentences = []
         for cause in self.discovery.effects:
             if _is_of_model(self.discovery, cause):
                 continue
@@ -116,20 +138,20 @@ class Refinement:
             helps = effect.remedy if effect.where != "loop" else helps
             what = capital(discovery_text.spoken(self.discovery, cause.name, cause.on))
             why = f"{what} is not compensated: it is no part of the controller's model"
-            told.append(f"{why}; what helps: {helps}." if helps else f"{why}.")
-        return tuple(told)
+            sentences.append(f"{why}; what helps: {helps}." if helps else f"{why}.")
+        return tuple(sentences)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the refinement and where its files lie, as JSON can hold it."""
         out = self.folder
-        told = self.discovery.as_dict() if out is None else discovery_files.as_dict(self.discovery, out, self.origin)
+        content = self.discovery.as_dict() if out is None else discovery_files.as_dict(self.discovery, out, self.origin)
         return {
             "sentence": self.sentence,
             "before": self.before.as_dict(None if out is None else out / BEFORE),
             "after": self.after.as_dict(None if out is None else out / AFTER),
             "uncompensated": [*self.uncompensated],
             "experiment": None if out is None else str(out / EXPERIMENT),
-            "discovery": told,
+            "discovery": content,
         }
 
     def __str__(self) -> str:
@@ -179,7 +201,7 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
     check_folder(out)
     experiment = Experiment.load(name_or_path, plant=settings.plant)
     say = tell or (lambda text, part: None)
-    twin = inputs.with_effects(believed(experiment), settings.effects)
+    twin = inputs.with_effects(assumed(experiment), settings.effects)
     if not twin.sensors:
         message, mend = f"{twin.declaration.name} declares no sensors", "declare what the record holds of the rig"
         raise DeclarationError(Problem(None, "sensors", message, mend))
@@ -212,8 +234,13 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
     return result
 
 
+<<<<<<< HEAD
 def believed(experiment: Experiment) -> Twin:
     """Return the plant as the controller models it: its own model, and of the plant's effects noise and delay."""
+=======
+def assumed(experiment: Experiment) -> Twin:
+    """Return the plant as the controller assumes it: its own model, and of the plant's effects noise and delay."""
+>>>>>>> main
     assembly, settings = experiment.assembly, experiment.declaration.controller
     base = assembly.believed_model
     known = {}
@@ -231,7 +258,11 @@ def believed(experiment: Experiment) -> Twin:
 
 
 def refined(experiment: Experiment, found: Discovery, files: Files, folder: Path) -> Experiment:
+<<<<<<< HEAD
     """Return an experiment whose controller's model has what was found.
+=======
+    """Return an experiment whose controller assumes what was found.
+>>>>>>> main
 
     Args:
         experiment: as it was.
@@ -315,4 +346,4 @@ def _chi(chi: float) -> str:
     return f"{chi:.2g}"
 
 
-__all__ = ["Refinement", "Run", "believed", "refine", "refined"]
+__all__ = ["Refinement", "Run", "assumed", "refine", "refined"]

@@ -69,7 +69,7 @@ def discovered(case: hidden.Case, training: hidden.Record, validation: hidden.Re
     except Exception:  # whatever it is, the other records go on
         told: Outcome = {"verdict": "failed", "closed": False, "effects": [], "error": traceback.format_exc()}
     else:
-        told = {**found.as_dict(), "validation_floor": found.gap.validation_floor}
+        told = {**found.as_dict(), "validation_noise_floor": found.simulation_error.validation_noise_floor}
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return {"answer": told, "seconds": time.perf_counter() - begin, "memory": memory}
 

@@ -326,7 +326,7 @@ def answer(case: hidden.Case, training: hidden.Record, validation: hidden.Record
         "verdict": verdict,
         "terms": kinds,
         "model": [f"{ELEMENTS[i]}: {term}" for _, i, term in terms],
-        "gap": {"before": before, "after": after},
+        "simulation_error": {"before": before, "after": after},
     }
 
 

@@ -43,7 +43,7 @@ class Result:
         told, tool = outcome["answer"], outcome["tool"]
         if tool == "pysindy":
             answer = scoring.ranked(case, told["terms"], told["verdict"])
-            before, after = told["gap"]["before"], told["gap"]["after"]
+            before, after = told["simulation_error"]["before"], told["simulation_error"]["after"]
             size = None if before is None or after is None else max(after[n] / before[n] for n in before)
             grown = before is not None and (after is None or scoring.is_larger(before, after, before))
             share = DIVERGED if size is None else size
@@ -57,7 +57,7 @@ class Result:
                 tool, case, answer, scoring.judge(case, answer), outcome["seconds"],
                 memory=outcome["memory"], error=told["error"],
             )  # fmt: skip
-        gap, floor = told["gap"]["validation"], told["validation_floor"]
+        gap, floor = told["simulation_error"]["validation"], told["validation_noise_floor"]
         return cls(
             tool,
             case,

@@ -1,0 +1,118 @@
+"""Least squares: minima that are known in closed form or that scipy finds, bounds, priors, and blocks eliminated."""
+
+import numpy as np
+import pytest
+from scipy import linalg, optimize
+
+from masking.errors import IntegrationError
+from masking.estimation.least_squares import NO_BOUNDS, Arrow, Box, Damping, Dense, Linearised, minimise
+
+DAMPING = Damping(1e-3, least=1e-12, most=1e12)
+SETTINGS = {"rounds": 100, "tolerance": lambda at: 1e-14 * max(at.cost, 1e-300)}
+
+
+def problem(residuals, jacobian):
+    """Return the linearised problem of residuals r = measured - model, whose derivatives are -J."""
+
+    def linearised(x):
+        r, j = residuals(x), jacobian(x)
+        return Linearised(float(r @ r), Dense(j.T @ j, j.T @ r), r)
+
+    return linearised
+
+
+def rosenbrock(x):
+    return -np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+
+
+def slopes(x):
+    return np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
+
+
+def test_the_valley_of_rosenbrock_is_followed_to_its_end():
+    found = minimise(problem(rosenbrock, slopes), np.array([-1.2, 1.0]), NO_BOUNDS, DAMPING, **SETTINGS)
+    np.testing.assert_allclose(found.x, [1.0, 1.0], rtol=1e-9)
+    assert found.converged
+    assert found.rounds < 60
+
+
+def test_a_minimum_beyond_a_bound_ends_at_the_bound():
+    box = Box(np.array([-2.0, -2.0]), np.array([0.5, 2.0]))
+    found = minimise(problem(rosenbrock, slopes), np.array([-1.2, 1.0]), box, DAMPING, **SETTINGS)
+    scipy = optimize.least_squares(rosenbrock, [-1.2, 1.0], bounds=([-2.0, -2.0], [0.5, 2.0]), xtol=1e-14)
+    assert found.x[0] == pytest.approx(scipy.x[0], abs=1e-6)
+    assert found.at.cost == pytest.approx(2.0 * scipy.cost, rel=1e-3)
+
+
+def test_a_linear_problem_takes_one_step():
+    rng = np.random.default_rng(1)
+    size = np.array([1.0, 1e-6, 1e6, 1.0])
+    j, y = rng.standard_normal((50, 4)) * size, rng.standard_normal(50)
+    found = minimise(
+        problem(lambda x: y - j @ x, lambda _: j), np.zeros(4), NO_BOUNDS, Damping(0.0, least=0.0, most=1.0), **SETTINGS
+    )
+    np.testing.assert_allclose(found.x, np.linalg.lstsq(j / size, y, rcond=None)[0] / size, rtol=1e-9)
+    assert found.rounds <= 3
+
+
+def test_a_prior_is_a_measurement_of_the_unknowns_and_the_covariance_that_of_both():
+    rng = np.random.default_rng(2)
+    j, y, mean, deviation = rng.standard_normal((20, 3)), rng.standard_normal(20), np.ones(3), np.array([0.1, 2.0, 1.0])
+    dense = Dense(j.T @ j, j.T @ y).with_prior(mean, deviation)
+    stacked = np.vstack([j, np.diag(1.0 / deviation)])
+    expected = np.linalg.lstsq(stacked, np.concatenate([y, mean / deviation]), rcond=None)[0]
+    np.testing.assert_allclose(dense.step(0.0)[0], expected, rtol=1e-10)
+    np.testing.assert_allclose(dense.covariance(), linalg.inv(stacked.T @ stacked), rtol=1e-10)
+
+
+def test_unknowns_that_are_fixed_stay():
+    rng = np.random.default_rng(3)
+    j, y = rng.standard_normal((20, 3)), rng.standard_normal(20)
+    step, _ = Dense(j.T @ j, j.T @ y, np.array([False, True, False])).step(0.0)
+    assert step[1] == 0.0
+    np.testing.assert_allclose(step[[0, 2]], np.linalg.lstsq(j[:, [0, 2]], y, rcond=None)[0], rtol=1e-10)
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-3, 10.0])
+def test_blocks_are_eliminated_without_changing_the_step(damping):
+    rng = np.random.default_rng(4)
+    k, b, count = 3, 2, 5
+    whole, gradient = np.zeros((k + b * count,) * 2), np.zeros(k + b * count)
+    blocks = []
+    for i in range(count):
+        j, y = rng.standard_normal((30, k + b)), rng.standard_normal(30)
+        own = np.r_[0:k, k + i * b : k + (i + 1) * b]
+        whole[np.ix_(own, own)] += j.T @ j
+        gradient[own] += j.T @ y
+        blocks.append((j[:, k:].T @ j[:, k:], j[:, k:].T @ j[:, :k], j[:, k:].T @ y))
+    arrow = Arrow(whole[:k, :k], gradient[:k], blocks)
+    for found, expected in zip(arrow.step(damping), Dense(whole, gradient).step(damping), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+    np.testing.assert_allclose(arrow.information(), linalg.inv(linalg.inv(whole)[:k, :k]), rtol=1e-9)
+
+
+def test_a_step_goes_part_of_the_way_to_a_bound_and_doubles_at_most_what_is_positive():
+    box = Box(np.array([0.0, 0.0, -np.inf]), np.array([1.0, np.inf, np.inf]), np.array([False, True, True]))
+    np.testing.assert_allclose(box.after(np.array([0.5, 1.0, 1.0, 1.0]), np.full(4, 9.0)), [0.85, 2.0, 10.0, 10.0])
+    np.testing.assert_allclose(box.after(np.array([0.5, 1.0, 1.0, 1.0]), np.full(4, -9.0)), [0.15, 0.3, -8.0, -8.0])
+
+
+def test_a_step_to_where_the_problem_has_no_value_is_made_shorter():
+    def root(x):
+        if x[0] < 0.0:
+            raise IntegrationError("no motion")
+        return np.sqrt(x) - 0.1
+
+    found = minimise(
+        problem(lambda x: -root(x), lambda x: np.diag(0.5 / np.sqrt(x))), np.array([4.0]), NO_BOUNDS, DAMPING,
+        **SETTINGS,
+    )  # fmt: skip
+    assert found.x[0] == pytest.approx(0.01, rel=1e-6)
+
+
+def test_a_fit_without_hope_is_given_up():
+    found = minimise(
+        problem(rosenbrock, slopes), np.array([-1.2, 1.0]), NO_BOUNDS, DAMPING, is_hopeless=lambda now, _: now < 4.5,
+        **SETTINGS,
+    )  # fmt: skip
+    assert 0.0 < found.at.cost < 4.5
