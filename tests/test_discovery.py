@@ -261,11 +261,7 @@ def test_a_record_does_not_judge_itself(folder, tmp_path):
         with pytest.raises(RecordError) as refused:
             masking.discover(given, plant=folder / "plant.yaml", validation=validation)
         assert words in str(refused.value)
-<<<<<<< HEAD
-        assert "leave --validate out, and validate on the last 30 % of the record" in str(refused.value)
-=======
         assert "leave --validate out, and the last 30 % of the record are held out" in str(refused.value)
->>>>>>> main
     validation = DiscoverySettings(validation=f"{copy}@{end / 2:g}:")
     parts = inputs.read(Twin.load(folder / "plant.yaml"), f"{copy}@:{end / 2:g}", validation)
     assert len(parts.record) + len(parts.validation) == len(columns["t"])

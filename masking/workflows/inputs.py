@@ -65,13 +65,8 @@ def read(twin: Twin, record: str | Path, settings: DiscoverySettings) -> Inputs:
     held_out = None if validation is None else one(validation)
     if held_out is not None and abs(held_out.rate / train.rate - 1.0) > ALIKE:
         raise RecordError(
-<<<<<<< HEAD
-            f"{record} has {train.rate:g} samples in a second, {validation} {held_out.rate:g}: two rates; resample one "
-            "of them, or validate on the last part of the record"
-=======
             f"{record} has {train.rate:g} samples in a second, {validation} {held_out.rate:g}: two rates; resample "
             "one of them, or leave --validate out, and the last part of the record is held out"
->>>>>>> main
         )
     paths = {"record": record} | ({"validation": validation} if validation is not None else {})
     origin = Origin({what: (str(p), readers.digest(p)) for what, p in paths.items()})
@@ -87,11 +82,7 @@ def _check_unseen(train: Data, held_out: Data, origin: Origin) -> None:
         RecordError: the two share samples.
     """
     (record, content), (validation, other) = origin.records["record"], origin.records["validation"]
-<<<<<<< HEAD
-    mend = "leave --validate out, and validate on the last 30 % of the record, or give another record"
-=======
     mend = "leave --validate out, and the last 30 % of the record are held out, or give another record"
->>>>>>> main
     if np.array_equal(train.readings, held_out.readings) and np.array_equal(train.commands, held_out.commands):
         raise RecordError(f"{validation}: it holds the same samples as {record}, which it is to validate; {mend}")
     first, second = Part.of(record), Part.of(validation)

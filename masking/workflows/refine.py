@@ -1,12 +1,7 @@
 """Refinement: what a controller's model is missing, found from a record of its plant, and put into the control law.
 
-<<<<<<< HEAD
-The controller has a model of the rig. A record of the plant shows what that model is missing; with it, the block L
-cancels the real dynamics, and the masking error falls. Effects of sensors and actuators are no part of that model.
-=======
 The controller assumes a model. A record of the plant shows what that model lacks; with it, the block L cancels what the
 rig really does, and the masking error falls. Effects in sensors and actuators are no part of that model.
->>>>>>> main
 """
 
 from __future__ import annotations
@@ -40,11 +35,7 @@ from masking.workflows.settings import with_fields_of
 Tell = Callable[[str, float], None]
 
 EXPERIMENT, NUMBERS, BEFORE, AFTER = "experiment.yaml", "refine.json", "before", "after"
-<<<<<<< HEAD
-WORTH = 0.9  # of chi: what it must fall to, to be called a smaller error
-=======
 WORTH = 0.9  # of the masking error before: above it, the run is called no better
->>>>>>> main
 _BEGIN, _FOUND = 0.1, 0.9  # parts done when the discovery begins and ends
 
 
@@ -78,11 +69,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Refinement:
-<<<<<<< HEAD
-    """An experiment before and after the missing effects were added to its controller's model.
-=======
     """An experiment before and after its controller's model got what it lacked.
->>>>>>> main
 
     Args:
         before, after: the run with the model as it was, and with what was found.
@@ -101,11 +88,7 @@ class Refinement:
 
     @property
     def sentence(self) -> str:
-<<<<<<< HEAD
-        """Return the change of the masking error as a sentence."""
-=======
         """Say by how much the masking error fell."""
->>>>>>> main
         found = self.discovery
         causes = [discovery_text.spoken(found, c.name, c.on) for c in found.effects if _is_of_model(found, c)]
         sentence = f"With {listed([*causes, 'adjusted parameters'])} in the controller's model, "
@@ -118,13 +101,8 @@ class Refinement:
         if self.after.worst <= WORTH * self.before.worst:
             return f"{sentence}."
         if self.experiment.observer_settings.kind == "differences":
-<<<<<<< HEAD
-            return f"{told}: no smaller; differences of positions are too rough for it, try 'observer: disturbance'."
-        return f"{told}: no smaller, something else limits it; masking run --budget shows what."
-=======
             return f"{sentence}: no better; differences of positions are too rough for it, try 'observer: disturbance'."
         return f"{sentence}: no better, something else limits it; masking run --budget shows what."
->>>>>>> main
 
     @property
     def uncompensated(self) -> tuple[str, ...]:
@@ -234,13 +212,8 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
     return result
 
 
-<<<<<<< HEAD
-def believed(experiment: Experiment) -> Twin:
-    """Return the plant as the controller models it: its own model, and of the plant's effects noise and delay."""
-=======
 def assumed(experiment: Experiment) -> Twin:
     """Return the plant as the controller assumes it: its own model, and of the plant's effects noise and delay."""
->>>>>>> main
     assembly, settings = experiment.assembly, experiment.declaration.controller
     base = assembly.believed_model
     known = {}
@@ -258,11 +231,7 @@ def assumed(experiment: Experiment) -> Twin:
 
 
 def refined(experiment: Experiment, found: Discovery, files: Files, folder: Path) -> Experiment:
-<<<<<<< HEAD
-    """Return an experiment whose controller's model has what was found.
-=======
     """Return an experiment whose controller assumes what was found.
->>>>>>> main
 
     Args:
         experiment: as it was.
