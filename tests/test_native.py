@@ -68,7 +68,7 @@ def test_an_unknown_function_is_refused_with_the_nearest_name():
 def number(value):
     """Return a module with one function that returns a number."""
     module = Module("test", {})
-    module.add_kernel(f"@compiled\ndef f(t: float):\n    return {value}", "d")
+    module.add_text("f(t: float) -> float", f"{DECORATOR}\ndef f(t):\n    return {value}")
     return module
 
 
@@ -110,7 +110,7 @@ def test_equal_functions_of_different_modules_are_compiled_once(tmp_path, monkey
     monkeypatch.setenv("MASKING_CACHE", str(tmp_path))
     for key in ("a", "b"):
         module = number(3.5)
-        module.add_kernel(f"@compiled\ndef {key}(t: float):\n    return t", "d")
+        module.add_text(f"{key}(t: float) -> float", f"{DECORATOR}\ndef {key}(t):\n    return t")
         assert store.load(key, lambda module=module: module).function("f")(0.0) == 3.5
     assert len(list(tmp_path.glob("texts/*"))) == 2
     assert len(list(tmp_path.glob("objects/*"))) == 1
@@ -128,7 +128,8 @@ def test_linked_functions_are_compiled_apart_from_those_that_call_them(tmp_path,
     def caller():
         module = Module("caller", {})
         module.add_link("law(kind: int, x, rows: Matrix)")
-        module.add_kernel("@compiled\ndef f(kind: int, x: Vector, rows: Matrix):\n    law(kind, x[1:], rows[1:])", "")
+        text = f"{DECORATOR}\ndef f(kind, x, rows):\n    law(kind, x[1:], rows[1:])"
+        module.add_text("f(kind: int, x, rows: Matrix)", text)
         return module
 
     def law(sign):

@@ -32,14 +32,24 @@ else:
     numba = lazy.load("numba")
 
 # How an argument of each type goes through the C interface: an array as its address and its shape.
+_VECTOR, _MATRIX = (ctypes.c_void_p, ctypes.c_int64), (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 C_TYPES: dict[str, tuple[Any, ...]] = {
     "float": (ctypes.c_double,),
     "int": (ctypes.c_int64,),
-    "Vector": (ctypes.c_void_p, ctypes.c_int64),
-    "Matrix": (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64),
+    "Vector": _VECTOR,
+    "Matrix": _MATRIX,
+    "IntVector": _VECTOR,
+    "IntMatrix": _MATRIX,
 }
-NUMBA_TYPES = {"float": "f8", "int": "i8", "Vector": "CPointer(f8), i8", "Matrix": "CPointer(f8), i8, i8"}
-DIMENSIONS = {"Vector": 1, "Matrix": 2}
+NUMBA_TYPES = {
+    "float": "f8",
+    "int": "i8",
+    "Vector": "CPointer(f8), i8",
+    "Matrix": "CPointer(f8), i8, i8",
+    "IntVector": "CPointer(i8), i8",
+    "IntMatrix": "CPointer(i8), i8, i8",
+}
+DIMENSIONS = {"Vector": 1, "Matrix": 2, "IntVector": 1, "IntMatrix": 2}
 ENTRY = "masking_entry"
 RESULTS = 4  # room for the results of a function
 
@@ -50,7 +60,7 @@ class NativeFunction:
 
     Args:
         name: its name in the module.
-        arguments: the types of its arguments by their names: `float`, `int`, `Vector` or `Matrix`.
+        arguments: the types of its arguments by their names, such as `float` or `Matrix`.
         results: the types of its results: none, or `float` and `int`.
         work: the shape of its work space, which callers need not give; None if it has none.
         source: imports the generated module.
@@ -71,7 +81,7 @@ class NativeFunction:
         """Call the machine code; arrays are read and written in place.
 
         Raises:
-            TypeError: an array is not C-contiguous float64 of the right dimension, or one is missing.
+            TypeError: an array is not C-contiguous, of the right type and dimension, or one is missing.
         """
         call = self.prepare()
         values = list(given) if self.work is None else [*given, np.empty(self.work)]
@@ -82,10 +92,11 @@ class NativeFunction:
             if kind in DIMENSIONS:
                 if not isinstance(value, np.ndarray):
                     raise TypeError(f"{self.name}: {name} must be an array, not {type(value).__name__}")
-                if value.ndim != DIMENSIONS[kind] or value.dtype != np.float64 or not value.flags.c_contiguous:
+                dtype = np.int64 if kind.startswith("Int") else np.float64
+                if value.ndim != DIMENSIONS[kind] or value.dtype != dtype or not value.flags.c_contiguous:
                     raise TypeError(
-                        f"{self.name}: {name} must be a C-contiguous float64 array of dimension {DIMENSIONS[kind]}, "
-                        f"not {value.dtype} of shape {value.shape}"
+                        f"{self.name}: {name} must be a C-contiguous {dtype.__name__} array of dimension "
+                        f"{DIMENSIONS[kind]}, not {value.dtype} of shape {value.shape}"
                     )
                 passed += [value.ctypes.data, *value.shape]
             else:

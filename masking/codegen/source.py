@@ -1,25 +1,16 @@
 """Functions and modules of generated Python, compiled by numba when first called.
 
 A module is made of two kinds of functions. Both say the types of their arguments in their signature: `float`, `int`,
-`Vector` and `Matrix` (C-contiguous arrays of float64).
+`Vector` and `Matrix` (C-contiguous arrays of float64), `IntVector` and `IntMatrix` (of int64).
 
 * Expressions: `Module.add("energy(t: float, q, v, p)", graph, ...)` prints graph nodes; what has no type is a `Vector`.
 * Kernels: plain functions that a factory closes over sizes and over functions of the module, such as
-
-      def along(transform: Kernel, count: int) -> Kernel:
-          @compiled
-          def transforms(times: Vector, states: Matrix, p: Vector, virtual: Matrix) -> None:
-              for i in range(times.size):
-                  transform(times[i], states[i, :count], states[i, count:], p, virtual[i])
-
-          return transforms
-
-  `Module.add_factory("transforms", kernels.along, "transform", 2)` adds what it returns under the name `transforms`:
-  text names a function of the module, all else is written as it is. The factory lives in a module that has
-  `from __future__ import annotations` and takes `compiled` from `masking.numerics.integrators`; import it by
-  `lazy_loader`, so that numba is not imported where nothing is compiled. With `work=(rows, width)` the last argument
-  is work space that callers need not give. With `exported=False` only other functions of the module call it, and its
-  arguments need no types.
+  `masking.numerics.sampled_loop.transforms`. `Module.add_factory("transforms", sampled_loop.transforms, "transform",
+  2)` adds what it returns; text names a function of the module, all else is written as it is. The factory lives in a
+  module that takes `compiled` from `masking.numerics.integrators` and postpones annotations (`from __future__`); import
+  it by `lazy_loader`, so that numba is not imported where nothing is compiled. With `work=(rows, width)` the last
+  argument is work space that callers need not give. With `exported=False` only other functions of the module call it,
+  and its arguments need no types.
 """
 
 from __future__ import annotations
@@ -176,23 +167,9 @@ class Module:
         self.meta.setdefault("links", []).append(name)
 
     def add_text(self, signature: str, text: str) -> None:
-        """Add functions that are printed already, the last of which has this signature and returns nothing."""
+        """Add printed functions, the last of which has this signature; it returns nothing without `-> float`."""
         self.functions.append(text)
-        self._export(*_read(signature), "None")
-
-    def add_kernel(self, text: str, results: str, work: tuple[int, int] | None = None) -> None:
-        """Add a function written out as text, in which the line `@compiled` stands for the decorator.
-
-        Args:
-            text: the source; its last function is the one that is called from outside.
-            results: the kinds of its results, such as 'idi'.
-            work: the shape of its work space.
-        """
-        self.functions.append(text.strip().replace("@compiled", DECORATOR))
-        signature = re.findall(r"^def (\w+\(.*?\)):$", text, re.MULTILINE | re.DOTALL)[-1]
-        kinds = {"d": "float", "i": "int"}
-        returned = ", ".join(kinds[one] for one in results) or "None"
-        self._export(*_read(signature), f"tuple[{returned}]" if len(results) > 1 else returned, work)
+        self._export(*_read(signature), signature.partition(" -> ")[2] or "None")
 
     def _function(self, signature: str, body: Sequence[str], decorator: str = DECORATOR) -> None:
         returned = "float" if body and body[-1].startswith("return") else "None"
@@ -218,23 +195,8 @@ def _read(signature: str) -> tuple[str, dict[str, str]]:
     """Return the name of a function and the types of its arguments by their names."""
     (function,) = ast.parse(f"def {signature}: pass").body
     assert isinstance(function, ast.FunctionDef)  # noqa: S101
-    return function.name, {
-        a.arg: ast.unparse(a.annotation) if a.annotation else LEGACY.get(a.arg, "Vector") for a in function.args.args
-    }
-
-
-# Types of arguments of functions that do not say them yet.
-LEGACY: dict[str, str] = {
-    **dict.fromkeys(("t", "tolerance", "fixed_step", "dt", "first", "since"), "float"),
-    **dict.fromkeys(("begin", "count", "substeps", "every", "straight", "kind", "state"), "int"),
-    **dict.fromkeys(("y", "q", "v", "u", "p", "out", "dy", "times"), "Vector"),
-    **dict.fromkeys(("s", "x", "d", "r", "g", "noise", "control_p", "demanded", "applied", "command"), "Vector"),
-    **dict.fromkeys(("c", "states", "virtual", "inputs", "out_y", "out_u", "work"), "Matrix"),
-    **dict.fromkeys(("jy", "jp", "sens", "basis", "matrix", "simulated"), "Matrix"),
-    **dict.fromkeys(("weights", "gradient", "squares", "theta", "rate"), "Vector"),
-    **dict.fromkeys(("gain", "table", "queue", "noises", "estimates", "readings", "demands", "commands"), "Matrix"),
-    **dict.fromkeys(("slots", "columns", "features"), "Matrix"),
-}
+    types = {a.arg: ast.unparse(a.annotation) if a.annotation else "Vector" for a in function.args.args}
+    return function.name, types
 
 
 def _loads(graph: Graph, nodes: Sequence[Node], loads: Mapping[str, str]) -> list[str]:

@@ -113,3 +113,19 @@ def derivatives(graph: Graph, nodes: Sequence[Node], symbols: Sequence[Node]) ->
                 tangent[node] = total
         columns.append([tangent.get(node, zero) for node in nodes])
     return [list(row) for row in zip(*columns, strict=True)] if columns else [[] for _ in nodes]
+
+
+def jacobian(
+    graph: Graph, name: str, nodes: Sequence[Node], symbols: Sequence[Node], columns: Sequence[int]
+) -> list[tuple[str, Node]]:
+    """Return d node / d symbol as entries `name[row, column]` of a matrix.
+
+    Args:
+        graph: the graph, to which they are added.
+        name: of the matrix.
+        nodes: what is differentiated, one in each row.
+        symbols: nodes of symbols.
+        columns: of the symbols.
+    """
+    rows = derivatives(graph, nodes, symbols)
+    return [(f"{name}[{i}, {c}]", node) for i, row in enumerate(rows) for c, node in zip(columns, row, strict=True)]

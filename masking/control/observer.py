@@ -22,6 +22,7 @@ import numpy as np
 
 from masking.errors import ModelError
 from masking.numerics.arrays import Array
+from masking.numerics.steady_kalman import discretised, steady_filter
 
 if TYPE_CHECKING:
     from scipy import linalg
@@ -38,9 +39,6 @@ NOISE_PART = 0.02
 # A bandwidth that makes too much noise is lowered by this factor until it does not.
 LOWERED = 0.9
 SLOWEST = 1e-3  # of the fastest bandwidth
-# Rounds that double the samples which are covered, and the part that the last of them may still add.
-MOST_DOUBLINGS = 60
-SETTLED = 1e-15
 
 
 @dataclass(frozen=True)
@@ -219,56 +217,15 @@ def _steady(plan: Plan, order: int, bandwidth: Array) -> _Steady:
     measured = np.diag(inverse @ np.diag(variance) @ inverse.T)
     # A discrete measurement of variance R at each sample is a continuous one of density R h.
     density = bandwidth ** (2 * (2 + order)) * measured * h
-    # Van Loan (1978): discrete noise of a continuous system, from one exponential.
-    driven = np.zeros((size, size))
-    driven[size - n :, size - n :] = np.diag(density)
-    block = np.zeros((2 * size, 2 * size))
-    block[:size, :size], block[:size, size:], block[size:, size:] = -flow, driven, flow.T
-    exponential = linalg.expm(block * h)
-    step = exponential[size:, size:].T
-    noise = step @ exponential[:size, size:]
+    driven = np.concatenate([np.zeros(size - n), density])
+    step, noise = discretised(flow, driven, h)
     reading = np.hstack([plan.sensing, np.zeros((len(plan.sensing), order * n))])
     # In units in which readings and coordinates are of order one, so that the equation is well scaled.
     unit = np.concatenate([bandwidth**k * np.sqrt(measured) for k in range(2 + order)])
     scaled_step = step * unit / unit[:, None]
-    scaled_noise = noise / np.outer(unit, unit)
     scaled_reading = reading * unit / np.sqrt(variance)[:, None]
-    covariance = _covariance(scaled_step, scaled_reading, 0.5 * (scaled_noise + scaled_noise.T))
-    innovation = scaled_reading @ covariance @ scaled_reading.T + np.eye(len(variance))
-    steady = np.linalg.solve(innovation, scaled_reading @ covariance).T
-    return _Steady(steady, (np.eye(size) - steady @ scaled_reading) @ scaled_step, unit, np.sqrt(variance))
-
-
-def _covariance(step: Array, reading: Array, noise: Array) -> Array:
-    """Return the steady covariance P = F (P^-1 + C^T C)^-1 F^T + Q of what is predicted, readings of unit variance.
-
-    Each round covers twice as many samples as the one before. The matrix pencil of the other methods has a multiple
-    eigenvalue near 1 where the bandwidth is far below the rate, so near that they cannot tell its halves apart.
-    Source: Chu, Fan, Lin and Wang, Int. J. Control 77 (2004), 767-788, structure-preserving doubling.
-    """
-    one = np.eye(len(step))
-    a, g, p = step.T, reading.T @ reading, noise
-    for _ in range(MOST_DOUBLINGS):
-        solved = np.linalg.solve(one + g @ p, np.hstack([a, g @ a.T]))
-        onward, more = solved[:, : len(a)], solved[:, len(a) :]
-        added = a.T @ p @ onward
-        p = p + 0.5 * (added + added.T)
-        more = a @ more
-        g, a = g + 0.5 * (more + more.T), a @ onward
-        if np.abs(added).max() <= SETTLED * np.abs(p).max():
-            break
-    return p
-
-
-def _sum(step: Array, noise: Array) -> Array:
-    """Return the steady covariance X = A X A^T + Q of a stable filter, each round covering twice as many samples."""
-    x, a = noise, step
-    for _ in range(MOST_DOUBLINGS):
-        added = a @ x @ a.T
-        x, a = x + added, a @ a
-        if np.abs(added).max() <= SETTLED * np.abs(x).max():
-            break
-    return x
+    gain = steady_filter(scaled_step, noise / np.outer(unit, unit), scaled_reading).gain
+    return _Steady(gain, (np.eye(size) - gain @ scaled_reading) @ scaled_step, unit, np.sqrt(variance))
 
 
 def _command_noise(plan: Plan, order: int, bandwidth: Array) -> Array:
@@ -276,7 +233,7 @@ def _command_noise(plan: Plan, order: int, bandwidth: Array) -> Array:
     n = plan.coordinates
     found = _steady(plan, order, bandwidth)
     driven = found.gain @ np.diag((plan.noise / found.deviation) ** 2) @ found.gain.T
-    noise = _sum(found.error, driven) * np.outer(found.unit, found.unit)
+    noise = linalg.solve_discrete_lyapunov(found.error, driven) * np.outer(found.unit, found.unit)
     late = (plan.delay + 0.5) * plan.period
     # What is cancelled: the model's own accelerations, and the disturbance where it will be when the command acts.
     cancelled = np.hstack([plan.dynamics[n:], *(late**k * np.eye(n) for k in range(order))])

@@ -1,8 +1,8 @@
-"""Open rig: a twin whose places are open, so that any effect can be put anywhere in it without compiling anew.
+"""Augmented model: a twin with force ports, so that any effect can act at any place without compiling again.
 
-A force port at each place and an offset in front of each actuator are compiled in; effects are laws of their own, which
-drive these ports while the rig is simulated, together with the derivatives by all parameters.
-Source: as `masking.estimation.sensitivity`.
+A force port at each place and an offset before each actuator are compiled in; effects are laws of their own, which
+drive these ports in the simulation, together with the derivatives by all parameters.
+Source: as `masking.numerics.augmented`.
 """
 
 from __future__ import annotations
@@ -10,28 +10,39 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
+import lazy_loader as lazy
 import numpy as np
 
 from masking.codegen import store
 from masking.codegen.graph import Node
 from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
-from masking.codegen.tangent import derivatives
+from masking.codegen.tangent import derivatives, jacobian
 from masking.declaration.dictionary import MOST_PARAMETERS
 from masking.declaration.expression import Expression
 from masking.declaration.schema import EffectUse
-from masking.discovery import laws, steps
+from masking.discovery import laws
 from masking.discovery.places import Place, degrees, identifier, opened
 from masking.effects import EFFECTS, FORCE, OFFSET, Effect
-from masking.estimation.sensitivity import Sensitivity
-from masking.numerics.arrays import Array
+from masking.estimation.sensitivity import Sensitivity, add_slopes
+from masking.numerics.arrays import Array, IntMatrix, IntVector
+from masking.numerics.instances import ACTUATOR, COLUMNS, ELEMENT, INERTIA, SENSOR
+from masking.numerics.rig_sizes import PortSizes
 from masking.rig.twin import LoweredTwin, Twin
+
+if TYPE_CHECKING:
+    from masking.numerics import augmented, kalman, responses
+else:
+    augmented = lazy.load("masking.numerics.augmented", suppress_warning=True)
+    kalman = lazy.load("masking.numerics.kalman", suppress_warning=True)
+    responses = lazy.load("masking.numerics.responses", suppress_warning=True)
 
 NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives
 MOST_STATES = 6  # of effects together
 MOST_COLUMNS = 96  # features that are spread at once
-WHERE = {"element": steps.ELEMENT, "actuator": steps.ACTUATOR, "sensor": steps.SENSOR}
+KINDS = {"element": ELEMENT, "actuator": ACTUATOR, "sensor": SENSOR}
 
 
 @dataclass(frozen=True)
@@ -95,7 +106,7 @@ class Slot:
 
 @dataclass(frozen=True)
 class Equations:
-    """What a record tells: J^T W J (w, w), J^T W r (w,), squared residuals (sensors,), and what is simulated.
+    """Normal equations of a record: J^T W J (w, w), J^T W r (w,), squared residuals (sensors,), simulated readings.
 
     Columns: parameters of the rig, free parameters of the slots, where their states begin, then what each window may
     begin with, as `Twin.free` has it.
@@ -108,11 +119,34 @@ class Equations:
 
 
 @dataclass(frozen=True)
+class Instances:
+    """Tables of effect instances, as kernels read them.
+
+    Args:
+        table: a row for each instance, those of sensors last (i, 5); columns as `numerics.instances` says.
+        estimated: the column of each parameter in the normal equations, or -1 (i, parameters).
+        values: all parameters, one after the other.
+        acts: 1 where an effect acts, of places, then of actuators (places + actuators,).
+        late: delay of each actuator, s (actuators,).
+        late_columns: column of this delay, or -1 (actuators,).
+        states: how many states the effects have.
+    """
+
+    table: IntMatrix
+    estimated: IntMatrix
+    values: Array
+    acts: IntVector
+    late: Array
+    late_columns: IntVector
+    states: int
+
+
+@dataclass(frozen=True)
 class OpenRig:
     """A twin with open places.
 
     Args:
-        twin: the rig as it is believed to be.
+        twin: the rig with its declared values.
         names: its parameters that may be adjusted.
     """
 
@@ -219,62 +253,53 @@ class OpenRig:
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
         twin, _ = self._opened
-        texts = [effect.structure() for effect in self.laws.values()]
         made_from = {
-            "discovery": twin.structure(), "affected": list(self._sensitivity.affected), "laws": texts,
-            "steps": [steps.FLOW, steps.RUN, *steps.OTHERS],
+            "discovery": twin.structure(), "affected": list(self._sensitivity.affected),
             "columns": self.columns, "forces": self.degree_places, "free": self.twin.free,
         }  # fmt: skip
-        return Kernels(store.load(store.key(made_from), self._build))
+        links = {laws.LAW: laws.library(self.laws)}
+        return Kernels(store.load(store.key(made_from), self._build, links))
 
     def _build(self) -> Module:
         twin, found = self._opened
         module = Module(f"{twin.declaration.name}, open", {"kind": "discovery", **twin.state_kinds})
         lowered = LoweredTwin(twin)
         graph, loads = lowered.graph, lowered.loads
+        by_entry = add_slopes(module, lowered, self._sensitivity.affected)
+        module.add("rates(t: float, y, u, p, dy)", graph, lowered.derivatives, loads)
         by_text = {text: name for name, text in loads.items()}
-        n, moving = len(twin.state_names), len(self.coordinates)
-        at = [i for i in range(n) if f"y[{i}]" in by_text]
+        at = [i for i in range(len(twin.state_names)) if f"y[{i}]" in by_text]
         y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
-        affected = self._sensitivity.affected
-        p = [graph.symbol(by_text.get(f"p[{i}]", f"unused_{i}"), varying=False) for i in affected]
-
-        def jacobian(name: str, nodes: list[int], symbols: list[int], columns: Sequence[int]) -> list[tuple[str, int]]:
-            rows = derivatives(graph, nodes, symbols)
-            return [
-                (f"{name}[{i}, {c}]", node) for i, row in enumerate(rows) for c, node in zip(columns, row, strict=True)
-            ]
-
-        rates, readings = [x for _, x in lowered.derivatives], [x for _, x in lowered.readings]
-        every = range(len(p))
-        results = [*lowered.derivatives, *jacobian("jy", rates, y, at), *jacobian("jp", rates, p, every)]
-        module.add("slopes(t, y, u, p, dy, jy, jp)", graph, results, loads)
-        results = [*lowered.readings, *jacobian("jy", readings, y, at), *jacobian("jp", readings, p, every)]
-        module.add("sensed(t, y, u, p, noise, s, jy, jp)", graph, results, loads)
-        direct = [node for row in derivatives(graph, readings, p) for node in row if not graph.is_number(node, 0.0)]
         nodes = [*_followed(lowered, found), *_rates(lowered, found, by_text)]
         results = [(f"d[{i}]", node) for i, node in enumerate(nodes)]
-        module.add("placed(t, y, u, p, d, jy)", graph, [*results, *jacobian("jy", nodes, y, at)], loads)
-        module.functions.append(laws.text(self.laws))
-        force_p, force_column, command_column = self.columns
-        none = (0,)  # of none, nothing is read
-        many = {
-            "n": n, "moving": moving, "forces": len(self.degrees), "places": len(found),
-            "channels": len(twin.actuators), "sensors": len(twin.sensors), "affected": len(affected),
-            "force_p": force_p or none, "force_column": force_column or none, "command_column": command_column or none,
-            "degree_ports": tuple(force_p[i] for i in self.degree_places) or none,
-            "begins": self.begins, "free": twin.free or none,
-            "is_free": tuple(int(i in twin.free) for i in range(n)) or none,
-            "fed": int(twin.is_fed), "direct": int(bool(direct)),
-        }  # fmt: skip
-        size = n + MOST_STATES
-        width = max(len(self.names) + 4 * MOST_PARAMETERS + size, len(affected), MOST_COLUMNS)
-        rows = 12 * size + 12 * len(found) + 16 * len(readings) + 6 * len(twin.actuators) + 60
-        module.add_kernel(steps.FLOW.format(**many) + steps.RUN.format(**many), "i", (rows, width))
-        for text in steps.OTHERS:
-            result, work = ("i" if text is steps.FOLLOW else ""), (None if text is steps.BACK else (rows, width))
-            module.add_kernel(text.format(**many), result, work)
+        by_state = jacobian(graph, "jy", nodes, y, at)
+        module.add("placed(t: float, y, u, p, d, jy: Matrix)", graph, [*results, *by_state], loads)
+        module.add_link(laws.SIGNATURE)
+        sizes, forces = self._sizes, tuple(self.columns[0][i] for i in self.degree_places)
+        size = sizes.states + MOST_STATES
+        width = max(len(self.names) + 4 * MOST_PARAMETERS + size, self.affected, 2 * len(found), MOST_COLUMNS)
+        work = sizes.work_rows, width
+        is_direct = not all(graph.is_number(node, 0.0) for node in by_entry)
+        rig = "slopes", "sensed", sizes
+        module.add_factory("run", augmented.augmented_normal_equations, laws.LAW, "placed", *rig, work=work)
+        module.add_factory("respond", responses.linear_responses, *rig, is_direct, work=work)
+        module.add_factory("follow", kalman.fixed_gain_filter, "rates", *rig[1:], forces, work=work)
+        module.add_factory("smooth_backward", kalman.backward_smoother)
+        given = "rates", "placed", sizes, forces, len(found)
+        module.add_factory("motions", responses.places_along, *given, work=work)
+        module.add_factory("along", responses.law_along, laws.LAW, work=work)
+        module.add_factory("read", responses.readings_along, "sensed", sizes, forces, work=work)
         return module
+
+    @property
+    def _sizes(self) -> PortSizes:
+        force_entries, force_columns, command_columns = self.columns
+        twin = self._opened[0]
+        return PortSizes(
+            len(twin.state_names), len(self.coordinates), self.affected, len(twin.sensors), self.twin.free,
+            places=len(self.places), channels=len(twin.actuators), force_entries=force_entries,
+            force_columns=force_columns, command_columns=command_columns, is_fed=twin.is_fed, most_states=MOST_STATES,
+        )  # fmt: skip
 
     def reading(self, theta: Array, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
         """Return what the sensors read in a state (sensors,), and how that depends on it (sensors, states).
@@ -299,35 +324,45 @@ class OpenRig:
         self.kernels.sensed(0.0, state, given, p, np.zeros(sensors), s, js, jps)
         return s, js, jps
 
-    def slots(self, slots: Sequence[Slot], theta: Array) -> tuple[Array, Array, Array, int]:
-        """Return the tables of slots and columns, their parameters, and how many states they have.
+    def instances(self, slots: Sequence[Slot], theta: Array) -> Instances:
+        """Return the tables of effect instances that kernels read.
 
         Args:
             slots: the effects.
             theta: their free parameters, one after the other (f,).
         """
-        table, columns = np.zeros((len(slots), 5)), np.full((len(slots), MOST_PARAMETERS), -1.0)
-        values: list[float] = []
-        used, states = 0, 0
-        n, k = len(self.twin.state_names), len(self.names)
-        for i, slot in enumerate(slots):
-            first = len(values)
+        channels, used, states = len(self.twin.actuators), len(self.names), 0
+        acts, late = np.zeros(len(self.places) + channels, dtype=np.int64), np.zeros(channels)
+        late_columns = np.full(channels, -1)
+        rows, columns, values = [], [], list[float]()
+        for slot in slots:
+            first, estimated = len(values), [-1] * MOST_PARAMETERS
             values += slot.values
             for j in slot.free:
-                values[first + j] = float(theta[used])
-                columns[i, j] = k + used
+                values[first + j] = float(theta[used - len(self.names)])
+                estimated[j] = used
                 used += 1
             if slot.effect == laws.DELAY:
-                at = self.twin.actuators.index(slot.at) if slot.at else -1
-                table[i] = -1, steps.ACTUATOR, at, first, -1
+                at = [self.twin.actuators.index(slot.at)] if slot.at else range(channels)
+                for channel in at:
+                    late[channel] += values[first]
+                    late_columns[channel] = estimated[0]
+                    acts[len(self.places) + channel] |= estimated[0] >= 0
                 continue
-            kind = steps.INERTIA if slot.entry.is_inertia else WHERE[slot.where]
-            table[i] = self._number(slot), kind, self.index(slot), first, -1
-            if slot.entry.states:
-                table[i, 4] = n + states
-                states += 1
+            kind, place = INERTIA if slot.entry.is_inertia else KINDS[slot.where], self.index(slot)
+            if kind != SENSOR:
+                acts[place + len(self.places) * (kind == ACTUATOR)] = 1
+            state = len(self.twin.state_names) + states if slot.entry.states else -1
+            states += len(slot.entry.states)
+            rows.append((self._number(slot), kind, place, first, state))
+            columns.append(estimated)
+        # Sensors last: they may read what the others do.
+        order = sorted(range(len(rows)), key=lambda i: rows[i][1] == SENSOR)
         # Laws read as many parameters as they have from where theirs begin.
-        return table, columns, np.array([*values, *np.zeros(MOST_PARAMETERS)]), states
+        read = np.array([*values, *np.zeros(MOST_PARAMETERS)])
+        table = np.array([rows[i] for i in order], dtype=np.int64).reshape(-1, len(COLUMNS))
+        found = np.array([columns[i] for i in order], dtype=np.int64).reshape(-1, MOST_PARAMETERS)
+        return Instances(table, found, read, acts, late, late_columns, states)
 
     def along(self, slot: Slot, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
         """Return what an effect gives along a known motion, and its derivatives by some parameters (m, 1 + c).
@@ -340,11 +375,11 @@ class OpenRig:
             by: indices of these parameters.
         """
         features = np.empty((len(x), 1 + len(by)))
-        theta = np.array([*slot.values, *np.zeros(MOST_PARAMETERS)])
-        columns = np.array([[*by]], dtype=float) if by else np.zeros((1, 1))
-        kind, states = self._number(slot), len(slot.entry.states)
+        values = np.array([*slot.values, *np.zeros(MOST_PARAMETERS)])
+        number, has_state = self._number(slot), bool(slot.entry.states)
         x, rate = np.ascontiguousarray(x), np.ascontiguousarray(rate)
-        self.kernels.along(len(x), dt, kind, states, x, rate, columns, theta, features)
+        parameters = np.array([*by, 0], dtype=np.int64)  # of none, nothing is read
+        self.kernels.along(len(x), dt, number, has_state, x, rate, parameters, values, features)
         return features
 
     def index(self, slot: Slot) -> int:

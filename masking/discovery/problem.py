@@ -12,6 +12,7 @@ from masking.discovery.prior import Prior
 from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import IntegrationError
 from masking.estimation.data import Data, is_first_order
+from masking.estimation.sensitivity import spans
 from masking.numerics.arrays import Array
 
 
@@ -80,20 +81,21 @@ class Evidence:
         """
         rig, record = self.rig, self.record
         added = np.empty(0) if added is None else added
-        table, columns, values, states = rig.slots(slots, added)
+        given = rig.instances(slots, added)
+        states = given.states
         p, basis = rig.basis(theta, len(added) + states)
         k, moving, windows = basis.shape[1], rig.begins, self.windows
         n, width = len(rig.twin.state_names), k + moving
-        y, sens = np.full(n + states, NEARLY_ZERO), np.zeros((n + states, width))
+        y, derivatives = np.full(n + states, NEARLY_ZERO), np.zeros((n + states, width))
         y[n:] += 0.0 if inner is None else inner
-        sens[n:, k - states : k] = np.eye(states)
+        derivatives[n:, k - states : k] = np.eye(states)
         of_windows, gradients = np.zeros((windows * width, width)), np.zeros(windows * width)
         squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
         status = rig.kernels.run(
             len(record), self.dt, self.substeps, self.begin, is_first_order(record.hold),
-            np.ascontiguousarray(start), y, sens, p, basis, table, columns, values,
-            np.ascontiguousarray(record.acting), record.readings, self.weights, of_windows, gradients, squares,
-            simulated,
+            np.ascontiguousarray(start), y, derivatives, p, basis, spans(basis), given.table, given.estimated,
+            given.values, given.acts, given.late / self.dt, given.late_columns, np.ascontiguousarray(record.acting),
+            record.readings, self.weights, of_windows, gradients, squares, simulated,
         )  # fmt: skip
         if status or not np.isfinite(squares).all() or not np.isfinite(of_windows).all():
             raise IntegrationError("the simulated motion is no longer finite")

@@ -21,7 +21,7 @@ from masking.discovery.fitting import Hypothesis, bounds
 from masking.discovery.problem import Evidence
 from masking.discovery.smoothing import Motion, linearised
 from masking.estimation.least_squares import Dense
-from masking.numerics.arrays import Array
+from masking.numerics.arrays import Array, IntVector
 
 HIGHEST = 60.0  # Hz, or twice what the rig does by itself; what is faster is averaged away
 NEAR = 0.5  # of the best gain: candidates whose shapes are sharpened
@@ -97,8 +97,8 @@ class Screen:
         coarse = len(self._states)
         columns = self._spread(np.ones((coarse, len(wanted))), wanted.astype(np.float64))
         of_parameters = np.einsum("bsm,mk->bsk", columns, basis[wanted])
-        first = np.array([-1.0 - i for i in rig.twin.free])
-        start = self._of_windows(self._spread(np.zeros((coarse, len(first))), first))
+        free = np.array(rig.twin.free, dtype=np.int64)
+        start = self._of_windows(self._spread(np.zeros((coarse, len(free))), np.zeros(len(free)), free))
         values, slopes = self._found(found)
         own = self._rows(np.concatenate([of_parameters, start, slopes], axis=2))
         prior = np.zeros((k, own.shape[1]))
@@ -384,15 +384,16 @@ class Screen:
             x, rate, column = (record.readings - self.base.residuals)[:, at], nothing, float(at)
         return np.ascontiguousarray(x), np.ascontiguousarray(rate), column
 
-    def _spread(self, features: Array, at: Array) -> Array:
-        """Return what forces (m, M) at columns (M,) do to the sensors, in means (blocks, sensors, M)."""
+    def _spread(self, features: Array, at: Array, initial: IntVector | None = None) -> Array:
+        """Return what forces (m, M) at columns (M,), or `initial` states, do to the sensors (blocks, sensors, M)."""
         rig, record = self.rig, self.record
         sensors, many = len(rig.twin.sensors), features.shape[1]
         found = np.empty((self.blocks, sensors * many))
         p, _ = rig.basis(self.base.theta)
         every = self.every // self.thin
-        rig.kernels.spread(
-            self.blocks * every, self.thin / record.rate, every, self.begin, at, self._states, self._commands, p,
+        rig.kernels.respond(
+            self.blocks * every, self.thin / record.rate, every, self.begin, at.astype(np.int64),
+            np.full(many, -1) if initial is None else initial, self._states, self._commands, p,
             np.ascontiguousarray(features), found,
         )  # fmt: skip
         return found.reshape(self.blocks, sensors, many)

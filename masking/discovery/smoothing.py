@@ -1,4 +1,4 @@
-"""Smoothing: the motion of a rig and the force that its model lacks, from a record of positions.
+"""Smoothing: the motion of a rig and the latent forces on it, from a record of positions.
 
 A force on each coordinate is added to the model as a random walk, and without coordinates on the rate of each state and
 on each output that forces act on; a Kalman filter and a backward pass with the constant gains of the rig at rest give
@@ -21,11 +21,11 @@ from masking.effects import Effect
 from masking.errors import IntegrationError
 from masking.estimation.data import is_first_order
 from masking.numerics.arrays import Array
+from masking.numerics.steady_kalman import discretised, steady_filter
 
 WALKS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # intensities that are tried, of that which moves the sensors as their noise does
-DOUBLINGS = 24  # of the samples over which smoothing settles
 QUICK = 0.3  # rad, times the rate of a record: how fast forces on states and outputs are followed, to begin with
-FURTHER = (1e-6, 1e-4)  # intensities that are tried before the others where nothing but these is lacking
+FURTHER = (1e-6, 1e-4)  # intensities that are tried before the others if latent forces act on nothing else
 SHORT = 8.0  # s of the record by which the intensity is chosen
 
 
@@ -35,7 +35,7 @@ class Motion:
 
     Args:
         states: of the rig (m, n).
-        forces: that the model lacks, on each degree (m, degrees): coordinates, in their unit of acceleration, states
+        forces: latent, on each degree (m, degrees): coordinates, in their unit of acceleration, states
             and outputs.
         deviation: standard deviation of these forces (degrees,).
         innovations: what each reading adds to the past, in standard deviations (m, sensors).
@@ -68,7 +68,7 @@ class _Gains:
 
 
 def smooth(evidence: Evidence, theta: Array, start: Array) -> Motion:
-    """Return the motion and the lacking forces of a record.
+    """Return the motion and the latent forces of a record.
 
     Args:
         evidence: the record and the rig.
@@ -89,7 +89,7 @@ def smooth(evidence: Evidence, theta: Array, start: Array) -> Motion:
         costs.append((whitened**2).mean() + 2.0 * np.log(np.diag(linalg.cholesky(gains.spread))).mean())
     gains = _gains(rig, theta, record.rate, sigma, walks[int(np.argmin(costs))] * unit)
     innovations, states, predicted = _filter(evidence, theta, start, gains)
-    rig.kernels.back(len(record), gains.backward, states, predicted)
+    rig.kernels.smooth_backward(len(record), gains.backward, states, predicted)
     n = len(rig.twin.state_names)
     placed = np.empty((len(record), 3 * len(rig.places)))
     acting = np.ascontiguousarray(record.acting)
@@ -135,8 +135,8 @@ def linearised(rig: OpenRig, theta: Array) -> tuple[Array, Array, Array, Array]:
     jy[:count, count : 2 * count] = np.eye(count)
     columns = [rig.columns[1][i] for i in rig.degree_places]
     if not all(np.isfinite(table).all() for table in (jy, jp[:, columns], js, jps[:, columns])):
-        told = ", ".join(f"{name} = {value:g}" for name, value in zip(rig.twin.state_names, y, strict=True))
-        raise IntegrationError(f"the equations have no slopes at rest ({told}); give states an initial value in use")
+        state = ", ".join(f"{name} = {value:g}" for name, value in zip(rig.twin.state_names, y, strict=True))
+        raise IntegrationError(f"the equations have no slopes at rest ({state}); give states an initial value in use")
     return jy, jp[:, columns], js, jps[:, columns]
 
 
@@ -150,7 +150,7 @@ def _unit(rig: OpenRig, theta: Array, sigma: Array, rate: float) -> Array:
     """Return the intensity (degrees,) whose walk over the time of a motion moves sensors by their noise.
 
     A force on a state or an output is followed with the speed w where its intensity is s^2 w^4 / rate or
-    s^2 w^2 / rate, for a state or output that is told with a deviation of s in each sample.
+    s^2 w^2 / rate, for a state or output that is read with a deviation of s in each sample.
     """
     _, _, c, d = linearised(rig, theta)
     count = len(rig.coordinates)
@@ -166,40 +166,27 @@ def _unit(rig: OpenRig, theta: Array, sigma: Array, rate: float) -> Array:
 def _gains(rig: OpenRig, theta: Array, rate: float, sigma: Array, intensity: Array) -> _Gains:
     a, b, c, d = linearised(rig, theta)
     n, m = len(a), b.shape[1]
-    whole = np.zeros((n + m, n + m))
-    whole[:n, :n], whole[:n, n:] = a, b
-    moved = linalg.expm(whole / rate)
-    sensing = np.hstack([c, d])
-    # Van Loan: the noise of a random walk over a sample, seen by every state.
-    q = np.zeros_like(whole)
-    q[n:, n:] = np.diag(intensity)
-    block = np.zeros((2 * (n + m), 2 * (n + m)))
-    block[: n + m, : n + m], block[: n + m, n + m :], block[n + m :, n + m :] = -whole, q, whole.T
-    exp = linalg.expm(block / rate)
-    noise = exp[n + m :, n + m :].T @ exp[: n + m, n + m :]
-    noise = 0.5 * (noise + noise.T)
+    flow = np.zeros((n + m, n + m))
+    flow[:n, :n], flow[:n, n:] = a, b
+    moved, noise = discretised(flow, np.concatenate([np.zeros(n), intensity]), 1.0 / rate)
+    # In scaled states, and in readings of unit variance, the equation is well conditioned.
     scale = np.sqrt(np.maximum(np.diag(noise), 1e-300))
-    # In scaled states the equation is well conditioned.
-    size = np.concatenate([np.full(n, 1.0), np.ones(m)]) * np.maximum(scale, 1e-12 * scale.max())
-    f, h = moved * size / size[:, None], sensing * size
-    qs, r = noise / np.outer(size, size), np.diag(sigma**2)
+    size = np.maximum(scale, 1e-12 * scale.max())
+    step = moved * size / size[:, None]
     try:
-        ahead = linalg.solve_discrete_are(f.T, h.T, qs, r)
+        found = steady_filter(step, noise / np.outer(size, size), np.hstack([c, d]) * size / sigma[:, None])
     except (np.linalg.LinAlgError, ValueError) as error:
         what = "coordinates" if rig.coordinates else ", ".join(rig.degrees)
         raise IntegrationError(f"the sensors do not tell the motion of all {what} ({error})") from None
-    spread = h @ ahead @ h.T + r
-    gain = np.linalg.solve(spread, h @ ahead).T
-    now = ahead - gain @ h @ ahead
+    ahead, now = found.predicted, found.corrected
     try:
-        backward = np.linalg.solve(ahead, f @ now).T
+        backward = np.linalg.solve(ahead, step @ now).T
     except np.linalg.LinAlgError:  # a state that nothing moves at rest, such as that of a friction, is known
-        backward = (np.linalg.pinv(ahead, hermitian=True) @ f @ now).T
-    steady, power = now - backward @ ahead @ backward.T, backward
-    for _ in range(DOUBLINGS):  # the sum of all powers: Smith (1968), SIAM J. Appl. Math. 16(1), 198-201
-        steady, power = steady + power @ steady @ power.T, power @ power
+        backward = (np.linalg.pinv(ahead, hermitian=True) @ step @ now).T
+    steady = linalg.solve_discrete_lyapunov(backward, now - backward @ ahead @ backward.T)
     deviation = np.sqrt(np.maximum(np.diag(steady)[n:], 0.0)) * size[n:]
     return _Gains(
-        np.ascontiguousarray(gain * size[:, None]), np.ascontiguousarray(backward * size[:, None] / size),
-        deviation, spread,
+        np.ascontiguousarray(found.gain * size[:, None] / sigma),
+        np.ascontiguousarray(backward * size[:, None] / size),
+        deviation, found.innovation * np.outer(sigma, sigma),
     )  # fmt: skip

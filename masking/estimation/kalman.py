@@ -29,15 +29,18 @@ from masking.codegen.source import Module
 from masking.errors import IntegrationError, ModelError, RecordError
 from masking.estimation.data import Data, is_first_order
 from masking.estimation.innovations import KalmanFit
-from masking.estimation.sensitivity import Sensitivity
+from masking.estimation.sensitivity import Sensitivity, spans
 from masking.estimation.simulation import first_start, judged, nearest, noise_alone, relative
-from masking.estimation.steps import LOOP, STEPS
 from masking.numerics.arrays import Array
+from masking.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE
 from masking.rig.twin import Twin
 
 if TYPE_CHECKING:
     from scipy import stats
+
+    from masking.numerics import kalman
 else:
+    kalman = lazy.load("masking.numerics.kalman", suppress_warning=True)
     stats = lazy.load("scipy.stats", suppress_warning=True)
 
 Progress = Callable[[float], None]
@@ -54,7 +57,6 @@ MOVED = 0.02  # relative change of a parameter after which the dependence of oth
 AFFINE = 1e-7  # relative change of that dependence that is rounding
 DOUBTED = 1e-3  # probability below which innovations are said not to be white
 FARTHER = 5.0  # initial deviations that a parameter may move before a note says so
-_NOT_FINITE, _NOT_POSITIVE, _MOVED = 1, 2, 3  # what the kernel returns
 
 
 def extended_kalman(
@@ -129,8 +131,8 @@ def extended_kalman(
     p0 = np.concatenate(before)
     y = first_start(sensing, record) if start is None else np.array(start, dtype=float)
     if y.shape != (sensing.states,) or not np.isfinite(y).all():
-        told = ", ".join(twin.state_names)
-        raise ModelError(f"start must be {sensing.states} finite numbers, {told}; got shape {y.shape}")
+        names_of_states = ", ".join(twin.state_names)
+        raise ModelError(f"start must be {sensing.states} finite numbers, {names_of_states}; got shape {y.shape}")
     run = _Run(sensing, record, scales, r, np.concatenate([q, none]), square_root)
     theta, covariance = run.filter(y.copy(), sensing.start(), p0, progress)
     found = run.result(theta, covariance, p0)
@@ -219,32 +221,23 @@ class _Filter(Sensitivity):
     iterated: int = 1
 
     @cached_property
-    def _texts(self) -> list[str]:
-        """Return the source of the kernels: the steps they are made of, and the loop for each form of covariance."""
-        n, k, sensors = self.states, len(self.names), len(self.twin.sensors)
-        placed = [f"    p[{index}] = origin[{row}] + shift[{row}]" for row, index in enumerate(self.affected)]
-        kept = [f"    origin[{row}] = p[{index}]" for row, index in enumerate(self.affected)]
-        steps = STEPS.format(placed="\n".join(placed) or "    pass", kept="\n".join(kept) or "    pass")
-        sizes = {"n": n, "k": k, "sensors": sensors, "affected": len(self.affected), "updates": self.iterated}
-        return [steps + "\n" + LOOP.format(form="full", **sizes), LOOP.format(form="root", **sizes)]
-
-    @cached_property
     def filters(self) -> Kernels:
         """Return the compiled filters; from the cache on disk where they have been made before."""
         made_from = {
             "kalman": self.twin.structure(),
             "affected": list(self.affected),
             "count": len(self.names),
-            "texts": self._texts,
+            "updates": self.iterated,
         }
         return Kernels(store.load(store.key(made_from), self._build_filters))
 
     def _build_filters(self) -> Module:
-        module = self._build()
-        n, k, sensors = self.states, len(self.names), len(self.twin.sensors)
-        width = max(3 * n, n + k, len(self.affected), sensors, len(self.twin.actuators))
-        for text in self._texts:
-            module.add_kernel(text, "ii", (7 * n + 5 + 3 * sensors + (n + k) + 2 * n + 12, width))
+        module, sizes, size = self._build(), self.sizes, self.states + len(self.names)
+        rows = 3 * sizes.sensors + size + 11 + 2 * sizes.states + sizes.moving_rows
+        work = rows, max(3 * sizes.states, size, *self._widths)
+        for name, factory in (("full", kalman.full_extended_filter), ("root", kalman.root_extended_filter)):
+            given = "slopes", "sensed", sizes, self.affected, self.iterated
+            module.add_factory(f"filter_{name}", factory, *given, work=work)
         return module
 
     @cached_property
@@ -295,8 +288,8 @@ class _Run:
         )
         theta = np.clip(theta, low, high)
         acting, readings = np.ascontiguousarray(record.acting), np.ascontiguousarray(record.readings)
-        substeps, straight = sensing.twin.substeps(record.rate), is_first_order(record.hold)
-        sens = np.zeros((sensing.states, len(theta) + sensing.states))
+        substeps, is_linear = sensing.twin.substeps(record.rate), is_first_order(record.hold)
+        derivatives = np.zeros((sensing.states, len(theta) + sensing.states))
         p, basis = self._basis(theta)
         at = 0
         for piece in range(1, PIECES + 1):
@@ -307,12 +300,12 @@ class _Run:
                 moved = MOVED * np.maximum(np.abs(theta), 0.1 * self.scales.parameters)
                 table = np.array([low, high, np.full_like(theta, np.inf) if sensing.is_affine else moved])
                 status, at = kernel(
-                    at, end - at, 1.0 / record.rate, substeps, straight, y, theta, p, basis, matrix, sens, acting,
-                    readings, self.r, self.q, table, self.states, self.estimates, self.noises,
+                    at, end - at, 1.0 / record.rate, substeps, is_linear, y, theta, p, basis, spans(basis), matrix,
+                    derivatives, acting, readings, self.r, self.q, table, self.states, self.estimates, self.noises,
                 )  # fmt: skip
-                if status in (_NOT_FINITE, _NOT_POSITIVE):
+                if status in (NOT_FINITE, NOT_POSITIVE):
                     raise IntegrationError(self._mend(status, at, len(theta)))
-                if status == _MOVED:
+                if status == LINEARISE:
                     p, basis = self._basis(theta)
             if progress is not None:
                 progress(piece / PIECES)
@@ -325,7 +318,7 @@ class _Run:
 
     def _mend(self, status: int, at: int, k: int) -> str:
         when = f"at t = {at / self.record.rate:.6g} s, sample {at} of {self.record.name}"
-        if status == _NOT_POSITIVE:
+        if status == NOT_POSITIVE:
             other = "raise measurement" if self.square_root else "give square_root=True, raise measurement"
             return f"the covariance of the filter is not positive any more {when}; {other}, or lower parameters"
         lower = "lower parameters, or raise measurement" if k else "raise process or measurement"
@@ -376,8 +369,3 @@ class _Run:
             f"{name} is held at its bound" for name, is_held in zip(found.names, at_bound, strict=True) if is_held
         ]
         return notes
-
-
-# Steps that both filters are made of. Order of state and parameters: y, theta. `sens` has those of theta first, as
-# `_move` wants them. `_carry_*`: P <- F (P + Q/2) F^T + Q/2, with F of one sample and Q dt in q. `_take_*`: one reading
-# h^T (y, theta) of given variance; returns that of its innovation, with the gain in `gain`.

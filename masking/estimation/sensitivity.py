@@ -1,9 +1,9 @@
-"""Sensitivity: what the sensors of a twin would read under recorded commands, and how that depends on its parameters.
+"""Sensitivity: simulated readings of a twin under recorded commands, and their derivatives by its parameters.
 
-Sensors that round are simulated as they are before that, which is what rounded readings are most likely near.
-Sensors are simulated from an initial state, together with their derivatives with respect to chosen parameters and the
-initial state, which follow from the equations by the chain rule and are compiled with them. What a least-squares fit
-needs of them, the normal equations, is summed up on the way, so that derivatives take no memory.
+Sensors that round are simulated without rounding: rounded readings most likely lie near these values. Readings are
+simulated from an initial state, with their derivatives by chosen parameters and by that state. The chain rule gives the
+derivatives from the equations, and they are compiled together. The normal equations, which a least-squares fit needs,
+are accumulated sample by sample, so that derivatives take no memory; see `masking.numerics.variational`.
 Source: Ljung, System Identification (1999), section 10.3; Hairer, Norsett and Wanner (1993), section I.14.
 """
 
@@ -12,18 +12,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
+import lazy_loader as lazy
 import numpy as np
 
 from masking.codegen import store
+from masking.codegen.graph import Node
 from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
-from masking.codegen.tangent import derivatives
+from masking.codegen.tangent import jacobian
 from masking.errors import IntegrationError, ModelError, nearest
 from masking.estimation.data import is_first_order
-from masking.numerics.arrays import Array
+from masking.numerics.arrays import Array, IntMatrix
+from masking.numerics.rig_sizes import RigSizes
 from masking.records.hold import Hold
 from masking.rig.twin import LoweredTwin, Twin
+
+if TYPE_CHECKING:
+    from masking.numerics import variational
+else:
+    variational = lazy.load("masking.numerics.variational", suppress_warning=True)
 
 _STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other
 
@@ -142,35 +151,24 @@ class Sensitivity:
             f"{self.twin.declaration.name}, with derivatives", {"kind": "sensitivity", **self.twin.state_kinds}
         )
         lowered = LoweredTwin(self.twin)
-        graph, loads = lowered.graph, lowered.loads
-        by_text = {text: name for name, text in loads.items()}
-        y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in range(self.states) if f"y[{i}]" in by_text]
-        at = [i for i in range(self.states) if f"y[{i}]" in by_text]
-        p = [graph.symbol(by_text.get(f"p[{i}]", f"unused_{i}"), varying=False) for i in self.affected]
-        rates = [node for _, node in lowered.derivatives]
-        readings = [node for _, node in lowered.readings]
-
-        def jacobian(name: str, nodes: list[int], symbols: list[int], columns: Sequence[int]) -> list[tuple[str, int]]:
-            rows = derivatives(graph, nodes, symbols)
-            return [
-                (f"{name}[{i}, {column}]", node)
-                for i, row in enumerate(rows)
-                for column, node in zip(columns, row, strict=True)
-            ]
-
-        columns = range(len(p))
-        slopes = [*lowered.derivatives, *jacobian("jy", rates, y, at), *jacobian("jp", rates, p, columns)]
-        module.add("slopes(t, y, u, p, dy, jy, jp)", graph, slopes, loads)
-        sensed = [*lowered.readings, *jacobian("jy", readings, y, at), *jacobian("jp", readings, p, columns)]
-        module.add("sensed(t, y, u, p, noise, s, jy, jp)", graph, sensed, loads)
+        add_slopes(module, lowered, self.affected)
         self.twin.add_to(module)
-        width = max(self.states, len(readings), len(self.twin.actuators))
-        module.add_kernel(SIMULATE.format(states=self.states), "", (8, width))
-        sizes = {"states": self.states, "coordinates": len(self.twin.model.coordinates)}
-        text = NORMAL.format(**sizes, affected=len(p), sensors=len(readings))
-        width = max(self.states + len(self._compiled), len(p), len(readings), len(self.twin.actuators))
-        module.add_kernel(text, "i", (7 * self.states + 2 * len(readings) + 10, width))
+        sizes = self.sizes
+        work = sizes.work_rows, max(self.states + len(self._compiled), *self._widths)
+        parts = "sense_under", "twin_derivative"
+        module.add_factory("simulate", variational.simulation, *parts, sizes, work=(sizes.work_rows, max(self._widths)))
+        module.add_factory("normal", variational.twin_normal_equations, "slopes", "sensed", sizes, work=work)
         return module
+
+    @property
+    def sizes(self) -> RigSizes:
+        """Return the sizes that kernels are made for: a record may begin in any state."""
+        sensors, moving = len(self.twin.sensors), len(self.twin.model.coordinates)
+        return RigSizes(self.states, moving, len(self.affected), sensors, tuple(range(self.states)))
+
+    @property
+    def _widths(self) -> tuple[int, ...]:
+        return self.states, len(self.affected), len(self.twin.sensors), len(self.twin.actuators)
 
     def simulate(
         self, theta: Array, start: Array, commands: Array, *, rate: float, substeps: int, hold: Hold = "zero-order"
@@ -243,10 +241,14 @@ class Sensitivity:
         k = len(self.names)
         size = k + self.states
         matrix, gradient, squares = np.zeros((size, size)), np.zeros(size), np.zeros(len(self.twin.sensors))
-        y, simulated = np.array(start, dtype=float), np.empty((len(commands), len(squares)))
-        sens = np.hstack([np.zeros((self.states, k)), np.eye(self.states)])
+        y, simulated, derivatives = (
+            np.empty(self.states),
+            np.empty((len(commands), len(squares))),
+            np.zeros((self.states, size)),
+        )
         status = self.kernels.normal(
-            len(commands), 1.0 / rate, substeps, is_first_order(hold), y, sens, p, columns,
+            len(commands), 1.0 / rate, substeps, is_first_order(hold), np.array([start], dtype=float), y,
+            derivatives, p, columns, spans(columns),
             np.ascontiguousarray(commands, dtype=float), np.ascontiguousarray(readings, dtype=float),
             np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares, simulated,
         )  # fmt: skip
@@ -256,128 +258,41 @@ class Sensitivity:
         return NormalEquations(matrix, gradient, squares, simulated, y)
 
 
-# `_between` writes the command at a sample, and its change over half an integration step, the time between the stages
-# of a step; `_follow` and `_move` leave the command at the end of their step in `u`.
-SIMULATE = """
-@compiled
-def _between(commands, index, substeps, straight, u, rise):
-    for j in range(commands.shape[1]):
-        u[j], rise[j] = commands[index, j], 0.0
-        if straight != 0 and index + 1 < commands.shape[0]:
-            rise[j] = (commands[index + 1, j] - commands[index, j]) / (2 * substeps)
+def spans(basis: Array) -> IntMatrix:
+    """Return the first column, and the one after the last, in which each row of a matrix is not 0 (2, rows)."""
+    rows, columns = np.nonzero(basis)
+    found = np.zeros((2, len(basis)), dtype=np.int64)
+    found[0] = basis.shape[1]
+    np.minimum.at(found[0], rows, columns)
+    np.maximum.at(found[1], rows, columns + 1)
+    return found
 
 
-@compiled
-def _follow(t, y, u, rise, p, h, work):
-    state = work[4]
-    for stage in range(4):
-        c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-        for i in range({states}):
-            state[i] = y[i] + (c * h * work[stage - 1, i] if stage > 0 else 0.0)
-        if stage == 1 or stage == 3:
-            for j in range(u.shape[0]):
-                u[j] += rise[j]
-        twin_derivative(t + c * h, state, u, p, work[stage])
-    for i in range({states}):
-        y[i] += h / 6.0 * (work[0, i] + 2.0 * (work[1, i] + work[2, i]) + work[3, i])
+def add_slopes(module: Module, lowered: LoweredTwin, affected: Sequence[int]) -> list[Node]:
+    """Add the equations of a twin and its readings, each with derivatives, as `slopes` and `sensed`.
 
+    Args:
+        module: gets the functions.
+        lowered: the twin.
+        affected: indices of the entries of the parameter array by which is differentiated.
 
-@compiled
-def simulate(count, dt, substeps, straight, y, p, commands, readings, work):
-    noise, channels, h = work[5][: readings.shape[1]], commands.shape[1], dt / substeps
-    u, rise = work[6][:channels], work[7][:channels]
-    noise[:] = 0.0
-    for index in range(count):
-        t = index * dt
-        sense_under(t, y, commands[index], p, noise, readings[index])
-        if straight == 0:
-            advance(t, y, commands[index], p, dt, substeps, work)
-            continue
-        _between(commands, index, substeps, straight, u, rise)
-        for step in range(substeps):
-            _follow(t + step * h, y, u, rise, p, h, work)
-"""
-NORMAL = """
-@compiled
-def _move(t, y, sens, u, rise, p, basis, h, work):
-    n, coordinates, affected, k, width = {states}, {coordinates}, {affected}, basis.shape[1], sens.shape[1]
-    ks, ss, jy, jp = work[: 4 * n], work[4 * n : 5 * n], work[5 * n : 6 * n], work[6 * n : 7 * n]
-    ky, state = work[7 * n : 7 * n + 4], work[7 * n + 4]
-    for stage in range(4):
-        c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-        for i in range(n):
-            state[i] = y[i] + (c * h * ky[stage - 1, i] if stage > 0 else 0.0)
-            for j in range(width):
-                ss[i, j] = sens[i, j] + (c * h * ks[(stage - 1) * n + i, j] if stage > 0 else 0.0)
-        if stage == 1 or stage == 3:
-            for j in range(u.shape[0]):
-                u[j] += rise[j]
-        slopes(t + c * h, state, u, p, ky[stage], jy, jp)
-        for i in range(coordinates):
-            for j in range(width):
-                ks[stage * n + i, j] = ss[coordinates + i, j]
-        for i in range(coordinates, n):
-            row = stage * n + i
-            for j in range(width):
-                ks[row, j] = 0.0
-            for l in range(n):
-                by = jy[i, l]
-                if by != 0.0:
-                    for j in range(width):
-                        ks[row, j] += by * ss[l, j]
-            for l in range(affected):
-                by = jp[i, l]
-                if by != 0.0:
-                    for j in range(k):
-                        ks[row, j] += by * basis[l, j]
-    for i in range(n):
-        y[i] += h / 6.0 * (ky[0, i] + 2.0 * (ky[1, i] + ky[2, i]) + ky[3, i])
-        for j in range(width):
-            sens[i, j] += h / 6.0 * (ks[i, j] + 2.0 * (ks[n + i, j] + ks[2 * n + i, j]) + ks[3 * n + i, j])
-
-
-@compiled
-def normal(
-    count, dt, substeps, straight, y, sens, p, basis, commands, readings, weights, matrix, gradient, squares,
-    simulated, work
-):
-    n, affected, sensors, k, width = {states}, {affected}, {sensors}, basis.shape[1], sens.shape[1]
-    top = 7 * n + 5
-    jy, jp = work[top : top + sensors], work[top + sensors : top + 2 * sensors]
-    top += 2 * sensors
-    noise, s, row = work[top][:sensors], work[top + 1][:sensors], work[top + 2]
-    u, rise = work[top + 3][: commands.shape[1]], work[top + 4][: commands.shape[1]]
-    h = dt / substeps
-    work[:] = 0.0
-    for index in range(count):
-        t = index * dt
-        sensed(t, y, commands[index], p, noise, s, jy, jp)
-        for o in range(sensors):
-            residual = readings[index, o] - s[o]
-            if not math.isfinite(residual):
-                return 1
-            simulated[index, o] = s[o]
-            squares[o] += residual * residual
-            for j in range(width):
-                total = 0.0
-                for l in range(n):
-                    total += jy[o, l] * sens[l, j]
-                row[j] = total
-            for j in range(k):
-                total = 0.0
-                for l in range(affected):
-                    total += jp[o, l] * basis[l, j]
-                row[j] += total
-            for i in range(width):
-                weighted = weights[o] * row[i]
-                gradient[i] += weighted * residual
-                for j in range(i + 1):
-                    matrix[i, j] += weighted * row[j]
-        _between(commands, index, substeps, straight, u, rise)
-        for step in range(substeps):
-            _move(t + step * h, y, sens, u, rise, p, basis, h, work)
-    return 0
-"""
+    Returns:
+        The derivatives of readings by these entries.
+    """
+    graph, loads = lowered.graph, lowered.loads
+    by_text = {text: name for name, text in loads.items()}
+    at = [i for i in range(len(lowered.twin.state_names)) if f"y[{i}]" in by_text]
+    y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
+    p = [graph.symbol(by_text.get(f"p[{i}]", f"unused_{i}"), varying=False) for i in affected]
+    every = range(len(p))
+    for signature, results in (
+        ("slopes(t: float, y, u, p, dy, jy: Matrix, jp: Matrix)", lowered.derivatives),
+        ("sensed(t: float, y, u, p, noise, s, jy: Matrix, jp: Matrix)", lowered.readings),
+    ):
+        nodes = [node for _, node in results]
+        by_entry = jacobian(graph, "jp", nodes, p, every)
+        module.add(signature, graph, [*results, *jacobian(graph, "jy", nodes, y, at), *by_entry], loads)
+    return [node for _, node in by_entry]
 
 
 def _beside(theta: Array, i: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -9,3 +9,5 @@ Complex = NDArray[np.complex128]
 # Arguments of kernels: C-contiguous arrays of one dimension and of two.
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+IntVector = NDArray[np.int64]
+IntMatrix = NDArray[np.int64]

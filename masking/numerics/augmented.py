@@ -1,0 +1,450 @@
+"""Augmented model: how a rig moves with trial effects at its places, and how that depends on all parameters.
+
+A force port at each place and an offset of each actuator are entries of the rig's parameter array. Instances of effects
+(`instances`) drive these ports; they are laws that know no rig, each with a number:
+`law(number, t, x, rate, z, values, rows)`. States of effects follow those of the rig in y. At an instant, the effects
+act first: forces, commands and rates of their states. Then the equations of the rig are evaluated. Sensors that read a
+force or a command at once see what the effects do, too.
+Source: as `variational`; of inertias as `inertia`.
+"""
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0912, PLR0917
+# The types are numba's to infer.
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from masking.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
+from masking.numerics.inertia import inertias_at_ports
+from masking.numerics.instances import (
+    ACTUATOR,
+    BY_DISPLACEMENT,
+    BY_PARAMETER,
+    BY_RATE,
+    BY_STATE,
+    ELEMENT,
+    FIRST,
+    INERTIA,
+    KIND,
+    LAW,
+    PLACE,
+    SENSOR,
+    STATE,
+    VALUE,
+)
+from masking.numerics.integrators import compiled
+from masking.numerics.rig_sizes import PortSizes
+from masking.numerics.variational import chain_rule, command_at, normal_equations, take
+
+Kernel = Callable[..., Any]
+
+
+class Given(NamedTuple):
+    """What an augmented model is simulated with.
+
+    Args:
+        p: the parameter array of the rig.
+        basis: derivatives of its affected entries by the parameters (affected, k).
+        spans: first column, and the one after the last, in which a row of `basis` is not 0 (2, affected), integers.
+        instances: of effects, those of sensors last; columns as `instances` says.
+        estimated: column of each parameter of an instance, -1 where it is not estimated (instances, parameters).
+        values: parameters of the instances, one after the other.
+        acts: 1 where an effect acts, of places, then of channels.
+        late: delay of each channel, in samples.
+        late_columns: column of each channel's delay, or -1.
+        lead: derivative of each command by its delay.
+    """
+
+    p: Any
+    basis: Any
+    spans: Any
+    instances: Any
+    estimated: Any
+    values: Any
+    acts: Any
+    late: Any
+    late_columns: Any
+    lead: Any
+
+
+class Ports(NamedTuple):
+    """What effects do at an instant.
+
+    Args:
+        forces, commands, inertias: derivatives by the columns (places, width), (channels, width), (places, width).
+        followed: derivatives of displacements and rates by the state (2 places, n).
+        pushed: what a unit of force adds to the rates, with the inertias before it (places, n).
+        displacement: of each place, then its rate (2 places,).
+        acceleration: of each place (places,); its inertia first.
+        share: part of the acceleration without it that the force of an inertia is (places,).
+        command: of each channel, after its effects (channels,).
+    """
+
+    forces: Any
+    commands: Any
+    inertias: Any
+    followed: Any
+    pushed: Any
+    displacement: Any
+    acceleration: Any
+    share: Any
+    command: Any
+
+
+@compiled
+def lead_of(commands, index, channel, late, part, dt, is_linear):
+    """Return the derivative of a command by its delay: the difference over a sample about it."""
+    before = command_at(commands, index, channel, late + 0.5, part, is_linear)
+    after = command_at(commands, index, channel, late - 0.5, part, is_linear)
+    return (before - after) / dt
+
+
+@compiled
+def drive_late(commands, index, step, substeps, dt, is_linear, given, u, end):
+    """Write the delayed commands at the begin and `end` of an integration step, and their derivatives by the delay."""
+    for a in range(u.shape[0]):
+        late = given.late[a]
+        u[a] = command_at(commands, index, a, late, step / substeps, is_linear)
+        end[a] = command_at(commands, index, a, late, (step + 1.0) / substeps, is_linear)
+        given.lead[a] = lead_of(commands, index, a, late, (step + 0.5) / substeps, dt, is_linear)
+
+
+def ports_of(sizes: PortSizes) -> Kernel:
+    """Make the work space of the ports: `carve(work) -> (ports, remaining work)`."""
+    places, channels = sizes.places, sizes.channels
+
+    @compiled
+    def carve(work):
+        forces, work = take(work, places)
+        commands, work = take(work, channels)
+        inertias, work = take(work, places)
+        followed, work = take(work, 2 * places)
+        pushed, work = take(work, places)
+        vectors, work = take(work, 4)
+        return Ports(
+            forces, commands, inertias, followed, pushed, vectors[0], vectors[1], vectors[2], vectors[3]
+        ), work  # fmt: skip
+
+    return carve
+
+
+def read_at_once(sizes: PortSizes) -> Kernel:
+    """Make what forces and commands do to a reading at once.
+
+    Returns:
+        `at_once(by_entry, ports, j)`, the derivative of a reading by column j through the ports, of one whose
+        derivatives by the affected entries are `by_entry`.
+    """
+    places, channels, is_fed = sizes.places, sizes.channels, sizes.is_fed
+    force_columns, command_columns = sizes.force_columns or (0,), sizes.command_columns or (0,)
+
+    @compiled
+    def at_once(by_entry, ports, j):
+        total = 0.0
+        if is_fed:
+            for e in range(places):
+                total += by_entry[force_columns[e]] * ports.forces[e, j]
+            for a in range(channels):
+                total += by_entry[command_columns[a]] * ports.commands[a, j]
+        return total
+
+    return at_once
+
+
+def subjects_of_laws(sizes: PortSizes) -> Kernel:
+    """Make what a law follows.
+
+    Returns:
+        `subject(kind, at, columns, given, ports, s, by_state, by_entry, by, by_rate) -> (x, rate)`: the displacement of
+        a place and its rate, a command, a reading, or a unit of acceleration, with derivatives by the columns in `by`
+        and `by_rate` (width,). Of the readings s, `by_state` and `by_entry` are the derivatives.
+    """
+    n, places, add, at_once = sizes.states, sizes.places, chain_rule(sizes), read_at_once(sizes)
+
+    @compiled
+    def project(followed, columns, row):
+        for i in range(n):
+            for j in range(columns.shape[1]):
+                row[j] += followed[i] * columns[i, j]
+
+    @compiled
+    def subject(kind, at, columns, given, ports, s, by_state, by_entry, by, by_rate):
+        width = columns.shape[1]
+        for j in range(width):
+            by[j] = ports.commands[at, j] if kind == ACTUATOR else 0.0
+            by_rate[j] = 0.0
+        if kind == ELEMENT:
+            project(ports.followed[at], columns, by)
+            project(ports.followed[places + at], columns, by_rate)
+            return ports.displacement[at], ports.displacement[places + at]
+        if kind == ACTUATOR:
+            return ports.command[at], 0.0
+        if kind == SENSOR:
+            add(by_state[at], by_entry[at], columns, given, by)
+            for j in range(width):
+                by[j] += at_once(by_entry[at], ports, j)
+            return s[at], 0.0
+        return 1.0, 0.0
+
+    return subject
+
+
+def actions_of_laws(sizes: PortSizes) -> Kernel:
+    """Make what a law does at a port.
+
+    Returns:
+        `put(i, columns, given, ports, rows, by, by_rate, rate, column_rates)`, which puts what the law of instance i
+        gives (`rows`) where it acts, with its derivatives.
+    """
+    force_entries = sizes.force_entries or (0,)
+
+    @compiled
+    def put_state(i, z, columns, given, rows, by, by_rate, rate, column_rates):
+        rate[z] = rows[1, VALUE]
+        for j in range(columns.shape[1]):
+            inside = rows[1, BY_STATE] * columns[z, j]
+            column_rates[z, j] = rows[1, BY_DISPLACEMENT] * by[j] + rows[1, BY_RATE] * by_rate[j] + inside
+        for m in range(given.estimated.shape[1]):
+            if given.estimated[i, m] >= 0:
+                column_rates[z, given.estimated[i, m]] += rows[1, BY_PARAMETER + m]
+
+    @compiled
+    def put(i, columns, given, ports, rows, by, by_rate, rate, column_rates):
+        kind, at, z = given.instances[i, KIND], given.instances[i, PLACE], given.instances[i, STATE]
+        if z >= 0:
+            put_state(i, z, columns, given, rows, by, by_rate, rate, column_rates)
+        if kind == SENSOR:
+            return
+        if kind == ELEMENT:
+            given.p[force_entries[at]] += rows[0, VALUE]
+            target = ports.forces[at]
+        elif kind == ACTUATOR:
+            ports.command[at] = rows[0, VALUE]
+            target = ports.commands[at]
+        else:
+            ports.acceleration[at] += rows[0, VALUE]
+            target = ports.inertias[at]
+        for j in range(columns.shape[1] if kind != INERTIA else 0):
+            inside = rows[0, BY_STATE] * columns[z, j] if z >= 0 else 0.0
+            total = rows[0, BY_DISPLACEMENT] * by[j] + rows[0, BY_RATE] * by_rate[j] + inside
+            target[j] = total + (target[j] if kind == ELEMENT else 0.0)
+        for m in range(given.estimated.shape[1]):
+            if given.estimated[i, m] >= 0:
+                target[given.estimated[i, m]] += rows[0, BY_PARAMETER + m]
+
+    return put
+
+
+def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel, sizes: PortSizes) -> Kernel:
+    """Make what effects do at an instant.
+
+    Args:
+        law: writes what a law gives, and its derivatives.
+        placed: `placed(t, y, u, p, d, by_state)` writes displacements, then rates, of places, and their derivatives.
+        sensed: writes readings, and their derivatives.
+        sizes: of the rig.
+
+    Returns:
+        `act(t, y, columns, u, given, rate, column_rates, ports, work) -> has_inertia`, which writes forces into the
+        parameter array, and commands, inertias and derivatives into `ports`, the latter only where an effect acts; the
+        rates of the effects' states go into `rate` and `column_rates`. `work` has 2 sensors + 6 rows.
+    """
+    places, channels, sensors, force_entries = sizes.places, sizes.channels, sizes.sensors, sizes.force_entries or (0,)
+    subject, put = subjects_of_laws(sizes), actions_of_laws(sizes)
+
+    @compiled
+    def clear(u, width, given, ports):
+        for e in range(places):
+            given.p[force_entries[e]] = 0.0
+            ports.acceleration[e] = 0.0
+            if given.acts[e]:
+                for j in range(width):
+                    ports.forces[e, j] = 0.0
+                    ports.inertias[e, j] = 0.0
+        for a in range(channels):
+            ports.command[a] = u[a]
+            if given.acts[places + a]:
+                for j in range(width):
+                    ports.commands[a, j] = 0.0
+                if given.late_columns[a] >= 0:
+                    ports.commands[a, given.late_columns[a]] = given.lead[a]
+
+    @compiled
+    def act(t, y, columns, u, given, rate, column_rates, ports, work):
+        by_state, work = take(work, sensors)
+        by_entry, work = take(work, sensors)
+        rows, work = take(work, 2)
+        s, noise, by, by_rate = work[0], work[1], work[2], work[3]
+        instances = given.instances
+        clear(u, columns.shape[1], given, ports)
+        has_elements, has_inertia, is_sensed = False, False, False
+        for i in range(instances.shape[0]):
+            has_elements |= instances[i, KIND] == ELEMENT
+            has_inertia |= instances[i, KIND] == INERTIA
+        if has_elements or has_inertia:
+            placed(t, y, ports.command, given.p, ports.displacement, ports.followed)
+        for i in range(instances.shape[0]):
+            kind, z = instances[i, KIND], instances[i, STATE]
+            if kind == SENSOR and z < 0:
+                continue
+            if kind == SENSOR and not is_sensed:
+                sensed(t, y, ports.command, given.p, noise, s, by_state, by_entry)
+                is_sensed = True
+            x, moved = subject(kind, instances[i, PLACE], columns, given, ports, s, by_state, by_entry, by, by_rate)
+            inside = y[z] if z >= 0 else 0.0
+            law(instances[i, LAW], t, x, moved, inside, given.values[instances[i, FIRST] :], rows)
+            put(i, columns, given, ports, rows, by, by_rate, rate, column_rates)
+        return has_inertia
+
+    return act
+
+
+def motion_with_effects(act: Kernel, slopes: Kernel, sizes: PortSizes) -> Kernel:
+    """Make the variational equations of a rig with effects.
+
+    Args:
+        act: writes what effects do, as that of `effects_at_ports`.
+        slopes: writes the rates of the rig's state, and their derivatives.
+        sizes: of the rig.
+
+    Returns:
+        `flow(t, y, columns, u, given, rate, column_rates, work)`, which writes y' and S'; `work` has 2 n rows, and then
+        those of the ports.
+    """
+    n, coordinates, places, channels = sizes.states, sizes.coordinates, sizes.places, sizes.channels
+    force_columns, command_columns = sizes.force_columns or (0,), sizes.command_columns or (0,)
+    carve, add = ports_of(sizes), chain_rule(sizes)
+    accelerate, draw = inertias_at_ports(sizes)
+
+    @compiled
+    def flow(t, y, columns, u, given, rate, column_rates, work):
+        width = columns.shape[1]
+        by_state, work = take(work, n)
+        by_entry, work = take(work, n)
+        ports, work = carve(work)
+        has_inertia = act(t, y, columns, u, given, rate, column_rates, ports, work)
+        for again in range(2 if has_inertia else 1):
+            if again:
+                accelerate(width, by_entry, given, rate, ports)
+            slopes(t, y, ports.command, given.p, rate, by_state, by_entry)
+        for i in range(n):
+            for j in range(width):
+                column_rates[i, j] = columns[coordinates + i, j] if i < coordinates else 0.0
+            if i < coordinates:
+                continue
+            add(by_state[i], by_entry[i], columns, given, column_rates[i])
+            for e in range(places):
+                by = by_entry[i, force_columns[e]]
+                if by != 0.0 and given.acts[e]:
+                    for j in range(width):
+                        column_rates[i, j] += by * ports.forces[e, j]
+            for a in range(channels):
+                by = by_entry[i, command_columns[a]]
+                if by != 0.0 and given.acts[places + a]:
+                    for j in range(width):
+                        column_rates[i, j] += by * ports.commands[a, j]
+        if has_inertia:
+            for e in range(places):
+                for j in range(width):
+                    draw(ports.share[e], ports.followed[e], ports.pushed[e], column_rates[:, j])
+
+    return flow
+
+
+@compiled
+def no_effects(t, y, columns, u, given, rate, column_rates, ports, work):
+    """Do nothing: the readings do not depend on forces and commands at once."""
+
+
+def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel, sizes: PortSizes) -> Kernel:
+    """Make the readings of a rig with effects, and their derivatives.
+
+    Args:
+        law: writes what a law gives, and its derivatives.
+        act: writes what effects do, as that of `effects_at_ports`.
+        sensed: writes readings, and their derivatives.
+        sizes: of the rig.
+
+    Returns:
+        `read`, as that of `variational.readings_with_columns`; `work` has `sizes.read_rows` rows.
+    """
+    sensors, channels, most = sizes.sensors, sizes.channels, sizes.states + sizes.most_states
+    carve, add, at_once = ports_of(sizes), chain_rule(sizes), read_at_once(sizes)
+    act = act if sizes.is_fed else no_effects
+
+    @compiled
+    def bend(t, y, columns, given, s, rows, by):
+        for i in range(given.instances.shape[0]):
+            if given.instances[i, KIND] == SENSOR:
+                at, first, z = given.instances[i, PLACE], given.instances[i, FIRST], given.instances[i, STATE]
+                law(given.instances[i, LAW], t, s[at], 0.0, y[z] if z >= 0 else 0.0, given.values[first:], by)
+                s[at] = by[0, VALUE]
+                for j in range(columns.shape[1]):
+                    inside = by[0, BY_STATE] * columns[z, j] if z >= 0 else 0.0
+                    rows[at, j] = by[0, BY_DISPLACEMENT] * rows[at, j] + inside
+                for m in range(given.estimated.shape[1]):
+                    j = given.estimated[i, m]
+                    if j >= 0:
+                        rows[at, j] += by[0, BY_PARAMETER + m]
+
+    @compiled
+    def read(t, dt, y, columns, commands, index, is_linear, given, s, rows, work):
+        width = columns.shape[1]
+        by_state, work = take(work, sensors)
+        by_entry, work = take(work, sensors)
+        by, work = take(work, 2)
+        vectors, work = take(work, 3)
+        noise, u, rate = vectors[0], vectors[1][:channels], vectors[2]
+        column_rates, work = take(work, most)
+        ports, work = carve(work)
+        for a in range(channels):
+            u[a] = command_at(commands, index, a, given.late[a], 0.0, is_linear)
+            ports.command[a] = u[a]
+            given.lead[a] = lead_of(commands, index, a, given.late[a], 0.0, dt, is_linear)
+        act(t, y, columns, u, given, rate, column_rates, ports, work)
+        sensed(t, y, ports.command, given.p, noise, s, by_state, by_entry)
+        for o in range(sensors):
+            for j in range(width):
+                rows[o, j] = at_once(by_entry[o], ports, j)
+            add(by_state[o], by_entry[o], columns, given, rows[o])
+        bend(t, y, columns, given, s, rows, by)
+
+    return read
+
+
+def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sensed: Kernel, sizes: PortSizes) -> Kernel:
+    """Make the normal equations of an augmented model over a record.
+
+    Args:
+        law: writes what a law gives, and its derivatives.
+        placed: writes displacements and rates of places, with derivatives.
+        slopes: writes the rates of the rig's state, and their derivatives.
+        sensed: writes readings, and their derivatives.
+        sizes: of the rig.
+
+    Returns:
+        `normal(count, dt, substeps, interval, is_linear, starts, y, columns, p, basis, spans, instances, estimated,
+        values, acts, late, late_columns, commands, readings, weights, matrix, gradient, squares, simulated, work) ->
+        status`, as `variational.normal_equations`, with the arrays of `Given`.
+    """
+    act = effects_at_ports(law, placed, sensed, sizes)
+    read, flow = readings_with_effects(law, act, sensed, sizes), motion_with_effects(act, slopes, sizes)
+    accumulate, channels = normal_equations(read, drive_late, flow, sizes), sizes.channels
+
+    @compiled
+    def normal(
+        count: int, dt: float, substeps: int, interval: int, is_linear: int, starts: Matrix, y: Vector,
+        columns: Matrix, p: Vector, basis: Matrix, spans: IntMatrix, instances: IntMatrix, estimated: IntMatrix,
+        values: Vector, acts: IntVector, late: Vector, late_columns: IntVector, commands: Matrix, readings: Matrix,
+        weights: Vector, matrix: Matrix, gradient: Vector, squares: Vector, simulated: Matrix, work: Matrix,
+    ) -> int:  # fmt: skip
+        first, work = take(work, 1)
+        lead = first[0][:channels]
+        given = Given(p, basis, spans, instances, estimated, values, acts, late, late_columns, lead)
+        return accumulate(
+            count, dt, substeps, interval, is_linear, starts, y, columns, given, commands, readings, weights, matrix,
+            gradient, squares, simulated, work,
+        )  # fmt: skip
+
+    return normal

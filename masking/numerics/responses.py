@@ -1,0 +1,222 @@
+"""Kernels along a known motion: places and readings, a law with its derivatives, and first-order responses of sensors.
+
+Forces of latent sources on degrees of freedom stand beside the states (count, n + forces); `ports` are the indices of
+these forces in the parameter array. Functions of a rig are those of `variational` and `augmented`.
+"""
+# ruff: noqa: ANN001, ANN201, PLR0912, PLR0917
+# The types are numba's to infer.
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from masking.numerics.arrays import IntVector, Matrix, Vector
+from masking.numerics.instances import BY_PARAMETER, BY_STATE, VALUE
+from masking.numerics.integrators import compiled, copy
+from masking.numerics.rig_sizes import RigSizes
+from masking.numerics.variational import take
+
+Kernel = Callable[..., Any]
+
+NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives
+PIECES = 4  # of a sample, in which the state of an effect is integrated
+
+
+def places_along(derivative: Kernel, placed: Kernel, sizes: RigSizes, ports: tuple[int, ...], places: int) -> Kernel:
+    """Make the motion of places.
+
+    Returns:
+        `follow(count, dt, p, states, commands, moved, work)`, which writes displacements, rates and accelerations of
+        the places (count, 3 places).
+    """
+    n, coordinates, forces, at = sizes.states, sizes.coordinates, len(ports), ports or (0,)
+
+    @compiled
+    def follow(
+        count: int, dt: float, p: Vector, states: Matrix, commands: Matrix, moved: Matrix, work: Matrix,
+    ) -> None:  # fmt: skip
+        work[:] = 0.0
+        followed, work = take(work, 2 * places)
+        d, rate = work[0], work[1]
+        for index in range(count):
+            for i in range(forces):
+                p[at[i]] = states[index, n + i]
+            placed(index * dt, states[index], commands[index], p, d, followed)
+            derivative(index * dt, states[index], commands[index], p, rate)
+            for e in range(places):
+                moved[index, e] = d[e]
+                moved[index, places + e] = d[places + e]
+                total = 0.0
+                for i in range(coordinates):
+                    total += followed[e, i] * rate[coordinates + i]
+                moved[index, 2 * places + e] = total
+
+    return follow
+
+
+def readings_along(sensed: Kernel, sizes: RigSizes, ports: tuple[int, ...]) -> Kernel:
+    """Make the readings along states.
+
+    Returns:
+        `read(count, dt, p, states, commands, readings, work)`, which writes them (count, sensors).
+    """
+    n, sensors, forces, at = sizes.states, sizes.sensors, len(ports), ports or (0,)
+
+    @compiled
+    def read(
+        count: int, dt: float, p: Vector, states: Matrix, commands: Matrix, readings: Matrix, work: Matrix,
+    ) -> None:  # fmt: skip
+        work[:] = 0.0
+        by_state, work = take(work, sensors)
+        by_entry, work = take(work, sensors)
+        noise, s = work[0], work[1]
+        for index in range(count):
+            for i in range(forces):
+                p[at[i]] = states[index, n + i]
+            sensed(index * dt, states[index], commands[index], p, noise, s, by_state, by_entry)
+            copy(s, readings[index], sensors)
+
+    return read
+
+
+def law_along(law: Kernel) -> Kernel:
+    """Make the value of a law along a motion, and its derivatives by parameters.
+
+    The state of an effect is integrated by half a step of Heun, then a whole one, in the middle of each piece: second
+    order, and stable where the state decays.
+
+    Returns:
+        `follow(count, dt, number, has_state, x, rate, parameters, values, features, work)`, which writes `features`
+        (count, 1 + c): the value, then its derivatives by the parameters with indices `parameters` (c,).
+    """
+
+    @compiled
+    def follow(
+        count: int, dt: float, number: int, has_state: int, x: Vector, rate: Vector, parameters: IntVector,
+        values: Vector, features: Matrix, work: Matrix,
+    ) -> None:  # fmt: skip
+        rows, later, dz = work[:2], work[2:4], work[4]
+        many, h, z = features.shape[1], dt / PIECES, NEARLY_ZERO
+        dz[:] = 0.0
+        for index in range(count):
+            t = index * dt
+            law(number, t, x[index], rate[index], z, values, rows)
+            features[index, 0] = rows[0, VALUE]
+            for j in range(1, many):
+                features[index, j] = rows[0, BY_STATE] * dz[j] + rows[0, BY_PARAMETER + parameters[j - 1]]
+            if has_state and index < count - 1:
+                for piece in range(PIECES):
+                    share = (piece + 0.5) / PIECES
+                    px = x[index] + share * (x[index + 1] - x[index])
+                    pr = rate[index] + share * (rate[index + 1] - rate[index])
+                    law(number, t + share * dt, px, pr, z, values, later)
+                    half = z + 0.5 * h * later[1, VALUE]
+                    law(number, t + share * dt, px, pr, half, values, later)
+                    for j in range(1, many):
+                        dz[j] += h * (later[1, BY_STATE] * dz[j] + later[1, BY_PARAMETER + parameters[j - 1]])
+                    z += h * later[1, VALUE]
+
+    return follow
+
+
+@compiled
+def transition(by_state, h, phi, product):
+    """Write exp(A 4 h) - 1 into phi (n, n): that of h to the third order, doubled twice."""
+    n = phi.shape[0]
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for m in range(n):
+                total += by_state[i, m] * by_state[m, j]
+            product[i, j] = total
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for m in range(n):
+                total += by_state[i, m] * product[m, j]
+            phi[i, j] = h * by_state[i, j] + 0.5 * h * h * product[i, j] + h * h * h / 6.0 * total
+    for _ in range(2):
+        for i in range(n):
+            for j in range(n):
+                total = 2.0 * phi[i, j]
+                for m in range(n):
+                    total += phi[i, m] * phi[m, j]
+                product[i, j] = total
+        for i in range(n):
+            copy(product[i], phi[i], n)
+
+
+def linear_responses(slopes: Kernel, sensed: Kernel, sizes: RigSizes, is_direct: bool) -> Kernel:
+    """Make the first-order response of the sensors to forces and to initial states, along a motion.
+
+    Args:
+        slopes: writes rates, and their derivatives.
+        sensed: writes readings, and their derivatives.
+        sizes: of the rig.
+        is_direct: whether readings depend on entries of the parameter array at once.
+
+    Returns:
+        `respond(count, dt, every, interval, entries, initial, states, commands, p, features, means, work)` for M
+        responses: to the force `features` (count, M) at the affected entry `entries` (M,), or from the state with index
+        `initial` (M,) at 1 at the begin of each interval; -1 begins at rest. The motion is `states` (count, n), and
+        `means` (count / every, sensors M) gets means over `every` samples.
+    """
+    n, sensors = sizes.states, sizes.sensors
+
+    @compiled
+    def respond(
+        count: int, dt: float, every: int, interval: int, entries: IntVector, initial: IntVector, states: Matrix,
+        commands: Matrix, p: Vector, features: Matrix, means: Matrix, work: Matrix,
+    ) -> None:  # fmt: skip
+        many = features.shape[1]
+        work[:] = 0.0
+        means[:] = 0.0
+        by_state, work = take(work, n)
+        by_entry, work = take(work, n)
+        read_by_state, work = take(work, sensors)
+        read_by_entry, work = take(work, sensors)
+        transitions, work = take(work, 2 * n)
+        phi, product = transitions[:n, :n], transitions[n:, :n]
+        e, work = take(work, n)
+        f, work = take(work, n)
+        rate, s, noise = work[0], work[1], work[2]
+        for index in range(count):
+            t = index * dt
+            is_first = index % interval == 0
+            if is_first:
+                for i in range(n):
+                    for m in range(many):
+                        e[i, m] = 1.0 if initial[m] == i else 0.0
+            slopes(t, states[index], commands[index], p, rate, by_state, by_entry)
+            sensed(t, states[index], commands[index], p, noise, s, read_by_state, read_by_entry)
+            if not is_first:  # the half of the force that comes with this sample
+                for i in range(n):
+                    for m in range(many):
+                        e[i, m] += 0.5 * dt * by_entry[i, entries[m]] * features[index, m]
+            block = index // every
+            if block < means.shape[0]:
+                for o in range(sensors):
+                    for i in range(n):
+                        by = read_by_state[o, i] / every
+                        if by != 0.0:
+                            for m in range(many):
+                                means[block, o * many + m] += by * e[i, m]
+                    if is_direct:
+                        for m in range(many):
+                            means[block, o * many + m] += read_by_entry[o, entries[m]] * features[index, m] / every
+            for i in range(n):
+                for m in range(many):
+                    e[i, m] += 0.5 * dt * by_entry[i, entries[m]] * features[index, m]
+            transition(by_state[:, :n], 0.25 * dt, phi, product)
+            for i in range(n):
+                copy(e[i], f[i], many)
+                for j in range(n):
+                    by = phi[i, j]
+                    if by != 0.0:
+                        for m in range(many):
+                            f[i, m] += by * e[j, m]
+            for i in range(n):
+                copy(f[i], e[i], many)
+
+    return respond

@@ -1,0 +1,328 @@
+"""Variational equations: a simulated motion and its derivatives by parameters and initial values, in one pass.
+
+    y' = f(t, y, u, p),    S' = (df/dy) S + (df/dp) B
+
+The columns of S are derivatives of the state y by what is estimated; B (`basis`) says how the entries of the parameter
+array depend on it. Both are integrated by the classical Runge-Kutta method with the same steps, so that S is the exact
+derivative of the computed y. What a least-squares fit needs, the normal equations, is accumulated sample by sample.
+Source: Hairer, Norsett and Wanner (1993), Solving Ordinary Differential Equations I, section I.14 and Table II.1.2;
+Ljung, System Identification (1999), section 10.3.
+
+Each function here makes a kernel for one rig. Functions of the rig, with n states y = coordinates, velocities, others:
+
+* `derivative(t, y, u, p, rate)` writes y';
+* `slopes(t, y, u, p, rate, by_state, by_entry)` writes y', df/dy (n, n) and df/dp (n, affected);
+* `sensed(t, y, u, p, noise, s, by_state, by_entry)` writes the readings s and their derivatives.
+
+`given` stands for the arrays that a rig is simulated with, as one tuple: `Given` for a twin.
+Kernels need work space of zeros, and take rows of it from the top.
+"""
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0917
+# The types are numba's to infer.
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from masking.numerics.arrays import IntMatrix, Matrix, Vector
+from masking.numerics.integrators import compiled
+from masking.numerics.rig_sizes import RigSizes
+
+Kernel = Callable[..., Any]
+
+
+class Given(NamedTuple):
+    """What a twin is simulated with.
+
+    Args:
+        p: the parameter array.
+        basis: derivatives of its affected entries by the parameters (affected, k).
+        spans: first column, and the one after the last, in which a row of `basis` is not 0 (2, affected), integers.
+    """
+
+    p: Any
+    basis: Any
+    spans: Any
+
+
+@compiled
+def take(work, rows):
+    """Return the first rows of a work space, and what remains of it."""
+    return work[:rows], work[rows:]
+
+
+@compiled
+def command_at(commands, index, channel, late, part, is_linear):
+    """Return a command a part of a sample after a sample, as it was `late` samples before.
+
+    Commands go linearly between samples (first-order hold), or are held; then they are means over a sample. Before the
+    first sample and after the last they are constant.
+    """
+    last = commands.shape[0] - 1
+    at = index + (part if is_linear else 0.0) - late
+    low = math.floor(at)
+    share = at - low
+    before, after = min(max(low, 0), last), min(max(low + 1, 0), last)
+    return (1.0 - share) * commands[before, channel] + share * commands[after, channel]
+
+
+@compiled
+def drive(commands, index, step, substeps, dt, is_linear, given, u, end):
+    """Write the commands u at the begin and `end` of an integration step after a sample."""
+    for channel in range(u.shape[0]):
+        u[channel] = command_at(commands, index, channel, 0.0, step / substeps, is_linear)
+        end[channel] = command_at(commands, index, channel, 0.0, (step + 1.0) / substeps, is_linear)
+
+
+def chain_rule(sizes: RigSizes) -> Kernel:
+    """Make the chain rule for one row.
+
+    Returns:
+        `add(by_state, by_entry, columns, given, row)`, which adds to row (width,) what the states with derivatives
+        `columns` (n, width) and the entries of the parameter array do.
+    """
+    n, affected = sizes.states, sizes.affected
+
+    @compiled
+    def add(by_state, by_entry, columns, given, row):
+        for i in range(n):
+            by = by_state[i]
+            if by != 0.0:
+                for j in range(columns.shape[1]):
+                    row[j] += by * columns[i, j]
+        for i in range(affected):
+            by = by_entry[i]
+            if by != 0.0:
+                for j in range(given.spans[0, i], given.spans[1, i]):
+                    row[j] += by * given.basis[i, j]
+
+    return add
+
+
+def motion_alone(derivative: Kernel) -> Kernel:
+    """Make the flow of a motion without any columns, in which `given` is the parameter array."""
+
+    @compiled
+    def flow(t, y, columns, u, given, rate, column_rates, work):
+        derivative(t, y, u, given, rate)
+
+    return flow
+
+
+def motion_with_columns(slopes: Kernel, sizes: RigSizes) -> Kernel:
+    """Make the variational equations of a twin.
+
+    Returns:
+        `flow(t, y, columns, u, given, rate, column_rates, work)`, which writes y' and S'; `work` has 2 n rows.
+    """
+    n, coordinates, add = sizes.states, sizes.coordinates, chain_rule(sizes)
+
+    @compiled
+    def flow(t, y, columns, u, given, rate, column_rates, work):
+        by_state, work = take(work, n)
+        by_entry, work = take(work, n)
+        slopes(t, y, u, given.p, rate, by_state, by_entry)
+        for i in range(n):
+            for j in range(columns.shape[1]):
+                column_rates[i, j] = columns[coordinates + i, j] if i < coordinates else 0.0
+            if i >= coordinates:
+                add(by_state[i], by_entry[i], columns, given, column_rates[i])
+
+    return flow
+
+
+def readings_with_columns(sensed: Kernel, sizes: RigSizes) -> Kernel:
+    """Make the readings of a twin and their derivatives.
+
+    Returns:
+        `read(t, dt, y, columns, commands, index, is_linear, given, s, rows, work)`, which writes the readings s at a
+        sample and their derivatives in `rows` (sensors, width); `work` has 2 sensors + 1 rows.
+    """
+    sensors, add = sizes.sensors, chain_rule(sizes)
+
+    @compiled
+    def read(t, dt, y, columns, commands, index, is_linear, given, s, rows, work):
+        by_state, work = take(work, sensors)
+        by_entry, work = take(work, sensors)
+        sensed(t, y, commands[index], given.p, work[0], s, by_state, by_entry)
+        for o in range(sensors):
+            for j in range(columns.shape[1]):
+                rows[o, j] = 0.0
+            add(by_state[o], by_entry[o], columns, given, rows[o])
+
+    return read
+
+
+def runge_kutta_4(flow: Kernel) -> Kernel:
+    """Make one step of the classical Runge-Kutta method for a motion and its columns.
+
+    Args:
+        flow: writes the rates of both.
+
+    Returns:
+        `advance(t, y, columns, u, end, given, h, work)`, which moves y (n,) and the columns (n, width) over h, while
+        the commands go linearly from u to `end`; `work` has 5 n + 7 rows, and then those of the flow.
+    """
+
+    @compiled
+    def advance(t, y, columns, u, end, given, h, work):
+        size, width, channels = columns.shape[0], columns.shape[1], u.shape[0]
+        slopes, work = take(work, 4 * size)  # of the columns, one stage after the other
+        between, work = take(work, size)
+        rates, work = take(work, 4)
+        rows, work = take(work, 2)
+        state, now = rows[0], rows[1][:channels]
+        for stage in range(4):
+            c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+            for i in range(channels):
+                now[i] = u[i] + c * (end[i] - u[i])
+            for i in range(size):
+                state[i] = y[i] + (c * h * rates[stage - 1, i] if stage > 0 else 0.0)
+                for j in range(width):
+                    between[i, j] = columns[i, j] + (c * h * slopes[(stage - 1) * size + i, j] if stage > 0 else 0.0)
+            flow(
+                t + c * h, state[:size], between[:size, :width], now, given, rates[stage],
+                slopes[stage * size : (stage + 1) * size], work,
+            )  # fmt: skip
+        for i in range(size):
+            y[i] += h / 6.0 * (rates[0, i] + 2.0 * (rates[1, i] + rates[2, i]) + rates[3, i])
+            for j in range(width):
+                total = slopes[size + i, j] + slopes[2 * size + i, j]
+                columns[i, j] += h / 6.0 * (slopes[i, j] + 2.0 * total + slopes[3 * size + i, j])
+
+    return advance
+
+
+def simulation(sensed: Kernel, derivative: Kernel, sizes: RigSizes) -> Kernel:
+    """Make the simulation of readings without derivatives.
+
+    Args:
+        sensed: `sensed(t, y, u, p, noise, s)` writes readings.
+        derivative: writes y'.
+        sizes: of the rig.
+
+    Returns:
+        `simulate(count, dt, substeps, is_linear, y, p, commands, readings, work)`, which writes `readings` (count,
+        sensors) from the state y on, which is the last state afterwards.
+    """
+    n, advance = sizes.states, runge_kutta_4(motion_alone(derivative))
+
+    @compiled
+    def simulate(
+        count: int, dt: float, substeps: int, is_linear: int, y: Vector, p: Vector, commands: Matrix, readings: Matrix,
+        work: Matrix,
+    ) -> None:  # fmt: skip
+        channels, h = commands.shape[1], dt / substeps
+        rows, work = take(work, 3)
+        noise, u, end = rows[0], rows[1][:channels], rows[2][:channels]
+        none, work = take(work, n)
+        work[:] = 0.0
+        noise[:] = 0.0
+        for index in range(count):
+            t = index * dt
+            sensed(t, y, commands[index], p, noise, readings[index])
+            for step in range(substeps):
+                drive(commands, index, step, substeps, dt, is_linear, p, u, end)
+                advance(t + step * h, y, none[:n, :0], u, end, p, h, work)
+
+    return simulate
+
+
+def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, sizes: RigSizes) -> Kernel:
+    """Make the accumulation of normal equations over a record.
+
+    Args:
+        read: writes readings and their derivatives, as that of `readings_with_columns`.
+        drive: writes the commands of an integration step, as `drive`.
+        flow: writes the rates of motion and columns.
+        sizes: of the rig.
+
+    Returns:
+        `accumulate(count, dt, substeps, interval, is_linear, starts, y, columns, given, commands, readings, weights,
+        matrix, gradient, squares, simulated, work) -> status`, which is 1 if the motion is no longer finite. Every
+        `interval` samples (multiple shooting) the motion starts again at a row of `starts`; each shooting interval has
+        `width` rows of `matrix` (J^T W J, its lower triangle) and entries of `gradient` (J^T W r). `squares` gets
+        squared residuals (sensors,), `simulated` the readings. States beyond n go on from one interval to the next.
+    """
+    n, sensors, free, begins = sizes.states, sizes.sensors, sizes.free or (0,), len(sizes.free)
+    read_rows = sizes.read_rows
+    is_free = tuple(i in sizes.free for i in range(n)) or (False,)
+    advance = runge_kutta_4(flow)
+
+    @compiled
+    def restart(window, starts, y, columns):
+        width = columns.shape[1]
+        first = width - begins
+        for i in range(columns.shape[0]):
+            for j in range(first, width):
+                columns[i, j] = 0.0
+        for i in range(n):
+            if window == 0 or is_free[i]:
+                y[i] = starts[window, i]
+                for j in range(first):
+                    columns[i, j] = 0.0
+        for i in range(begins):
+            columns[free[i], first + i] = 1.0
+
+    @compiled
+    def accumulate(
+        count, dt, substeps, interval, is_linear, starts, y, columns, given, commands, readings, weights, matrix,
+        gradient, squares, simulated, work,
+    ):  # fmt: skip
+        channels, width, h = commands.shape[1], columns.shape[1], dt / substeps
+        work[:] = 0.0
+        rows, work = take(work, sensors)
+        vectors, work = take(work, 3)
+        s, u, end = vectors[0], vectors[1][:channels], vectors[2][:channels]
+        of_readings, work = take(work, read_rows)
+        for index in range(count):
+            t, window = index * dt, index // interval
+            if index == window * interval:
+                restart(window, starts, y, columns)
+            read(t, dt, y, columns, commands, index, is_linear, given, s, rows, of_readings)
+            for o in range(sensors):
+                residual = readings[index, o] - s[o]
+                if not math.isfinite(residual):
+                    return 1
+                simulated[index, o] = s[o]
+                squares[o] += residual * residual
+                for i in range(width):
+                    weighted = weights[o] * rows[o, i]
+                    if weighted != 0.0:
+                        at = window * width + i
+                        gradient[at] += weighted * residual
+                        for j in range(i + 1):
+                            matrix[at, j] += weighted * rows[o, j]
+            for step in range(substeps):
+                drive(commands, index, step, substeps, dt, is_linear, given, u, end)
+                advance(t + step * h, y, columns, u, end, given, h, work)
+        return 0
+
+    return accumulate
+
+
+def twin_normal_equations(slopes: Kernel, sensed: Kernel, sizes: RigSizes) -> Kernel:
+    """Make the normal equations of a twin over one record, from one initial state.
+
+    Returns:
+        `normal(count, dt, substeps, is_linear, starts, y, columns, p, basis, spans, commands, readings, weights,
+        matrix, gradient, squares, simulated, work) -> status`, as `normal_equations`; `starts` is (1, n).
+    """
+    read, flow = readings_with_columns(sensed, sizes), motion_with_columns(slopes, sizes)
+    accumulate = normal_equations(read, drive, flow, sizes)
+
+    @compiled
+    def normal(
+        count: int, dt: float, substeps: int, is_linear: int, starts: Matrix, y: Vector, columns: Matrix, p: Vector,
+        basis: Matrix, spans: IntMatrix, commands: Matrix, readings: Matrix, weights: Vector, matrix: Matrix,
+        gradient: Vector, squares: Vector, simulated: Matrix, work: Matrix,
+    ) -> int:  # fmt: skip
+        given = Given(p, basis, spans)
+        return accumulate(
+            count, dt, substeps, count, is_linear, starts, y, columns, given, commands, readings, weights, matrix,
+            gradient, squares, simulated, work,
+        )  # fmt: skip
+
+    return normal

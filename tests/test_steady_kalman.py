@@ -1,0 +1,39 @@
+"""The steady Kalman design: noise over a sample, the Riccati equation, and states that readings do not determine."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from masking.estimation.sensitivity import spans
+from masking.numerics.steady_kalman import discretised, steady_filter
+
+
+def test_noise_over_a_sample_is_that_of_an_integrated_random_walk():
+    h, q = 0.02, 3.0
+    step, noise = discretised(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([0.0, q]), h)
+    np.testing.assert_allclose(step, [[1.0, h], [0.0, 1.0]], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(noise, q * np.array([[h**3 / 3.0, h**2 / 2.0], [h**2 / 2.0, h]]), rtol=1e-12)
+
+
+def test_the_covariances_are_scipys():
+    rng = np.random.default_rng(5)
+    step, reading = rng.normal(size=(4, 4)) / 2.0, rng.normal(size=(2, 4))
+    noise = np.diag([0.1, 1.0, 0.0, 2.0])
+    found = steady_filter(step, noise, reading)
+    predicted = linalg.solve_discrete_are(step.T, reading.T, noise, np.eye(2))
+    np.testing.assert_allclose(found.predicted, predicted, rtol=1e-9, atol=1e-12)
+    corrected = np.linalg.inv(np.linalg.inv(predicted) + reading.T @ reading)
+    np.testing.assert_allclose(found.corrected, corrected, rtol=1e-8, atol=1e-11)
+    np.testing.assert_allclose(found.gain, corrected @ reading.T, rtol=1e-8, atol=1e-11)
+    np.testing.assert_allclose(found.innovation, reading @ predicted @ reading.T + np.eye(2), rtol=1e-9)
+
+
+def test_a_walk_that_no_reading_determines_is_refused():
+    with pytest.raises(ValueError, match="does not settle"):
+        steady_filter(np.eye(2), np.eye(2), np.array([[1.0, 0.0]]))
+
+
+def test_spans_hold_all_entries_of_a_row():
+    basis = np.array([[0.0, 2.0, 0.0, 1.0, 0.0], [0.0] * 5, [1.0, 0.0, 0.0, 0.0, 0.0]])
+    assert spans(basis).tolist() == [[1, 5, 0], [4, 0, 1]]
+    assert spans(np.zeros((2, 0))).tolist() == [[0, 0], [0, 0]]
