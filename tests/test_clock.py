@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from masking.errors import RecordError
+from masking.procedures.channels import Source
 from masking.records.clock import rate
+from masking.records.recording import Recording
 
 N = 20_000
 INDEX = np.arange(N)
@@ -123,3 +125,9 @@ def test_the_longest_part_is_named(t, start, part, tmp_path):
     path = tmp_path / "record.csv"
     path.touch()
     assert told(t, f"{path}{start}").endswith(f"use one part, such as {path}{part}")
+
+
+def test_procedures_and_identification_have_one_rule():
+    source = Source("the record", Recording({"t": T + normal(4e-6), "x": T}))
+    with pytest.raises(RecordError, match="the record: the time stamps are rounded or jitter by up to"):
+        source.rate()

@@ -29,7 +29,7 @@ class DecisionRules:
     noise_deviations: float = 3.0
     """Standard deviations of the estimated noise that are added to it, see `verdict.noise_threshold`.
 
-    Why: three standard deviations; 0.02 for a sensor with 20 000 readings, 0.16 for one with 400.
+    Why: three standard deviations; 0.024 for a sensor with 20 000 readings, 0.17 for one with 400.
     """
 
     initial_state_share: float = 1e-3

@@ -29,7 +29,7 @@ from masking.numerics.arrays import Array
 from masking.records.recording import Recording
 from masking.rig.twin import PlacedEffect, Twin
 from masking.runs.offline import TwinRun, rig_state, run_continuous, run_sampled, run_twin
-from masking.runs.stopping import SYNCHRONISED, Ending, cut
+from masking.runs.stopping import SYNCHRONISED, StopCondition, cut
 
 # Rows per unit of virtual time in the record of a continuous run, by default.
 ROWS_PER_UNIT = 10
@@ -176,7 +176,7 @@ class Experiment:
         return SampledLoop(self.sampled, self.twin)
 
     @cached_property
-    def ending(self) -> Ending | None:
+    def stop_condition(self) -> StopCondition | None:
         """Return what ends a run before its duration; None where nothing does."""
         declaration, rate = self.declaration, self.declaration.controller.rate
         if declaration.stop is None:
@@ -184,7 +184,7 @@ class Experiment:
         rows = declaration.record.rate * self.time_scale if declaration.record else float(ROWS_PER_UNIT)
         step = 1.0 / rows if rate is None else self.every / (rate * self.time_scale)
         initial = self.virtual.initial_state(declaration.initial)
-        return Ending.of(declaration.stop, self.virtual, initial, step=step, duration=declaration.duration)
+        return StopCondition.of(declaration.stop, self.virtual, initial, step=step, duration=declaration.duration)
 
     @property
     def stem(self) -> str:
@@ -213,7 +213,7 @@ class Experiment:
         self.virtual.initial_state(self.declaration.initial)
         if self.has_observer:
             _ = self.sampled.gain
-        _ = self.ending
+        _ = self.stop_condition
 
     def _check_size(self) -> list[Problem]:
         rows = cross_checks.recorded_rows(self.declaration, self.time_scale, ROWS_PER_UNIT)
@@ -260,7 +260,7 @@ class Experiment:
             run = run_continuous(self.loop, state, times, tolerance=declaration.tolerance, progress=progress)
         else:
             run = run_sampled(self.loop, state, rate=rate, duration=duration, every=self.every, progress=progress)
-        row = self.ending.row(run.virtual) if self.ending else None
+        row = self.stop_condition.row(run.virtual) if self.stop_condition else None
         run = run if row is None else cut(run, row + 1)
         ran = time.perf_counter()
         ideal = self._ideal(run.times)
@@ -291,7 +291,7 @@ class Experiment:
             self.sampled_loop, start, duration=duration, seed=declaration.seed, every=self.every, progress=progress
         )
         # What ends it is what the controller takes for the motion, as on a rig.
-        row = self.ending.row(self._virtual(run.times, run.estimates)) if self.ending else None
+        row = self.stop_condition.row(self._virtual(run.times, run.estimates)) if self.stop_condition else None
         run = run if row is None else cut(run, row + 1)
         ran = time.perf_counter()
         columns = self.sampled_columns(run)
@@ -351,7 +351,7 @@ class Experiment:
     def _record(self, made: Columns, timing: Mapping[str, float], *, is_stopped: bool) -> Recording:
         columns = made.columns
         at = float(columns["t"][-1]) / self.time_scale if is_stopped else None
-        stop = {"stop": self.ending.entry(at)} if self.ending else {}
+        stop = {"stop": self.stop_condition.entry(at)} if self.stop_condition else {}
         chi = {c: masking_error(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in self.virtual.coordinates}
         return Recording(columns, {**self._manifest(made.units, chi, timing), **self._start_entry(columns), **stop})
 

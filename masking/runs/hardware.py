@@ -112,8 +112,8 @@ def run(
     before = round(sampled.homing * sampled.rate) + sampled.delay
     after = int(np.floor(experiment.declaration.duration * experiment.time_scale * sampled.rate * (1.0 + 1e-12))) + 1
     _prepare(sampled)
-    ending = experiment.ending
-    watched = _Watched(ending.detector.begin(), ending.columns, experiment.every) if ending else None
+    condition = experiment.stop_condition
+    watched = _Watched(condition.detector.begin(), condition.columns, experiment.every) if condition else None
     keeper = _Keeper(sampled, before, after, watched)
     declared, instruments = experiment.assembly.plant, experiment.instruments
     wanted = Path(next(iter(declared.files), declared.name)).stem

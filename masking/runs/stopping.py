@@ -1,4 +1,4 @@
-"""Ending: what ends a run before its planned end, offline and on a rig alike."""
+"""Stopping: the condition that ends a run before its planned end, offline and on a rig alike."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _AnyRun = TypeVar("_AnyRun", Run, TwinRun)
 
 
 @dataclass(frozen=True)
-class Ending:
+class StopCondition:
     """The end of a run by synchronisation.
 
     Args:
@@ -37,7 +37,7 @@ class Ending:
     detector: Detector
 
     @classmethod
-    def of(cls, settings: Stop, virtual: Model, initial: Array, *, step: float, duration: float) -> Ending:
+    def of(cls, settings: Stop, virtual: Model, initial: Array, *, step: float, duration: float) -> StopCondition:
         """Return the end of a run, whose period is that of the virtual system by itself where none is declared.
 
         Args:

@@ -75,7 +75,7 @@ def test_a_run_on_a_rig_that_does_not_synchronise_is_finished():
 
 def test_a_budget_is_of_the_run_as_long_as_it_was():
     made = error_budget.in_full(Experiment.load("huygens_rig").changed(stop=STOP), 12.0)
-    assert (made.ending, made.declaration.duration) == (None, 12.0)
+    assert (made.stop_condition, made.declaration.duration) == (None, 12.0)
 
 
 def test_the_command_line_tells_it(tmp_path, capsys):
