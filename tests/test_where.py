@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from masking.discovery.smoothing import smooth
 from masking.estimation.data import Data
 from masking.estimation.whiteness import autocorrelation, evenness, ljung_box, whiteness
 from masking.reports import discovery_page, discovery_text
+from masking.reports.discovery_files import Origin
 from masking.rig.twin import Twin
 from tests.test_discovery import PLANT
 
@@ -421,8 +424,8 @@ def test_it_goes_into_json(discoveries):
 
 
 def test_the_page_tabulates_it(discoveries):
-    found = discoveries("square")
-    assert "Ljung and Box" in discovery_page._whiteness(found, set())
-    table = discovery_page._where(found, set())
-    assert "<td>spring2</td>" in table
-    assert "odd multiples of 0.125 Hz only" in table
+    figures = [SimpleNamespace(name=name, title=name, caption="", png=None) for name in ("map", "residual")]
+    page = discovery_page.page(discoveries("square"), figures, Origin({}), Path("found"))
+    assert "Ljung and Box" in page
+    assert "<td>spring2</td>" in page
+    assert "odd multiples of 0.125 Hz only" in page

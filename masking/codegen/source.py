@@ -167,9 +167,9 @@ class Module:
         self.meta.setdefault("links", []).append(name)
 
     def add_text(self, signature: str, text: str) -> None:
-        """Add functions that are printed already, the last of which has this signature and returns nothing."""
+        """Add printed functions, the last of which has this signature; it returns nothing without `-> float`."""
         self.functions.append(text)
-        self._export(*_read(signature), "None")
+        self._export(*_read(signature), signature.partition(" -> ")[2] or "None")
 
     def _function(self, signature: str, body: Sequence[str], decorator: str = DECORATOR) -> None:
         returned = "float" if body and body[-1].startswith("return") else "None"

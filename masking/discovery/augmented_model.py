@@ -253,12 +253,12 @@ class OpenRig:
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
         twin, _ = self._opened
-        texts = [effect.structure() for effect in self.laws.values()]
         made_from = {
-            "discovery": twin.structure(), "affected": list(self._sensitivity.affected), "laws": texts,
+            "discovery": twin.structure(), "affected": list(self._sensitivity.affected),
             "columns": self.columns, "forces": self.degree_places, "free": self.twin.free,
         }  # fmt: skip
-        return Kernels(store.load(store.key(made_from), self._build))
+        links = {laws.LAW: laws.library(self.laws)}
+        return Kernels(store.load(store.key(made_from), self._build, links))
 
     def _build(self) -> Module:
         twin, found = self._opened
@@ -274,20 +274,20 @@ class OpenRig:
         results = [(f"d[{i}]", node) for i, node in enumerate(nodes)]
         by_state = jacobian(graph, "jy", nodes, y, at)
         module.add("placed(t: float, y, u, p, d, jy: Matrix)", graph, [*results, *by_state], loads)
-        module.functions.append(laws.text(self.laws))
+        module.add_link(laws.SIGNATURE)
         sizes, forces = self._sizes, tuple(self.columns[0][i] for i in self.degree_places)
         size = sizes.states + MOST_STATES
         width = max(len(self.names) + 4 * MOST_PARAMETERS + size, self.affected, 2 * len(found), MOST_COLUMNS)
         work = sizes.work_rows, width
         is_direct = not all(graph.is_number(node, 0.0) for node in by_entry)
         rig = "slopes", "sensed", sizes
-        module.add_factory("run", augmented.augmented_normal_equations, "_law", "placed", *rig, work=work)
+        module.add_factory("run", augmented.augmented_normal_equations, laws.LAW, "placed", *rig, work=work)
         module.add_factory("respond", responses.linear_responses, *rig, is_direct, work=work)
         module.add_factory("follow", kalman.fixed_gain_filter, "rates", *rig[1:], forces, work=work)
         module.add_factory("smooth_backward", kalman.backward_smoother)
         given = "rates", "placed", sizes, forces, len(found)
         module.add_factory("motions", responses.places_along, *given, work=work)
-        module.add_factory("along", responses.law_along, "_law", work=work)
+        module.add_factory("along", responses.law_along, laws.LAW, work=work)
         module.add_factory("read", responses.readings_along, "sensed", sizes, forces, work=work)
         return module
 

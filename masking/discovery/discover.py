@@ -120,7 +120,7 @@ def _explained(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Disc
 
 
 def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discovery:
-    """Return what explains a record; its noise is that of the record that judges (sensors,)."""
+    """Return the explanation of a record, given the noise of the validation record (sensors,)."""
     rig, rules = evidence.rig, evidence.rules
     judged, size = replace(evidence, record=judge, sigma=noise), evidence.record.readings.size
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
@@ -157,7 +157,7 @@ def _found(evidence: Evidence, judge: Data, noise: Array, say: Tell) -> Discover
     )
     coming = None
     if answer == "ambiguous":
-        say("looking for an experiment that tells them apart", 0.95)
+        say("looking for an experiment that separates them", 0.95)
         first, second = rivals[:2]
         names_of = (_name(first), _name(second))
         with threadpool_limits(1):

@@ -1,4 +1,4 @@
-"""Discovery: what was found, how much of the gap it leaves, and how sure that is."""
+"""Discovery: the verdict, its causes, the simulation errors before and after, and the probability."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class Named:
 
 @dataclass(frozen=True)
 class SimulationError:
-    """Relative error of each sensor, by name: before and after, in the record and in the one that judges; and noise.
+    """Relative error of each sensor, by name: before and after, in both records; and the noise floor.
 
-    `adjusted` is that of the model with its parameters adjusted alone, in the record that judges.
+    `adjusted` is that of the model with its parameters adjusted alone, in the validation record.
     """
 
     estimation: tuple[dict[str, float], dict[str, float]]
@@ -79,16 +79,16 @@ class Discovery:
         effects: causes, in the order in which they were found.
         simulation_error: before and after.
         unexplained: fraction of the excess cost that is left in the estimation record.
-        twin: the rig as it was believed to be.
+        twin: the rig as its model declares it.
         explanation: the one that was chosen.
         rivals: the explanations that it was chosen from, itself first.
         tempering: factor by which costs were divided, see `Evidence.tempering`.
         search: the whole search.
         evidence: the record that was explained.
         validation: the estimation problem of the validation record.
-        before, after: the rig without and with the causes on the record that judges.
-        adjusted: the rig without causes, its parameters adjusted within belief, on the record that judges.
-        next_experiment: that tells the two likeliest explanations apart, where the record does not.
+        before, after: the model as declared and with the causes, on the validation record.
+        adjusted: the model without causes, its parameters adjusted within their priors, on the validation record.
+        next_experiment: that separates the two likeliest explanations, if the record does not.
         first_order_hold: relative error of each sensor with adjusted parameters alone and inputs in straight lines
             between samples; None unless that is far less than what was found leaves.
     """
@@ -128,7 +128,7 @@ class Discovery:
 
     @property
     def validation_record(self) -> Data:
-        """Return the record that it was judged by."""
+        """Return the validation record."""
         return self.validation.record
 
     @property
@@ -138,7 +138,7 @@ class Discovery:
 
     @cached_property
     def whiteness(self) -> dict[str, Whiteness]:
-        """Return how white what is left of each sensor is, on the record that judges."""
+        """Return the whiteness of the validation residual of each sensor."""
         return whiteness_of(self.validation, self.after.residuals)
 
     @cached_property
@@ -155,12 +155,12 @@ class Discovery:
 
     @property
     def is_at_noise_floor(self) -> bool:
-        """Return whether what was found leaves no more than the noise of any sensor, on the record that judges."""
+        """Return whether the validation residual of each sensor is at the noise floor."""
         return self.simulation_error.is_noise(len(self.validation_record), self.evidence.rules)
 
     @property
     def is_hidden(self) -> bool:
-        """Return whether something is missing that shows in the record that judges alone."""
+        """Return whether something is missing that shows in the validation record alone."""
         after, floor = self.simulation_error.estimation[1].values(), self.simulation_error.noise_floor.values()
         is_seen = not at_noise_floor(after, floor, len(self.record), self.evidence.rules)
         return (
@@ -169,7 +169,7 @@ class Discovery:
 
     @cached_property
     def closed(self) -> bool:
-        """Return whether what is left is noise: no more than that on the record that judges, and white on both.
+        """Return whether the explanation is complete: the validation residual at the noise floor, and white in both.
 
         Where the motion begins so often anew that its initial states take much of the noise, its size alone counts.
         """

@@ -1,4 +1,4 @@
-"""Explanation: a hypothesis with a name, what it costs and what its parameters pay, and how likely that makes it.
+"""Explanation: a hypothesis with a name, its cost, and the Occam factor of its parameters.
 
 Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, section 28.1.
 """
@@ -25,8 +25,8 @@ class Explanation:
         kind: `none`, `parameter` or `effects`.
         names: (parameter, '') or (effect, place) of each.
         hypothesis: fitted.
-        own: least part of an effect that parameters could not have.
-        joint: the hypothesis fitted to this and another record, where it has been judged by one.
+        own: unique fraction: the least part of an effect that parameters could not have.
+        joint: the hypothesis fitted to both records, if it has been validated on another.
     """
 
     kind: Kind
@@ -41,14 +41,14 @@ class Explanation:
         return self.hypothesis.cost
 
     def believed(self, evidence: Evidence) -> Evidence:
-        """Return evidence in which the parameter that is off, where one is, may be anything."""
+        """Return the problem with the parameter of this explanation free, if it is one."""
         if self.kind != "parameter":
             return evidence
         index = evidence.rig.names.index(self.names[0][0])
         return replace(evidence, belief=evidence.belief.freed(index, evidence.rules.freed_factor))
 
     def score(self, tempering: float) -> float:
-        """Return its cost, divided by a tempering, with what its parameters pay."""
+        """Return its cost over a tempering factor, with the Occam factor of its parameters."""
         told = self.joint or self.hypothesis
         return told.cost / tempering + occam(told, tempering)
 
@@ -58,7 +58,7 @@ class Explanation:
 
 
 def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
-    """Return what the parameters of effects must pay: how much narrower they become than they could have been.
+    """Return the Occam factor of the effects: by how much the record narrows their parameters, as -2 log evidence.
 
     Before the record, each factor of an effect could have been as large as makes it as strong as the strongest of them,
     and each parameter of its shape twice as large or zero, or a plain number anywhere in its range. A direction that

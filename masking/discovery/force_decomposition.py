@@ -31,7 +31,7 @@ CELLS = 12  # of the range of displacement and of rate: an even number has an ed
 FEWEST = 4  # samples in a cell
 COVERED = 0.5  # part of the time that must be spent where the opposite is visited, too
 SEEN = 2.0  # of its deviation's square: a mean square below is not looked at
-FOLLOWS = 0.1  # part of the energy that displacement and rate must explain for a symmetry to be told
+FOLLOWS = 0.1  # part of the energy that displacement and rate must explain for a symmetry to be stated
 ENDS = (0.002, 0.998)  # quantiles of a range
 
 Mask = NDArray[np.bool_]
@@ -137,7 +137,7 @@ def followed(x: Array, force: Array, cycle: int | None = None) -> float:
 
 
 def _explained(force: Array, told: Array) -> float:
-    """Return the mean square that a force loses where what was told of it is taken off; 0 where it gains."""
+    """Return the mean square that a force loses if its explained part is taken off; 0 if it gains."""
     return max(float((force**2).mean() - ((force - told) ** 2).mean()), 0.0)
 
 
@@ -200,7 +200,7 @@ def _regions(x: Array, rate: Array, energy: Array) -> dict[str, dict[str, Region
 def _thinned(x: Array, cycle: int | None) -> tuple[slice, Indices]:
     """Return which samples are looked at, and of which stretch of the record, or of a cycle, each is.
 
-    A stretch is about a swing of the motion (m,) or more: shorter ones would be told by those beside them.
+    A stretch is about a swing of the motion (m,) or more: shorter ones would be known from those beside them.
     """
     step = max(1, len(x) // MOST)
     kept = np.arange(-(-len(x) // step))

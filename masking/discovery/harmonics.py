@@ -20,7 +20,7 @@ from masking.numerics.arrays import Array
 ALIKE = 1e-6  # of twice the variance: commands that differ by less a period later repeat themselves
 APART = 0.1  # of it: commands have changed since
 EXCITED = 0.01  # of the largest amplitude of a command, from which a line counts as excited
-LEAST = 3  # periods: one to settle, and two to tell noise by
+LEAST = 3  # periods: one to settle, and two to estimate the noise
 LONGEST = 0.75  # of a record: a longer period repeats too little to be found
 
 

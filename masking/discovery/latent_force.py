@@ -1,8 +1,8 @@
-"""Forces: what a record shows of a cause at one place: the lacking force there, before and after.
+"""Latent forces: what a record shows of a cause at one place, before and after.
 
 Latent forces of all coordinates are brought to one place by least squares, weighted with their deviations. They are
-those of the model with the parameters that were found beside the causes: what a cause gives then lies on them, as in a
-plot of partial residuals. What is left after the causes is found the same way: they are taken out of the readings,
+those of the model with the parameters that were found beside the causes: the force of a cause lies on them, as in a
+plot of partial residuals. The residual after the causes is found the same way: they are taken out of the readings,
 which are smoothed again.
 Source: Larsen and McCleary (1972), Technometrics 14(3), 781-790, for partial residuals.
 """
@@ -37,15 +37,15 @@ FEWEST = 30  # samples of a bin
 
 @dataclass(frozen=True)
 class LatentForce:
-    """What is lacking at a place along the record.
+    """The latent force, command or reading at a place along the record.
 
     Args:
         place: name of the element, coordinate, sensor or actuator.
         where: 'element', 'actuator' or 'sensor'.
         x: displacement of an element, command of an actuator, or simulated reading of a sensor (m,).
         rate: of it (m,).
-        before: the lacking force, command or reading (m,).
-        after: what is left of it with the causes (m,); None where no cause is known or it cannot be told.
+        before: the latent force, command or reading (m,).
+        after: its residual with the causes (m,); None if no cause is known, or the residual cannot be found.
         deviations: standard deviations of `before` and of `after`.
         units: of `before`, `x` and `rate`.
         known: whether displacement and rate are known.
@@ -70,11 +70,11 @@ class LatentForce:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """What the model lacks along the record, with the parameters that were found beside the causes.
+    """Latent forces along the record, of the model with the parameters that were found beside the causes.
 
     Args:
-        before: the motion with the forces that are lacking without causes.
-        after: with the causes taken out of the readings; None where none is known or it cannot be told.
+        before: the motion with the latent forces without causes.
+        after: with the causes taken out of the readings; None if none is known, or it cannot be found.
         error: readings less the simulation without causes (m, sensors).
     """
 
@@ -120,11 +120,11 @@ class Explained(Protocol):
 
 
 def lack(found: Explained, most: str) -> LatentForce:
-    """Return what is lacking at the place of the last cause.
+    """Return the latent force at the place of the last cause.
 
     Args:
         found: the discovery.
-        most: the place where most is lacking, or is left: to look at where no cause explains what is lacking.
+        most: the place with the largest latent force, which is taken if no cause explains it.
     """
     slots = found.explanation.hypothesis.slots
     if not slots or found.verdict == "unknown":
@@ -194,7 +194,7 @@ def along(found: Explained, slot: Slot, x: Array, rate: Array) -> Array:
 
 
 def smoothed(found: Explained) -> Smoothed:
-    """Return what the model lacks along the record, with the parameters found, before and after the causes."""
+    """Return the latent forces along the record, with the parameters found, before and after the causes."""
     chosen, base = found.explanation.hypothesis, found.search.base.hypothesis
     if chosen is base:
         return Smoothed(found.search.motion, None, base.residuals)
@@ -212,7 +212,7 @@ def smoothed(found: Explained) -> Smoothed:
 
 
 def _without(found: Explained, motion: Motion) -> Motion:
-    """Return a motion whose lacking forces are less by what the causes give along it."""
+    """Return a motion without the forces of the causes along it."""
     forces = motion.forces.copy()
     for slot in found.explanation.hypothesis.slots:
         if slot.where == "sensor":

@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 
 from masking import effects
+from masking.codegen import store
 from masking.codegen.graph import Graph
+from masking.codegen.native import NativeFunction
 from masking.codegen.printers import statements
-from masking.codegen.source import DECORATOR
+from masking.codegen.source import DECORATOR, Module
 from masking.codegen.tangent import derivatives
 from masking.declaration.dictionary import MOST_PARAMETERS, MOST_STATES
 from masking.declaration.expression import Expression
@@ -29,6 +31,8 @@ else:
 
 WIDTH = 4 + MOST_PARAMETERS  # of a row: value, by displacement, by rate, by state, by each parameter
 FIRST_PARAMETER = 4
+LAW = "_law"
+SIGNATURE = f"{LAW}(kind: int, t: float, x: float, rate: float, z: float, theta, rows: Matrix)"
 SUBJECTS = {"element": "d", "sensor": "s", "actuator": "u"}
 DELAY = effects.DELAY.name  # has no expression: the commands are read earlier
 
@@ -40,6 +44,18 @@ def known(dictionary: Mapping[str, Effect]) -> dict[str, Effect]:
         for name, effect in dictionary.items()
         if effect.where in SUBJECTS and len(effect.states) <= MOST_STATES and len(effect.parameters) <= MOST_PARAMETERS
     }
+
+
+def library(kinds: Mapping[str, Effect]) -> NativeFunction:
+    """Return the laws as machine code of their own, to which the kernels of every rig are linked."""
+
+    def build() -> Module:
+        module = Module("laws of effects", {})
+        module.add_text(SIGNATURE, text(kinds))
+        return module
+
+    made_from = {"laws": {name: effect.structure() for name, effect in kinds.items()}}
+    return store.load(store.key(made_from), build).function(LAW)
 
 
 def text(kinds: Mapping[str, Effect]) -> str:

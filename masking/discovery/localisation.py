@@ -27,13 +27,13 @@ BEYOND = 1.05  # of the noise's variance, from which a residual is looked at
 
 @dataclass(frozen=True)
 class LocatedForce:
-    """What is lacking at a place.
+    """The latent force at a place.
 
     Args:
         name: of the place.
-        share: of all that is lacking, what a force at this place alone would make.
+        share: of all latent forces, the part that a force at this place alone would make.
         decomposition: of that force, in the place's units.
-        harmonics: of it; None where the commands are not periodic, or nothing is lacking.
+        harmonics: of it; None if the commands are not periodic, or there is no such force.
         units: of force, displacement and rate.
     """
 
@@ -45,7 +45,7 @@ class LocatedForce:
 
     @property
     def explained(self) -> float:
-        """Return the share of all that is lacking that follows displacement and rate of this place."""
+        """Return the share of all latent forces that follows displacement and rate of this place."""
         parts = self.decomposition.parts
         return 0.0 if parts is None else self.share * (1.0 - parts.neither)
 
@@ -67,13 +67,13 @@ class LocatedForce:
 
 @dataclass(frozen=True)
 class LatentForces:
-    """What is lacking along the record, and where.
+    """The latent forces along the record, by coordinate, place, actuator and sensor.
 
     Args:
-        coordinates: share of each coordinate, or state or output that forces act on, in the energy of the lacking
-            forces beyond their deviations; sum 1, or all 0 where nothing is lacking.
+        coordinates: share of each coordinate, or state or output that forces act on, in the energy of the latent
+            forces beyond their deviations; sum 1, or all 0 if there are none.
         places: each place; a force between two coordinates is nearly one on either of them, so that shares overlap.
-        actuators: share of all that is lacking that a function of the command of each would make.
+        actuators: share of all latent forces that a function of the command of each would make.
         sensors: part of the residual of each sensor beyond noise that is a function of what it should read.
     """
 
@@ -84,11 +84,11 @@ class LatentForces:
 
     @property
     def best(self) -> LocatedForce:
-        """Return the place whose displacement and rate explain most of what is lacking, or where most of it is."""
+        """Return the place whose displacement and rate explain most of the latent forces, or that has most of them."""
         return max(self.places, key=lambda place: (round(place.explained, 2), place.share, place.signal_to_noise))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what is lacking as JSON can hold it."""
+        """Return the latent forces as JSON can hold them."""
         return {
             "coordinates": dict(self.coordinates),
             "places": {place.name: place.as_dict() for place in self.places},
@@ -99,12 +99,12 @@ class LatentForces:
 
 @dataclass(frozen=True)
 class Localisation:
-    """Where a model lacks something.
+    """Where the error of a model is.
 
     Args:
         latent: with the parameters that were found beside the causes, but without these.
         residual: with the causes; None where none is known.
-        whiteness: of the residuals of each sensor on the record that judges: with parameters adjusted alone, and with
+        whiteness: of the validation residual of each sensor: with parameters adjusted alone, and with
             the causes, which is None where none is known.
     """
 
@@ -139,7 +139,7 @@ def localise(found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whitenes
 
 
 def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Periods | None) -> LatentForces:
-    """Return what is lacking along a motion whose readings differ by an error (m, sensors) from the simulation."""
+    """Return the latent forces along a motion whose readings differ by an error (m, sensors) from the simulation."""
     rig, cycle = found.rig, None if periods is None else periods.length
     ratios = (motion.forces**2).mean(axis=0) / np.maximum(motion.deviation, 1e-300) ** 2
     energies = np.where(ratios > SEEN, ratios - 1.0, 0.0)

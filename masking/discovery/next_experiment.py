@@ -1,7 +1,7 @@
-"""Experiment: the excitation that tells two explanations apart best, found by simulation.
+"""Next experiment: the excitation that separates two explanations best, found by simulation.
 
 The rig with the one explanation is simulated under excitations within its limits; the other is fitted to what its
-sensors would read. What is left, in standard deviations of the noise, is how well the excitation tells them apart.
+sensors would read. The residual, in standard deviations of the noise, is how well the excitation separates them.
 Source: Hunter and Reiner (1965), Technometrics 7(3), 307-323: designs for discriminating between two rival models.
 """
 
@@ -33,7 +33,7 @@ STEPS = "row of growing steps"
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """An excitation that tells two explanations apart.
+    """An excitation that separates two explanations.
 
     Args:
         excitation: what it is, such as "ramp".
@@ -41,7 +41,7 @@ class NextExperiment:
         separation: of the two explanations, as a difference of -2 log likelihood; the smaller of both ways.
         between: their names.
         commands: of the actuators (m, actuators).
-        threshold: separation from which it tells them apart.
+        threshold: separation from which they are separated.
     """
 
     excitation: str
@@ -53,7 +53,7 @@ class NextExperiment:
 
     @property
     def separates(self) -> bool:
-        """Return whether it tells them apart."""
+        """Return whether it separates them."""
         return self.separation > self.threshold
 
     def as_dict(self) -> dict[str, Any]:
@@ -79,15 +79,15 @@ class NextExperiment:
     def __str__(self) -> str:
         one, other = (name.replace("_", " ") for name in self.between)
         if not self.separates:
-            return f"no excitation of the actuators that was tried tells {one} from {other}"
+            return f"no excitation of the actuators that was tried separates {one} from {other}"
         peaks = " and ".join(f"{name} up to {peak:g}" for name, peak in self.peaks.items())
-        return f"a {self.excitation} of {peaks}, {self.pace}, would tell {one} from {other}"
+        return f"a {self.excitation} of {peaks}, {self.pace}, would separate {one} from {other}"
 
 
 def next_experiment(
     evidence: Evidence, first: Hypothesis, second: Hypothesis, names: tuple[str, str], limits: Array | None = None
 ) -> NextExperiment | None:
-    """Return the excitation, of those that are tried, that tells two explanations apart best.
+    """Return the excitation, of those that are tried, that separates two explanations best.
 
     A component is moved as far, and its rate is that of this displacement; None where it is not known which measured
     input is the rate of which.
@@ -117,7 +117,7 @@ def next_experiment(
 
 
 def _left(evidence: Evidence, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
-    """Return what one explanation leaves of what the other would read, as -2 log likelihood."""
+    """Return the cost of one explanation on readings that the other one simulates."""
     hold: Hold = "first-order" if evidence.rig.twin.measured_actuators else "zero-order"
     nothing = np.zeros((len(commands), len(evidence.sigma)))
     record = Data("simulated", evidence.record.rate, commands, nothing, hold=hold)

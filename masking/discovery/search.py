@@ -1,8 +1,8 @@
-"""Search: what explains the gap best: nothing, a parameter that is wrong, or effects, one after the other.
+"""Search: the best explanation of the residual: nothing, a wrong parameter, or effects, one after the other.
 
-Hypotheses are compared by their cost, -2 log likelihood with the belief in the rig's parameters, and what the added
-parameters must pay for being fitted. Where even the best leaves more than noise, or noise that
-is not white, differences count for less, by how much more is left and how slowly it changes.
+Hypotheses are compared by their cost, -2 log likelihood with the priors of the rig's parameters, and the Occam factor
+of the added ones. If the best hypothesis leaves residuals above the noise floor, or coloured ones, costs are divided by
+a tempering factor: residual variance over noise variance, or the excess of block means.
 Source: Kass and Raftery (1995), JASA 90(430), 773-795; for what is worth a fit, Schwarz (1978), Ann. Stat. 6, 461.
 """
 
@@ -42,7 +42,7 @@ class SearchResult:
     """What a search found: the steps that were taken, and the explanations of the last, best first.
 
     Args:
-        base: the rig as believed, fitted within belief.
+        base: the model, its parameters fitted within their priors.
         steps: the explanations that were compared in each step, the best first.
         motion: smoothed record.
         tried: what each candidate could take off at first, the best first.
@@ -59,7 +59,7 @@ class _Ground:
     """What every step of a search looks at.
 
     Args:
-        base: the rig as believed, fitted within belief.
+        base: the model, its parameters fitted within their priors.
         motion: smoothed record.
         every: candidates.
         along: what they do along the motion.
@@ -77,7 +77,7 @@ class Search:
 
     Args:
         evidence: the record and the rig.
-        tell: told what is done, and the part done.
+        tell: called with what is done, and the fraction done.
     """
 
     evidence: Evidence
@@ -109,7 +109,7 @@ class Search:
         return float(np.log(self.size))
 
     def run(self) -> SearchResult:
-        """Search for causes, one after the other, until nothing pays."""
+        """Search for causes, one after the other, until none is worth its complexity penalty."""
         self.tell("fitting the model as it is", 0.0)
         plain = fitting.fit(self.evidence)
         base = Explanation("none", (), plain)
@@ -139,7 +139,7 @@ class Search:
             if not found or self._is_too_little(base, now, found[0]):
                 break
             if len(now.names) > 1 and now is not settled:
-                # What was named first may be only like what is there: it was compared while the others were lacking.
+                # The first effects may only resemble the true ones: they were compared while the others were missing.
                 now, before = self._settled(now, ground), now
                 settled = now
                 if now is not before:
@@ -178,8 +178,8 @@ class Search:
         keys = _keys(chosen)
         simpler = set().union(*map(self._nested_in, keys)) - keys - {*now.names}
         inside = {name for names in self.nested.values() for name in names}
-        kin = simpler | {key for key in keys if key[0] in inside}
-        others = [p for p in promises if p.candidate.key in kin and all(p is not one for one in chosen)]
+        nested = simpler | {key for key in keys if key[0] in inside}
+        others = [p for p in promises if p.candidate.key in nested and all(p is not one for one in chosen)]
         chosen += [p for i, p in enumerate(others) if p.candidate.key not in _keys([*chosen, *others[:i]])]
         variants = [p for p in others if all(p is not one for one in chosen)]
         jobs = [partial(self._added, now, promise, screen) for promise in chosen]
@@ -193,7 +193,7 @@ class Search:
             found += [e for e in self._tried(some, rival) if e is not None]
         if not found:
             return []
-        # Other shapes of a kin are looked at where one takes a part of what the best does.
+        # Other shapes of a nested model are fitted if one takes a part of what the best does.
         rival = min(e.hypothesis.cost for e in found)
         least = now.hypothesis.cost - rules.nested_fraction * (now.hypothesis.cost - rival)
         near = {e.names[-1] for e in found if e.hypothesis.cost < least}
@@ -219,22 +219,22 @@ class Search:
         return verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules)
 
     def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
-        """Return simpler kin of the best fit, fitted from where that is, where this begins better than they end."""
+        """Return nested models of the best fit, fitted from its parameters if they begin better than they ended."""
         best = min(found, key=lambda e: e.hypothesis.cost)
         if best.kind != "effects":
             return []
         known = best.hypothesis
         values = dict(zip(known.slots[-1].names, known.slots[-1].estimated, strict=True))
         better = []
-        for kin in found:
-            if kin.names[-1] not in self._nested_in(best.names[-1]):
+        for nested in found:
+            if nested.names[-1] not in self._nested_in(best.names[-1]):
                 continue
-            slot = kin.hypothesis.slots[-1]
+            slot = nested.hypothesis.slots[-1]
             shared = [i for i, name in zip(slot.free, slot.names, strict=True) if name in values]
             slot = slot.with_values(shared, (values[name] for name in slot.names if name in values))
             slots = (*known.slots[:-1], slot)
-            if fitting.cost(self.evidence, slots, known.theta, known.start) < kin.hypothesis.cost:
-                better.append(replace(kin, hypothesis=self._fit(slots, known, known.cost)))
+            if fitting.cost(self.evidence, slots, known.theta, known.start) < nested.hypothesis.cost:
+                better.append(replace(nested, hypothesis=self._fit(slots, known, known.cost)))
         return better
 
     def _worth(self, screen: Screen, left: float) -> float:
@@ -354,7 +354,7 @@ class Search:
         k = len(self.evidence.belief.mean)
         pull = (hypothesis.theta - self.evidence.belief.mean) / self.evidence.belief.deviation
         variance = np.diag(hypothesis.covariance)[:k] / self.evidence.belief.deviation**2
-        # The parameter's own term of the belief, and what the others give once it is gone.
+        # The parameter's own prior term, and what the others give once it is gone.
         found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
         return np.where(variance < 1.0 - 1e-9, found, 0.0)
 
@@ -381,7 +381,7 @@ class Search:
         return found
 
     def _tones(self, forces: Array) -> tuple[float, ...]:
-        """Return the frequencies in Hz at which the lacking forces are strongest."""
+        """Return the frequencies in Hz at which the latent forces are strongest."""
         window = np.hanning(len(forces))
         many = 4 * len(forces)
         power = sum(

@@ -15,8 +15,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from masking.declaration import catalogue, registry
 from masking.declaration.checks import equation_of
 from masking.declaration.schema import ModelDeclaration, Parameter
@@ -28,10 +26,10 @@ from masking.discovery.places import identifier, opened
 from masking.effects import LAG, attach
 from masking.errors import RecordError
 from masking.modelling.model import Model
-from masking.reports import discovery_text, html
+from masking.reports import discovery_text, html, model_files
 from masking.rig.twin import Twin
 
-DIGITS = 10
+STD_DIGITS = 3  # of standard deviations
 PLANT, NUMBERS, PAGE = "plant.yaml", "discovery.json", "discovery.html"
 WHOLE = 0.05  # of a sample: a delay so near to whole samples is written as these
 
@@ -89,8 +87,8 @@ def save(
     files = replace(paths(found, out), figures=tuple(images))
     contents = {files.page: page.encode(), **images}
     if files.model is not None and files.plant is not None:
-        contents[files.model] = _yaml(model(found, files.model.parent, origin)).encode()
-        contents[files.plant] = _yaml(plant(found, files.model.relative_to(out), origin, out)).encode()
+        contents[files.model] = model_files.text(model(found, files.model.parent, origin)).encode()
+        contents[files.plant] = model_files.text(plant(found, files.model.relative_to(out), origin, out)).encode()
     contents[files.numbers] = (
         json.dumps(as_dict(found, lies or out, origin), indent=2, ensure_ascii=False) + "\n"
     ).encode()
@@ -167,8 +165,7 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
         "extends": registry.name_from(twin.base, folder),
     }
     parameters: dict[str, Any] = {
-        name: {"value": _rounded(value)} | ({"std": _rounded(std, 3)} if std > 0.0 else {})
-        for name, value, std in refitted(found)
+        name: model_files.parameter(value, std, STD_DIGITS) for name, value, std in refitted(found)
     }
     deviations, known = _deviations(found), _units(found)
     for name, parameter in whole.parameters.items():
@@ -196,37 +193,28 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
 def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> dict[str, Any]:
     """Return the content of a plant file in a folder, with a model and with the causes outside of its equations."""
     twin = found.twin
-    made = twin.declaration.canonical() | {"name": f"{twin.declaration.name} with {_causes(found)}"}
-    made |= {
-        "model": model_file.as_posix(),
-        "source": "; ".join(filter(None, (twin.declaration.source, origin.source(found)))),
-    }
-    left = {n: v for n, v in made.pop("parameters", {}).items() if n not in found.rig.names}
-    made |= {"parameters": left} if left else {}  # those that were fitted are the model's now
-    before = made.pop("effects", {})
-    made.pop("own_effects", None)
+    before = twin.declaration.canonical().get("effects", {})
     first: dict[str, Any] = {}
     last: dict[str, Any] = {}
     for slot in found.explanation.hypothesis.slots:
         if slot.effect == laws.DELAY:
             _add_delay(found, slot, first, {*before, *first, *last})
         elif slot.where != "element":
-            values = dict(zip(slot.entry.parameters, map(_rounded, slot.values), strict=True))
+            values = dict(zip(slot.entry.parameters, map(model_files.rounded, slot.values), strict=True))
             # Commands pass what was found first; readings pass it last.
             target = first if slot.where == "actuator" else last
             name = _free(f"{slot.effect}_{slot.at}", {*before, *first, *last})
             target[name] = {"effect": slot.effect, "at": slot.at, "parameters": values}
     for cause in found.effects[len(found.explanation.hypothesis.slots) or found.explanation.kind == "parameter" :]:
         name = _free(f"{cause.name}_{cause.on}", {*before, *first, *last})
-        values = {n: _rounded(value) for n, (value, _) in cause.parameters.items()}
+        values = {n: model_files.rounded(value) for n, (value, _) in cause.parameters.items()}
         last[name] = {"effect": cause.name, "at": cause.on, "parameters": values}
-    effects = {**first, **before, **last}
-    own = [
-        registry.name_from(one, folder)
-        for one in twin.declaration.dictionaries
-        if any(use["effect"] in one.dictionary for use in effects.values())
-    ]
-    return made | ({"own_effects": own} if own else {}) | ({"effects": effects} if effects else {})
+    heading = {
+        "name": f"{twin.declaration.name} with {_causes(found)}",
+        "model": model_file.as_posix(),
+        "source": "; ".join(filter(None, (twin.declaration.source, origin.source(found)))),
+    }
+    return model_files.plant(twin, folder, heading, found.rig.names, {**first, **before, **last})
 
 
 def labels(found: Discovery) -> dict[Slot, str]:
@@ -250,7 +238,7 @@ def _attached(found: Discovery, whole: ModelDeclaration, slot: Slot, label: str)
     if at not in whole.elements:
         element = opened(found.twin.base)[0].elements[at]
         whole = whole.model_copy(update={"elements": {**whole.elements, at: element}})
-    values = dict(zip(slot.entry.parameters, map(_rounded, slot.values), strict=True))
+    values = dict(zip(slot.entry.parameters, map(model_files.rounded, slot.values), strict=True))
     return attach(whole, slot.entry, at, label, values)
 
 
@@ -282,7 +270,7 @@ def _add_delay(found: Discovery, slot: Slot, effects: dict[str, Any], taken: set
         effects[_free("delay_found", taken)] = {"effect": laws.DELAY, "parameters": {"samples": whole}}
     if rest * rate > WHOLE:
         at = [slot.at] if slot.at else list(found.twin.actuators)
-        lag = {"effect": LAG.name, "at": at, "parameters": {LAG.grows_with: _rounded(rest)}}
+        lag = {"effect": LAG.name, "at": at, "parameters": {LAG.grows_with: model_files.rounded(rest)}}
         effects[_free("rest_of_delay", {*taken, *effects})] = lag
 
 
@@ -313,7 +301,7 @@ def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:
     made = parameter.model_dump(mode="json", exclude_defaults=True)
     if unit and (dimension_of(unit), factor_of(unit)) == (dimension_of(parameter.unit), factor_of(parameter.unit)):
         made |= {"unit": unit} if unit != "1" else {}
-    return made | ({"std": _rounded(std, 3)} if std > 0.0 else {})
+    return made | ({"std": model_files.rounded(std, STD_DIGITS)} if std > 0.0 else {})
 
 
 def _causes(found: Discovery) -> str:
@@ -326,28 +314,3 @@ def _free(name: str, taken: set[str]) -> str:
     """Return a name that is not taken."""
     name = "".join(c if c.isalnum() or c == "_" else "_" for c in name)
     return next(n for n in (name, *(f"{name}_{i}" for i in range(2, 99))) if n not in taken)
-
-
-def _rounded(value: float, digits: int = DIGITS) -> float:
-    return float(f"{value:.{digits}g}")
-
-
-class _Entry(dict[str, Any]):
-    """A mapping that is written in one line."""
-
-
-class _Dumper(yaml.SafeDumper):
-    """Writes entries of sections in a line each."""
-
-
-_Dumper.add_representer(_Entry, lambda dumper, entry: dumper.represent_mapping("tag:yaml.org,2002:map", entry, True))
-
-
-def _yaml(content: Mapping[str, Any]) -> str:
-    made = {
-        section: {n: _Entry(e) if isinstance(e, dict) else e for n, e in entries.items()}
-        if isinstance(entries, dict)
-        else entries
-        for section, entries in content.items()
-    }
-    return str(yaml.dump(made, Dumper=_Dumper, sort_keys=False, width=118, allow_unicode=True))

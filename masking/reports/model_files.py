@@ -1,0 +1,74 @@
+"""Found models as files: the parts that a fit and a discovery write alike."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from masking.declaration import registry
+from masking.rig.twin import Twin
+
+DIGITS = 10
+
+
+def rounded(value: float, digits: int = DIGITS) -> float:
+    """Return a value as it is written, with a number of significant digits."""
+    return float(f"{value:.{digits}g}")
+
+
+def parameter(value: float, std: float, digits: int = DIGITS) -> dict[str, float]:
+    """Return a parameter as a file has it: value, and standard deviation in a number of digits, if any."""
+    return {"value": rounded(value)} | ({"std": rounded(std, digits)} if std > 0.0 else {})
+
+
+def plant(
+    twin: Twin,
+    folder: Path,
+    heading: Mapping[str, str],
+    fitted: Collection[str],
+    effects: Mapping[str, Mapping[str, Any]],
+) -> dict[str, Any]:
+    """Return the content of a plant file with a found model.
+
+    Args:
+        twin: whose plant file is copied.
+        folder: where the file will lie.
+        heading: its name, its model, and its source if there is one.
+        fitted: parameters that are the model's or the effects' now, and that the plant no longer sets.
+        effects: of the plant, by their labels.
+    """
+    declared: dict[str, Any] = twin.declaration.canonical()
+    made = {n: v for n, v in declared.items() if n not in {"effects", "own_effects"}} | dict(heading)
+    left = {n: v for n, v in made.pop("parameters", {}).items() if n not in fitted}
+    own = [
+        registry.name_from(one, folder)
+        for one in twin.declaration.dictionaries
+        if any(use["effect"] in one.dictionary for use in effects.values())
+    ]
+    sections = {"parameters": left, "own_effects": own, "effects": dict(effects)}
+    return made | {name: content for name, content in sections.items() if content}
+
+
+class _Entry(dict[str, Any]):
+    """A mapping that is written in one line."""
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes entries of sections in a line each."""
+
+
+_Dumper.add_representer(_Entry, lambda dumper, entry: dumper.represent_mapping("tag:yaml.org,2002:map", entry, True))
+
+
+def text(content: Mapping[str, Any]) -> str:
+    """Return the content of a file as YAML, each entry of a section in a line."""
+    made = {
+        section: {n: _Entry(e) if isinstance(e, dict) else e for n, e in entries.items()}
+        if isinstance(entries, dict)
+        else entries
+        for section, entries in content.items()
+    }
+    return str(yaml.dump(made, Dumper=_Dumper, sort_keys=False, width=118, allow_unicode=True))
