@@ -16,7 +16,7 @@ DISCOVERY_READY := .venv/ready-bench-discovery
 DOCS_READY := .venv/ready-docs
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-QUICK := architecture vocabulary documentation declaration expression model scales components effects cli signals linear
+QUICK := architecture vocabulary documentation declaration expression model scales linear effects
 
 .PHONY: demo test quick docs dist bench bench-discovery clean
 

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from functools import cache
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 import masking
 from masking.codegen import native, store
-from masking.codegen.files import read_sealed
+from masking.codegen.files import read_sealed, write_sealed
 from masking.codegen.graph import Graph
 from masking.codegen.source import DECORATOR, Module
 
@@ -145,3 +146,12 @@ def test_linked_functions_are_compiled_apart_from_those_that_call_them(tmp_path,
         assert rows[1, 2] == expected
         assert np.count_nonzero(rows) == 1
     assert len(list(tmp_path.glob("objects/*"))) == 3  # two laws, and one function that calls either
+
+
+def test_machine_code_that_is_not_used_for_long_is_removed(tmp_path, monkeypatch):
+    monkeypatch.setenv("MASKING_CACHE", str(tmp_path))
+    for name, days in (("old", 61), ("new", 59)):
+        write_sealed(tmp_path / "objects" / name, b"")
+        os.utime(tmp_path / "objects" / name, (time.time() - 86400 * days,) * 2)
+    store.load("a", lambda: number(1.0))
+    assert [file.name for file in (tmp_path / "objects").iterdir()] == ["new"]

@@ -7,13 +7,16 @@ hash of its content. A file that does not hold what its name says is made anew.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -25,6 +28,7 @@ from masking.codegen.files import read_sealed, write_sealed, write_whole
 from masking.codegen.native import NativeFunction
 from masking.codegen.source import Module
 
+KEPT = 60 * 86400.0  # seconds that a file is kept without being used
 _importing = threading.Lock()
 
 
@@ -107,12 +111,24 @@ def load(name: str, build: Callable[[], Module], links: Mapping[str, NativeFunct
 
 def _made(name: str, build: Callable[[], Module]) -> Generated:
     made = build()
+    _forget(directory())
     text = made.text()
     objects = contents(text, made.meta.get("functions", ()))
     write_whole(_text_path(digest(text)), text.encode())
     described = json.dumps({"text": digest(text), "meta": made.meta, "objects": objects})
     write_sealed(_path(name), described.encode())  # last: if it is there, all is
     return _generated(described)
+
+
+@cache
+def _forget(folder: Path) -> None:
+    """Remove what was not used for long, once in a process; what is wanted again is made again."""
+    oldest = time.time() - KEPT
+    for part in ("modules", "texts", "objects"):
+        for file in (folder / part).glob("*"):
+            with contextlib.suppress(FileNotFoundError):  # another process was first
+                if max(file.stat().st_atime, file.stat().st_mtime) < oldest:
+                    file.unlink()
 
 
 def _read(name: str) -> Generated | None:
