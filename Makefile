@@ -3,6 +3,7 @@
 # make quick  format, lint and the tests that need no long compilation: the inner loop, under a minute
 # make docs   build the documentation and the reference of the package into site/
 # make dist   build a wheel and an sdist into dist/
+# make searches  tests that are whole discoveries, beyond one for each verdict and kind of system
 # make bench  speed against other tools, side by side
 # make bench-discovery  identify hidden effects in more than a thousand records, some made by MuJoCo, with PySINDy beside:
 #             hours; an interrupted run resumes where it stopped; OPTIONS=--quick is about 30 records
@@ -18,7 +19,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constr
 
 QUICK := architecture vocabulary documentation declaration expression model scales linear effects
 
-.PHONY: demo test quick docs dist bench bench-discovery clean
+.PHONY: demo test quick searches docs dist bench bench-discovery clean
 
 # Machine code is kept between runs of the tests: its names are hashes of all that it is made of.
 export MASKING_CACHE ?= $(CURDIR)/.venv/kernels
@@ -30,7 +31,10 @@ test: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(BIN)/pytest -n 2 --dist loadfile -m "not search"
+
+searches: $(READY)
+	$(BIN)/pytest -n 2 --dist loadfile -m search
 
 quick: $(READY)
 	$(BIN)/ruff format --check .
@@ -46,7 +50,7 @@ dist: $(READY)
 bench: $(BENCH_READY)
 	$(BIN)/python -m tests.benchmarks
 
-bench-discovery: $(DISCOVERY_READY)
+bench-discovery: $(DISCOVERY_READY) searches
 	$(BIN)/python -m tests.benchmarks.discovering $(OPTIONS)
 
 $(READY): pyproject.toml constraints.txt

@@ -100,6 +100,7 @@ def hidden_records():
     return [[Data("a record", RATE, one.commands, one.readings) for one in pair] for _, *pair in made]
 
 
+@pytest.mark.search
 def test_a_heavier_oscillator_is_named(twin, rig, hidden_records):
     # Every parameter is off by up to 1 %. w1, z1, mu1 and c1 together are the same as a mass: how well m is known
     # is how well these are, 1/sqrt(2 (1/2)^2 + 2) %
@@ -113,12 +114,14 @@ def test_a_heavier_oscillator_is_named(twin, rig, hidden_records):
     assert discovery_text.sentence(found).startswith(f"An added mass of {m:.4f} ± {std:.4f} on x1 is missing.")
 
 
+@pytest.mark.search
 def test_a_wrong_parameter_is_no_mass(twin, rig, hidden_records):
     found = discover(twin, *hidden_records[1], rig=rig)
     (effect,) = found.effects
     assert (found.verdict, effect.name) == ("parameter", "w1")
 
 
+@pytest.mark.search
 def test_a_mass_beside_parameters_that_are_known(tmp_path, rig):
     # Oscillator 1 was measured to 1e-4; the others' parameters are off by up to 1 %. The files that are written
     # simulate what was read.

@@ -91,6 +91,9 @@ NAMED = {
     "tank/hardening_spring": ("valve", {"k3": 0.02}),
     "motor/dry_friction": ("shaft", {"fc": 0.05}),
 }
+# One whole search for each kind of system is in the gate.
+GATE = {"damper/dry_friction", "tank/hardening_spring", "motor/dry_friction"}
+EACH_NAMED = [pytest.param(name, marks=[] if name in GATE else pytest.mark.search) for name in NAMED]
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +141,7 @@ def test_the_memories_of_the_records_are_those_of_their_equations(function, size
     assert np.abs(made - told.y[0]).max() < 1e-4 * np.abs(made).max()
 
 
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("name", EACH_NAMED)
 def test_what_is_hidden_is_named_where_it_is(discovered, name):
     found, (on, parameters) = discovered(name), NAMED[name]
     assert (found.verdict, [(e.name, e.on) for e in found.effects]) == ("named", [(name.split("/")[1], on)])
@@ -149,18 +152,22 @@ def test_what_is_hidden_is_named_where_it_is(discovered, name):
         assert after < 1.1 * components.NOISE < found.simulation_error.adjusted[sensor]
 
 
-@pytest.mark.parametrize("name", ["damper/none", "motor/none", "tank/none"])
+@pytest.mark.parametrize(
+    "name", [*(pytest.param(f"{kind}/none", marks=pytest.mark.search) for kind in ("damper", "motor")), "tank/none"]
+)
 def test_nothing_hidden_is_nothing_missing(discovered, name):
     found = discovered(name)
     assert (found.verdict, found.effects) == ("none", ())
 
 
+@pytest.mark.search
 def test_a_parameter_that_is_off_is_no_effect(discovered):
     found = discovered("damper/parameter")
     assert (found.verdict, [e.name for e in found.effects]) == ("parameter", ["k"])
     assert found.effects[0].parameters["k"][0] == pytest.approx(1300.0, rel=1e-4)
 
 
+@pytest.mark.search
 def test_an_offset_may_be_of_the_component_or_of_the_sensor(discovered):
     found = discovered("damper/constant_force")
     last = found.effects[-1]
@@ -172,7 +179,7 @@ def test_an_offset_may_be_of_the_component_or_of_the_sensor(discovered):
     assert np.abs(np.gradient(d) * components.RATE - v).max() < 1e-9  # the bench moves it: v is the rate of d
 
 
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("name", EACH_NAMED)
 def test_the_extended_model_simulates_the_record(discovered, folder, name):
     discovered(name)
     plant = folder / name / "found" / "plant.yaml"
@@ -202,6 +209,7 @@ def test_where_is_told_at_outputs_and_states(discovered, folder):
     assert (told["coordinates"], list(told["places"])) == ({"level": 1.0}, ["valve"])
 
 
+@pytest.mark.search
 def test_the_command_line_renames_columns(folder, capsys):
     out = folder / "renamed"
     names = {"t": "time", "d": "stroke", "v": "speed", "F": "load"}
@@ -213,6 +221,7 @@ def test_the_command_line_renames_columns(folder, capsys):
     assert (out / "discovery.html").exists()
 
 
+@pytest.mark.search
 def test_an_extended_component_is_identified_and_looked_at_again(discovered, folder):
     discovered("damper/dahl_friction")
     found = folder / "damper/dahl_friction" / "found"

@@ -62,6 +62,7 @@ def discovered(folder, model, record, validation, *options):
     return found
 
 
+@pytest.mark.search
 def test_silverbox_has_a_cubic_spring(tmp_path):
     """Published k3/w**2 is not needed: what counts is the error in mV on the multisine that was not used."""
     file = DATA / "silverbox" / "SNLS80mV.mat"
@@ -76,6 +77,7 @@ def test_silverbox_has_a_cubic_spring(tmp_path):
     assert error < 0.5  # 1.08 mV with a cubic spring in the README of the data, 7.0 mV without
 
 
+@pytest.mark.search
 def test_emps_has_dry_friction_and_an_offset(tmp_path):
     """Published, by inverse dynamics: Fc 20.3935 N, offset -3.1648 N, M 95.1089 kg, Fv 203.5034 N s/m."""
     train, test = DATA / "emps" / "DATA_EMPS.mat", DATA / "emps" / "DATA_EMPS_PULSES.mat"

@@ -70,7 +70,7 @@ def discovered(tmp_path_factory):
     return find
 
 
-@pytest.mark.parametrize(("k3", "in_windows"), [(4e5, False), (2e6, True)])
+@pytest.mark.parametrize(("k3", "in_windows"), [pytest.param(4e5, False, marks=pytest.mark.search), (2e6, True)])
 def test_a_strong_spring_is_found(discovered, k3, in_windows):
     """At the ends of the travel the cubic force is larger than the linear one: in one run, motion comes out of step.
 
@@ -94,6 +94,7 @@ def test_what_only_the_record_that_judges_shows_is_not_nothing(discovered):
     )
 
 
+@pytest.mark.search
 def test_friction_that_turns_round_fast_is_simulated_in_finer_steps(discovered):
     """In one step a sample, this is called Stribeck's friction, with less force at rest than while sliding."""
     found = discovered(lambda x, v: 0.5 * math.tanh(v / 1e-3), rate=1000.0, seconds=20.0)
@@ -103,6 +104,7 @@ def test_friction_that_turns_round_fast_is_simulated_in_finer_steps(discovered):
     assert found.evidence.substeps > 1
 
 
+@pytest.mark.search
 def test_a_command_of_the_other_sign_hides_no_spring(discovered):
     found = discovered(lambda x, v: 5e4 * x**3, sign=-1.0)
     assert (found.verdict, found.closed) == ("named", True)
@@ -111,12 +113,14 @@ def test_a_command_of_the_other_sign_hides_no_spring(discovered):
     assert told["hardening_spring", "spring"]["k3"][0] == pytest.approx(5e4, rel=0.02)
 
 
+@pytest.mark.search
 def test_commands_that_were_measured_are_told_from_those_that_are_held(discovered):
     found = discovered(lambda x, v: 0.0, rate=4000.0, seconds=20.0, every=8)
     assert found.verdict == "unknown"
     assert found.first_order_hold["x"] < 0.2 * found.simulation_error.estimation[1]["x"]
 
 
+@pytest.mark.search
 def test_parameters_keep_their_signs_and_bounds(discovered):
     """Readings in mm are a thousand times too large: no mass, damper or spring becomes negative for them."""
     found = discovered(lambda x, v: 5e4 * x**3, scale=1e3)

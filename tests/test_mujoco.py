@@ -66,13 +66,12 @@ def test_what_is_hidden_moves_the_rig_as_its_law_says(laws, name):
 @pytest.mark.parametrize(
     "name",
     [
-        "dry_friction@spring1",
-        "parameter@w1",
-        "parameter@z2",
-        "saturation@V3",
-        "@",
+        pytest.param("dry_friction@spring1", id="friction loss"),
+        pytest.param("parameter@w1", id="stiffness", marks=pytest.mark.search),
+        pytest.param("parameter@z2", id="damping", marks=pytest.mark.search),
+        pytest.param("saturation@V3", id="control range", marks=pytest.mark.search),
+        pytest.param("@", id="nothing", marks=pytest.mark.search),
     ],
-    ids=["friction loss", "stiffness", "damping", "control range", "nothing"],
 )
 def test_discovery_finds_what_mujoco_hides(name):
     ((case, train, valid),) = generate([CASES[name]], 20.0, 20.0)

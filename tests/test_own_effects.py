@@ -162,6 +162,7 @@ def problems(path):
 
 
 class TestDiscovery:
+    @pytest.mark.search
     def test_without_its_dictionary_it_gets_other_names(self, folder):
         found = masking.discover(folder / "magnet.csv", model=folder / "leaf.yaml")
         assert found.effects
