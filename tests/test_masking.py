@@ -168,7 +168,7 @@ def test_another_pace(factor):
 )
 def test_any_duffing_oscillators_from_any_state_without_compiling_again(stiffness, other, initial):
     found = experiment("duffing", parameters={**stiffness, **other}, initial=initial, duration=50.0)
-    assert found.loop.kernels.generated.stem == experiment("duffing").loop.kernels.generated.stem
+    assert found.loop.kernels.generated.path == experiment("duffing").loop.kernels.generated.path
     run = found.run()
     largest = max(np.abs(run[f"ideal.{c}"]).max() for c in ("x1", "x2", "x3"))
     for c in ("x1", "x2", "x3"):  # the error against the largest coordinate: a coordinate may stay near zero

@@ -171,7 +171,7 @@ def test_an_effect_that_is_off_is_as_if_absent(twin):
     assert rates(off, at, plain=3.0)["a'"] == -100 * 0.1 + 3.0
     assert off.noise() == {}
     # No function is compiled anew for switches and values.
-    assert off.kernels.generated.stem == twin.kernels.generated.stem
+    assert off.kernels.generated.path == twin.kernels.generated.path
 
 
 def test_changes_of_an_experiment_win(twin):
@@ -179,7 +179,7 @@ def test_changes_of_an_experiment_win(twin):
     changed = twin.changed({name: schema.EffectChange.model_validate(c) for name, c in changes.items()})
     found = read(changed, state(changed, b=0.1))
     assert (found["scaled"], found["moved"]) == pytest.approx((0.3, 0.2), rel=1e-14)
-    assert changed.kernels.generated.stem == twin.kernels.generated.stem
+    assert changed.kernels.generated.path == twin.kernels.generated.path
 
 
 def test_the_controller_is_told_the_noise(twin):
