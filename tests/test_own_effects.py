@@ -77,7 +77,6 @@ effects:
 MAGNET_ENTRY = Effect(
     "magnet",
     "A magnet beside the leaf pulls it in.",
-    "element",
     "f0*(x0/(x0 + d))**2",
     {
         "f0": EffectParameter("F", "force at rest"),
