@@ -73,7 +73,7 @@ def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
     if not np.isfinite(covariance).all():
         return np.inf
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    information = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True, rcond=1e-12)
+    information = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True, rcond=hypothesis.rules.occam_rank)
     strength = np.abs(added) / size * np.sqrt(np.maximum(np.diag(information), 0.0))  # each by itself, in deviations
     widths, used = np.abs(added) / size, 0
     for instance in hypothesis.instances:

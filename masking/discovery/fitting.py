@@ -16,6 +16,7 @@ import numpy as np
 from masking.discovery import laws
 from masking.discovery.augmented_model import EffectInstance, Equations
 from masking.discovery.problem import EstimationProblem
+from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import IntegrationError
 from masking.estimation.least_squares import Box, Damping, Dense, Linearised, minimise
 from masking.estimation.simulation import guessed_state
@@ -23,8 +24,6 @@ from masking.numerics.arrays import Array
 
 MOST_ROUNDS = 40
 DAMPING = Damping(1e-6, least=1e-9, most=1e8)
-HOPE, SLOW = 0.03, 6  # a fit ends that comes nearer to a better one by no more than this fraction, this often in a row
-CONVERGED = 0.02  # of the tempering factor: a smaller reduction of the cost ends a fit
 
 
 @dataclass(frozen=True)
@@ -39,6 +38,7 @@ class Hypothesis:
         squares: of each sensor (sensors,).
         covariance: of rig's parameters and free parameters of the effects (k + f, k + f).
         residuals: of each sample (m, sensors).
+        rules: the thresholds that it was fitted by.
     """
 
     instances: tuple[EffectInstance, ...]
@@ -48,6 +48,7 @@ class Hypothesis:
     squares: Array
     covariance: Array
     residuals: Array
+    rules: DecisionRules = RULES
 
     @property
     def added(self) -> Array:
@@ -197,15 +198,15 @@ class _LeastSquares:
 
     def solve(self, theta: Array, rounds: int, rival: float) -> Hypothesis:
         """Return the fitted hypothesis, from values of the rig's parameters (k,)."""
-        slow = 0
+        rules, slow = self.problem.rules, 0
 
         def is_hopeless(now: float, tried: float) -> bool:
             nonlocal slow
-            slow = slow + 1 if now > rival and now - tried < HOPE * (now - rival) else 0
-            return slow == SLOW
+            slow = slow + 1 if now > rival and now - tried < rules.hopeless_fraction * (now - rival) else 0
+            return slow == rules.hopeless_steps
 
         def tolerance(at: Linearised[Dense, Equations]) -> float:
-            return CONVERGED * self.problem.tempering(self.problem.record.readings - at.found.simulated)
+            return rules.converged * self.problem.tempering(self.problem.record.readings - at.found.simulated)
 
         prior, effects = self.problem.prior, bounds(self.instances)
         low, high = np.concatenate([prior.low, effects.low]), np.concatenate([prior.high, effects.high])
@@ -223,6 +224,7 @@ class _LeastSquares:
         return Hypothesis(
             tuple(values), theta, start, made.at.cost, found.squares,
             made.at.equations.covariance()[:shared, :shared], self.problem.record.readings - found.simulated,
+            rules,
         )  # fmt: skip
 
     def linearised(self, x: Array) -> Linearised[Dense, Equations]:

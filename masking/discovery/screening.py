@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from masking.discovery import laws
-from masking.discovery.augmented_model import MOST_COLUMNS, AugmentedModel, EffectInstance
+from masking.discovery.augmented_model import MOST_COLUMNS, EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.fitting import Hypothesis, bounds
 from masking.discovery.problem import EstimationProblem
@@ -23,10 +23,9 @@ from masking.discovery.smoothing import Motion, linearised
 from masking.estimation.least_squares import Dense
 from masking.numerics.arrays import Array, IntVector
 
-HIGHEST = 60.0  # Hz, or twice what the rig does by itself; what is faster is averaged away
-NEAR = 0.5  # of the best gain: candidates whose shapes are sharpened
-ZOOMS = (0.08, 0.02, 0.005, 0.00125)  # of a converter's step, that are looked at on both sides
-MOST_SHARPENED, SHARPENINGS = 24, 8
+# Double precision: singular values of columns beside prior rows, parts of squares, and normal equations, over the
+# largest: smaller ones are rounding.
+RANK, ROUNDING, COLLINEAR = 1e-9, 1e-12, 1e-10
 HUGE = 1e9  # standard deviations: beyond any force that a rig can be under
 KEPT = 4e7  # numbers of what candidates do along a motion that are kept for the next screen of it
 
@@ -53,10 +52,11 @@ class Score:
 Along = MutableMapping[tuple[tuple[int, ...], EffectInstance], tuple[Array, Array]]
 
 
-def thinning(rig: AugmentedModel, rate: float) -> tuple[int, int]:
-    """Return the samples over which motions, and over which readings are averaged, at a rate in Hz."""
+def thinning(problem: EstimationProblem) -> tuple[int, int]:
+    """Return the samples over which motions, and over which readings are averaged."""
+    rig, rate = problem.rig, problem.record.rate
     own = np.abs(np.linalg.eigvals(linearised(rig, rig.start)[0]).imag).max(initial=0.0) / (2.0 * np.pi)
-    highest = max(HIGHEST, 2.0 * float(own))
+    highest = max(problem.rules.screened_frequency, 2.0 * float(own))
     thin = max(1, int(rate / (6.0 * highest)))
     return thin, thin * max(1, int(rate / (2.0 * highest) / thin))
 
@@ -84,9 +84,10 @@ class Screen:
         along: Along | None = None,
     ) -> None:
         self.rig, self.record, self.base, self.motion = problem.rig, problem.record, base, motion
+        self.rules = problem.rules
         self.along: Along = {} if along is None else along
         rig, record, prior, sigma = problem.rig, problem.record, problem.prior, problem.sigma
-        self.thin, self.every = thinning(rig, record.rate)
+        self.thin, self.every = thinning(problem)
         self.blocks = len(record) // self.every
         self.begin = problem.begin // self.thin if problem.interval else len(record)
         self._states = _thinned(motion.states, self.thin)
@@ -108,11 +109,11 @@ class Screen:
         size = np.linalg.norm(whole, axis=0)
         size = np.where(size > 0.0, size, 1.0)
         u, s, v = np.linalg.svd(whole / size, full_matrices=False)
-        independent = s > 1e-9 * s[0]
+        independent = s > RANK * s[0]
         self.taken, self._back = u[:, independent], v[independent].T / s[independent] / size[:, None]
         u, s, _ = np.linalg.svd(own / size, full_matrices=False)
-        self.possible = u[:, s > 1e-7 * s[0]]
-        self.single = _apart(own[:, :k], own[:, k:])
+        self.possible = u[:, s > self.rules.response_rank * s[0]]
+        self.single = _apart(own[:, :k], own[:, k:], self.rules.response_rank)
         left = self._rows((self._means(base.residuals) - (0.0 if taken else values))[:, :, None])[:, 0]
         self._whole_left = np.concatenate([left, (prior.mean - base.theta) / prior.deviation])
         self.left = self._out(self._whole_left)
@@ -202,14 +203,14 @@ class Screen:
         self._settle([(candidate, instance) for candidate in candidates for instance in candidate.instances], found)
         self._zoom(found)
         best = max((score.gain for score in found.values()), default=0.0)
-        near = [p for p in found.values() if p.gain > NEAR * best and _has_shape(p.candidate)]
-        sharper = self._sharpened(sorted(near, key=lambda score: -score.gain)[:MOST_SHARPENED])
+        near = [p for p in found.values() if p.gain > self.rules.sharpened_fraction * best and _has_shape(p.candidate)]
+        sharper = self._sharpened(sorted(near, key=lambda score: -score.gain)[: self.rules.most_sharpened])
         kept = [sharper.get(id(score.candidate), score) for score in found.values()]
         return sorted(kept, key=lambda score: -score.gain)
 
     def _zoom(self, found: dict[int, Score]) -> None:
         """Look nearer at the steps of converters, whose effect has no slope to follow."""
-        for width in ZOOMS:
+        for width in self.rules.quantum_zooms:
             near = [p for p in found.values() if p.candidate.entry.quantum and p.gain > 0.0]
             parts = 1.0 + np.linspace(-width, width, 9)
             self._settle([(p.candidate, p.instance.with_free_times(part)) for p in near for part in parts], found)
@@ -219,7 +220,7 @@ class Screen:
         best = {id(score.candidate): score for score in scores}
         instances = {key: score.instance for key, score in best.items()}
         damping, active = 1e-4, [score.candidate for score in scores]
-        for number in range(SHARPENINGS):
+        for number in range(self.rules.sharpening_steps):
             columns = self._effects([instances[id(candidate)] for candidate in active])
             going = []
             for candidate, table in zip(active, columns, strict=True):
@@ -301,7 +302,7 @@ class Screen:
         """
         candidate, instance, own = nothing.candidate, nothing.instance, nothing.unique
         diagonal = np.diag(gram)
-        keep = diagonal > 1e-12 * squares
+        keep = diagonal > ROUNDING * squares
         if not keep.any():
             return nothing
         if not candidate.factors:  # a shape without factors: the size of its effect tells how near it is
@@ -311,14 +312,14 @@ class Screen:
                 if factor <= 0.0:
                     return nothing
                 gain = max(gain, factor * float(right[0]))
-                instance = instance.with_free_times(min(factor, 20.0))
+                instance = instance.with_free_times(min(factor, self.rules.most_growth))
             elif instance.entry.quantum:
                 gain = max(gain, float(right[0]) ** 2 / float(diagonal[0])) if right[0] > 0.0 else 0.0
             return Score(candidate, instance, max(gain, 0.0), own)
         scale = np.sqrt(diagonal[keep])
         factors = np.zeros(len(keep))
         scaled = gram[np.ix_(keep, keep)] / np.outer(scale, scale)
-        factors[keep] = np.linalg.lstsq(scaled, right[keep] / scale, rcond=1e-10)[0] / scale
+        factors[keep] = np.linalg.lstsq(scaled, right[keep] / scale, rcond=COLLINEAR)[0] / scale
         if instance.entry.scaled:  # its one factor scales forces and stiffness together
             if factors[0] <= 0.0:
                 return nothing
@@ -330,7 +331,7 @@ class Screen:
             if any(low is not None and factor < low for low, factor in zip(lows, factors, strict=True)):
                 if (factors <= 0.0).all():
                     return nothing
-                factors = np.maximum(factors, 1e-3 * np.abs(factors).max())
+                factors = np.maximum(factors, self.rules.least_factor * np.abs(factors).max())
             instance = instance.with_values(candidate.factors, factors)
         return Score(candidate, instance, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
 
@@ -416,13 +417,13 @@ class Screen:
         return x - self.taken @ (self.taken.T @ x)
 
 
-def _apart(columns: Array, others: Array) -> tuple[Array, Array]:
+def _apart(columns: Array, others: Array, rank: float) -> tuple[Array, Array]:
     """Return a basis of other columns (r, o), and each of the columns (r, k) without these, of length 1."""
     u, s, _ = np.linalg.svd(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300), full_matrices=False)
-    basis = u[:, s > 1e-7 * s.max(initial=0.0)]
+    basis = u[:, s > rank * s.max(initial=0.0)]
     left = columns - basis @ (basis.T @ columns)
     size = np.linalg.norm(left, axis=0)
-    independent = size > 1e-9 * np.linalg.norm(columns, axis=0)
+    independent = size > RANK * np.linalg.norm(columns, axis=0)
     return basis, np.where(independent, left / np.where(independent, size, 1.0), 0.0)
 
 

@@ -39,7 +39,7 @@ def interval(problem: EstimationProblem, seconds: float | None) -> int:
         raise RecordError(f"the shooting interval is {seconds:g} s; give {few / rate:g} s or more: {few} samples")
     if seconds * rate >= count:
         return 0
-    _, block = thinning(problem.rig, rate)
+    _, block = thinning(problem)
     samples = round(seconds * rate / block) * block
     return samples if samples < count else 0
 
