@@ -5,6 +5,7 @@ A force port at each place and an offset of each actuator are entries of the rig
 `law(number, t, x, rate, z, values, rows)`. States of effects follow those of the rig in y. At an instant, the effects
 act first: forces, commands and rates of their states. Then the equations of the rig are evaluated. Sensors that read a
 force or a command at once see what the effects do, too.
+Kernels serve any rig: its functions are linked to them, and the table of `rig_sizes` has its sizes and indices.
 Source: as `variational`; of inertias as `inertia`.
 """
 # ruff: noqa: ANN001, ANN201, ANN202, PLR0912, PLR0917
@@ -16,7 +17,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from masking.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
-from masking.numerics.inertia import inertias_at_ports
+from masking.numerics.inertia import accelerate, draw
 from masking.numerics.instances import (
     ACTUATOR,
     BY_DISPLACEMENT,
@@ -34,8 +35,20 @@ from masking.numerics.instances import (
     VALUE,
 )
 from masking.numerics.integrators import compiled
-from masking.numerics.rig_sizes import PortSizes
-from masking.numerics.variational import chain_rule, command_at, normal_equations, take
+from masking.numerics.rig_sizes import (
+    CHANNELS,
+    COMMAND_COLUMNS,
+    COORDINATES,
+    FORCE_COLUMNS,
+    FORCE_ENTRIES,
+    IS_FED,
+    PLACES,
+    READ_ROWS,
+    SENSORS,
+    SIZES,
+    STATES,
+)
+from masking.numerics.variational import add_chain, command_at, normal_equations, take
 
 Kernel = Callable[..., Any]
 
@@ -44,6 +57,7 @@ class Given(NamedTuple):
     """What an augmented model is simulated with.
 
     Args:
+        table: sizes and indices of the rig, as `rig_sizes` has them.
         p: the parameter array of the rig.
         basis: derivatives of its affected entries by the parameters (affected, k).
         spans: first column, and the one after the last, in which a row of `basis` is not 0 (2, affected), integers.
@@ -56,6 +70,7 @@ class Given(NamedTuple):
         lead: derivative of each command by its delay.
     """
 
+    table: Any
     p: Any
     basis: Any
     spans: Any
@@ -110,170 +125,142 @@ def drive_late(commands, index, step, substeps, dt, is_linear, given, u, end):
         given.lead[a] = lead_of(commands, index, a, late, (step + 0.5) / substeps, dt, is_linear)
 
 
-def ports_of(sizes: PortSizes) -> Kernel:
-    """Make the work space of the ports: `carve(work) -> (ports, remaining work)`."""
-    places, channels = sizes.places, sizes.channels
-
-    @compiled
-    def carve(work):
-        forces, work = take(work, places)
-        commands, work = take(work, channels)
-        inertias, work = take(work, places)
-        followed, work = take(work, 2 * places)
-        pushed, work = take(work, places)
-        vectors, work = take(work, 4)
-        return Ports(
-            forces, commands, inertias, followed, pushed, vectors[0], vectors[1], vectors[2], vectors[3]
-        ), work  # fmt: skip
-
-    return carve
+@compiled
+def ports_in(work, places, channels):
+    """Return the work space of the ports, and what remains of it."""
+    forces, work = take(work, places)
+    commands, work = take(work, channels)
+    inertias, work = take(work, places)
+    followed, work = take(work, 2 * places)
+    pushed, work = take(work, places)
+    vectors, work = take(work, 4)
+    return Ports(forces, commands, inertias, followed, pushed, vectors[0], vectors[1], vectors[2], vectors[3]), work
 
 
-def read_at_once(sizes: PortSizes) -> Kernel:
-    """Make what forces and commands do to a reading at once.
+@compiled
+def at_once(table, by_entry, forces, commands, j):
+    """Return the derivative of a reading by column j through forces and commands at once.
 
-    Returns:
-        `at_once(by_entry, ports, j)`, the derivative of a reading by column j through the ports, of one whose
-        derivatives by the affected entries are `by_entry`.
+    Its derivatives by the affected entries are `by_entry`.
     """
-    places, channels, is_fed = sizes.places, sizes.channels, sizes.is_fed
-    force_columns, command_columns = sizes.force_columns or (0,), sizes.command_columns or (0,)
-
-    @compiled
-    def at_once(by_entry, ports, j):
-        total = 0.0
-        if is_fed:
-            for e in range(places):
-                total += by_entry[force_columns[e]] * ports.forces[e, j]
-            for a in range(channels):
-                total += by_entry[command_columns[a]] * ports.commands[a, j]
-        return total
-
-    return at_once
+    total = 0.0
+    if table[SIZES, IS_FED]:
+        for e in range(table[SIZES, PLACES]):
+            total += by_entry[table[FORCE_COLUMNS, e]] * forces[e, j]
+        for a in range(table[SIZES, CHANNELS]):
+            total += by_entry[table[COMMAND_COLUMNS, a]] * commands[a, j]
+    return total
 
 
-def subjects_of_laws(sizes: PortSizes) -> Kernel:
-    """Make what a law follows.
-
-    Returns:
-        `subject(kind, at, columns, given, ports, s, by_state, by_entry, by, by_rate) -> (x, rate)`: the displacement of
-        a place and its rate, a command, a reading, or a unit of acceleration, with derivatives by the columns in `by`
-        and `by_rate` (width,). Of the readings s, `by_state` and `by_entry` are the derivatives.
-    """
-    n, places, add, at_once = sizes.states, sizes.places, chain_rule(sizes), read_at_once(sizes)
-
-    @compiled
-    def project(followed, columns, row):
-        for i in range(n):
-            for j in range(columns.shape[1]):
-                row[j] += followed[i] * columns[i, j]
-
-    @compiled
-    def subject(kind, at, columns, given, ports, s, by_state, by_entry, by, by_rate):
-        width = columns.shape[1]
-        for j in range(width):
-            by[j] = ports.commands[at, j] if kind == ACTUATOR else 0.0
-            by_rate[j] = 0.0
-        if kind == ELEMENT:
-            project(ports.followed[at], columns, by)
-            project(ports.followed[places + at], columns, by_rate)
-            return ports.displacement[at], ports.displacement[places + at]
-        if kind == ACTUATOR:
-            return ports.command[at], 0.0
-        if kind == SENSOR:
-            add(by_state[at], by_entry[at], columns, given, by)
-            for j in range(width):
-                by[j] += at_once(by_entry[at], ports, j)
-            return s[at], 0.0
-        return 1.0, 0.0
-
-    return subject
-
-
-def actions_of_laws(sizes: PortSizes) -> Kernel:
-    """Make what a law does at a port.
-
-    Returns:
-        `put(i, columns, given, ports, rows, by, by_rate, rate, column_rates)`, which puts what the law of instance i
-        gives (`rows`) where it acts, with its derivatives.
-    """
-    force_entries = sizes.force_entries or (0,)
-
-    @compiled
-    def put_state(i, z, columns, given, rows, by, by_rate, rate, column_rates):
-        rate[z] = rows[1, VALUE]
+@compiled
+def project(followed, columns, n, row):
+    """Add the derivatives of what follows n states with derivatives `columns`."""
+    for i in range(n):
         for j in range(columns.shape[1]):
-            inside = rows[1, BY_STATE] * columns[z, j]
-            column_rates[z, j] = rows[1, BY_DISPLACEMENT] * by[j] + rows[1, BY_RATE] * by_rate[j] + inside
-        for m in range(given.estimated.shape[1]):
-            if given.estimated[i, m] >= 0:
-                column_rates[z, given.estimated[i, m]] += rows[1, BY_PARAMETER + m]
-
-    @compiled
-    def put(i, columns, given, ports, rows, by, by_rate, rate, column_rates):
-        kind, at, z = given.instances[i, KIND], given.instances[i, PLACE], given.instances[i, STATE]
-        if z >= 0:
-            put_state(i, z, columns, given, rows, by, by_rate, rate, column_rates)
-        if kind == SENSOR:
-            return
-        if kind == ELEMENT:
-            given.p[force_entries[at]] += rows[0, VALUE]
-            target = ports.forces[at]
-        elif kind == ACTUATOR:
-            ports.command[at] = rows[0, VALUE]
-            target = ports.commands[at]
-        else:
-            ports.acceleration[at] += rows[0, VALUE]
-            target = ports.inertias[at]
-        for j in range(columns.shape[1] if kind != INERTIA else 0):
-            inside = rows[0, BY_STATE] * columns[z, j] if z >= 0 else 0.0
-            total = rows[0, BY_DISPLACEMENT] * by[j] + rows[0, BY_RATE] * by_rate[j] + inside
-            target[j] = total + (target[j] if kind == ELEMENT else 0.0)
-        for m in range(given.estimated.shape[1]):
-            if given.estimated[i, m] >= 0:
-                target[given.estimated[i, m]] += rows[0, BY_PARAMETER + m]
-
-    return put
+            row[j] += followed[i] * columns[i, j]
 
 
-def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel, sizes: PortSizes) -> Kernel:
+@compiled
+def subject(kind, at, columns, given, ports, s, by_state, by_entry, by, by_rate):
+    """Return what a law follows: the displacement of a place and its rate, a command, a reading, or 1 for an inertia.
+
+    Derivatives by the columns go into `by` and `by_rate` (width,); those of the readings s are `by_state` and
+    `by_entry`.
+    """
+    width, n, places = columns.shape[1], given.table[SIZES, STATES], given.table[SIZES, PLACES]
+    for j in range(width):
+        by[j] = ports.commands[at, j] if kind == ACTUATOR else 0.0
+        by_rate[j] = 0.0
+    if kind == ELEMENT:
+        project(ports.followed[at], columns, n, by)
+        project(ports.followed[places + at], columns, n, by_rate)
+        return ports.displacement[at], ports.displacement[places + at]
+    if kind == ACTUATOR:
+        return ports.command[at], 0.0
+    if kind == SENSOR:
+        add_chain(by_state[at], by_entry[at], columns, given.basis, given.spans, n, by)
+        for j in range(width):
+            by[j] += at_once(given.table, by_entry[at], ports.forces, ports.commands, j)
+        return s[at], 0.0
+    return 1.0, 0.0
+
+
+@compiled
+def put_state(i, z, columns, given, rows, by, by_rate, rate, column_rates):
+    """Put the rate of an effect's state where it is integrated, with its derivatives."""
+    rate[z] = rows[1, VALUE]
+    for j in range(columns.shape[1]):
+        inside = rows[1, BY_STATE] * columns[z, j]
+        column_rates[z, j] = rows[1, BY_DISPLACEMENT] * by[j] + rows[1, BY_RATE] * by_rate[j] + inside
+    for m in range(given.estimated.shape[1]):
+        if given.estimated[i, m] >= 0:
+            column_rates[z, given.estimated[i, m]] += rows[1, BY_PARAMETER + m]
+
+
+@compiled
+def put(i, columns, given, ports, rows, by, by_rate, rate, column_rates):
+    """Put what the law of instance i gives (`rows`) where it acts, with its derivatives."""
+    kind, at, z = given.instances[i, KIND], given.instances[i, PLACE], given.instances[i, STATE]
+    if z >= 0:
+        put_state(i, z, columns, given, rows, by, by_rate, rate, column_rates)
+    if kind == SENSOR:
+        return
+    if kind == ELEMENT:
+        given.p[given.table[FORCE_ENTRIES, at]] += rows[0, VALUE]
+        target = ports.forces[at]
+    elif kind == ACTUATOR:
+        ports.command[at] = rows[0, VALUE]
+        target = ports.commands[at]
+    else:
+        ports.acceleration[at] += rows[0, VALUE]
+        target = ports.inertias[at]
+    for j in range(columns.shape[1] if kind != INERTIA else 0):
+        inside = rows[0, BY_STATE] * columns[z, j] if z >= 0 else 0.0
+        total = rows[0, BY_DISPLACEMENT] * by[j] + rows[0, BY_RATE] * by_rate[j] + inside
+        target[j] = total + (target[j] if kind == ELEMENT else 0.0)
+    for m in range(given.estimated.shape[1]):
+        if given.estimated[i, m] >= 0:
+            target[given.estimated[i, m]] += rows[0, BY_PARAMETER + m]
+
+
+@compiled
+def clear(u, width, given, ports):
+    """Take forces and inertias out of the ports, and put commands into them."""
+    table = given.table
+    for e in range(table[SIZES, PLACES]):
+        given.p[table[FORCE_ENTRIES, e]] = 0.0
+        ports.acceleration[e] = 0.0
+        if given.acts[e]:
+            for j in range(width):
+                ports.forces[e, j] = 0.0
+                ports.inertias[e, j] = 0.0
+    for a in range(table[SIZES, CHANNELS]):
+        ports.command[a] = u[a]
+        if given.acts[table[SIZES, PLACES] + a]:
+            for j in range(width):
+                ports.commands[a, j] = 0.0
+            if given.late_columns[a] >= 0:
+                ports.commands[a, given.late_columns[a]] = given.lead[a]
+
+
+def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
     """Make what effects do at an instant.
 
     Args:
         law: writes what a law gives, and its derivatives.
         placed: `placed(t, y, u, p, d, by_state)` writes displacements, then rates, of places, and their derivatives.
         sensed: writes readings, and their derivatives.
-        sizes: of the rig.
 
     Returns:
         `act(t, y, columns, u, given, rate, column_rates, ports, work) -> has_inertia`, which writes forces into the
         parameter array, and commands, inertias and derivatives into `ports`, the latter only where an effect acts; the
         rates of the effects' states go into `rate` and `column_rates`. `work` has 2 sensors + 6 rows.
     """
-    places, channels, sensors, force_entries = sizes.places, sizes.channels, sizes.sensors, sizes.force_entries or (0,)
-    subject, put = subjects_of_laws(sizes), actions_of_laws(sizes)
-
-    @compiled
-    def clear(u, width, given, ports):
-        for e in range(places):
-            given.p[force_entries[e]] = 0.0
-            ports.acceleration[e] = 0.0
-            if given.acts[e]:
-                for j in range(width):
-                    ports.forces[e, j] = 0.0
-                    ports.inertias[e, j] = 0.0
-        for a in range(channels):
-            ports.command[a] = u[a]
-            if given.acts[places + a]:
-                for j in range(width):
-                    ports.commands[a, j] = 0.0
-                if given.late_columns[a] >= 0:
-                    ports.commands[a, given.late_columns[a]] = given.lead[a]
 
     @compiled
     def act(t, y, columns, u, given, rate, column_rates, ports, work):
-        by_state, work = take(work, sensors)
-        by_entry, work = take(work, sensors)
+        by_state, work = take(work, given.table[SIZES, SENSORS])
+        by_entry, work = take(work, given.table[SIZES, SENSORS])
         rows, work = take(work, 2)
         s, noise, by, by_rate = work[0], work[1], work[2], work[3]
         instances = given.instances
@@ -300,29 +287,26 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel, sizes: PortSiz
     return act
 
 
-def motion_with_effects(act: Kernel, slopes: Kernel, sizes: PortSizes) -> Kernel:
+def motion_with_effects(act: Kernel, slopes: Kernel) -> Kernel:
     """Make the variational equations of a rig with effects.
 
     Args:
         act: writes what effects do, as that of `effects_at_ports`.
         slopes: writes the rates of the rig's state, and their derivatives.
-        sizes: of the rig.
 
     Returns:
         `flow(t, y, columns, u, given, rate, column_rates, work)`, which writes y' and S'; `work` has 2 n rows, and then
         those of the ports.
     """
-    n, coordinates, places, channels = sizes.states, sizes.coordinates, sizes.places, sizes.channels
-    force_columns, command_columns = sizes.force_columns or (0,), sizes.command_columns or (0,)
-    carve, add = ports_of(sizes), chain_rule(sizes)
-    accelerate, draw = inertias_at_ports(sizes)
 
     @compiled
     def flow(t, y, columns, u, given, rate, column_rates, work):
-        width = columns.shape[1]
+        table, width = given.table, columns.shape[1]
+        n, coordinates = table[SIZES, STATES], table[SIZES, COORDINATES]
+        places, channels = table[SIZES, PLACES], table[SIZES, CHANNELS]
         by_state, work = take(work, n)
         by_entry, work = take(work, n)
-        ports, work = carve(work)
+        ports, work = ports_in(work, places, channels)
         has_inertia = act(t, y, columns, u, given, rate, column_rates, ports, work)
         for again in range(2 if has_inertia else 1):
             if again:
@@ -333,45 +317,36 @@ def motion_with_effects(act: Kernel, slopes: Kernel, sizes: PortSizes) -> Kernel
                 column_rates[i, j] = columns[coordinates + i, j] if i < coordinates else 0.0
             if i < coordinates:
                 continue
-            add(by_state[i], by_entry[i], columns, given, column_rates[i])
+            add_chain(by_state[i], by_entry[i], columns, given.basis, given.spans, n, column_rates[i])
             for e in range(places):
-                by = by_entry[i, force_columns[e]]
+                by = by_entry[i, table[FORCE_COLUMNS, e]]
                 if by != 0.0 and given.acts[e]:
                     for j in range(width):
                         column_rates[i, j] += by * ports.forces[e, j]
             for a in range(channels):
-                by = by_entry[i, command_columns[a]]
+                by = by_entry[i, table[COMMAND_COLUMNS, a]]
                 if by != 0.0 and given.acts[places + a]:
                     for j in range(width):
                         column_rates[i, j] += by * ports.commands[a, j]
         if has_inertia:
             for e in range(places):
                 for j in range(width):
-                    draw(ports.share[e], ports.followed[e], ports.pushed[e], column_rates[:, j])
+                    draw(n, coordinates, ports.share[e], ports.followed[e], ports.pushed[e], column_rates[:, j])
 
     return flow
 
 
-@compiled
-def no_effects(t, y, columns, u, given, rate, column_rates, ports, work):
-    """Do nothing: the readings do not depend on forces and commands at once."""
-
-
-def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel, sizes: PortSizes) -> Kernel:
+def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
     """Make the readings of a rig with effects, and their derivatives.
 
     Args:
         law: writes what a law gives, and its derivatives.
         act: writes what effects do, as that of `effects_at_ports`.
         sensed: writes readings, and their derivatives.
-        sizes: of the rig.
 
     Returns:
-        `read`, as that of `variational.readings_with_columns`; `work` has `sizes.read_rows` rows.
+        `read`, as that of `variational.readings_with_columns`; `work` has `PortSizes.read_rows` rows.
     """
-    sensors, channels, most = sizes.sensors, sizes.channels, sizes.states + sizes.most_states
-    carve, add, at_once = ports_of(sizes), chain_rule(sizes), read_at_once(sizes)
-    act = act if sizes.is_fed else no_effects
 
     @compiled
     def bend(t, y, columns, given, s, rows, by):
@@ -390,30 +365,32 @@ def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel, sizes: PortS
 
     @compiled
     def read(t, dt, y, columns, commands, index, is_linear, given, s, rows, work):
-        width = columns.shape[1]
+        table, width, n = given.table, columns.shape[1], given.table[SIZES, STATES]
+        sensors, channels = table[SIZES, SENSORS], table[SIZES, CHANNELS]
         by_state, work = take(work, sensors)
         by_entry, work = take(work, sensors)
         by, work = take(work, 2)
         vectors, work = take(work, 3)
         noise, u, rate = vectors[0], vectors[1][:channels], vectors[2]
-        column_rates, work = take(work, most)
-        ports, work = carve(work)
+        column_rates, work = take(work, columns.shape[0])
+        ports, work = ports_in(work, table[SIZES, PLACES], channels)
         for a in range(channels):
             u[a] = command_at(commands, index, a, given.late[a], 0.0, is_linear)
             ports.command[a] = u[a]
             given.lead[a] = lead_of(commands, index, a, given.late[a], 0.0, dt, is_linear)
-        act(t, y, columns, u, given, rate, column_rates, ports, work)
+        if table[SIZES, IS_FED]:
+            act(t, y, columns, u, given, rate, column_rates, ports, work)
         sensed(t, y, ports.command, given.p, noise, s, by_state, by_entry)
         for o in range(sensors):
             for j in range(width):
-                rows[o, j] = at_once(by_entry[o], ports, j)
-            add(by_state[o], by_entry[o], columns, given, rows[o])
+                rows[o, j] = at_once(table, by_entry[o], ports.forces, ports.commands, j)
+            add_chain(by_state[o], by_entry[o], columns, given.basis, given.spans, n, rows[o])
         bend(t, y, columns, given, s, rows, by)
 
     return read
 
 
-def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sensed: Kernel, sizes: PortSizes) -> Kernel:
+def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sensed: Kernel) -> Kernel:
     """Make the normal equations of an augmented model over a record.
 
     Args:
@@ -421,30 +398,31 @@ def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sens
         placed: writes displacements and rates of places, with derivatives.
         slopes: writes the rates of the rig's state, and their derivatives.
         sensed: writes readings, and their derivatives.
-        sizes: of the rig.
 
     Returns:
-        `normal(count, dt, substeps, interval, is_linear, starts, y, columns, p, basis, spans, instances, estimated,
-        values, acts, late, late_columns, commands, readings, weights, matrix, gradient, squares, simulated, work) ->
-        status`, as `variational.normal_equations`, with the arrays of `Given`.
+        `normal(count, dt, substeps, interval, is_linear, table, free, starts, y, columns, p, basis, spans, instances,
+        estimated, values, acts, late, late_columns, commands, readings, weights, matrix, gradient, squares, simulated,
+        work) -> status`, as `variational.normal_equations`, with the arrays of `Given`.
     """
-    act = effects_at_ports(law, placed, sensed, sizes)
-    read, flow = readings_with_effects(law, act, sensed, sizes), motion_with_effects(act, slopes, sizes)
-    accumulate, channels = normal_equations(read, drive_late, flow, sizes), sizes.channels
+    act = effects_at_ports(law, placed, sensed)
+    accumulate = normal_equations(readings_with_effects(law, act, sensed), drive_late, motion_with_effects(act, slopes))
 
     @compiled
     def normal(
-        count: int, dt: float, substeps: int, interval: int, is_linear: int, starts: Matrix, y: Vector,
-        columns: Matrix, p: Vector, basis: Matrix, spans: IntMatrix, instances: IntMatrix, estimated: IntMatrix,
-        values: Vector, acts: IntVector, late: Vector, late_columns: IntVector, commands: Matrix, readings: Matrix,
-        weights: Vector, matrix: Matrix, gradient: Vector, squares: Vector, simulated: Matrix, work: Matrix,
+        count: int, dt: float, substeps: int, interval: int, is_linear: int, table: IntMatrix, free: IntVector,
+        starts: Matrix, y: Vector, columns: Matrix, p: Vector, basis: Matrix, spans: IntMatrix, instances: IntMatrix,
+        estimated: IntMatrix, values: Vector, acts: IntVector, late: Vector, late_columns: IntVector, commands: Matrix,
+        readings: Matrix, weights: Vector, matrix: Matrix, gradient: Vector, squares: Vector, simulated: Matrix,
+        work: Matrix,
     ) -> int:  # fmt: skip
+        work[:] = 0.0
         first, work = take(work, 1)
-        lead = first[0][:channels]
-        given = Given(p, basis, spans, instances, estimated, values, acts, late, late_columns, lead)
+        read_work, work = take(work, table[SIZES, READ_ROWS])
+        lead = first[0][: table[SIZES, CHANNELS]]
+        given = Given(table, p, basis, spans, instances, estimated, values, acts, late, late_columns, lead)
         return accumulate(
-            count, dt, substeps, interval, is_linear, starts, y, columns, given, commands, readings, weights, matrix,
-            gradient, squares, simulated, work,
+            count, dt, substeps, interval, is_linear, free, starts, y, columns, given, commands, readings, weights,
+            matrix, gradient, squares, simulated, read_work, work,
         )  # fmt: skip
 
     return normal

@@ -15,9 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from masking.numerics.arrays import IntMatrix, Matrix, Vector
+from masking.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
 from masking.numerics.integrators import compiled, copy
-from masking.numerics.rig_sizes import RigSizes
 from masking.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE, REACHED
 from masking.numerics.variational import (
     Given,
@@ -213,56 +212,54 @@ FULL = Covariance(carry_full, correct_full, variance_full)
 ROOT = Covariance(carry_root, correct_root, variance_root)
 
 
-def extended_filter(
-    slopes: Kernel, sensed: Kernel, sizes: RigSizes, affected: tuple[int, ...], updates: int, form: Covariance
-) -> Kernel:
+def extended_filter(slopes: Kernel, sensed: Kernel, form: Covariance) -> Kernel:
     """Make the extended Kalman filter of a twin's state and parameters.
 
     Args:
         slopes: writes the rates of the twin's state, and their derivatives.
         sensed: writes readings, and their derivatives.
-        sizes: of the twin.
-        affected: indices of the entries of the parameter array that depend on the parameters.
-        updates: times that the readings of a sample are linearised, each about the estimate before.
         form: of the covariance.
 
     Returns:
-        `follow(begin, count, dt, substeps, is_linear, y, theta, p, basis, spans, matrix, columns, commands, readings,
-        r, q, limits, states, estimates, innovations, work) -> (status, next sample)`, which follows samples from
-        `begin` on; y (n,), theta (k,), p and the covariance `matrix` are those of the next sample afterwards. `r`
+        `follow(begin, count, dt, substeps, is_linear, updates, coordinates, affected, y, theta, p, basis, spans,
+        matrix, columns, commands, readings, r, q, limits, states, estimates, innovations, work) -> (status, next
+        sample)`, which follows samples from `begin` on, linearising the readings of a sample `updates` times, each
+        about the estimate before; `affected` are indices of the entries of p that depend on the parameters.
+        y (n,), theta (k,), p and the covariance `matrix` are those of the next sample afterwards. `r`
         (sensors,) and `q` (n,) per second are variances; `limits` (3, k); `states` (m, n) and `estimates` (m, 2 k),
         values and deviations, get what is estimated, and `innovations` (m, 2 sensors) these, then normalised.
     """
-    n, sensors, entries, indices = sizes.states, sizes.sensors, len(affected), affected or (0,)
-    advance = runge_kutta_4(motion_with_columns(slopes, sizes))
+    advance = runge_kutta_4(motion_with_columns(slopes))
     carry, correct, variance_of = form.carry, form.correct, form.variance
 
     @compiled
-    def place(theta, since, origin, basis, p):
-        for i in range(entries):
+    def place(theta, since, origin, affected, basis, p):
+        for i in range(affected.size):
             total = 0.0
             for j in range(basis.shape[1]):
                 total += basis[i, j] * (theta[j] - since[j])
-            p[indices[i]] = origin[i] + total
+            p[affected[i]] = origin[i] + total
 
     @compiled
-    def linearise(by_state, by_entry, basis, row):
+    def linearise(by_state, by_entry, basis, n, row):
         for i in range(n):
             row[i] = by_state[i]
         for j in range(basis.shape[1]):
             total = 0.0
-            for i in range(entries):
+            for i in range(basis.shape[0]):
                 total += by_entry[i] * basis[i, j]
             row[n + j] = total
 
     @compiled
     def follow(
-        begin: int, count: int, dt: float, substeps: int, is_linear: int, y: Vector, theta: Vector, p: Vector,
-        basis: Matrix, spans: IntMatrix, matrix: Matrix, columns: Matrix, commands: Matrix, readings: Matrix,
-        r: Vector, q: Vector, limits: Matrix, states: Matrix, estimates: Matrix, innovations: Matrix, work: Matrix,
+        begin: int, count: int, dt: float, substeps: int, is_linear: int, updates: int, coordinates: int,
+        affected: IntVector, y: Vector, theta: Vector, p: Vector, basis: Matrix, spans: IntMatrix, matrix: Matrix,
+        columns: Matrix, commands: Matrix, readings: Matrix, r: Vector, q: Vector, limits: Matrix, states: Matrix,
+        estimates: Matrix, innovations: Matrix, work: Matrix,
     ) -> tuple[int, int]:  # fmt: skip
         k, channels, h, last = theta.size, commands.shape[1], dt / substeps, readings.shape[0] - 1
-        size, given = n + k, Given(p, basis, spans)
+        n, sensors = y.size, r.size
+        size, given = n + k, Given(p, basis, spans, coordinates)
         work[:] = 0.0
         by_state, work = take(work, sensors)
         by_entry, work = take(work, sensors)
@@ -274,8 +271,8 @@ def extended_filter(
         u, end = vectors[9][:channels], vectors[10][:channels]
         carried, work = take(work, 2 * n)
         copy(theta, since, k)
-        for i in range(entries):
-            origin[i] = p[indices[i]]
+        for i in range(affected.size):
+            origin[i] = p[affected[i]]
         for index in range(begin, begin + count):
             t = index * dt
             copy(y, before, n)
@@ -290,7 +287,7 @@ def extended_filter(
                             copy(prior[i], matrix[i], size)
                 sensed(t, y, commands[index], p, noise, s, by_state, by_entry)
                 for o in range(sensors):
-                    linearise(by_state[o], by_entry[o], basis, rows[o])
+                    linearise(by_state[o], by_entry[o], basis, n, rows[o])
                     residual[o] = readings[index, o] - s[o]
                     for i in range(n):
                         residual[o] -= rows[o, i] * (before[i] - y[i])
@@ -317,7 +314,7 @@ def extended_filter(
                     y[i] = before[i] + change[i]
                 for j in range(k):
                     theta[j] = min(max(before[n + j] + change[n + j], limits[LOW, j]), limits[HIGH, j])
-                place(theta, since, origin, basis, p)
+                place(theta, since, origin, affected, basis, p)
             has_moved = False
             copy(y, states[index], n)
             for j in range(k):
@@ -344,42 +341,37 @@ def extended_filter(
     return follow
 
 
-def full_extended_filter(
-    slopes: Kernel, sensed: Kernel, sizes: RigSizes, affected: tuple[int, ...], updates: int
-) -> Kernel:
+def full_extended_filter(slopes: Kernel, sensed: Kernel) -> Kernel:
     """Make `extended_filter` with the covariance as a whole."""
-    return extended_filter(slopes, sensed, sizes, affected, updates, FULL)
+    return extended_filter(slopes, sensed, FULL)
 
 
-def root_extended_filter(
-    slopes: Kernel, sensed: Kernel, sizes: RigSizes, affected: tuple[int, ...], updates: int
-) -> Kernel:
+def root_extended_filter(slopes: Kernel, sensed: Kernel) -> Kernel:
     """Make `extended_filter` with the triangular root of the covariance."""
-    return extended_filter(slopes, sensed, sizes, affected, updates, ROOT)
+    return extended_filter(slopes, sensed, ROOT)
 
 
-def fixed_gain_filter(derivative: Kernel, sensed: Kernel, sizes: RigSizes, ports: tuple[int, ...]) -> Kernel:
+def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
     """Make the filter of a rig's state and of latent forces, which walk at random, with a constant gain.
 
     Args:
         derivative: writes the rates of the rig's state.
         sensed: writes readings, and their derivatives.
-        sizes: of the rig.
-        ports: indices of the latent forces in the parameter array.
 
     Returns:
-        `follow(count, dt, substeps, is_linear, x, p, gain, commands, readings, filtered, predicted, work) -> status`
-        for x = (y, forces), which is written before (`predicted`) and after (`filtered`) each correction by `gain`
+        `follow(count, dt, substeps, is_linear, ports, x, p, gain, commands, readings, filtered, predicted, work) ->
+        status` for x = (y, forces), with the indices `ports` of the forces in the parameter array,
+        which is written before (`predicted`) and after (`filtered`) each correction by `gain`
         (n + forces, sensors).
     """
-    n, sensors, forces, at = sizes.states, sizes.sensors, len(ports), ports or (0,)
     advance = runge_kutta_4(motion_alone(derivative))
 
     @compiled
     def follow(
-        count: int, dt: float, substeps: int, is_linear: int, x: Vector, p: Vector, gain: Matrix, commands: Matrix,
-        readings: Matrix, filtered: Matrix, predicted: Matrix, work: Matrix,
+        count: int, dt: float, substeps: int, is_linear: int, ports: IntVector, x: Vector, p: Vector, gain: Matrix,
+        commands: Matrix, readings: Matrix, filtered: Matrix, predicted: Matrix, work: Matrix,
     ) -> int:  # fmt: skip
+        n, forces, sensors = x.size - ports.size, ports.size, readings.shape[1]
         channels, h = commands.shape[1], dt / substeps
         work[:] = 0.0
         by_state, work = take(work, sensors)
@@ -391,7 +383,7 @@ def fixed_gain_filter(derivative: Kernel, sensed: Kernel, sizes: RigSizes, ports
             t = index * dt
             copy(x, predicted[index], n + forces)
             for i in range(forces):
-                p[at[i]] = x[n + i]
+                p[ports[i]] = x[n + i]
             for a in range(channels):
                 u[a] = command_at(commands, index, a, 0.0, 0.0, is_linear)
             sensed(t, x, u, p, noise, s, by_state, by_entry)
@@ -403,7 +395,7 @@ def fixed_gain_filter(derivative: Kernel, sensed: Kernel, sizes: RigSizes, ports
                     x[i] += gain[i, o] * residual
             copy(x, filtered[index], n + forces)
             for i in range(forces):
-                p[at[i]] = x[n + i]
+                p[ports[i]] = x[n + i]
             for step in range(substeps):
                 for a in range(channels):
                     u[a] = command_at(commands, index, a, 0.0, (step + 0.5) / substeps, is_linear)

@@ -14,7 +14,6 @@ from typing import Any
 from masking.numerics.arrays import IntVector, Matrix, Vector
 from masking.numerics.instances import BY_PARAMETER, BY_STATE, VALUE
 from masking.numerics.integrators import compiled, copy
-from masking.numerics.rig_sizes import RigSizes
 from masking.numerics.variational import take
 
 Kernel = Callable[..., Any]
@@ -23,25 +22,26 @@ NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivati
 PIECES = 4  # of a sample, in which the state of an effect is integrated
 
 
-def places_along(derivative: Kernel, placed: Kernel, sizes: RigSizes, ports: tuple[int, ...], places: int) -> Kernel:
+def places_along(derivative: Kernel, placed: Kernel) -> Kernel:
     """Make the motion of places.
 
     Returns:
-        `follow(count, dt, p, states, commands, moved, work)`, which writes displacements, rates and accelerations of
-        the places (count, 3 places).
+        `follow(count, dt, coordinates, ports, p, states, commands, moved, work)`, which writes displacements, rates and
+        accelerations of the places (count, 3 places).
     """
-    n, coordinates, forces, at = sizes.states, sizes.coordinates, len(ports), ports or (0,)
 
     @compiled
     def follow(
-        count: int, dt: float, p: Vector, states: Matrix, commands: Matrix, moved: Matrix, work: Matrix,
+        count: int, dt: float, coordinates: int, ports: IntVector, p: Vector, states: Matrix, commands: Matrix,
+        moved: Matrix, work: Matrix,
     ) -> None:  # fmt: skip
+        n, places = states.shape[1] - ports.size, moved.shape[1] // 3
         work[:] = 0.0
         followed, work = take(work, 2 * places)
         d, rate = work[0], work[1]
         for index in range(count):
-            for i in range(forces):
-                p[at[i]] = states[index, n + i]
+            for i in range(ports.size):
+                p[ports[i]] = states[index, n + i]
             placed(index * dt, states[index], commands[index], p, d, followed)
             derivative(index * dt, states[index], commands[index], p, rate)
             for e in range(places):
@@ -55,25 +55,26 @@ def places_along(derivative: Kernel, placed: Kernel, sizes: RigSizes, ports: tup
     return follow
 
 
-def readings_along(sensed: Kernel, sizes: RigSizes, ports: tuple[int, ...]) -> Kernel:
+def readings_along(sensed: Kernel) -> Kernel:
     """Make the readings along states.
 
     Returns:
-        `read(count, dt, p, states, commands, readings, work)`, which writes them (count, sensors).
+        `read(count, dt, ports, p, states, commands, readings, work)`, which writes them (count, sensors).
     """
-    n, sensors, forces, at = sizes.states, sizes.sensors, len(ports), ports or (0,)
 
     @compiled
     def read(
-        count: int, dt: float, p: Vector, states: Matrix, commands: Matrix, readings: Matrix, work: Matrix,
+        count: int, dt: float, ports: IntVector, p: Vector, states: Matrix, commands: Matrix, readings: Matrix,
+        work: Matrix,
     ) -> None:  # fmt: skip
+        n, sensors = states.shape[1] - ports.size, readings.shape[1]
         work[:] = 0.0
         by_state, work = take(work, sensors)
         by_entry, work = take(work, sensors)
         noise, s = work[0], work[1]
         for index in range(count):
-            for i in range(forces):
-                p[at[i]] = states[index, n + i]
+            for i in range(ports.size):
+                p[ports[i]] = states[index, n + i]
             sensed(index * dt, states[index], commands[index], p, noise, s, by_state, by_entry)
             copy(s, readings[index], sensors)
 
@@ -147,29 +148,28 @@ def transition(by_state, h, phi, product):
             copy(product[i], phi[i], n)
 
 
-def linear_responses(slopes: Kernel, sensed: Kernel, sizes: RigSizes, is_direct: bool) -> Kernel:
+def linear_responses(slopes: Kernel, sensed: Kernel) -> Kernel:
     """Make the first-order response of the sensors to forces and to initial states, along a motion.
 
     Args:
         slopes: writes rates, and their derivatives.
         sensed: writes readings, and their derivatives.
-        sizes: of the rig.
-        is_direct: whether readings depend on entries of the parameter array at once.
 
     Returns:
-        `respond(count, dt, every, interval, entries, initial, states, commands, p, features, means, work)` for M
-        responses: to the force `features` (count, M) at the affected entry `entries` (M,), or from the state with index
-        `initial` (M,) at 1 at the begin of each interval; -1 begins at rest. The motion is `states` (count, n), and
-        `means` (count / every, sensors M) gets means over `every` samples.
+        `respond(count, dt, every, interval, is_direct, entries, initial, states, commands, p, features, means, work)`
+        for M responses: to the force `features` (count, M) at the affected entry `entries` (M,), or from the state with
+        index `initial` (M,) at 1 at the begin of each interval; -1 begins at rest. The motion is `states` (count, n), and
+        `means` (count / every, sensors M) gets means over `every` samples. `is_direct` tells that readings depend on
+        entries of the parameter array at once.
     """
-    n, sensors = sizes.states, sizes.sensors
 
     @compiled
     def respond(
-        count: int, dt: float, every: int, interval: int, entries: IntVector, initial: IntVector, states: Matrix,
-        commands: Matrix, p: Vector, features: Matrix, means: Matrix, work: Matrix,
+        count: int, dt: float, every: int, interval: int, is_direct: int, entries: IntVector, initial: IntVector,
+        states: Matrix, commands: Matrix, p: Vector, features: Matrix, means: Matrix, work: Matrix,
     ) -> None:  # fmt: skip
-        many = features.shape[1]
+        n, many = states.shape[1], features.shape[1]
+        sensors = means.shape[1] // many
         work[:] = 0.0
         means[:] = 0.0
         by_state, work = take(work, n)

@@ -1,8 +1,16 @@
-"""Sizes of a rig that kernels are made for."""
+"""Sizes of a rig: work space of its kernels, and the table of sizes and indices that kernels of any rig read."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+import numpy as np
+
+from masking.numerics.arrays import IntMatrix
+
+# Rows of the table, and the entries of its first row.
+SIZES, FORCE_ENTRIES, FORCE_COLUMNS, COMMAND_COLUMNS = range(4)
+STATES, COORDINATES, SENSORS, PLACES, CHANNELS, IS_FED, READ_ROWS = range(7)
 
 
 @dataclass(frozen=True)
@@ -12,16 +20,12 @@ class RigSizes:
     Args:
         states: n.
         coordinates: how many of the states are coordinates, whose rates are the states that follow them.
-        affected: entries of the parameter array that depend on parameters.
         sensors: readings of a sample.
-        free: states that each shooting interval may begin with at any value, each with a column of S at the end.
     """
 
     states: int
     coordinates: int
-    affected: int
     sensors: int
-    free: tuple[int, ...] = ()
 
     @property
     def read_rows(self) -> int:
@@ -44,8 +48,6 @@ class PortSizes(RigSizes):
     """Sizes of a rig with ports.
 
     Args:
-        places: where forces may act.
-        channels: actuators.
         force_entries: index of each place's force in the parameter array.
         force_columns: the same, among the affected entries.
         command_columns: index of each actuator's offset among the affected entries.
@@ -53,18 +55,16 @@ class PortSizes(RigSizes):
         most_states: of effects together.
     """
 
-    places: int = 0
-    channels: int = 0
-    force_entries: tuple[int, ...] = ()
-    force_columns: tuple[int, ...] = ()
-    command_columns: tuple[int, ...] = ()
-    is_fed: bool = False
-    most_states: int = 0
+    force_entries: tuple[int, ...]
+    force_columns: tuple[int, ...]
+    command_columns: tuple[int, ...]
+    is_fed: bool
+    most_states: int
 
     @property
     def port_rows(self) -> int:
         """Return the rows of work space of the ports and of the effects that drive them."""
-        return 6 * self.places + self.channels + 4 + 2 * self.sensors + 6
+        return 6 * len(self.force_entries) + len(self.command_columns) + 4 + 2 * self.sensors + 6
 
     @property
     def read_rows(self) -> int:
@@ -75,3 +75,14 @@ class PortSizes(RigSizes):
     def moving_rows(self) -> int:
         """Return the rows of work space of an integration step with derivatives."""
         return 7 * self.states + 5 * self.most_states + 6 + self.port_rows
+
+    @property
+    def table(self) -> IntMatrix:
+        """Return sizes and indices as kernels read them."""
+        places, channels = len(self.force_entries), len(self.command_columns)
+        sizes = self.states, self.coordinates, self.sensors, places, channels, self.is_fed, self.read_rows
+        rows = sizes, self.force_entries, self.force_columns, self.command_columns
+        made = np.zeros((len(rows), max(map(len, rows))), dtype=np.int64)
+        for target, row in zip(made, rows, strict=True):
+            target[: len(row)] = row
+        return made

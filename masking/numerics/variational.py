@@ -8,7 +8,8 @@ derivative of the computed y. What a least-squares fit needs, the normal equatio
 Source: Hairer, Norsett and Wanner (1993), Solving Ordinary Differential Equations I, section I.14 and Table II.1.2;
 Ljung, System Identification (1999), section 10.3.
 
-Each function here makes a kernel for one rig. Functions of the rig, with n states y = coordinates, velocities, others:
+Kernels serve any rig: sizes are those of the arrays. Functions of a rig, with n states y = coordinates, velocities,
+others, are linked to them:
 
 * `derivative(t, y, u, p, rate)` writes y';
 * `slopes(t, y, u, p, rate, by_state, by_entry)` writes y', df/dy (n, n) and df/dp (n, affected);
@@ -26,9 +27,8 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from masking.numerics.arrays import IntMatrix, Matrix, Vector
+from masking.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
 from masking.numerics.integrators import compiled
-from masking.numerics.rig_sizes import RigSizes
 
 Kernel = Callable[..., Any]
 
@@ -40,11 +40,13 @@ class Given(NamedTuple):
         p: the parameter array.
         basis: derivatives of its affected entries by the parameters (affected, k).
         spans: first column, and the one after the last, in which a row of `basis` is not 0 (2, affected), integers.
+        coordinates: how many of the states are coordinates, whose rates are the states that follow them.
     """
 
     p: Any
     basis: Any
     spans: Any
+    coordinates: Any
 
 
 @compiled
@@ -76,29 +78,19 @@ def drive(commands, index, step, substeps, dt, is_linear, given, u, end):
         end[channel] = command_at(commands, index, channel, 0.0, (step + 1.0) / substeps, is_linear)
 
 
-def chain_rule(sizes: RigSizes) -> Kernel:
-    """Make the chain rule for one row.
-
-    Returns:
-        `add(by_state, by_entry, columns, given, row)`, which adds to row (width,) what the states with derivatives
-        `columns` (n, width) and the entries of the parameter array do.
-    """
-    n, affected = sizes.states, sizes.affected
-
-    @compiled
-    def add(by_state, by_entry, columns, given, row):
-        for i in range(n):
-            by = by_state[i]
-            if by != 0.0:
-                for j in range(columns.shape[1]):
-                    row[j] += by * columns[i, j]
-        for i in range(affected):
-            by = by_entry[i]
-            if by != 0.0:
-                for j in range(given.spans[0, i], given.spans[1, i]):
-                    row[j] += by * given.basis[i, j]
-
-    return add
+@compiled
+def add_chain(by_state, by_entry, columns, basis, spans, n, row):
+    """Add to a row (width,) what n states with derivatives `columns` and entries of the parameter array do."""
+    for i in range(n):
+        by = by_state[i]
+        if by != 0.0:
+            for j in range(columns.shape[1]):
+                row[j] += by * columns[i, j]
+    for i in range(spans.shape[1]):
+        by = by_entry[i]
+        if by != 0.0:
+            for j in range(spans[0, i], spans[1, i]):
+                row[j] += by * basis[i, j]
 
 
 def motion_alone(derivative: Kernel) -> Kernel:
@@ -111,16 +103,16 @@ def motion_alone(derivative: Kernel) -> Kernel:
     return flow
 
 
-def motion_with_columns(slopes: Kernel, sizes: RigSizes) -> Kernel:
+def motion_with_columns(slopes: Kernel) -> Kernel:
     """Make the variational equations of a twin.
 
     Returns:
         `flow(t, y, columns, u, given, rate, column_rates, work)`, which writes y' and S'; `work` has 2 n rows.
     """
-    n, coordinates, add = sizes.states, sizes.coordinates, chain_rule(sizes)
 
     @compiled
     def flow(t, y, columns, u, given, rate, column_rates, work):
+        n, coordinates = columns.shape[0], given.coordinates
         by_state, work = take(work, n)
         by_entry, work = take(work, n)
         slopes(t, y, u, given.p, rate, by_state, by_entry)
@@ -128,29 +120,29 @@ def motion_with_columns(slopes: Kernel, sizes: RigSizes) -> Kernel:
             for j in range(columns.shape[1]):
                 column_rates[i, j] = columns[coordinates + i, j] if i < coordinates else 0.0
             if i >= coordinates:
-                add(by_state[i], by_entry[i], columns, given, column_rates[i])
+                add_chain(by_state[i], by_entry[i], columns, given.basis, given.spans, n, column_rates[i])
 
     return flow
 
 
-def readings_with_columns(sensed: Kernel, sizes: RigSizes) -> Kernel:
+def readings_with_columns(sensed: Kernel) -> Kernel:
     """Make the readings of a twin and their derivatives.
 
     Returns:
         `read(t, dt, y, columns, commands, index, is_linear, given, s, rows, work)`, which writes the readings s at a
         sample and their derivatives in `rows` (sensors, width); `work` has 2 sensors + 1 rows.
     """
-    sensors, add = sizes.sensors, chain_rule(sizes)
 
     @compiled
     def read(t, dt, y, columns, commands, index, is_linear, given, s, rows, work):
+        n, sensors = columns.shape[0], rows.shape[0]
         by_state, work = take(work, sensors)
         by_entry, work = take(work, sensors)
         sensed(t, y, commands[index], given.p, work[0], s, by_state, by_entry)
         for o in range(sensors):
             for j in range(columns.shape[1]):
                 rows[o, j] = 0.0
-            add(by_state[o], by_entry[o], columns, given, rows[o])
+            add_chain(by_state[o], by_entry[o], columns, given.basis, given.spans, n, rows[o])
 
     return read
 
@@ -195,26 +187,25 @@ def runge_kutta_4(flow: Kernel) -> Kernel:
     return advance
 
 
-def simulation(sensed: Kernel, derivative: Kernel, sizes: RigSizes) -> Kernel:
+def simulation(sensed: Kernel, derivative: Kernel) -> Kernel:
     """Make the simulation of readings without derivatives.
 
     Args:
         sensed: `sensed(t, y, u, p, noise, s)` writes readings.
         derivative: writes y'.
-        sizes: of the rig.
 
     Returns:
         `simulate(count, dt, substeps, is_linear, y, p, commands, readings, work)`, which writes `readings` (count,
         sensors) from the state y on, which is the last state afterwards.
     """
-    n, advance = sizes.states, runge_kutta_4(motion_alone(derivative))
+    advance = runge_kutta_4(motion_alone(derivative))
 
     @compiled
     def simulate(
         count: int, dt: float, substeps: int, is_linear: int, y: Vector, p: Vector, commands: Matrix, readings: Matrix,
         work: Matrix,
     ) -> None:  # fmt: skip
-        channels, h = commands.shape[1], dt / substeps
+        n, channels, h = y.size, commands.shape[1], dt / substeps
         rows, work = take(work, 3)
         noise, u, end = rows[0], rows[1][:channels], rows[2][:channels]
         none, work = take(work, n)
@@ -230,58 +221,57 @@ def simulation(sensed: Kernel, derivative: Kernel, sizes: RigSizes) -> Kernel:
     return simulate
 
 
-def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, sizes: RigSizes) -> Kernel:
+def normal_equations(read: Kernel, drive: Kernel, flow: Kernel) -> Kernel:
     """Make the accumulation of normal equations over a record.
 
     Args:
         read: writes readings and their derivatives, as that of `readings_with_columns`.
         drive: writes the commands of an integration step, as `drive`.
         flow: writes the rates of motion and columns.
-        sizes: of the rig.
 
     Returns:
-        `accumulate(count, dt, substeps, interval, is_linear, starts, y, columns, given, commands, readings, weights,
-        matrix, gradient, squares, simulated, work) -> status`, which is 1 if the motion is no longer finite. Every
-        `interval` samples (multiple shooting) the motion starts again at a row of `starts`; each shooting interval has
-        `width` rows of `matrix` (J^T W J, its lower triangle) and entries of `gradient` (J^T W r). `squares` gets
-        squared residuals (sensors,), `simulated` the readings. States beyond n go on from one interval to the next.
+        `accumulate(count, dt, substeps, interval, is_linear, free, starts, y, columns, given, commands, readings,
+        weights, matrix, gradient, squares, simulated, read_work, work) -> status`, which is 1 if the motion is no
+        longer finite. Every `interval` samples (multiple shooting) the motion starts again at a row of `starts`
+        (intervals, n), where the states `free` may have any value, each with a column of S at the end; each shooting
+        interval has `width` rows of `matrix` (J^T W J, its lower triangle) and entries of `gradient` (J^T W r).
+        `squares` gets squared residuals (sensors,), `simulated` the readings. States beyond n go on from one interval
+        to the next. `read_work` is work space of `read`.
     """
-    n, sensors, free, begins = sizes.states, sizes.sensors, sizes.free or (0,), len(sizes.free)
-    read_rows = sizes.read_rows
-    is_free = tuple(i in sizes.free for i in range(n)) or (False,)
     advance = runge_kutta_4(flow)
 
     @compiled
-    def restart(window, starts, y, columns):
+    def restart(window, free, starts, y, columns):
         width = columns.shape[1]
-        first = width - begins
+        first = width - free.size
         for i in range(columns.shape[0]):
             for j in range(first, width):
                 columns[i, j] = 0.0
-        for i in range(n):
-            if window == 0 or is_free[i]:
+        for i in range(starts.shape[1]):
+            is_free = window == 0
+            for m in range(free.size):
+                is_free |= free[m] == i
+            if is_free:
                 y[i] = starts[window, i]
                 for j in range(first):
                     columns[i, j] = 0.0
-        for i in range(begins):
+        for i in range(free.size):
             columns[free[i], first + i] = 1.0
 
     @compiled
     def accumulate(
-        count, dt, substeps, interval, is_linear, starts, y, columns, given, commands, readings, weights, matrix,
-        gradient, squares, simulated, work,
+        count, dt, substeps, interval, is_linear, free, starts, y, columns, given, commands, readings, weights, matrix,
+        gradient, squares, simulated, read_work, work,
     ):  # fmt: skip
-        channels, width, h = commands.shape[1], columns.shape[1], dt / substeps
-        work[:] = 0.0
+        channels, width, h, sensors = commands.shape[1], columns.shape[1], dt / substeps, readings.shape[1]
         rows, work = take(work, sensors)
         vectors, work = take(work, 3)
         s, u, end = vectors[0], vectors[1][:channels], vectors[2][:channels]
-        of_readings, work = take(work, read_rows)
         for index in range(count):
             t, window = index * dt, index // interval
             if index == window * interval:
-                restart(window, starts, y, columns)
-            read(t, dt, y, columns, commands, index, is_linear, given, s, rows, of_readings)
+                restart(window, free, starts, y, columns)
+            read(t, dt, y, columns, commands, index, is_linear, given, s, rows, read_work)
             for o in range(sensors):
                 residual = readings[index, o] - s[o]
                 if not math.isfinite(residual):
@@ -303,26 +293,28 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, sizes: RigSizes)
     return accumulate
 
 
-def twin_normal_equations(slopes: Kernel, sensed: Kernel, sizes: RigSizes) -> Kernel:
+def twin_normal_equations(slopes: Kernel, sensed: Kernel) -> Kernel:
     """Make the normal equations of a twin over one record, from one initial state.
 
     Returns:
-        `normal(count, dt, substeps, is_linear, starts, y, columns, p, basis, spans, commands, readings, weights,
-        matrix, gradient, squares, simulated, work) -> status`, as `normal_equations`; `starts` is (1, n).
+        `normal(count, dt, substeps, is_linear, coordinates, free, starts, y, columns, p, basis, spans, commands,
+        readings, weights, matrix, gradient, squares, simulated, work) -> status`, as `normal_equations`; `starts` is
+        (1, n).
     """
-    read, flow = readings_with_columns(sensed, sizes), motion_with_columns(slopes, sizes)
-    accumulate = normal_equations(read, drive, flow, sizes)
+    accumulate = normal_equations(readings_with_columns(sensed), drive, motion_with_columns(slopes))
 
     @compiled
     def normal(
-        count: int, dt: float, substeps: int, is_linear: int, starts: Matrix, y: Vector, columns: Matrix, p: Vector,
-        basis: Matrix, spans: IntMatrix, commands: Matrix, readings: Matrix, weights: Vector, matrix: Matrix,
-        gradient: Vector, squares: Vector, simulated: Matrix, work: Matrix,
+        count: int, dt: float, substeps: int, is_linear: int, coordinates: int, free: IntVector, starts: Matrix,
+        y: Vector, columns: Matrix, p: Vector, basis: Matrix, spans: IntMatrix, commands: Matrix, readings: Matrix,
+        weights: Vector, matrix: Matrix, gradient: Vector, squares: Vector, simulated: Matrix, work: Matrix,
     ) -> int:  # fmt: skip
-        given = Given(p, basis, spans)
+        given = Given(p, basis, spans, coordinates)
+        work[:] = 0.0
+        read_work, work = take(work, 2 * readings.shape[1] + 1)
         return accumulate(
-            count, dt, substeps, count, is_linear, starts, y, columns, given, commands, readings, weights, matrix,
-            gradient, squares, simulated, work,
+            count, dt, substeps, count, is_linear, free, starts, y, columns, given, commands, readings, weights, matrix,
+            gradient, squares, simulated, read_work, work,
         )  # fmt: skip
 
     return normal
