@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 import numpy as np
@@ -138,25 +138,23 @@ class Sensitivity:
     @cached_property
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
-        made_from = {
-            "sensitivity": self.twin.structure(),
-            "affected": list(self.affected),
-            "count": len(self._compiled),
-        }
-        key = store.key(made_from)
-        return Kernels(store.load(key, self._build))
+        return Kernels(store.load(store.key({"sensitivity": self.identity()}), self.module))
 
-    def _build(self) -> Module:
-        module = Module(
-            f"{self.twin.declaration.name}, with derivatives", {"kind": "sensitivity", **self.twin.state_kinds}
-        )
+    def identity(self) -> list[Any]:
+        """Return what the compiled functions depend on."""
+        return [self.twin.structure(), list(self.affected), len(self._compiled)]
+
+    def module(self) -> Module:
+        """Return the source of the compiled functions."""
+        name = self.twin.declaration.name
+        module = Module(f"{name}, with derivatives", {"kind": "sensitivity", **self.twin.state_kinds})
         lowered = LoweredTwin(self.twin)
         add_slopes(module, lowered, self.affected)
         self.twin.add_to(module)
         sizes = self.sizes
-        work = sizes.work_rows, max(self.states + len(self._compiled), *self._widths)
+        work = sizes.work_rows, max(self.states + len(self._compiled), *self.widths)
         parts = "sense_under", "twin_derivative"
-        module.add_factory("simulate", variational.simulation, *parts, sizes, work=(sizes.work_rows, max(self._widths)))
+        module.add_factory("simulate", variational.simulation, *parts, sizes, work=(sizes.work_rows, max(self.widths)))
         module.add_factory("normal", variational.twin_normal_equations, "slopes", "sensed", sizes, work=work)
         return module
 
@@ -167,7 +165,8 @@ class Sensitivity:
         return RigSizes(self.states, moving, len(self.affected), sensors, tuple(range(self.states)))
 
     @property
-    def _widths(self) -> tuple[int, ...]:
+    def widths(self) -> tuple[int, ...]:
+        """Return the lengths of state, affected entries, readings and commands."""
         return self.states, len(self.affected), len(self.twin.sensors), len(self.twin.actuators)
 
     def simulate(

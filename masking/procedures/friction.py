@@ -6,23 +6,16 @@ Source: Rijlaarsdam (2008), appendix C.6.2.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike
+from scipy import optimize
 
 from masking.errors import ModelError, RecordError
 from masking.numerics.arrays import Array
 from masking.procedures.columns import TURNED, columns, directions, part_of, refuse_one_way, turns
 from masking.procedures.springs import SLIDING, elements, thinned
-
-if TYPE_CHECKING:
-    from scipy import optimize
-else:
-    optimize = lazy.load("scipy.optimize", suppress_warning=True)
-
 
 # A record is averaged in time to at most this many points before its gap is taken.
 THINNED = 20000

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-import lazy_loader as lazy
 import numpy as np
+from scipy import special
 
 from masking.declaration.quantities import percent
 from masking.errors import ModelError, RecordError
@@ -22,11 +22,6 @@ from masking.procedures.channels import Channel, Source
 from masking.procedures.columns import columns
 from masking.procedures.friction import EquilibriumShift, LocatedFriction, locate_friction, shift_of_equilibrium
 from masking.procedures.springs import SpringCurve, spring_curve
-
-if TYPE_CHECKING:
-    from scipy import stats
-else:
-    stats = lazy.load("scipy.stats", suppress_warning=True)
 
 FoundT = TypeVar("FoundT")
 
@@ -147,7 +142,7 @@ def springs(
         Row("highest", "largest displacement", curve.highest, None, x.unit),
         Row("residual", "force that is not explained, rms", curve.residual, None, force.unit),
     ]
-    half = float(stats.t.ppf(0.5 + LEVEL / 2.0, curve.freedom)) * sure
+    half = float(special.stdtrit(curve.freedom, 0.5 + LEVEL / 2.0)) * sure
     sentence = (
         f"The spring of {x.name} has a stiffness of {with_error(stiffness, half, slope)} at {with_unit(at, x.unit)}; "
         f"friction and hysteresis hold {with_unit(curve.half_gap, force.unit)} against the motion"

@@ -6,20 +6,14 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import fft
 
 from masking.errors import ModelError
 from masking.numerics.arrays import Array
 from masking.signals.arguments import positive, real, row
-
-if TYPE_CHECKING:
-    from scipy import fft
-else:
-    fft = lazy.load("scipy.fft", suppress_warning=True)
 
 TURN = 2.0 * math.pi
 # Samples for each period of the highest line where a peak is looked for. The curvature of a multisine is at most
@@ -148,10 +142,8 @@ class Multisine:
             if self.frequencies.max() > HIGHEST_HARMONIC * lowest:
                 return None
             ratios = [Fraction(f / lowest).limit_denominator(LARGEST_DENOMINATOR) for f in self.frequencies]
-            if any(
-                abs(float(r) - f / lowest) > RATIO_ERROR * float(r)
-                for r, f in zip(ratios, self.frequencies, strict=True)
-            ):
+            exact = np.array(list(map(float, ratios)))
+            if (np.abs(exact - self.frequencies / lowest) > RATIO_ERROR * exact).any():
                 return None
             common = math.lcm(*(ratio.denominator for ratio in ratios))
             found = [int(ratio * common) for ratio in ratios]

@@ -9,17 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
+import sympy as sp
 
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.errors import ModelError
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 _MOST_ROUNDS = 40
 _MOST_ANGLES = 24  # sin(n x) is a polynomial in sin x and cos x up to this n

@@ -10,19 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
+import sympy as sp
 
 from masking.analysis.stability.algebra import normal
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.motion import Motion
 from masking.errors import ModelError
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 
 @dataclass(frozen=True)

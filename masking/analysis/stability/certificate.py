@@ -8,9 +8,9 @@ set, and the equilibria in it, make the conclusion. Theorems 5.1, 7.1, 8.1 and 9
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
+import sympy as sp
 
 from masking.analysis.stability.algebra import normal, radical
 from masking.analysis.stability.boundedness import Boundedness, boundedness, is_positive_definite
@@ -21,11 +21,6 @@ from masking.analysis.stability.lasalle import Family, InvariantSet, invariant_s
 from masking.analysis.stability.motion import Motion
 from masking.errors import ModelError
 from masking.modelling.model import Model
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 _MOST_POINTS = 64
 _CLOSE = 1e-10  # of the largest coordinate: nearer to a relation than this, an equilibrium belongs to a family

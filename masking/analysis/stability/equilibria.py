@@ -12,10 +12,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
+import sympy as sp
 
 from masking.analysis.stability.algebra import is_zero
 from masking.analysis.stability.intervals import Interval, enclose
@@ -25,11 +24,6 @@ from masking.codegen.tangent import derivatives
 from masking.errors import ModelError, nearest
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array, Complex
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 Box = Mapping[str, tuple[float, float]]
 

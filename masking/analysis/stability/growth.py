@@ -7,10 +7,10 @@ enclosure, such as `max` or `heaviside`, by exact arithmetic: the state and the 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
+import sympy as sp
 
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.motion import Motion
@@ -18,11 +18,6 @@ from masking.codegen.graph import Graph, Node
 from masking.codegen.printers import needed
 from masking.errors import ModelError
 from masking.numerics.arrays import Array
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 SAMPLES = 20_000
 _MOST_CONFIRMED = 20  # of the states where the expression is largest

@@ -9,20 +9,14 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
+import sympy as sp
 
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.codegen.graph import Graph
 from masking.errors import ModelError
 from masking.modelling.model import Model
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 _DISTINCT = 1e-20  # a number that is no fraction is distinguished from 0 by 30 digits
 

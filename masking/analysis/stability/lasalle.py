@@ -17,21 +17,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
+import sympy as sp
+from sympy.simplify import fu
 
 from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants
 from masking.analysis.stability.hypotheses import Hypotheses, factors
 from masking.analysis.stability.motion import Motion
 from masking.errors import ModelError
-
-if TYPE_CHECKING:
-    import sympy as sp
-    from sympy.simplify import fu
-else:
-    sp = lazy.load("sympy")
-    fu = lazy.load("sympy.simplify.fu", suppress_warning=True)
 
 _MOST_RULES = 3  # applications of the first rule, one after the other
 
