@@ -180,13 +180,7 @@ def radical(expression: sp.Expr, given: Hypotheses) -> sp.Expr:
     if numerator == 0:
         return sp.Integer(0)
     _, factors = sp.factor_list(numerator)
-    kept = []
-    for factor, _ in factors:
-        plain = factor.xreplace(back)
-        if given.sign(plain) is not None:
-            continue
-        kept.append(plain)
-    product = sp.Mul(*kept)
+    product = sp.Mul(*(f for factor, _ in factors if given.sign(f := factor.xreplace(back)) is None))
     for what in back.values():
         if what.func == sp.cos:
             product = _without_square(product, what, sp.sin(what.args[0]))

@@ -106,33 +106,21 @@ def _evaluated(graph: Graph, nodes: list[Node], given: Mapping[Node, Any]) -> li
     return [found[node] for node in nodes]
 
 
-_RULES: dict[str, Callable[..., Any]] = {
+_SAME_NAME = ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "abs", "sign", "floor", "where")
+_RULES: dict[str, Callable[..., Any]] = {name: getattr(np, name) for name in _SAME_NAME} | {
     "neg": np.negative,
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
     "div": np.divide,
-    "sqrt": np.sqrt,
     "pow": np.power,
-    "exp": np.exp,
-    "log": np.log,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
     "asin": np.arcsin,
     "acos": np.arccos,
     "atan": np.arctan,
     "atan2": np.arctan2,
-    "sinh": np.sinh,
-    "cosh": np.cosh,
-    "tanh": np.tanh,
-    "abs": np.abs,
-    "sign": np.sign,
-    "floor": np.floor,
     "min": np.minimum,
     "max": np.maximum,
     "lt": np.less,
     "le": np.less_equal,
-    "where": np.where,
     "heaviside": lambda x: np.heaviside(x, 0.5),
 }
