@@ -18,7 +18,7 @@ from masking.errors import RecordError
 from masking.estimation.data import Data
 from masking.estimation.least_squares import Arrow, Box, Damping, Linearised, minimise
 from masking.estimation.sensitivity import Sensitivity
-from masking.estimation.simulation import first_start, judged, noise_alone, relative
+from masking.estimation.simulation import first_start, noise_alone, relative, validation_error
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
@@ -142,15 +142,14 @@ def fit(
         RecordError: the records are too short for the number of parameters.
         IntegrationError: the motion is not finite with the values to begin from; a shorter shooting interval may help.
     """
-    records, unseen = _several(records), _several(validation)
+    records, unseen = several(records), several(validation)
     sensitivity = Sensitivity(twin, tuple(names), tuple(shared))
     theta = sensitivity.start()
-    stages = (
-        [[window for record in records for window in record.windows(shooting_interval)]] if shooting_interval else []
-    )
-    if not shooting_interval and records and len(records[0]) > 2 * COARSE * records[0].rate:
-        stages.append([records[0].first(COARSE)])
-    stages.append(list(records))
+    stages = [list(records)]
+    if shooting_interval:
+        stages.insert(0, [window for record in records for window in record.windows(shooting_interval)])
+    elif records and len(records[0]) > 2 * COARSE * records[0].rate:
+        stages.insert(0, [records[0].first(COARSE)])
     done = [0.0]
 
     def tell(part: float) -> None:
@@ -164,7 +163,7 @@ def fit(
         theta = x[: len(names)]
     made = problem.result(x)
     if unseen:
-        made = replace(made, validation=judged(sensitivity, theta, unseen, problem.sigma**-2))
+        made = replace(made, validation=validation_error(sensitivity, theta, unseen, problem.sigma**-2))
     tell(1.0)
     return made
 
@@ -193,7 +192,8 @@ def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ..
     return tuple(name for name in names if name in kept)
 
 
-def _several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
+def several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
+    """Return one record, or a sequence of them, as a tuple."""
     return (records,) if isinstance(records, Data) else tuple(records)
 
 
@@ -218,7 +218,6 @@ class _Problem:
                 "fewer parameters"
             )
         self.substeps = [sensitivity.twin.substeps(piece.rate) for piece in pieces]
-        self.acting = [piece.acting for piece in pieces]
         self.starts = [first_start(sensitivity, piece) for piece in pieces]
         noise = np.array([piece.noise for piece in pieces])
         declared = np.array([sensitivity.twin.noise().get(name, 0.0) for name in sensitivity.twin.sensors])
@@ -237,14 +236,10 @@ class _Problem:
         squares, weights = np.zeros(len(self.sigma)), self.sigma**-2
         basis = self.sensitivity.basis(theta)
         moving = np.split(x[k:], len(self.pieces))
-        for piece, acting, start, begun, substeps in zip(
-            self.pieces, self.acting, self.starts, moving, self.substeps, strict=True
-        ):
+        for piece, start, begun, substeps in zip(self.pieces, self.starts, moving, self.substeps, strict=True):
             y = start.copy()
             y[self.free] = begun
-            found = self.sensitivity.normal_equations(
-                basis, y, acting, piece.readings, weights, rate=piece.rate, substeps=substeps, hold=piece.hold
-            )
+            found = self.sensitivity.normal_equations(basis, y, piece, weights, substeps)
             matrix += found.matrix[:k, :k]
             gradient += found.gradient[:k]
             blocks.append((found.matrix[np.ix_(at, at)], found.matrix[at, :k], found.gradient[at]))

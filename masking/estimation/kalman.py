@@ -29,7 +29,7 @@ from masking.errors import IntegrationError, ModelError, RecordError
 from masking.estimation.data import Data, is_first_order
 from masking.estimation.innovations import KalmanFit
 from masking.estimation.sensitivity import Sensitivity, spans
-from masking.estimation.simulation import first_start, judged, nearest, noise_alone, relative
+from masking.estimation.simulation import first_start, nearest, noise_alone, relative, validation_error
 from masking.numerics.arrays import Array
 from masking.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE
 from masking.rig.twin import Twin
@@ -134,7 +134,7 @@ def extended_kalman(
     run = _Run(sensing, record, scales, r, np.concatenate([q, none]), kernel, square_root)
     theta, covariance = run.filter(y.copy(), sensing.start(), p0, progress)
     found = run.result(theta, covariance, p0)
-    return replace(found, validation=judged(sensing, theta, validation, 1.0 / r)) if validation else found
+    return replace(found, validation=validation_error(sensing, theta, validation, 1.0 / r)) if validation else found
 
 
 def _check(twin: Twin, record: Data) -> None:
@@ -303,8 +303,10 @@ class _Run:
         """Return the fit."""
         sensing, record, n, k = self.sensing, self.record, self.sensing.states, len(self.sensing.names)
         sensors = sensing.twin.sensors
-        near = nearest(sensing, theta, record, 1.0 / self.r)
-        squares = np.full(len(sensors), np.nan) if near is None else near[1].squares
+        try:
+            squares = nearest(sensing, theta, record, 1.0 / self.r)[1].squares
+        except IntegrationError:
+            squares = np.full(len(sensors), np.nan)
         found = KalmanFit(
             twin=sensing.twin_at(theta), names=sensing.names, values=theta, covariance=covariance[n:, n:],
             chi=relative(sensors, [record], squares), floor=noise_alone(sensors, [record]),

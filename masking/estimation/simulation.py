@@ -68,7 +68,7 @@ def noise_alone(sensors: Sequence[str], records: Sequence[Data]) -> dict[str, fl
     return relative(sensors, records, np.sum([len(record) * record.noise**2 for record in records], axis=0))
 
 
-def judged(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weights: Array) -> dict[str, float]:
+def validation_error(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weights: Array) -> dict[str, float]:
     """Return the relative error of each sensor over records that were not fitted, by name.
 
     Args:
@@ -82,10 +82,7 @@ def judged(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weights: 
     """
     squares = np.zeros(len(weights))
     for record in unseen:
-        found = nearest(sensing, theta, record, weights)
-        if found is None:
-            raise IntegrationError(f"the simulated motion is no longer finite in {record.name}")
-        squares += found[1].squares
+        squares += nearest(sensing, theta, record, weights)[1].squares
     return relative(sensing.twin.sensors, unseen, squares)
 
 
@@ -103,33 +100,32 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = ()) -> Simulated:
     sensing = Sensitivity(twin, (), tuple(shared))
     size = np.maximum(np.abs(record.readings).max(axis=0), 1e-300)
     weights = np.maximum(record.noise, 1e-12 * size) ** -2.0
-    found = nearest(sensing, sensing.start(), record, weights)
-    if found is None:
-        raise IntegrationError(f"the simulated motion is no longer finite in {record.name}")
+    _, found = nearest(sensing, sensing.start(), record, weights)
     plant = twin.declaration.sensors
     units = tuple("" if plant[name].unit == "1" else plant[name].unit for name in twin.sensors)
-    return Simulated(record, twin.sensors, units, found[1].simulated)
+    return Simulated(record, twin.sensors, units, found.simulated)
 
 
-def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) -> tuple[Array, NormalEquations] | None:
+def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) -> tuple[Array, NormalEquations]:
     """Return the initial state (states,) from which a record is reproduced best, and what is simulated from there.
 
-    Internal states of effects begin at rest. None where the motion is not finite.
+    Internal states of effects begin at rest.
 
     Args:
         sensing: the twin.
         theta: values of its parameters (k,), in declared units.
         record: commands and readings.
         weights: of squared residuals of each sensor (sensors,).
+
+    Raises:
+        IntegrationError: the motion is not finite.
     """
     free, first, basis = np.array(sensing.twin.free, dtype=int), first_start(sensing, record), sensing.basis(theta)
-    substeps, at, acting = sensing.twin.substeps(record.rate), len(theta) + free, record.acting
+    substeps, at = sensing.twin.substeps(record.rate), len(theta) + free
 
     def linearised(x: Array) -> Linearised[Dense, NormalEquations]:
         first[free] = x
-        made = sensing.normal_equations(
-            basis, first, acting, record.readings, weights, rate=record.rate, substeps=substeps, hold=record.hold
-        )
+        made = sensing.normal_equations(basis, first, record, weights, substeps)
         return Linearised(float(weights @ made.squares), Dense(made.matrix[np.ix_(at, at)], made.gradient[at]), made)
 
     try:
@@ -137,7 +133,7 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
             linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost
         )
     except IntegrationError:
-        return None
+        raise IntegrationError(f"the simulated motion is no longer finite in {record.name}") from None
     first[free] = found.x
     return first, found.at.found
 

@@ -48,8 +48,6 @@ class SpringCurve:
         friction: force against the motion that is there as soon as it turns; viscous forces at the speed of the ramp
             are part of it.
         hysteresis: force against the motion that builds up after it turned.
-        sliding: displacements at which elements of the hysteresis slide (k,).
-        shares: force of each of these elements (k,).
         residual: root mean square of the force that is not explained.
         freedom: degrees of freedom of the covariance.
         displacement: averaged record (points,).
@@ -65,8 +63,6 @@ class SpringCurve:
     highest: float
     friction: float
     hysteresis: float
-    sliding: Array
-    shares: Array
     residual: float
     freedom: int
     displacement: Array
@@ -179,8 +175,6 @@ def spring_curve(
         highest=highest,
         friction=float(weights[order + 1]),
         hysteresis=float(weights[order + 2 :].sum()),
-        sliding=radii,
-        shares=weights[order + 2 :],
         residual=float(np.sqrt(np.mean(rest**2))),
         freedom=freedom,
         displacement=x,

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import sympy as sp
-from sympy.simplify import fu
+from sympy.simplify.fu import TR9
 
 from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants
 from masking.analysis.stability.hypotheses import Hypotheses, factors
@@ -395,7 +395,7 @@ def _linear_relations(relation: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, k: sp.Sym
         if relation.has(k):
             return [sp.expand(-relation.subs(r2, 0) / by)]
         return [k - normal(sp.diff(relation, r1) / by) * r1]
-    product = fu.TR9(relation)
+    product = TR9(relation)
     found: list[sp.Expr] = []
     for factor in sp.Mul.make_args(sp.factor_terms(product)):
         if not factor.free_symbols & {r1, r2}:
