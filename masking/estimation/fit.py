@@ -198,7 +198,13 @@ def several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
 
 
 def part_of(tell: Progress, number: int, count: int) -> Progress:
-    """Return the progress of one of several parts as that of all of them."""
+    """Return the progress of one of several parts as that of all of them.
+
+    Args:
+        tell: called with the part done of all.
+        number: of this part, from 0.
+        count: of parts.
+    """
     return lambda part: tell((number + part) / count)
 
 

@@ -254,7 +254,17 @@ class _Run:
         self.states, self.estimates, self.noises = np.empty((m, n)), np.empty((m, 2 * k)), np.empty((m, 2 * sensors))
 
     def filter(self, y: Array, theta: Array, p0: Array, progress: Progress | None) -> tuple[Array, Array]:
-        """Return the parameters (k,), and the covariance of state and parameters; writes their course."""
+        """Return the parameters (k,), and the covariance of state and parameters; writes their course.
+
+        Args:
+            y: initial state (states,).
+            theta: initial parameters (k,), in declared units.
+            p0: variances of both (states + k,).
+            progress: called with the part done.
+
+        Raises:
+            IntegrationError: the estimate diverged, or the covariance lost its sign.
+        """
         sensing, record, m = self.sensing, self.record, len(self.record)
         matrix, is_affine = np.diag(np.sqrt(p0) if self.square_root else p0), _is_affine(sensing)
         low, high = (
@@ -300,7 +310,13 @@ class _Run:
         return f"the filter diverged {when}: its estimate is no longer finite; {lower}, or begin closer"
 
     def result(self, theta: Array, covariance: Array, p0: Array) -> KalmanFit:
-        """Return the fit."""
+        """Return the fit.
+
+        Args:
+            theta: final parameters (k,), in declared units.
+            covariance: of state and parameters.
+            p0: their initial variances (states + k,).
+        """
         sensing, record, n, k = self.sensing, self.record, self.sensing.states, len(self.sensing.names)
         sensors = sensing.twin.sensors
         try:

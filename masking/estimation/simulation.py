@@ -58,7 +58,13 @@ class Simulated:
 
 
 def relative(sensors: Sequence[str], records: Sequence[Data], squares: Array) -> dict[str, float]:
-    """Return the root of sums of squares (sensors,) in parts of the readings' in records, by name."""
+    """Return the relative error (4.12) of each sensor, by name.
+
+    Args:
+        sensors: their names.
+        records: whose readings are the reference.
+        squares: sums of squared errors over these records (sensors,).
+    """
     whole = np.sum([np.sum(record.readings**2, axis=0) for record in records], axis=0)
     return dict(zip(sensors, map(float, np.sqrt(squares / np.maximum(whole, 1e-300))), strict=True))
 

@@ -350,7 +350,11 @@ def _lines(found: Spectra, harmonics: Sequence[int] | Indices | None) -> Indices
 
 
 def probability(level: float) -> float:
-    """Return a probability; refuse what is not between 0 and 1."""
+    """Return a probability.
+
+    Raises:
+        ModelError: it is not between 0 and 1.
+    """
     if not 0.0 < level < 1.0:
         raise ModelError(f"the level is {level:g}; give a probability between 0 and 1, such as 0.95")
     return float(level)

@@ -122,7 +122,13 @@ class Norm:
 
     @classmethod
     def of(cls, signal: Multisine, power: int, duration: float | None = None) -> Norm:
-        """Return the norm over one period of a multisine, or over the record from 0 to `duration` s."""
+        """Return the norm of a multisine.
+
+        Args:
+            signal: whose amplitudes count.
+            power: p.
+            duration: over the record from 0 to this time, s; over one period if it is None.
+        """
         return cls(_lines(signal, duration), signal.amplitudes, power)
 
     def __call__(self, phases: Array) -> float:

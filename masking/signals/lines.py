@@ -232,14 +232,24 @@ class Multisine:
 
 
 def wave(harmonics: tuple[int, ...], amplitudes: np.ndarray, size: int) -> Array:
-    """Return `size` samples of one period of Re sum_k c_k exp(i h_k theta), for complex amplitudes c_k (lines,)."""
+    """Return samples of one period of Re sum_k c_k exp(i h_k theta) (size,).
+
+    Args:
+        harmonics: h_k (lines,).
+        amplitudes: c_k, complex (lines,).
+        size: of the period, in samples.
+    """
     spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
     spectrum[list(harmonics)] = 0.5 * size * amplitudes
     return np.asarray(fft.irfft(spectrum, size), dtype=np.float64)
 
 
 def periodic(signal: Multisine) -> tuple[int, ...]:
-    """Return the harmonics of a multisine; refuse one whose lines have no common period."""
+    """Return the harmonics of a multisine.
+
+    Raises:
+        ModelError: its lines have no common period.
+    """
     if signal.harmonics is None:
         raise ModelError(
             f"the lines have no common period with harmonics up to {HIGHEST_HARMONIC}; give the duration of the "
@@ -249,7 +259,17 @@ def periodic(signal: Multisine) -> tuple[int, ...]:
 
 
 def check_size(samples: int, lines: int, duration: float, most: int = MOST_POINTS) -> None:
-    """Refuse a record that is too long to be looked at."""
+    """Refuse a record that is too long to be looked at.
+
+    Args:
+        samples: of the record.
+        lines: of the multisine.
+        duration: of the record, s.
+        most: samples times lines that are allowed.
+
+    Raises:
+        ModelError: there are more.
+    """
     if samples * lines > most:
         raise ModelError(
             f"a record of {duration:g} s with {lines} lines takes {samples * lines:.3g} values, at most {most:.3g} are "

@@ -184,7 +184,11 @@ class _Elimination:
 
     @cached_property
     def reduced(self) -> tuple[dict[sp.Symbol, sp.Expr], tuple[sp.Expr, ...]]:
-        """Return the accelerations of what moves, by velocity symbol, and the equations that are left over."""
+        """Return the accelerations of what moves, by velocity symbol, and the equations that are left over.
+
+        Raises:
+            ModelError: the equations do not give these accelerations.
+        """
         q, v, n = self.motion.q, self.motion.v, len(self.motion.q)
         zeros = [sp.Integer(0)] * len(self.frozen[0])
         tied = self._tied(q, self.constants) | self._tied(v, zeros)
