@@ -18,7 +18,7 @@ from masking.errors import RecordError
 from masking.estimation.data import Data
 from masking.estimation.least_squares import Arrow, Box, Damping, Linearised, minimise
 from masking.estimation.sensitivity import Sensitivity
-from masking.estimation.simulation import first_start, noise_alone, relative, validation_error
+from masking.estimation.simulation import first_start, noise_alone, relative, validated
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
@@ -65,6 +65,12 @@ class Estimate:
     def std(self) -> Array:
         """Return the standard deviation of each value (k,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def intervals(self) -> Array:
+        """Return the 95 % confidence intervals (k, 2)."""
+        half = Z_975 * self.std
+        return np.array([self.values - half, self.values + half]).T
 
     @property
     def correlation(self) -> Array:
@@ -163,7 +169,7 @@ def fit(
         theta = x[: len(names)]
     made = problem.result(x)
     if unseen:
-        made = replace(made, validation=validation_error(sensitivity, theta, unseen, problem.sigma**-2))
+        made = replace(made, validation=validated(sensitivity, theta, unseen, problem.sigma**-2))
     tell(1.0)
     return made
 
