@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from masking.codegen import store
 from masking.codegen.native import NativeFunction
+from masking.codegen.source import Module
 from masking.codegen.store import Generated
 from masking.errors import IntegrationError, SingularityError, nearest
 from masking.numerics.arrays import Array
@@ -132,6 +134,30 @@ class Kernels:
             raise SingularityError(MESSAGES[status], time, at, mend)
         where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
         raise IntegrationError(f"{MESSAGES[status]}, at t = {time:.6g} ({where})")
+
+
+def linked(
+    factories: Mapping[str, tuple[Any, ...]], links: Mapping[str, NativeFunction], work: tuple[int, int]
+) -> Kernels:
+    """Return kernels that are compiled once for all models, with functions of one model linked to them.
+
+    Args:
+        factories: for each kernel, what `Module.add_factory` is given after its name.
+        links: functions of the model by their signatures, as `Module.add_link` takes them.
+        work: the shape of the kernels' work space.
+    """
+
+    def build() -> Module:
+        module = Module("kernels of any model", {})
+        for signature in links:
+            module.add_link(signature)
+        for name, given in factories.items():
+            module.add_factory(name, *given)
+        return module
+
+    made_from = {"links": list(links), "factories": {n: [str(x) for x in g[1:]] for n, g in factories.items()}}
+    by_name = {signature.partition("(")[0]: function for signature, function in links.items()}
+    return Kernels(store.load(store.key(made_from), build, by_name, work))
 
 
 def steps_between(slope: Callable[[Array, Array], None], state: Array, lengths: Array, rate: float) -> int:

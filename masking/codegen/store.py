@@ -55,12 +55,14 @@ class Generated:
         meta: what it says of itself.
         objects: the content hash of each function.
         links: functions of other modules that it calls, by the names that it has for them.
+        work: the shape of the work space of functions that do not say it.
     """
 
     path: Path
     meta: Mapping[str, Any]
     objects: Mapping[str, str] = field(repr=False)
     links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
+    work: tuple[int, int] | None = None
 
     def module(self) -> ModuleType:
         """Import the module, and numba with it."""
@@ -86,9 +88,9 @@ class Generated:
     def function(self, name: str) -> NativeFunction:
         """Return a function of the module, compiled when it is first called."""
         described = self.meta["functions"][name]
-        work = tuple(described["work"]) if described["work"] else None
-        stem = self.path.parent.parent / "objects" / self.objects[name]
         types = described["arguments"], described["results"]
+        work = tuple(described["work"]) if described["work"] else self.work if "work" in types[0] else None
+        stem = self.path.parent.parent / "objects" / self.objects[name]
         return NativeFunction(name, *types, work, self.module, stem, self.links)
 
 
@@ -97,16 +99,22 @@ def exists(name: str) -> bool:
     return _read(name) is not None
 
 
-def load(name: str, build: Callable[[], Module], links: Mapping[str, NativeFunction] | None = None) -> Generated:
+def load(
+    name: str,
+    build: Callable[[], Module],
+    links: Mapping[str, NativeFunction] | None = None,
+    work: tuple[int, int] | None = None,
+) -> Generated:
     """Return the generated module of a key; `build` makes it if it is not on disk yet, or not as it was written.
 
     Args:
         name: the key.
         build: prints the module.
         links: functions of other modules, by the names that `Module.add_link` gives them.
+        work: the shape of the work space of functions that do not say it.
     """
     found = _read(name) or _made(name, build)
-    return replace(found, links=links or {})
+    return replace(found, links=links or {}, work=work)
 
 
 def _made(name: str, build: Callable[[], Module]) -> Generated:

@@ -17,7 +17,7 @@ import numpy as np
 
 from masking.codegen import store
 from masking.codegen.graph import Node
-from masking.codegen.kernels import Kernels
+from masking.codegen.kernels import Kernels, linked
 from masking.codegen.source import Module
 from masking.codegen.tangent import derivatives, jacobian
 from masking.declaration.dictionary import MOST_PARAMETERS
@@ -26,7 +26,7 @@ from masking.declaration.schema import EffectUse
 from masking.discovery import laws
 from masking.discovery.places import Place, degrees, identifier, opened
 from masking.effects import EFFECTS, FORCE, OFFSET, Effect
-from masking.estimation.sensitivity import Sensitivity, add_slopes
+from masking.estimation.sensitivity import SIGNATURES, Sensitivity, add_slopes
 from masking.numerics.arrays import Array, IntMatrix, IntVector
 from masking.numerics.instances import ACTUATOR, COLUMNS, ELEMENT, INERTIA, SENSOR
 from masking.numerics.rig_sizes import PortSizes
@@ -42,6 +42,7 @@ else:
 NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives
 MOST_STATES = 6  # of effects together
 MOST_COLUMNS = 96  # features that are spread at once
+PLACED = "placed(t: float, y, u, p, d, jy: Matrix)"
 KINDS = {"element": ELEMENT, "actuator": ACTUATOR, "sensor": SENSOR}
 
 
@@ -250,56 +251,57 @@ class AugmentedModel:
         return self.degree_places[: len(self.coordinates)]
 
     @cached_property
-    def kernels(self) -> Kernels:
-        """Return the compiled functions; from the cache on disk where they have been made before."""
-        twin, _ = self._opened
-        made_from = {
-            "discovery": twin.structure(), "affected": list(self._sensitivity.affected),
-            "columns": self.columns, "forces": self.degree_places, "free": self.twin.free,
-        }  # fmt: skip
-        links = {laws.LAW: laws.library(self.laws)}
-        return Kernels(store.load(store.key(made_from), self._build, links))
+    def equations(self) -> Kernels:
+        """Return the compiled equations, readings and places of the rig with ports, and their derivatives."""
+        made_from = {"augmented": self._opened[0].structure(), "affected": list(self._sensitivity.affected)}
+        return Kernels(store.load(store.key(made_from), self._build))
 
     def _build(self) -> Module:
         twin, found = self._opened
-        module = Module(f"{twin.declaration.name}, open", {"kind": "discovery", **twin.state_kinds})
+        module = Module(f"{twin.declaration.name}, augmented", {"kind": "augmented", **twin.state_kinds})
         lowered = LoweredTwin(twin)
         graph, loads = lowered.graph, lowered.loads
         by_entry = add_slopes(module, lowered, self._sensitivity.affected)
-        module.add("rates(t: float, y, u, p, dy)", graph, lowered.derivatives, loads)
+        module.meta["is_direct"] = not all(graph.is_number(node, 0.0) for node in by_entry)
         by_text = {text: name for name, text in loads.items()}
         at = [i for i in range(len(twin.state_names)) if f"y[{i}]" in by_text]
         y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
         nodes = [*_followed(lowered, found), *_rates(lowered, found, by_text)]
         results = [(f"d[{i}]", node) for i, node in enumerate(nodes)]
-        by_state = jacobian(graph, "jy", nodes, y, at)
-        module.add("placed(t: float, y, u, p, d, jy: Matrix)", graph, [*results, *by_state], loads)
-        module.add_link(laws.SIGNATURE)
-        sizes, forces = self._sizes, tuple(self.columns[0][i] for i in self.degree_places)
-        size = sizes.states + MOST_STATES
-        width = max(len(self.names) + 4 * MOST_PARAMETERS + size, self.affected, 2 * len(found), MOST_COLUMNS)
-        work = sizes.work_rows, width
-        is_direct = not all(graph.is_number(node, 0.0) for node in by_entry)
-        rig = "slopes", "sensed", sizes
-        module.add_factory("run", augmented.augmented_normal_equations, laws.LAW, "placed", *rig, work=work)
-        module.add_factory("respond", responses.linear_responses, *rig, is_direct, work=work)
-        module.add_factory("follow", kalman.fixed_gain_filter, "rates", *rig[1:], forces, work=work)
-        module.add_factory("smooth_backward", kalman.backward_smoother)
-        given = "rates", "placed", sizes, forces, len(found)
-        module.add_factory("motions", responses.places_along, *given, work=work)
-        module.add_factory("along", responses.law_along, laws.LAW, work=work)
-        module.add_factory("read", responses.readings_along, "sensed", sizes, forces, work=work)
+        module.add(PLACED, graph, [*results, *jacobian(graph, "jy", nodes, y, at)], loads)
         return module
 
-    @property
-    def _sizes(self) -> PortSizes:
-        force_entries, force_columns, command_columns = self.columns
+    @cached_property
+    def kernels(self) -> Kernels:
+        """Return the compiled functions; from the cache on disk where they have been made before."""
+        width = max(
+            len(self.names) + 4 * MOST_PARAMETERS + self.sizes.states + MOST_STATES, self.affected,
+            2 * len(self.places), MOST_COLUMNS,
+        )  # fmt: skip
+        links = {signature: getattr(self.equations, signature.partition("(")[0]) for signature in (*SIGNATURES, PLACED)}
+        factories = {
+            "run": (augmented.augmented_normal_equations, laws.LAW, "placed", "slopes", "sensed"),
+            "respond": (responses.linear_responses, "slopes", "sensed"),
+            "follow": (kalman.fixed_gain_filter, "rates", "sensed"),
+            "smooth_backward": (kalman.backward_smoother,),
+            "motions": (responses.places_along, "rates", "placed"),
+            "along": (responses.law_along, laws.LAW),
+            "read": (responses.readings_along, "sensed"),
+        }
+        return linked(factories, {laws.SIGNATURE: laws.library(self.laws), **links}, (self.sizes.work_rows, width))
+
+    @cached_property
+    def latent(self) -> IntVector:
+        """Return for each degree the index of its force in the parameter array."""
+        return np.array([self.columns[0][i] for i in self.degree_places], dtype=np.int64)
+
+    @cached_property
+    def sizes(self) -> PortSizes:
+        """Return the sizes of the rig with ports, as kernels read them."""
         twin = self._opened[0]
         return PortSizes(
-            len(twin.state_names), len(self.coordinates), self.affected, len(twin.sensors), self.twin.free,
-            places=len(self.places), channels=len(twin.actuators), force_entries=force_entries,
-            force_columns=force_columns, command_columns=command_columns, is_fed=twin.is_fed, most_states=MOST_STATES,
-        )  # fmt: skip
+            len(twin.state_names), len(self.coordinates), len(twin.sensors), *self.columns, twin.is_fed, MOST_STATES
+        )
 
     def reading(self, theta: Array, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
         """Return what the sensors read in a state (sensors,), and how that depends on it (sensors, states).
@@ -321,7 +323,7 @@ class AugmentedModel:
         given = np.zeros(len(self.twin.actuators)) if commands is None else np.array(commands, dtype=float)
         p, _ = self.basis(theta)
         s, js, jps = np.zeros(sensors), np.zeros((sensors, len(state))), np.zeros((sensors, self.affected))
-        self.kernels.sensed(0.0, state, given, p, np.zeros(sensors), s, js, jps)
+        self.equations.sensed(0.0, state, given, p, np.zeros(sensors), s, js, jps)
         return s, js, jps
 
     def instances(self, instances: Sequence[EffectInstance], theta: Array) -> Instances:

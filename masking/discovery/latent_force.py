@@ -246,7 +246,7 @@ def directions(found: Explained, column: int) -> Array:
     p, _ = rig.basis(theta)
     y, u = rig.rest, np.zeros(len(rig.twin.actuators))
     jy, jp, dy = np.zeros((n, n)), np.zeros((n, rig.affected)), np.zeros(n)
-    rig.kernels.slopes(0.0, y, u, p, dy, jy, jp)
+    rig.equations.slopes(0.0, y, u, p, dy, jy, jp)
     moved = np.vstack([jp[count:], rig.direct(theta)]) if rig.twin.is_fed else jp[count:]
     ports = moved[:, [rig.columns[1][i] for i in rig.degree_places]]
     return np.asarray(np.linalg.lstsq(ports, moved[:, column], rcond=None)[0])

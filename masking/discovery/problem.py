@@ -92,10 +92,11 @@ class EstimationProblem:
         of_windows, gradients = np.zeros((windows * width, width)), np.zeros(windows * width)
         squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
         status = rig.kernels.run(
-            len(record), self.dt, self.substeps, self.begin, is_first_order(record.hold),
-            np.ascontiguousarray(start), y, derivatives, p, basis, spans(basis), given.table, given.estimated,
-            given.values, given.acts, given.late / self.dt, given.late_columns, np.ascontiguousarray(record.acting),
-            record.readings, self.weights, of_windows, gradients, squares, simulated,
+            len(record), self.dt, self.substeps, self.begin, is_first_order(record.hold), rig.sizes.table,
+            np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives, p, basis,
+            spans(basis), given.table, given.estimated, given.values, given.acts, given.late / self.dt,
+            given.late_columns, np.ascontiguousarray(record.acting), record.readings, self.weights, of_windows,
+            gradients, squares, simulated,
         )  # fmt: skip
         if status or not np.isfinite(squares).all() or not np.isfinite(of_windows).all():
             raise IntegrationError("the simulated motion is no longer finite")

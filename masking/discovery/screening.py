@@ -394,7 +394,8 @@ class Screen:
         p, _ = rig.basis(self.base.theta)
         every = self.every // self.thin
         rig.kernels.respond(
-            self.blocks * every, self.thin / record.rate, every, self.begin, at.astype(np.int64),
+            self.blocks * every, self.thin / record.rate, every, self.begin, rig.equations.meta["is_direct"],
+            at.astype(np.int64),
             np.full(many, -1) if initial is None else initial, self._states, self._commands, p,
             np.ascontiguousarray(features), found,
         )  # fmt: skip

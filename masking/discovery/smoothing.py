@@ -93,7 +93,8 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     n = len(rig.twin.state_names)
     placed = np.empty((len(record), 3 * len(rig.places)))
     acting = np.ascontiguousarray(record.acting)
-    rig.kernels.motions(len(record), 1.0 / record.rate, rig.basis(theta)[0], states, acting, placed)
+    p = rig.basis(theta)[0]
+    rig.kernels.motions(len(record), 1.0 / record.rate, rig.sizes.coordinates, rig.latent, p, states, acting, placed)
     displacement, rate, acceleration = (np.ascontiguousarray(part) for part in np.split(placed, 3, axis=1))
     return Motion(
         np.ascontiguousarray(states[:, :n]), states[:, n:], gains.deviation,
@@ -110,13 +111,13 @@ def _filter(problem: EstimationProblem, theta: Array, start: Array, gains: _Gain
     p, _ = rig.basis(theta)
     acting = np.ascontiguousarray(record.acting)
     status = rig.kernels.follow(
-        len(record), problem.dt, problem.substeps, is_first_order(record.hold), x, p.copy(), gains.forward,
+        len(record), problem.dt, problem.substeps, is_first_order(record.hold), rig.latent, x, p.copy(), gains.forward,
         acting, record.readings, states, predicted,
     )  # fmt: skip
     if status or not np.isfinite(states).all():
         raise IntegrationError("the record cannot be followed: the motion is no longer finite")
     sensed = np.empty_like(record.readings)
-    rig.kernels.read(len(record), 1.0 / record.rate, p.copy(), predicted, acting, sensed)
+    rig.kernels.read(len(record), 1.0 / record.rate, rig.latent, p.copy(), predicted, acting, sensed)
     return record.readings - sensed, states, predicted
 
 
@@ -130,7 +131,7 @@ def linearised(rig: AugmentedModel, theta: Array) -> tuple[Array, Array, Array, 
     p, _ = rig.basis(theta)
     y, u = rig.rest, np.zeros(len(rig.twin.actuators))
     jy, jp, dy = np.zeros((n, n)), np.zeros((n, rig.affected)), np.zeros(n)
-    rig.kernels.slopes(0.0, y, u, p, dy, jy, jp)
+    rig.equations.slopes(0.0, y, u, p, dy, jy, jp)
     js, jps = rig.reading(theta, y)[1], rig.direct(theta)
     jy[:count, count : 2 * count] = np.eye(count)
     columns = [rig.columns[1][i] for i in rig.degree_places]

@@ -22,13 +22,11 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 import numpy as np
 
-from masking.codegen import store
-from masking.codegen.kernels import Kernels
-from masking.codegen.source import Module
+from masking.codegen.kernels import Kernels, linked
 from masking.errors import IntegrationError, ModelError, RecordError
 from masking.estimation.data import Data, is_first_order
 from masking.estimation.innovations import KalmanFit
-from masking.estimation.sensitivity import Sensitivity, spans
+from masking.estimation.sensitivity import SENSED, SLOPES, Sensitivity, spans
 from masking.estimation.simulation import first_start, nearest, noise_alone, relative, validated
 from masking.numerics.arrays import Array
 from masking.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE
@@ -129,9 +127,9 @@ def extended_kalman(
     if y.shape != (sensing.states,) or not np.isfinite(y).all():
         names_of_states = ", ".join(twin.state_names)
         raise ModelError(f"start must be {sensing.states} finite numbers, {names_of_states}; got shape {y.shape}")
-    filters = _filters(sensing, iterated)
+    filters = _filters(sensing)
     kernel = filters.filter_root if square_root else filters.filter_full
-    run = _Run(sensing, record, scales, r, np.concatenate([q, none]), kernel, square_root)
+    run = _Run(sensing, record, scales, r, np.concatenate([q, none]), kernel, iterated, square_root)
     theta, covariance = run.filter(y.copy(), sensing.start(), p0, progress)
     found = run.result(theta, covariance, p0)
     return replace(found, validation=validated(sensing, theta, validation, 1.0 / r)) if validation else found
@@ -206,19 +204,16 @@ class _Scales:
         return time if unit == "s" else 1.0
 
 
-def _filters(sensing: Sensitivity, iterated: int) -> Kernels:
+def _filters(sensing: Sensitivity) -> Kernels:
     """Return the compiled filters; from the cache on disk if they have been made before."""
-
-    def build() -> Module:
-        module, sizes, size = sensing.module(), sensing.sizes, sensing.states + len(sensing.names)
-        rows = 3 * sizes.sensors + size + 11 + 2 * sizes.states + sizes.moving_rows
-        work = rows, max(3 * sizes.states, size, *sensing.widths)
-        for name, factory in (("full", kalman.full_extended_filter), ("root", kalman.root_extended_filter)):
-            given = "slopes", "sensed", sizes, sensing.affected, iterated
-            module.add_factory(f"filter_{name}", factory, *given, work=work)
-        return module
-
-    return Kernels(store.load(store.key({"kalman": sensing.identity(), "updates": iterated}), build))
+    sizes, size = sensing.sizes, sensing.states + len(sensing.names)
+    rows = 3 * sizes.sensors + size + 11 + 2 * sizes.states + sizes.moving_rows
+    links = {SLOPES: sensing.equations.slopes, SENSED: sensing.equations.sensed}
+    factories = {
+        "filter_full": (kalman.full_extended_filter, "slopes", "sensed"),
+        "filter_root": (kalman.root_extended_filter, "slopes", "sensed"),
+    }
+    return linked(factories, links, (rows, max(3 * sizes.states, size, *sensing.widths)))
 
 
 def _is_affine(sensing: Sensitivity) -> bool:
@@ -247,6 +242,7 @@ class _Run:
     r: Array
     q: Array
     kernel: Callable[..., tuple[int, int]]
+    iterated: int
     square_root: bool
 
     def __post_init__(self) -> None:
@@ -276,7 +272,7 @@ class _Run:
         substeps, is_linear = sensing.twin.substeps(record.rate), is_first_order(record.hold)
         derivatives = np.zeros((sensing.states, len(theta) + sensing.states))
         p, basis = self._basis(theta)
-        at = 0
+        affected, at = np.array(sensing.affected or (0,), dtype=np.int64), 0
         for piece in range(1, PIECES + 1):
             end = m * piece // PIECES
             if not is_affine:
@@ -285,8 +281,9 @@ class _Run:
                 moved = MOVED * np.maximum(np.abs(theta), 0.1 * self.scales.parameters)
                 table = np.array([low, high, np.full_like(theta, np.inf) if is_affine else moved])
                 status, at = self.kernel(
-                    at, end - at, 1.0 / record.rate, substeps, is_linear, y, theta, p, basis, spans(basis), matrix,
-                    derivatives, acting, readings, self.r, self.q, table, self.states, self.estimates, self.noises,
+                    at, end - at, 1.0 / record.rate, substeps, is_linear, self.iterated, sensing.sizes.coordinates,
+                    affected, y, theta, p, basis, spans(basis), matrix, derivatives, acting, readings, self.r, self.q,
+                    table, self.states, self.estimates, self.noises,
                 )  # fmt: skip
                 if status in (NOT_FINITE, NOT_POSITIVE):
                     raise IntegrationError(self._mend(status, at, len(theta)))

@@ -12,14 +12,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
 import numpy as np
 
 from masking.codegen import store
 from masking.codegen.graph import Node
-from masking.codegen.kernels import Kernels
+from masking.codegen.kernels import Kernels, linked
 from masking.codegen.source import Module
 from masking.codegen.tangent import jacobian
 from masking.errors import IntegrationError, ModelError, nearest
@@ -33,6 +33,12 @@ if TYPE_CHECKING:
     from masking.numerics import variational
 else:
     variational = lazy.load("masking.numerics.variational", suppress_warning=True)
+
+# Functions of a twin: its equations and its readings, alone and with derivatives by state and parameter array.
+RATES, SLOPES = "rates(t: float, y, u, p, dy)", "slopes(t: float, y, u, p, dy, jy: Matrix, jp: Matrix)"
+READING = "reading(t: float, y, u, p, noise, s)"
+SENSED = "sensed(t: float, y, u, p, noise, s, jy: Matrix, jp: Matrix)"
+SIGNATURES = RATES, SLOPES, READING, SENSED
 
 _STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other
 
@@ -138,31 +144,31 @@ class Sensitivity:
     @cached_property
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
-        return Kernels(store.load(store.key({"sensitivity": self.identity()}), self.module))
+        sizes, width = self.sizes, max(self.states + len(self._compiled), *self.widths)
+        factories = {
+            "simulate": (variational.simulation, "reading", "rates"),
+            "normal": (variational.twin_normal_equations, "slopes", "sensed"),
+        }
+        links = {signature: getattr(self.equations, signature.partition("(")[0]) for signature in SIGNATURES}
+        return linked(factories, links, (sizes.work_rows, width))
 
-    def identity(self) -> list[Any]:
-        """Return what the compiled functions depend on."""
-        return [self.twin.structure(), list(self.affected), len(self._compiled)]
+    @cached_property
+    def equations(self) -> Kernels:
+        """Return the compiled equations and readings of the twin, and their derivatives."""
+        return Kernels(
+            store.load(store.key({"sensitivity": [self.twin.structure(), list(self.affected)]}), self._build)
+        )
 
-    def module(self) -> Module:
-        """Return the source of the compiled functions."""
+    def _build(self) -> Module:
         name = self.twin.declaration.name
         module = Module(f"{name}, with derivatives", {"kind": "sensitivity", **self.twin.state_kinds})
-        lowered = LoweredTwin(self.twin)
-        add_slopes(module, lowered, self.affected)
-        self.twin.add_to(module)
-        sizes = self.sizes
-        work = sizes.work_rows, max(self.states + len(self._compiled), *self.widths)
-        parts = "sense_under", "twin_derivative"
-        module.add_factory("simulate", variational.simulation, *parts, sizes, work=(sizes.work_rows, max(self.widths)))
-        module.add_factory("normal", variational.twin_normal_equations, "slopes", "sensed", sizes, work=work)
+        add_slopes(module, LoweredTwin(self.twin), self.affected)
         return module
 
     @property
     def sizes(self) -> RigSizes:
-        """Return the sizes that kernels are made for: a record may begin in any state."""
-        sensors, moving = len(self.twin.sensors), len(self.twin.model.coordinates)
-        return RigSizes(self.states, moving, len(self.affected), sensors, tuple(range(self.states)))
+        """Return the sizes of the work space of kernels."""
+        return RigSizes(self.states, len(self.twin.model.coordinates), len(self.twin.sensors))
 
     @property
     def widths(self) -> tuple[int, ...]:
@@ -205,7 +211,7 @@ class Sensitivity:
         sensors, affected = len(self.twin.sensors), len(self.affected)
         given = np.zeros(len(self.twin.actuators)) if commands is None else np.array(commands, dtype=float)
         read, jy, jp = np.empty(sensors), np.zeros((sensors, self.states)), np.zeros((sensors, max(1, affected)))
-        self.kernels.sensed(0.0, state, given, self.parameters(self.start()), np.zeros(sensors), read, jy, jp)
+        self.equations.sensed(0.0, state, given, self.parameters(self.start()), np.zeros(sensors), read, jy, jp)
         return read, jy
 
     def normal_equations(
@@ -228,10 +234,10 @@ class Sensitivity:
         matrix, gradient, squares = np.zeros((size, size)), np.zeros(size), np.zeros(len(weights))
         y, simulated, derivatives = np.empty(states), np.empty((count, len(squares))), np.zeros((states, size))
         status = self.kernels.normal(
-            count, 1.0 / record.rate, substeps, is_first_order(record.hold), np.array([start], dtype=float), y,
-            derivatives, p, columns, spans(columns), np.ascontiguousarray(record.acting, dtype=float),
-            np.ascontiguousarray(record.readings, dtype=float), np.ascontiguousarray(weights, dtype=float), matrix,
-            gradient, squares, simulated,
+            count, 1.0 / record.rate, substeps, is_first_order(record.hold), self.sizes.coordinates, np.arange(states),
+            np.array([start], dtype=float), y, derivatives, p, columns, spans(columns),
+            np.ascontiguousarray(record.acting, dtype=float), np.ascontiguousarray(record.readings, dtype=float),
+            np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares, simulated,
         )  # fmt: skip
         if status:
             raise IntegrationError("the simulated motion is no longer finite")
@@ -250,7 +256,7 @@ def spans(basis: Array) -> IntMatrix:
 
 
 def add_slopes(module: Module, lowered: LoweredTwin, affected: Sequence[int]) -> list[Node]:
-    """Add the equations of a twin and its readings, each with derivatives, as `slopes` and `sensed`.
+    """Add the equations of a twin and its readings as `rates` and `reading`, with derivatives as `slopes` and `sensed`.
 
     Args:
         module: gets the functions.
@@ -266,10 +272,8 @@ def add_slopes(module: Module, lowered: LoweredTwin, affected: Sequence[int]) ->
     y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
     p = [graph.symbol(by_text.get(f"p[{i}]", f"unused_{i}"), varying=False) for i in affected]
     every = range(len(p))
-    for signature, results in (
-        ("slopes(t: float, y, u, p, dy, jy: Matrix, jp: Matrix)", lowered.derivatives),
-        ("sensed(t: float, y, u, p, noise, s, jy: Matrix, jp: Matrix)", lowered.readings),
-    ):
+    for alone, signature, results in ((RATES, SLOPES, lowered.derivatives), (READING, SENSED, lowered.readings)):
+        module.add(alone, graph, results, loads)
         nodes = [node for _, node in results]
         by_entry = jacobian(graph, "jp", nodes, p, every)
         module.add(signature, graph, [*results, *jacobian(graph, "jy", nodes, y, at), *by_entry], loads)
