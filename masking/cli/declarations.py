@@ -7,7 +7,7 @@ import json
 import sys
 from dataclasses import asdict
 
-from masking.cli.options import Verb, add_json
+from masking.cli.options import Verb, add_json, answer
 from masking.declaration import catalogue
 
 
@@ -40,8 +40,7 @@ def _show(chosen: argparse.Namespace) -> int:
     from masking.workflows.describe import show
 
     description = show(chosen.name, chosen.kind)
-    print(description.to_json() if chosen.json else description)
-    return 0
+    return answer(chosen.json, f"{description.to_json()}\n", description)
 
 
 def _add_check(sub: argparse.ArgumentParser) -> None:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
+from masking.cli.progress import raise_interrupts
 from masking.workflows.choices import HOLDS
 
 RECORD = "folder of a recording, or a parquet, csv, mat or h5 file; FILE@10:20 is its part from 10 s to 20 s"
+NAMED = "a YAML file, or a name that 'masking list' shows"
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,39 @@ def add_json(sub: argparse.ArgumentParser, *, after: str = "") -> None:
         sub.add_argument("--json", metavar="FILE", nargs="?", const=True, default=False, help=text)
     else:
         sub.add_argument("--json", action="store_true", help="print JSON")
+
+
+def add_out(sub: argparse.ArgumentParser, default: str) -> None:
+    """Add `--out`, with what its help says of the default."""
+    sub.add_argument("--out", metavar="DIR", help=f"where to save (default: {default})")
+
+
+def answer(wanted: bool | str, content: object, text: object) -> int:
+    """Print what a verb found, and return the exit status 0.
+
+    Args:
+        wanted: value of `--json`: whether to print JSON in place of the text, or the file that it is written to.
+        content: as JSON can hold it, or JSON already.
+        text: for people.
+    """
+    numbers = content if isinstance(content, str) else f"{json.dumps(content, indent=2)}\n"
+    if wanted is True:
+        print(numbers, end="")
+        return 0
+    if wanted:
+        Path(wanted).write_text(numbers, encoding="utf-8")
+    print(text)
+    return 0
+
+
+def prepare(wanted: bool | str, out: Path) -> None:
+    """Refuse folders that cannot be written, of results and of JSON, before any work; let signals interrupt."""
+    from masking.workflows.outputs import check_folder
+
+    check_folder(out)
+    if isinstance(wanted, str):
+        check_folder(Path(wanted).parent)
+    raise_interrupts()
 
 
 def add_of_tables(sub: argparse.ArgumentParser) -> None:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from masking.cli.options import Verb, add_json, add_verb
-from masking.cli.progress import INTERRUPTED, Bar, raise_interrupts
+from masking.cli.options import NAMED, Verb, add_json, add_out, add_verb, answer, prepare
+from masking.cli.progress import INTERRUPTED, Bar
 
 if TYPE_CHECKING:
     from masking.records.recording import Recording
@@ -28,7 +27,7 @@ def _add_common(sub: argparse.ArgumentParser) -> None:
 
 def _add_serve(sub: argparse.ArgumentParser) -> None:
     _add_common(sub)
-    sub.add_argument("plant", metavar="PLANT", help="a YAML file, or a name that 'masking list' shows")
+    sub.add_argument("plant", metavar="PLANT", help=NAMED)
     sub.add_argument("--address", default="udp://127.0.0.1:5005", help="udp://host:port (default: %(default)s)")
     sub.add_argument("--record", metavar="DIR", help="folder for the twin's own record of each session")
     sub.add_argument("--seed", type=int, default=0, help="of the sensors' noise (default: 0)")
@@ -37,9 +36,9 @@ def _add_serve(sub: argparse.ArgumentParser) -> None:
 
 def _add_run(sub: argparse.ArgumentParser) -> None:
     _add_common(sub)
-    sub.add_argument("experiment", metavar="EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
+    sub.add_argument("experiment", metavar="EXPERIMENT", help=NAMED)
     sub.add_argument("--plant", metavar="ADDRESS", required=True, help="such as udp://127.0.0.1:5005")
-    sub.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT_rig)")
+    add_out(sub, "results/EXPERIMENT_rig")
 
 
 def _add_calibrate(sub: argparse.ArgumentParser) -> None:
@@ -63,11 +62,8 @@ def _serve(chosen: argparse.Namespace) -> int:
         sessions=chosen.sessions,
         ready=lambda address: print(f"{chosen.plant} is served at {address}", file=sys.stderr, flush=True),
     )
-    if chosen.json:
-        print(json.dumps({"records": [str(folder) for folder in folders]}, indent=2))
-    else:
-        print("\n".join(f"record: {folder}" for folder in folders))
-    return 0
+    records = [str(folder) for folder in folders]
+    return answer(chosen.json, {"records": records}, "\n".join(f"record: {folder}" for folder in records))
 
 
 def _run(chosen: argparse.Namespace) -> int:
@@ -84,16 +80,8 @@ def _run(chosen: argparse.Namespace) -> int:
         bar.close()
         recording.save(out)
         written = run_report.report(recording, out)
-        if chosen.json:
-            content = {
-                "masking_error": recording.manifest["masking_error"],
-                "rig": recording.manifest["rig"],
-                "recording": str(out),
-            }
-            print(json.dumps(content, indent=2))
-        else:
-            print(written.summary)
-            print(f"report: {written.path}")
+        content = {name: recording.manifest[name] for name in ("masking_error", "rig")} | {"recording": str(out)}
+        answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 
     with Bar("running") as bar:
         plant = hardware.connect(chosen.plant)
@@ -111,12 +99,10 @@ def _calibrate(chosen: argparse.Namespace) -> int:
     from masking.rig.twin import Twin
     from masking.runs import hardware
     from masking.workflows.calibrate import calibrate
-    from masking.workflows.outputs import check_folder
 
     twin = Twin.load(chosen.plant)
     out = Path(chosen.out or f"results/{Path(chosen.plant).stem}_calibration")
-    check_folder(out)
-    raise_interrupts()
+    prepare(chosen.json, out)
     try:
         with Bar("calibrating") as bar:
             found = calibrate(
@@ -133,8 +119,7 @@ def _calibrate(chosen: argparse.Namespace) -> int:
         print(f"masking: interrupted; the records stay in {out / 'records'}: run the same again to go on from there",
               file=sys.stderr)  # fmt: skip
         return INTERRUPTED
-    print(json.dumps(found.as_dict(), indent=2) if chosen.json else found)
-    return 0
+    return answer(chosen.json, found.as_dict(), found)
 
 
 _OF_RIG = (

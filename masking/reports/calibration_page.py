@@ -39,23 +39,23 @@ _AUTHOR = "Rijlaarsdam"
 _LIBRARIES = ("masking", "numpy", "scipy", "numba", "sympy")
 
 
-def write(found: Calibration) -> tuple[Path, ...]:
-    """Write the page and its figures into the calibration's folder; return their paths, the page first.
+def save(found: Calibration) -> None:
+    """Write the page and its figures into the calibration's folder.
 
     Raises:
         RecordError: the folder cannot be written.
     """
     figures = calibration_figures.figures(found)
-    images = html.images(figures, found.folder)
-    rows, differing, notes = _parameters(found), _differing(found), [*found.best.fit.notes, *_pairs(found)]
-    page = html.render(
+    rows = _parameters(found)
+    html.save(
+        found.folder / PAGE,
         "calibration",
+        figures,
         names={*found.twin.sensors, *found.twin.actuators, *found.best.fit.names, *found.twin.model.coordinates},
         title=f"Calibration: {found.twin.declaration.name}",
         sentence=sentence(found),
         cautions=_cautions(found),
         tiles=_tiles(found),
-        figures=figures,
         sensors=list(found.floor),
         errors=_errors(found),
         has_document=_has_document(found),
@@ -63,16 +63,14 @@ def write(found: Calibration) -> tuple[Path, ...]:
         excited=_excited(found),
         reached=_reached(found),
         parameters=rows,
-        differing=differing,
+        differing=_differing(found),
         far=f"{_FAR:g}",
         has_marks=any(row[3].endswith("*") for row in rows),
         lumped=_lumped(found),
-        parameter_notes=notes,
+        parameter_notes=[*found.best.fit.notes, *_pairs(found)],
         remarks=[f"{one.title}. {one.caption}" for one in figures if one.figure is None],
-        origin=_provenance(found, [PAGE, *(path.name for path in images)]),
+        origin=_provenance(found, [PAGE, *(f"{one.name}.png" for one in figures if one.figure is not None)]),
     )
-    html.write({**images, found.folder / PAGE: page})
-    return (found.folder / PAGE, *images)
 
 
 def sentence(found: Calibration) -> str:

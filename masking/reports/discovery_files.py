@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -24,7 +22,6 @@ from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.places import identifier, opened
 from masking.effects import LAG, attach
-from masking.errors import RecordError
 from masking.modelling.model import Model
 from masking.reports import discovery_text, html, model_files
 from masking.rig.twin import Twin
@@ -85,35 +82,17 @@ def save(
     out = Path(folder)
     images = html.images(figures, out)
     files = replace(paths(found, out), figures=tuple(images))
-    contents = {files.page: page.encode(), **images}
+    contents: dict[Path, bytes | str] = {files.page: page, **images}
     if files.model is not None and files.plant is not None:
-        contents[files.model] = model_files.text(model(found, files.model.parent, origin)).encode()
-        contents[files.plant] = model_files.text(plant(found, files.model.relative_to(out), origin, out)).encode()
-    contents[files.numbers] = (
-        json.dumps(as_dict(found, lies or out, origin), indent=2, ensure_ascii=False) + "\n"
-    ).encode()
-    try:
-        out.absolute().parent.mkdir(parents=True, exist_ok=True)
-        # Beside the folder: paths from there to other files are the same.
-        made = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.absolute().parent))
-    except OSError as error:
-        raise RecordError(f"{out} cannot be written: {error.strerror or error}; name another folder") from error
-    try:
-        for path, content in contents.items():
-            there = made / path.relative_to(out)
-            there.parent.mkdir(parents=True, exist_ok=True)
-            there.write_bytes(content)
+        contents[files.model] = model_files.text(model(found, files.model.parent, origin))
+        contents[files.plant] = model_files.text(plant(found, files.model.relative_to(out), origin, out))
+    contents[files.numbers] = json.dumps(as_dict(found, lies or out, origin), indent=2, ensure_ascii=False) + "\n"
+    with html.staged(out) as made:
+        html.write({made / path.relative_to(out): content for path, content in contents.items()})
         if files.model is not None:
             Model(registry.load_model(made / files.model.relative_to(out))).validate()
             registry.check_plant_file(made / PLANT)
             Twin.load(made / PLANT).validate()
-        for path in contents:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            (made / path.relative_to(out)).replace(path)
-    except OSError as error:
-        raise RecordError(f"{out} cannot be written: {error.strerror or error}; name another folder") from error
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
     return files
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 import numpy as np
@@ -15,15 +15,13 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from masking.numerics.arrays import Array
-from masking.reports.style import INK, LEFT, MUTED, RIGHT, SIZE, WIDTH
+from masking.reports.style import DASHED, INK, LEFT, MUTED, RIGHT, SIZE, WIDTH
 
 if TYPE_CHECKING:
     from scipy import signal
 else:
     signal = lazy.load("scipy.signal", suppress_warning=True)
 
-DASHED: Final = (0, (4, 3))
-BAND: Final = 0.22  # opacity
 _LINE = 90  # letters of the sentence in a line
 _LINES = 3  # of the sentence, at most
 

@@ -17,9 +17,9 @@ from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.discovery import Discovery
 from masking.discovery.force_decomposition import SEEN
 from masking.numerics.arrays import Array
-from masking.reports import discovery_text
-from masking.reports.figure_parts import heading, legend, line_key, shown, top
-from masking.reports.style import COLOURS, INK, MUTED, CaptionedFigure, panels, with_unit
+from masking.reports import discovery_text, style
+from masking.reports import figure_parts as parts
+from masking.reports.style import COLOURS, INK, MUTED, CaptionedFigure
 from masking.reports.text import capital, listed
 
 BEFORE: Final = COLOURS[1]
@@ -42,7 +42,7 @@ def figure(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigu
     reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
     rows_of = [(lacking.before, BEFORE, "before"), *([(lacking.after, AFTER, "after")] if has_after else [])]
     seen = lacking.seen
-    figure, rows = panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), top(said))
+    figure, rows = style.panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), parts.top(said))
     low = np.array([np.quantile(x, [0.0005, 0.9995]) for x, _ in seen])
     step = max(1, len(lacking.x) // POINTS)
     for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
@@ -61,20 +61,20 @@ def figure(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigu
             axes.axhline(0.0, color=MUTED, lw=0.7)
             label = {"element": "displacement", "actuator": "command", "sensor": "reading"}[lacking.where]
             if row is rows[-1]:
-                axes.set_xlabel(with_unit(label if x is lacking.x else f"rate of {label}", pretty(name)))
+                axes.set_xlabel(style.with_unit(label if x is lacking.x else f"rate of {label}", pretty(name)))
         label = what if kind == "before" else f"remaining {what}"
-        row[0].set_ylabel(with_unit(label, pretty(unit)))
+        row[0].set_ylabel(style.with_unit(label, pretty(unit)))
         for axes in row[1:]:
             axes.tick_params(labelleft=False)
             axes.yaxis.get_offset_text().set_visible(False)
-    heading(figure, said)
-    handles: list[Line2D | Patch] = [line_key(f"{what}, its mean and ± 2 deviations", BEFORE)]
+    parts.heading(figure, said)
+    handles: list[Line2D | Patch] = [parts.line_key(f"{what}, its mean and ± 2 deviations", BEFORE)]
     if law is not None:
         label = "law that was fitted" if len(slots) == 1 else f"sum of the {len(slots)} laws that were fitted"
-        handles.append(line_key(label, INK, 1.6))
+        handles.append(parts.line_key(label, INK, 1.6))
     if has_after:
-        handles.append(line_key(f"remaining {what}", AFTER))
-    legend(figure, rows[0][-1], handles)
+        handles.append(parts.line_key(f"remaining {what}", AFTER))
+    parts.legend(figure, rows[0][-1], handles)
     caption = (
         f"The {what} at {lacking.place} along the record, estimated from its readings by a Kalman smoother that adds a "
         "random walk to the equations. No reading is differentiated; changes faster than the noise allows are smoothed "
@@ -160,7 +160,7 @@ def _law(axes: Axes, x: Array, law: Array) -> None:
 def scale(unit: str, values: Sequence[Array]) -> tuple[float, str]:
     """Return the factor and unit in which values are drawn: metres, volts, newtons in thousandths where small."""
     if unit in {"V", "m", "N"}:
-        return shown(unit, *(np.abs(v) for v in values))
+        return parts.shown(unit, *(np.abs(v) for v in values))
     largest = max(float(np.abs(v).max()) for v in values)
     if unit.startswith(("m/", "V/", "N/")) and largest < 0.1:
         return 1e3, f"m{unit}"

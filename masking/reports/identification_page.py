@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,7 @@ import lazy_loader as lazy
 from masking.declaration.quantities import number
 from masking.procedures.measurement import Measurement, Row
 from masking.reports import html
-from masking.reports.html import Tile, Written
+from masking.reports.html import Tile
 
 if TYPE_CHECKING:
     from masking.estimation.fit import Fit
@@ -37,43 +36,38 @@ _TITLES = {
 }
 
 
-def save(measured: Measurement[Any], folder: str | Path) -> Written:
+def save(measured: Measurement[Any], folder: str | Path) -> None:
     """Write `<procedure>.html`, `<procedure>.json` and PNG files into a folder, made if need be.
-
-    All is drawn before anything is written.
 
     Raises:
         RecordError: the folder cannot be written.
     """
-    out, name = Path(folder), measured.procedure
-    figures = procedure_figures.figures(measured)
-    images = html.images(figures, out)
+    name = measured.procedure
     first = [next((row for row in measured.rows if row.key.startswith(key)), None) for key in _FIRST[name]]
-    page = html.render(
+    html.save(
+        Path(folder, f"{name}.html"),
         "procedure",
+        procedure_figures.figures(measured),
+        measured.as_dict(),
         title=_TITLES[name],
         sentence=measured.sentence,
         tiles=[_tile(row) for row in first if row is not None],
-        figures=figures,
-        numbers=[
+        values=[
             (row.label, number(row.value, 5), "" if row.std is None else number(row.std, 2), row.unit)
             for row in measured.rows
         ],
         remarks=measured.notes,
-        records=[
+        origin_title="Records and columns",
+        origin=[
             ("records", ", ".join(measured.records)),
             *((what, channel.label) for what, channel in measured.channels.items()),
         ],
     )
-    numbers = json.dumps(measured.as_dict(), indent=2, ensure_ascii=False) + "\n"
-    written = Written(out / f"{name}.html", out / f"{name}.json", tuple(images))
-    html.write({**images, written.numbers: numbers, written.page: page})
-    return written
 
 
 def save_fit(
     found: Fit | KalmanFit, figures: Sequence[style.CaptionedFigure], sentence: str, folder: str | Path
-) -> Written:
+) -> None:
     """Write `fit.html`, and the figures of a fit as PNG files, into a folder; `fit.json` is there already.
 
     Args:
@@ -85,24 +79,24 @@ def save_fit(
     Raises:
         RecordError: the folder cannot be written.
     """
-    out, told = Path(folder), found.as_dict()
-    chi, floor, images = told["chi"], told["floor"], html.images(figures, out)
-    rows = [(name, number(x["value"], 7), number(x["std"], 2)) for name, x in told["parameters"].items()]
-    each = [(name, [part.get(name) for part in (chi["train"], chi["validation"], floor)]) for name in floor]
-    page = html.render(
+    content = found.as_dict()
+    rows = [(name, number(x["value"], 7), number(x["std"], 2)) for name, x in content["parameters"].items()]
+    errors = (content["chi"]["train"], content["chi"]["validation"], content["floor"])
+    html.save(
+        Path(folder, "fit.html"),
         "fit",
+        figures,
         names=found.names,
         title="Fit",
         sentence=sentence,
         tiles=[Tile(name, value, f"± {std}") for name, value, std in rows[:_TILES]],
         parameters=rows,
-        figures=figures,
-        errors=[(name, *("" if x is None else number(x, 3) for x in parts)) for name, parts in each],
+        errors=[
+            (name, *(number(part[name], 3) if part.get(name) is not None else "" for part in errors))
+            for name in content["floor"]
+        ],
         remarks=found.notes,
     )
-    files = Written(out / "fit.html", out / "fit.json", tuple(images))
-    html.write({**images, files.page: page})
-    return files
 
 
 def _tile(row: Row) -> Tile:

@@ -1,6 +1,6 @@
 """Drawing: the parts that every figure of a report is made of, in one style.
 
-Drawn through matplotlib's objects on the Agg canvas, without pyplot, so that nothing global is read or changed.
+Drawn through matplotlib's objects, without pyplot, so that nothing global is read or changed.
 Colours are Okabe and Ito's, distinguishable with any colour vision; what is ideal is always a thin dark dashed line.
 """
 
@@ -15,7 +15,6 @@ from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from numpy.typing import NDArray
@@ -34,6 +33,8 @@ WIDTH = 9.0  # inches, all figures
 LEFT, RIGHT, BOTTOM, GAP = 0.95, 0.22, 0.55, 0.24  # inches
 LEGEND, NOTE, BARE = 0.52, 0.32, 0.14  # inches above the first axes: for a legend, a line of text, nothing
 SIZE = 9.5  # points
+DASHED: Final = (0, (4, 3))
+BAND: Final = 0.22  # opacity
 BINS: Final = 700  # across a whole record: about one for every two pixels
 
 
@@ -68,58 +69,51 @@ def symbol(name: str) -> str:
 
 def sheet(heights: Sequence[float], *, zooms: bool = False, top: float = LEGEND) -> tuple[Figure, list[Axes]]:
     """Make a figure of stacked axes of given heights in inches; with `zooms` the last row is two axes side by side."""
-    gaps = [GAP] * (len(heights) - 1)
+    full, gaps = WIDTH - LEFT - RIGHT, [GAP] * (len(heights) - 1)
+    widths: list[tuple[float, ...]] = [(full,)] * len(heights)
     if zooms:
-        gaps[-1] = 0.85  # room for the tick labels above and the titles below
-    total = top + sum(heights) + sum(gaps) + BOTTOM
-    figure = Figure(figsize=(WIDTH, total), dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
-    rows: list[Axes] = []
-    width, y = WIDTH - LEFT - RIGHT, total - top
-    for index, height in enumerate(heights):
-        y -= height
-        halves = 2 if zooms and index == len(heights) - 1 else 1
-        between = 0.6
-        each = (width - between * (halves - 1)) / halves
-        for half in range(halves):
-            box = (LEFT + half * (each + between), y, each, height)
-            rows.append(figure.add_axes((box[0] / WIDTH, box[1] / total, box[2] / WIDTH, box[3] / total)))
-        y -= gaps[index] if index < len(gaps) else 0
-    for axes in rows:
-        dress(axes)
-    stacked = rows[:-2] if zooms else rows
-    for axes in stacked[:-1]:
+        widths[-1], gaps[-1] = ((full - 0.6) / 2,) * 2, 0.85  # room for the tick labels above and the titles below
+    figure, grid = _grid(heights, widths, gaps, top)
+    rows = [axes for row in grid for axes in row]
+    for axes in (rows[:-2] if zooms else rows)[:-1]:
         axes.tick_params(labelbottom=False)
     figure.align_ylabels(rows[:-1] if zooms else rows)
     return figure, rows
 
 
 def panels(count: int, height: float, widths: Sequence[float], top: float = LEGEND) -> tuple[Figure, list[list[Axes]]]:
-    """Make a figure of rows of axes side by side; heights and widths in inches, `top` is the room above.
+    """Make a figure of rows of axes side by side.
 
     Args:
-        count: rows.
-        height: of each.
-        widths: of the columns; what they leave of the width of a figure is shared out between them.
-        top: room above.
+        count: number of rows.
+        height: of each, in inches.
+        widths: of the columns, in inches; the rest of the figure's width is shared out between them.
+        top: room above, in inches.
 
     Returns:
         the figure, and the axes of each row.
     """
-    gap, between = 0.62, (WIDTH - LEFT - RIGHT - sum(widths)) / max(1, len(widths) - 1)
-    total = top + count * height + (count - 1) * gap + BOTTOM
-    figure = Figure(figsize=(WIDTH, total), dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
-    rows: list[list[Axes]] = []
-    for row in range(count):
-        y = total - top - (row + 1) * height - row * gap
-        rows.append([])
-        for column, width in enumerate(widths):
-            x = LEFT + sum(widths[:column]) + column * between
-            rows[-1].append(figure.add_axes((x / WIDTH, y / total, width / WIDTH, height / total)))
-            dress(rows[-1][-1])
-    for column in range(len(widths)):
-        figure.align_ylabels([row[column] for row in rows])
+    figure, rows = _grid([height] * count, [widths] * count, [0.62] * (count - 1), top)
+    for column in zip(*rows, strict=True):
+        figure.align_ylabels(column)
+    return figure, rows
+
+
+def _grid(
+    heights: Sequence[float], widths: Sequence[Sequence[float]], gaps: Sequence[float], top: float
+) -> tuple[Figure, list[list[Axes]]]:
+    """Make a figure of rows of axes with given heights, widths in each row, and gaps between rows, in inches."""
+    total = top + sum(heights) + sum(gaps) + BOTTOM
+    figure, rows, y = Figure(figsize=(WIDTH, total), dpi=DPI, facecolor="white"), [], total - top
+    for height, row, gap in zip(heights, widths, [*gaps, 0.0], strict=True):
+        y -= height
+        between = (WIDTH - LEFT - RIGHT - sum(row)) / max(1, len(row) - 1)
+        lefts = [LEFT + sum(row[:i]) + i * between for i in range(len(row))]
+        boxes = [(x / WIDTH, y / total, width / WIDTH, height / total) for x, width in zip(lefts, row, strict=True)]
+        rows.append([figure.add_axes(box) for box in boxes])
+        y -= gap
+        for axes in rows[-1]:
+            dress(axes)
     return figure, rows
 
 

@@ -7,8 +7,6 @@ rig really does, and the masking error falls. Effects in sensors and actuators a
 from __future__ import annotations
 
 import json
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,9 +18,9 @@ from masking.declaration import registry
 from masking.discovery.discover import discover
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.settings import DiscoverySettings
-from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, SingularityError
+from masking.errors import DeclarationError, IntegrationError, Problem, SingularityError
 from masking.records.recording import Recording
-from masking.reports import discovery_files, discovery_page, discovery_text, run_report
+from masking.reports import discovery_files, discovery_page, discovery_text, html, run_report
 from masking.reports.discovery_files import Files
 from masking.reports.text import capital, listed
 from masking.rig.twin import Twin
@@ -195,8 +193,7 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
         tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part),
     )
     folder = None if out is None else Path(out)
-    made = _beside(folder)
-    try:
+    with html.staged(folder) as made:
         files = discovery_page.save(found, made, given.origin, lies=folder)
         better = refined(experiment, found, files, folder or made)
         after = _run(better, lambda part: say("running with what was found", _FOUND + (1.0 - _FOUND) * part))
@@ -204,11 +201,6 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
         result = Refinement(before, after, found, better, given.origin, folder, kept)
         if folder is not None:
             _write(result, made, folder)
-            _move(made, folder)
-    except OSError as error:
-        raise RecordError(f"{out} cannot be written: {error.strerror or error}; name another folder") from error
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
     return result
 
 
@@ -266,18 +258,6 @@ def _run(experiment: Experiment, progress: Callable[[float], None]) -> Run:
         return Run(None, str(error))
 
 
-def _beside(folder: Path | None) -> Path:
-    """Make a folder beside another one, from which paths to other files are the same; anywhere where there is none."""
-    try:
-        if folder is None:
-            return Path(tempfile.mkdtemp(prefix="masking-"))
-        there = folder.resolve()
-        there.parent.mkdir(parents=True, exist_ok=True)
-        return Path(tempfile.mkdtemp(prefix=f".{there.name}-", dir=there.parent))
-    except OSError as error:
-        raise RecordError(f"{folder} cannot be written: {error.strerror or error}; name another folder") from error
-
-
 def _write(result: Refinement, made: Path, folder: Path) -> None:
     """Write the runs with their reports, the experiment and the numbers into a folder that will be moved to another."""
     for name, run in ((BEFORE, result.before), (AFTER, result.after)):
@@ -302,13 +282,6 @@ def _experiment(result: Refinement, folder: Path) -> dict[str, Any]:
         made["controller"]["model"] = registry.name_from(assembly.believed_model, folder)
     source = filter(None, (made.get("source"), result.origin.source(result.discovery).replace("discover", "refine", 1)))
     return {"name": made.pop("name"), "source": "; ".join(source), **made}
-
-
-def _move(made: Path, folder: Path) -> None:
-    for path in sorted(p for p in made.rglob("*") if p.is_file()):
-        there = folder / path.relative_to(made)
-        there.parent.mkdir(parents=True, exist_ok=True)
-        path.replace(there)
 
 
 def _chi(chi: float) -> str:
