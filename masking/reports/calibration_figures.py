@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from masking.declaration.quantities import percent
+from masking.declaration.quantities import percent, quantity
 from masking.procedures.calibration_findings import HIGHEST, Calibration, Curve, Excited
 from masking.reports import figure_parts as parts
 from masking.reports import style
@@ -83,7 +83,7 @@ def _residuals(found: Calibration) -> CaptionedFigure:
         axes.set_ylim(_FLOOR * noise, 1.6 * highest)
         axes.axhspan(_FLOOR * noise, noise, color=_NOISE, lw=0, zorder=0)
         axes.set(xlim=(0.0, len(record) / record.rate), ylabel=f"rms residual of {_reading(found, name)}")
-        _beside(axes, [*ends, (0.67 * noise, f"noise {_si(noise, _unit(found, name))}", MUTED)])
+        _beside(axes, [*ends, (0.67 * noise, f"noise {quantity(noise, _unit(found, name), 2)}", MUTED)])
     rows[-1].set_xlabel("time (s)")
     caption = (
         f"Residual of each model on the unseen record: the rms of measured less simulated over {_WINDOW:g} s. The grey "
@@ -129,7 +129,7 @@ def _spectra(found: Calibration) -> CaptionedFigure:
 def _springs(found: Calibration) -> CaptionedFigure:
     curves, title = found.curves[:_MOST_ROWS], "Springs"
     if not curves:
-        return CaptionedFigure("springs", title, "Not shown: every spring of the best model is straight.", None)
+        return style.absent("springs", title, "every spring of the best model is straight")
     figure, rows = style.panels(len(curves), 1.75, (3.35, 3.6))
     for colour, curve, (left, right) in zip(COLOURS, curves, rows, strict=False):
         by, x_unit = (_MILLI, "mm") if curve.measured == "m" else (1.0, curve.measured)
@@ -256,7 +256,3 @@ def _reading(found: Calibration, sensor: str) -> str:
 def _meanings(found: Calibration, names: Sequence[str]) -> str:
     told = [f"{name}: {meaning}" for name in names if (meaning := found.twin.declaration.sensors[name].meaning)]
     return f"{'; '.join(told)}." if told else ""
-
-
-def _si(value: float, unit: str) -> str:
-    return f"{_MILLI * value:.2g} m{unit}" if value < 0.1 and unit.isalpha() else f"{value:.2g} {unit}"

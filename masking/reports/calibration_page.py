@@ -7,22 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.declaration.quantities import number, percent
 from masking.declaration.units import pretty
 from masking.procedures.calibration_findings import ALIKE, NAMES, PAGE, Calibration, Stage, reached
-from masking.reports import html
+from masking.reports import calibration_figures, html
 from masking.reports.html import Tile
 from masking.reports.text import capital, listed
-
-if TYPE_CHECKING:
-    from masking.reports import calibration_figures
-else:
-    calibration_figures = lazy.load("masking.reports.calibration_figures", suppress_warning=True)
 
 _LACKS = 1.5  # times the noise: an error from here on is told as something that the model lacks
 _MISSED = 1e-4  # of the samples of a record, from which on it is told that some were missed

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.patches import Patch
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
 from masking.declaration.quantities import percent
 from masking.declaration.units import pretty
@@ -40,20 +41,12 @@ def _gap(found: Discovery) -> CaptionedFigure:
     names = found.twin.sensors
     said = capital(discovery_text.left(found)) if found.verdict == "none" else discovery_text.gap(found)
     figure, (row,) = style.panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), parts.top(said) + 0.28)
-    gap = found.simulation_error
-    own = own_gap(found)
-    sides = (
-        ((gap.estimation[0], own, gap.estimation[1], gap.noise_floor), "record"),
-        (
-            (gap.validation[0], found.simulation_error.adjusted, gap.validation[1], gap.validation_noise_floor),
-            "validation record",
-        ),
-    )
-    every = [v for errors, _ in sides for one in errors for v in one.values() if 0.0 < v < np.inf]
+    sides = errors(found)
+    every = [v for side in sides.values() for one in side for v in one.values() if 0.0 < v < np.inf]
     low, high = 100.0 * min(every) / 1.6, 100.0 * max(every) * 1.6
-    for axes, (errors, title) in zip(row, sides, strict=True):
+    for axes, (title, side) in zip(row, sides.items(), strict=True):
         for i, name in enumerate(names):
-            declared, adjusted, after, noise = (100.0 * one[name] for one in errors)
+            declared, adjusted, after, noise = (100.0 * one[name] for one in side)
             axes.plot([max(declared, adjusted), after], [i, i], color=GRID, lw=4, solid_capstyle="round", zorder=1)
             axes.plot([noise, noise], [i - 0.32, i + 0.32], color=INK, lw=1.4, zorder=5)
             axes.plot(declared, i, "o", color="white", mec=MUTED, mew=1.4, ms=6.5, zorder=2)
@@ -62,7 +55,8 @@ def _gap(found: Discovery) -> CaptionedFigure:
                 axes.plot(after, i, "o", color=AFTER, ms=7, zorder=4)
         axes.set_xscale("log")
         axes.set(xlim=(low, high), ylim=(len(names) - 0.5, -0.5))
-        _percents(axes, low, high)
+        parts.plain_numbers(axes.xaxis, " %")
+        axes.xaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_locator(FixedLocator([float(i) for i in range(len(names))]))
         axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: style.symbol(names[round(y)])))
         axes.grid(visible=False, axis="y")
@@ -121,10 +115,7 @@ def _course(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFig
     parts.logarithmic(spectrum)
     spectrum.set_xlabel("frequency (Hz)")
     spectrum.set_ylabel(style.with_unit("density", f"{pretty(lacking.units[0])}/√Hz" if lacking.units[0] else ""))
-    low, high = spectrum.get_xlim()
-    steps = (1.0, 2.0, 5.0) if high < WIDE * low else (1.0,)
-    spectrum.xaxis.set_major_locator(LogLocator(subs=steps))
-    spectrum.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    parts.plain_numbers(spectrum.xaxis, few=WIDE)
     parts.heading(figure, said)
     handles = [parts.line_key(what, BEFORE)]
     if len(drawn) > 1:
@@ -281,17 +272,12 @@ def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
     ]
 
 
-def own_gap(found: Discovery) -> dict[str, float]:
-    """Return the relative error of each sensor that adjusted parameters alone leave in the record."""
-    size = (found.record.readings**2).sum(axis=0)
-    errors = np.sqrt(found.search.base.hypothesis.squares / np.maximum(size, 1e-300))
-    return dict(zip(found.twin.sensors, map(float, errors), strict=True))
-
-
-def _percents(axes: Axes, low: float, high: float) -> None:
-    """Give a logarithmic axis in percent a few round numbers."""
-    steps = (1.0, 2.0, 5.0) if high / low < 60.0 else (1.0,)
-    every = [m * 10.0**e for e in range(-6, 4) for m in steps]
-    axes.xaxis.set_major_locator(FixedLocator([v for v in every if low <= v <= high]))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g} %"))
+def errors(found: Discovery) -> dict[str, tuple[Mapping[str, float], ...]]:
+    """Return relative errors by sensor of each record: as declared, adjusted, with the finding, and the noise floor."""
+    gap, size = found.simulation_error, (found.record.readings**2).sum(axis=0)
+    own = np.sqrt(found.search.base.hypothesis.squares / np.maximum(size, 1e-300))
+    adjusted = dict(zip(found.twin.sensors, map(float, own), strict=True))
+    return {
+        "record": (gap.estimation[0], adjusted, gap.estimation[1], gap.noise_floor),
+        "validation record": (gap.validation[0], gap.adjusted, gap.validation[1], gap.validation_noise_floor),
+    }

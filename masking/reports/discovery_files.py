@@ -146,10 +146,10 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
     parameters: dict[str, Any] = {
         name: model_files.parameter(value, std, STD_DIGITS) for name, value, std in refitted(found)
     }
-    deviations, known = _deviations(found), _units(found)
+    known = _uncertain(found)
     for name, parameter in whole.parameters.items():
         if name not in twin.base.parameters:
-            parameters[name] = _written(parameter, deviations.get(name, 0.0), known.get(name, ""))
+            parameters[name] = _written(parameter, *known.get(name, (0.0, "")))
     made["parameters"] = parameters
     new_states = {n: s for n, s in whole.states.items() if n not in twin.base.states}
     if new_states:
@@ -253,26 +253,17 @@ def _add_delay(found: Discovery, slot: EffectInstance, effects: dict[str, Any], 
         effects[_free("rest_of_delay", {*taken, *effects})] = lag
 
 
-def _deviations(found: Discovery) -> dict[str, float]:
-    """Return the standard deviations of the parameters of causes in the equations, by the names they have there."""
-    every = found.deviations[len(found.rig.names) :]
-    told, used, names = {}, 0, labels(found)
+def _uncertain(found: Discovery) -> dict[str, tuple[float, str]]:
+    """Return standard deviation and unit of the parameters of causes in the equations, by the names they have there."""
+    made, known = {}, labels(found)
+    deviations = iter(found.deviations[len(found.rig.names) :])
     for slot in found.explanation.hypothesis.slots:
-        for name in slot.names:
-            if slot in names:
-                told[f"{names[slot]}_{name}"] = float(every[used])
-            used += 1
-    return told
-
-
-def _units(found: Discovery) -> dict[str, str]:
-    """Return the units of the parameters of causes in the equations, by the names they have there, as places say."""
-    told: dict[str, str] = {}
-    for slot, label in labels(found).items():
-        values = dict.fromkeys(slot.entry.parameters, (0.0, 0.0))
-        units = discovery_text.plain_units(found, Named(slot.effect, slot.at, values, 1.0))
-        told |= {f"{label}_{name}": unit for name, unit in units.items()}
-    return told
+        free = {name: float(next(deviations)) for name in slot.names}
+        if slot in known:
+            values = dict.fromkeys(slot.entry.parameters, (0.0, 0.0))
+            units = discovery_text.plain_units(found, Named(slot.effect, slot.at, values, 1.0))
+            made |= {f"{known[slot]}_{name}": (free.get(name, 0.0), units[name]) for name in values}
+    return made
 
 
 def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
 from masking.numerics.arrays import Array
 from masking.reports.style import DASHED, INK, LEFT, MUTED, RIGHT, SIZE, WIDTH
@@ -86,6 +87,13 @@ def logarithmic(axes: Axes, which: str = "xy", count: int = 5) -> None:
         axis = {"x": axes.xaxis, "y": axes.yaxis}[name]
         axis.set_major_locator(LogLocator(numticks=count))
         axis.set_minor_formatter(NullFormatter())
+
+
+def plain_numbers(axis: Axis, unit: str = "", few: float = 60.0) -> None:
+    """Give a logarithmic axis numbers without exponents, at 1, 2 and 5 if its ends have a ratio below `few`."""
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < few * low else (1.0,)))
+    axis.set_major_formatter(StrMethodFormatter(f"{{x:g}}{unit}"))
 
 
 def noise_band(axes: Axes, level: float) -> None:

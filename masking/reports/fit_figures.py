@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.declaration.quantities import percent
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
+from masking.estimation.fit import Fit
 from masking.estimation.innovations import KalmanFit
 from masking.estimation.simulation import Simulated, simulate
-from masking.numerics.arrays import Array
 from masking.reports import figure_parts as parts
 from masking.reports import style
 from masking.reports.style import BAND, COLOURS, DASHED, INK, LIMIT, MUTED, SIZE, CaptionedFigure
-
-if TYPE_CHECKING:
-    from scipy import signal
-
-    from masking.estimation.fit import Fit
-else:
-    signal = lazy.load("scipy.signal", suppress_warning=True)
-
 
 _WIDTHS: Final = (3.1, 1.75, 1.75)  # inches: readings, what is left of them, its spectrum
 _PERIODS = 8  # of the strongest line that are shown
@@ -122,7 +113,8 @@ def estimates(found: KalmanFit) -> CaptionedFigure:
     known = found.twin.model.declaration.parameters
     for i, (name, axes) in enumerate(zip(names, cells, strict=False)):
         t, value, half = found.times, found.trajectory[:, i], 2.0 * found.deviations[:, i]
-        axes.fill_between(*_both(t, value - half, value + half), color=COLOURS[0], alpha=BAND, lw=0)
+        few = slice(None, None, max(1, len(t) // 1500))
+        axes.fill_between(t[few], (value - half)[few], (value + half)[few], color=COLOURS[0], alpha=BAND, lw=0)
         axes.plot(*style.thin(t, value), color=COLOURS[0], lw=1.2)
         axes.axhline(found.values[i], color=INK, lw=0.9, ls=DASHED)
         late = t >= _SETTLED * t[-1]
@@ -150,12 +142,6 @@ def estimates(found: KalmanFit) -> CaptionedFigure:
         f"is what the filter assumes; above each, the final value.{more}"
     )
     return CaptionedFigure("estimates", "Estimates over time", caption, figure)
-
-
-def _both(t: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
-    """Return fewer points of a band."""
-    step = max(1, len(t) // 1500)
-    return t[::step], low[::step], high[::step]
 
 
 def _span(made: Simulated) -> float:

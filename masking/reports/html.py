@@ -12,18 +12,13 @@ import re
 import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
-import lazy_loader as lazy
+import jinja2
 import markupsafe
 from markupsafe import Markup
 
 from masking.errors import RecordError
-
-if TYPE_CHECKING:
-    import jinja2
-else:
-    jinja2 = lazy.load("jinja2")
 
 GREEK: Final = frozenset(
     {"alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu"}

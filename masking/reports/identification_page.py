@@ -4,21 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import lazy_loader as lazy
+from typing import Any
 
 from masking.declaration.quantities import number
+from masking.estimation.fit import Fit
+from masking.estimation.innovations import KalmanFit
 from masking.procedures.measurement import Measurement, Row
-from masking.reports import html
+from masking.reports import html, procedure_figures
 from masking.reports.html import Tile
-
-if TYPE_CHECKING:
-    from masking.estimation.fit import Fit
-    from masking.estimation.innovations import KalmanFit
-    from masking.reports import procedure_figures, style
-else:
-    procedure_figures = lazy.load("masking.reports.procedure_figures", suppress_warning=True)
+from masking.reports.style import CaptionedFigure
 
 _TILES = 3  # numbers on top of the page of a fit
 # Numbers on top of the page of a measurement: those of these names that it has, or begin with them.
@@ -65,9 +59,7 @@ def save(measured: Measurement[Any], folder: str | Path) -> None:
     )
 
 
-def save_fit(
-    found: Fit | KalmanFit, figures: Sequence[style.CaptionedFigure], sentence: str, folder: str | Path
-) -> None:
+def save_fit(found: Fit | KalmanFit, figures: Sequence[CaptionedFigure], sentence: str, folder: str | Path) -> None:
     """Write `fit.html`, and the figures of a fit as PNG files, into a folder; `fit.json` is there already.
 
     Args:

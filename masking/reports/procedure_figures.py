@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import lazy_loader as lazy
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, MaxNLocator, StrMethodFormatter
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from masking.declaration.quantities import percent
@@ -215,8 +215,7 @@ def _response(measured: Measurement[Response]) -> list[CaptionedFigure]:
     for axes in rows[::2]:
         least, most = axes.get_ylim()
         if most < _NARROW * least:
-            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            parts.plain_numbers(axes.yaxis)
     rows[-1].set_xlabel("frequency (Hz)")
     parts.heading(figure, measured.sentence)
     parts.legend(figure, rows[0], [

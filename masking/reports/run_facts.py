@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
@@ -97,13 +97,12 @@ class InputUse:
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """The masking error of a further run without one cause of masking error: of each coordinate, and their rms.
+    """The masking error of a further run without one cause: of each coordinate, and their rms.
 
-    `effects` were switched off, `remedy` is what helps on a rig, `note` what must be known to read the row.
+    `remedy` is what helps on a rig, `note` what must be known to read the row.
     """
 
     cause: str
-    effects: tuple[str, ...]
     chi: dict[str, float]
     rms: float
     remedy: str
@@ -328,33 +327,45 @@ def _use(recording: Recording, name: str) -> InputUse:
     limit = abs(float(declared["max"])) if declared.get("max") is not None else None
     peak = float(np.abs(series).max())
     unit = str(declared.get("unit") or _entry(recording.manifest, "columns", f"input.{name}").get("unit") or "")
-    used = peak / limit if limit else None
-    rms = float(np.sqrt(np.mean(series**2)))
-    found = InputUse(name, series, "" if unit == "1" else unit, peak, rms, limit, used)
     demanded, power = recording.columns.get(f"demanded.{name}"), recording.columns.get(f"power.{name}")
+    saturated = throttled = 0.0
     if demanded is not None:
         cut = np.abs(demanded - series) > _ROUNDING * max(peak, limit or 0.0)
         at_limit = np.abs(series) >= (limit or 0.0) * (1.0 - _ROUNDING)
         saturated, throttled = float(np.mean(cut & at_limit)), float(np.mean(cut & ~at_limit))
-        found = replace(found, demanded=demanded, saturated=saturated, throttled=throttled)
-    if power is None:
-        return found
     most = _entry(recording.manifest, "declarations", "plant", "limits", "power").get("value")
-    return replace(found, power=float(power.max()), most_power=None if most is None else float(most))
+    return InputUse(
+        name,
+        series,
+        "" if unit == "1" else unit,
+        peak,
+        float(np.sqrt(np.mean(series**2))),
+        limit,
+        peak / limit if limit else None,
+        demanded,
+        saturated,
+        throttled,
+        None if power is None else float(power.max()),
+        None if power is None or most is None else float(most),
+    )
 
 
 def _budget(recording: Recording) -> Budget | None:
-    told = _entry(recording.manifest, "budget")
-    if not told:
+    content = _entry(recording.manifest, "budget")
+    if not content:
         return None
-    rows = tuple(_budget_row(row) for row in told["rows"])
-    return Budget(str(told["sentence"]), _budget_row(told), rows, _budget_row(told["without_all"]))
-
-
-def _budget_row(told: Mapping[str, Any]) -> BudgetRow:
-    chi = {name: float(value) for name, value in told["chi"].items()}
-    words = [str(told.get(key, "")) for key in ("cause", "remedy", "note")]
-    return BudgetRow(words[0], tuple(told.get("effects", ())), chi, float(told["rms"]), *words[1:])
+    entries = (content, *content["rows"], content["without_all"])
+    whole, *rows, without_all = (
+        BudgetRow(
+            str(entry.get("cause", "")),
+            {name: float(value) for name, value in entry["chi"].items()},
+            float(entry["rms"]),
+            str(entry.get("remedy", "")),
+            str(entry.get("note", "")),
+        )
+        for entry in entries
+    )
+    return Budget(str(content["sentence"]), whole, tuple(rows), without_all)
 
 
 def _parameter(manifest: Mapping[str, Any], name: str, entry: Any) -> Parameter:  # noqa: ANN401  # JSON

@@ -37,7 +37,7 @@ def figures(study: Study) -> list[CaptionedFigure]:
 def _displacements(study: Study) -> CaptionedFigure:
     names, title = study.oscillators[:_MOST_ROWS], "Displacements"
     if not names:
-        return CaptionedFigure("displacements", title, "Not shown: the record holds no coordinates.", None)
+        return style.absent("displacements", title, "the record holds no coordinates")
     zoom = bool(study.tau[-1] - study.tau[0] > 2.5 * _ZOOM_PERIODS * study.period)  # False for a NaN
     figure, rows = style.sheet([1.15] * len(names) + [1.9] * zoom, zooms=zoom)
     for name, axes, colour in zip(names, rows, COLOURS, strict=False):
@@ -65,7 +65,7 @@ def _others(study: Study) -> CaptionedFigure:
         words = study.meaning(study.others[0])
         title = words[0].upper() + words[1:]
     if not names:
-        return CaptionedFigure("others", title, "Not shown: every coordinate is among the displacements.", None)
+        return style.absent("others", title, "every coordinate is among the displacements")
     figure, rows = style.sheet([1.5 if len(names) == 1 else 1.15] * len(names))
     for name, axes in zip(names, rows, strict=True):
         _motion(axes, study, name, COLOURS[2])
@@ -77,7 +77,7 @@ def _others(study: Study) -> CaptionedFigure:
 def _synchronisation(study: Study) -> CaptionedFigure:
     title = "Synchronisation"
     if study.no_phase or study.sum_peak is None:
-        return CaptionedFigure("synchronisation", title, f"Not shown: {study.no_phase}.", None)
+        return style.absent("synchronisation", title, study.no_phase)
     figure, (above, below) = style.sheet([1.7, 1.7], top=style.NOTE if len(study.pairs) > 1 else style.BARE)
     for pair, colour in zip(study.pairs, COLOURS if len(study.pairs) > 1 else (INK,), strict=False):
         tau, phase = style.thin(study.tau, principal(pair.series) / np.pi)
@@ -117,7 +117,7 @@ def _synchronisation(study: Study) -> CaptionedFigure:
 def _inputs(study: Study) -> CaptionedFigure:
     uses, title = study.inputs[:_MOST_ROWS], "Inputs against their limits"
     if not uses:
-        return CaptionedFigure("inputs", title, "Not shown: the record holds no inputs.", None)
+        return style.absent("inputs", title, "the record holds no inputs")
     figure, rows = style.sheet([1.15] * len(uses), top=style.NOTE)
     hidden = []
     for use, axes in zip(uses, rows, strict=True):
@@ -158,13 +158,9 @@ def _masking_error(study: Study) -> CaptionedFigure:
     compared = [(name, study.ideal(name)) for name in study.coordinates[:_MOST_ROWS]]
     errors = {n: np.abs(study.motion(n) - ideal) for n, ideal in compared if ideal is not None and n in study.chi}
     if not errors:
-        return CaptionedFigure(
-            "masking_error", title, "Not shown: the record holds no ideal motion to compare with.", None
-        )
+        return style.absent("masking_error", title, "the record holds no ideal motion to compare with")
     if not any(np.any(error) for error in errors.values()):
-        return CaptionedFigure(
-            "masking_error", title, "Not shown: virtual and ideal are equal in every digit recorded.", None
-        )
+        return style.absent("masking_error", title, "virtual and ideal are equal in every digit recorded")
     figure, (axes,) = style.sheet([2.2], top=style.NOTE)
     for (name, error), colour in zip(errors.items(), COLOURS, strict=False):
         peaks = running_peak(study.tau, error, study.period) if math.isfinite(study.period) else error
@@ -180,9 +176,7 @@ def _masking_error(study: Study) -> CaptionedFigure:
 def _budget(study: Study) -> CaptionedFigure:
     title, found = "What limits the masking error", study.budget
     if found is None:
-        return CaptionedFigure(
-            "budget", title, "Not shown: it was not asked for; 'masking run --budget' finds it out.", None
-        )
+        return style.absent("budget", title, "it was not asked for; 'masking run --budget' finds it out")
     rows = [*sorted(found.rows, key=lambda row: row.rms), found.without_all]
     whole = found.whole.rms
     figure, (axes,) = style.sheet([_BAR * (len(rows) + 0.7)], top=style.NOTE)

@@ -12,25 +12,9 @@ import numpy as np
 
 from masking.declaration.quantities import number, percent
 from masking.records.recording import MANIFEST, TABLE
-from masking.reports import html
+from masking.reports import html, run_text
 from masking.reports.html import Tile
 from masking.reports.run_facts import BudgetRow, InputUse, Parameter, Study, parameters
-from masking.reports.run_text import (
-    STEADY,
-    change,
-    cut,
-    declared,
-    exceeded,
-    headline,
-    length,
-    observer,
-    pi,
-    record_words,
-    sum_name,
-    timing,
-    warnings,
-    with_unit,
-)
 
 if TYPE_CHECKING:
     from masking.reports.style import CaptionedFigure
@@ -82,24 +66,24 @@ def page(facts: Study, figures: Sequence[CaptionedFigure], folder: Path) -> str:
 
 def _lead(facts: Study, changed: Sequence[Parameter]) -> list[tuple[str, str]]:
     """Say what happened, with cards for the warnings: a limit exceeded comes right after the first sentence."""
-    first, *more = headline(facts)
-    limits, rest = exceeded(facts.inputs) or cut(facts.inputs), " ".join(more)
+    first, *more = run_text.headline(facts)
+    limits, rest = run_text.exceeded(facts.inputs) or run_text.cut(facts.inputs), " ".join(more)
     parts = [("lead", first), ("card wrong", limits), ("lead", rest)] if limits else [("lead", f"{first} {rest}")]
     if changed:
-        words = ", ".join(f"{change(parameter)}{declared(parameter)}" for parameter in changed)
+        words = ", ".join(f"{run_text.change(parameter)}{run_text.declared(parameter)}" for parameter in changed)
         parts.append(("changed", f"Changed: {words}."))
-    found = warnings(facts.recording, facts.inputs, facts.chi)
+    found = run_text.warnings(facts.recording, facts.inputs, facts.chi)
     parts += [("card", text) for text in found if text != limits]
     return [(kind, text.strip()) for kind, text in parts]
 
 
 def _tiles(facts: Study) -> Iterator[Tile]:
-    yield Tile("recorded", *length(facts))
+    yield Tile("recorded", *run_text.length(facts))
     if facts.worst is not None:
         yield Tile(f"masking error chi, worst ({facts.worst})", number(facts.chi[facts.worst], 2))
     for pair in facts.pairs[:1]:
         label = f"phase of {pair.first} against {pair.second}"
-        yield Tile(label, pi(pair.end), "" if pair.steady_end >= STEADY else "not fixed")
+        yield Tile(label, run_text.pi(pair.end), "" if pair.steady_end >= run_text.STEADY else "not fixed")
     used = [use for use in facts.inputs if use.used is not None]
     if used:
         most = max(used, key=lambda use: use.demand / (use.limit or math.inf))
@@ -110,17 +94,15 @@ def _tiles(facts: Study) -> Iterator[Tile]:
 
 def _phases(facts: Study) -> list[tuple[str, str]]:
     """Return phases and the synchronisation that they mean: (measure, value)."""
-    rows = [
-        (
-            f"phase of {pair.first} against {pair.second}, from start to end",
-            f"{pi(pair.start)} to {pi(pair.end)}" + ("" if pair.steady_end >= STEADY else ", not fixed"),
-        )
-        for pair in facts.pairs
-    ]
+    rows = []
+    for pair in facts.pairs:
+        what = f"phase of {pair.first} against {pair.second}, from start to end"
+        fixed = "" if pair.steady_end >= run_text.STEADY else ", not fixed"
+        rows.append((what, f"{run_text.pi(pair.start)} to {run_text.pi(pair.end)}{fixed}"))
     rows += [("at the end", str(pair.verdict)) for pair in facts.pairs if pair.verdict is not None]
     if facts.sum_peak is not None:
         start, end = facts.sum_ends
-        rows.append((f"peak of {sum_name(facts)}, from start to end", f"{number(start)} to {number(end)}"))
+        rows.append((f"peak of {run_text.sum_name(facts)}, from start to end", f"{number(start)} to {number(end)}"))
     fit = facts.anti_phase
     if fit is not None:
         a, b = facts.oscillators
@@ -143,9 +125,16 @@ def _inputs(facts: Study) -> list[list[str]]:
         meaning = facts.recording.manifest.get("columns", {}).get(f"input.{use.name}", {}).get("meaning", "")
         limit = "none declared" if use.limit is None else f"{use.limit:g} {use.unit}".rstrip()
         used = "" if use.used is None else percent(use.used)
-        row = [use.name, meaning, with_unit(use.peak, use.unit), with_unit(use.rms, use.unit), limit, used]
+        row = [
+            use.name,
+            meaning,
+            run_text.with_unit(use.peak, use.unit),
+            run_text.with_unit(use.rms, use.unit),
+            limit,
+            used,
+        ]
         if "demanded" in head:
-            row.append(with_unit(use.demand, use.unit))
+            row.append(run_text.with_unit(use.demand, use.unit))
         if "mean power, peak" in head:
             most = "" if use.most_power is None else f" of {use.most_power:g}"
             row.append("" if use.power is None else f"{number(use.power)}{most} W")
@@ -192,7 +181,7 @@ def _signed(part: float) -> str:
 def _parameter(one: Parameter, *, is_scaled: bool) -> list[str]:
     """Return the value that ran, in the declared unit; beside it that in the virtual system's scales, if any."""
     in_scales = one.scaled if one.scaled is not None else one.value
-    value = f"{number(one.value, 7)}{declared(one)}"
+    value = f"{number(one.value, 7)}{run_text.declared(one)}"
     return [one.name, value, one.unit, *([number(in_scales, 7)] if is_scaled else []), one.meaning]
 
 
@@ -204,13 +193,13 @@ def _provenance(facts: Study, written: Sequence[str], folder: Path) -> list[tupl
     return [
         ("plant", manifest.get("plant_name")),
         ("virtual system", manifest.get("virtual_name")),
-        ("record", record_words(facts)),
-        ("observer", observer(facts)),
+        ("record", run_text.record_words(facts)),
+        ("observer", run_text.observer(facts)),
         ("time", f"{number(scale, 7)} s of the rig per unit of virtual time" if scale else None),
         ("created", manifest.get("created")),
         ("commit", manifest.get("commit")),
         ("versions", ", ".join(f"{name} {version}" for name, version in versions.items())),
-        ("time taken", ", ".join(timing(manifest))),
+        ("time taken", ", ".join(run_text.timing(manifest))),
         ("energy drift", ", ".join(f"{name} {number(e)}" for name, e in (manifest.get("energy") or {}).items())),
         ("files", ", ".join([*(name for name in (TABLE, MANIFEST) if (folder / name).is_file()), *written])),
     ]

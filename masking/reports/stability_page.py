@@ -4,19 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.analysis.stability.study import Stability, phase, position_words
-from masking.reports import html
+from masking.reports import html, stability_figures
 from masking.reports.html import Tile
-
-if TYPE_CHECKING:
-    from masking.reports import stability_figures
-else:
-    stability_figures = lazy.load("masking.reports.stability_figures", suppress_warning=True)
 
 
 def save(found: Stability, folder: str | Path) -> None:

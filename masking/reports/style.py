@@ -57,6 +57,11 @@ class CaptionedFigure:
         return stream.getvalue()
 
 
+def absent(name: str, title: str, why: str) -> CaptionedFigure:
+    """Return the caption of a figure that cannot be drawn, which says why."""
+    return CaptionedFigure(name, title, f"Not shown: {why}.", None)
+
+
 def symbol(name: str) -> str:
     """Typeset a declared name for a figure: letters with a number become a symbol with an index."""
     match = re.fullmatch(r"([A-Za-z]+)_?(\d*)", name)

@@ -22,7 +22,7 @@ from masking.errors import DeclarationError, IntegrationError, Problem, Singular
 from masking.records.recording import Recording
 from masking.reports import discovery_files, discovery_page, discovery_text, html, run_report
 from masking.reports.discovery_files import Files
-from masking.reports.text import capital, listed
+from masking.reports.text import aligned, capital, listed
 from masking.rig.twin import Twin
 from masking.runs.error_budget import in_full
 from masking.runs.experiment import Experiment
@@ -135,9 +135,8 @@ class Refinement:
         rows = [("masking error chi", *names)]
         for what, run in (("before", self.before), ("after", self.after)):
             rows.append((what, *(_chi(run.chi[name]) if run.chi else "-" for name in names)))
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = [discovery_page.summary(self.discovery, self.files), self.sentence, *self.uncompensated]
-        lines += ["  " + "  ".join(f"{c:{w}}" for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        lines += aligned(rows)
         if self.folder is not None:
             lines.append(f"experiment: {self.folder / EXPERIMENT}")
         return "\n".join(lines)
