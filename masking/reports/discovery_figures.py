@@ -16,7 +16,7 @@ from masking.discovery.screening import Score
 from masking.discovery.verdict import noise_threshold
 from masking.reports import discovery_text, force_map, style
 from masking.reports import figure_parts as parts
-from masking.reports.force_map import AFTER, BEFORE, CLOUD, MISSING, POINTS, scale
+from masking.reports.force_map import AFTER, BEFORE, CLOUD, MISSING, POINTS
 from masking.reports.style import COLOURS, DASHED, GRID, INK, MUTED, SIZE, WIDTH, CaptionedFigure
 from masking.reports.text import capital, listed
 
@@ -86,12 +86,12 @@ def _course(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFig
     command = max(seen.actuators, key=lambda name: seen.actuators[name])
     column = found.record.acting[:, found.twin.actuators.index(command)]
     said = _coursed(found, lacking, command)
-    by, unit = scale(lacking.units[0], [lacking.before])
+    by, unit = parts.shown(lacking.units[0], lacking.before)
     figure, ((over, time, spectrum),) = style.panels(1, 1.75, (2.05, 2.7, 1.6), parts.top(said))
     t, step = np.arange(len(lacking.before)) / found.record.rate, max(1, len(lacking.before) // POINTS)
     pairs = [(lacking.before, BEFORE), *([(lacking.after, AFTER)] if found.effects else [])]
     drawn = [(values, colour) for values, colour in pairs if values is not None]
-    times, name = scale(latent_force.command_unit(found, command), [column])
+    times, name = parts.shown(latent_force.command_unit(found, command), column)
     for values, colour in drawn:
         over.plot(times * column[::step], by * values[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
         time.plot(*style.thin(t, by * values, 500), color=colour, lw=0.7)

@@ -112,9 +112,8 @@ def noise_level(spectrum: Axes, deviation: float, rate: float) -> float:
 def shown(unit: str, *values: Array | Sequence[float]) -> tuple[float, str]:
     """Return the factor and unit in which values are drawn: metres, volts and newtons below 0.1 in thousandths."""
     largest = max((float(np.abs(v).max()) for v in values if len(v)), default=0.0)
-    if unit in {"m", "V", "N"} and largest < 0.1:
-        return 1e3, f"m{unit}"
-    return 1.0, unit
+    is_small = largest < 0.1 and unit.partition("/")[0] in {"m", "V", "N"}
+    return (1e3, f"m{unit}") if is_small else (1.0, unit)
 
 
 def first_of(count: int, total: int, what: str = "") -> str:

@@ -38,7 +38,7 @@ def figure(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigu
     law = along(found, lacking, slots) if slots else None
     said = _seen(found, lacking, what, law)
     values = [lacking.before, *([law] if law is not None else [])]
-    by, unit = scale(lacking.units[0], values)
+    by, unit = parts.shown(lacking.units[0], *values)
     reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
     rows_of = [(lacking.before, BEFORE, "before"), *([(lacking.after, AFTER, "after")] if has_after else [])]
     seen = lacking.seen
@@ -48,7 +48,7 @@ def figure(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigu
     for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
         assert values_of is not None  # noqa: S101  # those that are None have no row
         for axes, (x, x_unit), (left, right) in zip(row, seen, low, strict=True):
-            times, name = scale(x_unit, [x])
+            times, name = parts.shown(x_unit, x)
             axes.plot(times * x[::step], by * values_of[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
             centres, means, _ = latent_force.binned(x, values_of)
             half = 2.0 * lacking.deviations[row is not rows[0]]
@@ -155,13 +155,3 @@ def _law(axes: Axes, x: Array, law: Array) -> None:
         return
     step = max(1, len(x) // 6000)
     axes.plot(x[::step], law[::step], ".", color=INK, ms=1.4, alpha=0.6, mew=0, zorder=5)
-
-
-def scale(unit: str, values: Sequence[Array]) -> tuple[float, str]:
-    """Return the factor and unit in which values are drawn: metres, volts, newtons in thousandths where small."""
-    if unit in {"V", "m", "N"}:
-        return parts.shown(unit, *(np.abs(v) for v in values))
-    largest = max(float(np.abs(v).max()) for v in values)
-    if unit.startswith(("m/", "V/", "N/")) and largest < 0.1:
-        return 1e3, f"m{unit}"
-    return 1.0, unit

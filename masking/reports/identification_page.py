@@ -10,7 +10,7 @@ from masking.declaration.quantities import number
 from masking.estimation.fit import Fit
 from masking.estimation.innovations import KalmanFit
 from masking.procedures.measurement import Measurement, Row
-from masking.reports import html, procedure_figures
+from masking.reports import figure_parts, html, procedure_figures
 from masking.reports.html import Tile
 from masking.reports.style import CaptionedFigure
 
@@ -93,7 +93,7 @@ def save_fit(found: Fit | KalmanFit, figures: Sequence[CaptionedFigure], sentenc
 
 def _tile(row: Row) -> Tile:
     """Return a number with its unit and deviation; lengths, voltages and forces below 0.1 in thousandths."""
-    by, unit = (1e3, f"m{row.unit}") if row.unit in {"m", "V", "N"} and abs(row.value) < 0.1 else (1.0, row.unit)
+    by, unit = figure_parts.shown(row.unit, [row.value])
     if not row.unit and row.key.startswith(("even_", "odd_")):
         by, unit = 100.0, "%"
     deviation = "" if row.std is None else f" ± {number(by * row.std, 2)}"
