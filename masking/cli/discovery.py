@@ -66,6 +66,7 @@ def _settings(chosen: argparse.Namespace) -> dict[str, Any]:
 
 
 def _discover(chosen: argparse.Namespace) -> int:
+    """Find the physical effect that the model of a rig lacks, from a record, and add it."""
     from masking.reports import discovery_files, discovery_page
     from masking.workflows.discover import discover
 
@@ -78,6 +79,7 @@ def _discover(chosen: argparse.Namespace) -> int:
 
 
 def _refine(chosen: argparse.Namespace) -> int:
+    """Find what the controller's model of an experiment lacks, and run it without and with that."""
     from masking.workflows.refine import refine
 
     out = Path(chosen.out or f"results/{Path(chosen.experiment).stem}_refined")
@@ -88,16 +90,6 @@ def _refine(chosen: argparse.Namespace) -> int:
 
 
 VERBS = (
-    Verb(
-        "discover",
-        "find the physical effect that the model of a rig lacks, from a record, and add it",
-        _add_discover,
-        _discover,
-    ),
-    Verb(
-        "refine",
-        "find what the controller's model of an experiment lacks, and run it without and with that",
-        _add_refine,
-        _refine,
-    ),
+    Verb("discover", _add_discover, _discover),
+    Verb("refine", _add_refine, _refine),
 )

@@ -33,6 +33,7 @@ def _add_identify(sub: argparse.ArgumentParser) -> None:
 
 
 def _identify(chosen: argparse.Namespace) -> int:
+    """Fit parameters of a plant to recordings of it."""
     from masking.records import readers
     from masking.workflows.identify import identify
 
@@ -104,9 +105,10 @@ _PROCEDURES: dict[str, tuple[str, dict[str, Option]]] = {
 
 
 def _add_measure(sub: argparse.ArgumentParser) -> None:
+    """Do one procedure of the identification on a record made for it."""
     procedures = sub.add_subparsers(title="procedures", metavar="PROCEDURE", required=True)
     for name, (text, options) in _PROCEDURES.items():
-        add_verb(procedures, Verb(name, text, partial(_add_procedure, name, options), _measure))
+        add_verb(procedures, Verb(name, partial(_add_procedure, name, options), _measure, text))
 
 
 def _add_procedure(name: str, options: dict[str, Option], sub: argparse.ArgumentParser) -> None:
@@ -137,6 +139,6 @@ def _measure(chosen: argparse.Namespace) -> int:
 
 
 VERBS = (
-    Verb("identify", "fit parameters of a plant to recordings of it", _add_identify, _identify),
-    Verb("measure", "do one procedure of the identification on a record made for it", _add_measure),
+    Verb("identify", _add_identify, _identify),
+    Verb("measure", _add_measure),
 )

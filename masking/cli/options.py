@@ -21,23 +21,25 @@ class Verb:
 
     Args:
         name: as it is typed.
-        text: its help.
         add: adds its options to its parser, or the verbs of a group; called if the verb is asked for, since it may load
             packages.
         act: does it, and returns the exit status; None for a group.
+        text: its help; by default the docstring of `act`, or of `add` for a group.
     """
 
     name: str
-    text: str
     add: Callable[[argparse.ArgumentParser], None]
     act: Callable[[argparse.Namespace], int] | None = None
+    text: str = ""
 
 
 def add_verb(
     found: argparse._SubParsersAction[argparse.ArgumentParser], verb: Verb, *, is_asked_for: bool = True
 ) -> None:
     """Add a verb to a parser, with its options if it is asked for."""
-    sub = found.add_parser(verb.name, help=verb.text, description=f"{verb.text[0].upper()}{verb.text[1:]}.")
+    text = (verb.text or (verb.act or verb.add).__doc__ or verb.name).removesuffix(".")
+    first, more = text[0], text[1:]
+    sub = found.add_parser(verb.name, help=f"{first.lower()}{more}", description=f"{first.upper()}{more}.")
     if is_asked_for:
         verb.add(sub)
         if verb.act is not None:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 def _add_rig(sub: argparse.ArgumentParser) -> None:
+    """Run on a plant that runs by itself, or serve a twin that stands in for one."""
     verbs = sub.add_subparsers(title="verbs", metavar="VERB", required=True)
     for verb in _OF_RIG:
         add_verb(verbs, verb)
@@ -51,6 +52,7 @@ def _add_calibrate(sub: argparse.ArgumentParser) -> None:
 
 
 def _serve(chosen: argparse.Namespace) -> int:
+    """Serve the twin of a plant over UDP, on a clock of its own."""
     from masking.runs import hardware
 
     folders = hardware.serve(
@@ -67,6 +69,7 @@ def _serve(chosen: argparse.Namespace) -> int:
 
 
 def _run(chosen: argparse.Namespace) -> int:
+    """Run an experiment on a plant that runs by itself, and write its report."""
     from masking.reports import run_report
     from masking.runs import hardware, realtime, stopping
     from masking.runs.experiment import Experiment
@@ -95,6 +98,7 @@ def _run(chosen: argparse.Namespace) -> int:
 
 
 def _calibrate(chosen: argparse.Namespace) -> int:
+    """Excite a rig, fit its plant file to the records, and validate the fit by a record held out."""
     from masking.plants.simulated import SimulatedPlant
     from masking.rig.twin import Twin
     from masking.runs import hardware
@@ -123,13 +127,8 @@ def _calibrate(chosen: argparse.Namespace) -> int:
 
 
 _OF_RIG = (
-    Verb("serve", "serve the twin of a plant over UDP, on a clock of its own", _add_serve, _serve),
-    Verb("run", "run an experiment on a plant that runs by itself, and write its report", _add_run, _run),
-    Verb(
-        "calibrate",
-        "excite a rig, fit its plant file to the records, and validate the fit by a record held out",
-        _add_calibrate,
-        _calibrate,
-    ),
+    Verb("serve", _add_serve, _serve),
+    Verb("run", _add_run, _run),
+    Verb("calibrate", _add_calibrate, _calibrate),
 )
-VERBS = (Verb("rig", "run on a plant that runs by itself, or serve a twin that stands in for one", _add_rig),)
+VERBS = (Verb("rig", _add_rig),)

@@ -33,6 +33,7 @@ def _add_report(sub: argparse.ArgumentParser) -> None:
 
 
 def _run(chosen: argparse.Namespace) -> int:
+    """Run an experiment, save its recording and write its report."""
     from masking.reports import run_report
     from masking.runs import error_budget
     from masking.runs.experiment import Experiment
@@ -75,6 +76,7 @@ def _created(folder: Path) -> str | None:
 
 
 def _report(chosen: argparse.Namespace) -> int:
+    """Write the report of a recording."""
     from masking.workflows.run import report
 
     written = report(chosen.record, chosen.out)
@@ -95,6 +97,6 @@ def _change(text: str) -> tuple[str, float]:
 
 
 VERBS = (
-    Verb("run", "run an experiment, save its recording and write its report", _add_run, _run),
-    Verb("report", "write the report of a recording", _add_report, _report),
+    Verb("run", _add_run, _run),
+    Verb("report", _add_report, _report),
 )

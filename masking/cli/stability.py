@@ -26,6 +26,7 @@ def _add(sub: argparse.ArgumentParser) -> None:
 
 
 def _stability(chosen: argparse.Namespace) -> int:
+    """Find the equilibria and modes of a model or an experiment, and what its energy proves of all its motions."""
     from masking.workflows.stability import stability
 
     out = Path(chosen.out or f"results/{Path(chosen.name).stem}_stability")
@@ -53,11 +54,4 @@ def _numbers(option: str, text: str, count: int) -> tuple[str, list[float]]:
     return name.strip(), numbers
 
 
-VERBS = (
-    Verb(
-        "stability",
-        "find the equilibria and modes of a model or an experiment, and what its energy proves of all its motions",
-        _add,
-        _stability,
-    ),
-)
+VERBS = (Verb("stability", _add, _stability),)

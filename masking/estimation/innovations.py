@@ -9,7 +9,7 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.estimation import fit
-from masking.estimation.whiteness import ljung_box
+from masking.estimation.whiteness import autocorrelation, ljung_box
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
@@ -87,9 +87,8 @@ class KalmanFit:
 
         About 1 / sqrt(m) and no more where innovations are white. The mean is not taken off: it should be 0.
         """
-        e = self.normalised
-        power = np.maximum((e**2).sum(axis=0), 1e-300)
-        return np.array([(e[lag:] * e[:-lag]).sum(axis=0) / power for lag in range(1, min(LAGS, len(e) - 1) + 1)])
+        lags = min(LAGS, len(self.normalised) - 1)
+        return np.column_stack([autocorrelation(e, lags) for e in self.normalised.T])
 
     @property
     def whiteness(self) -> dict[str, float]:

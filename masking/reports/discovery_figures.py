@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.patches import Patch
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
 from masking.declaration.quantities import percent
 from masking.declaration.units import pretty
@@ -57,8 +57,7 @@ def _gap(found: Discovery) -> CaptionedFigure:
         axes.set(xlim=(low, high), ylim=(len(names) - 0.5, -0.5))
         parts.plain_numbers(axes.xaxis, " %")
         axes.xaxis.set_minor_locator(NullLocator())
-        axes.yaxis.set_major_locator(FixedLocator([float(i) for i in range(len(names))]))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: style.symbol(names[round(y)])))
+        axes.set_yticks(range(len(names)), labels=map(style.symbol, names))
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("error relative to the reading")
         axes.set_title(title, loc="left", fontsize=SIZE, color=MUTED, pad=5)
@@ -233,8 +232,7 @@ def _candidates(found: Discovery) -> CaptionedFigure:
         axes.annotate(label, (min(part, reach), i), (4, 0), textcoords="offset points", va="center",
                       fontsize=SIZE - 1.5, color=MUTED)  # fmt: skip
     axes.set(ylim=(len(rows) - 0.4, -0.6), xlim=(0.0, reach))
-    axes.yaxis.set_major_locator(FixedLocator([float(i) for i in range(len(rows))]))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: names[round(y)]))
+    axes.set_yticks(range(len(rows)), labels=names)
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
     if nothing:

@@ -23,14 +23,13 @@ from masking.analysis.synchronisation import (
     synchronisation,
 )
 from masking.errors import MaskingError, RecordError
+from masking.numerics.arrays import Array
 from masking.records.recording import Recording
 
 if TYPE_CHECKING:
     from masking.declaration import units
 else:  # only a table of parameters with units needs it
     units = lazy.load("masking.declaration.units", suppress_warning=True)
-
-Series = NDArray[np.float64]
 
 SUM_WINDOW_PERIODS = 3
 _END = 0.05  # part of the record over which its last phase is stated
@@ -49,7 +48,7 @@ class PhasePair:
 
     first: str
     second: str
-    series: Series
+    series: Array
     start: float
     end: float
     steady_start: float
@@ -67,13 +66,13 @@ class InputUse:
     """
 
     name: str
-    series: Series
+    series: Array
     unit: str
     peak: float
     rms: float
     limit: float | None
     used: float | None
-    demanded: Series | None = None
+    demanded: Array | None = None
     saturated: float = 0.0
     throttled: float = 0.0
     power: float | None = None
@@ -152,24 +151,24 @@ class Study:
     """
 
     recording: Recording
-    tau: Series
+    tau: Array
     prefix: str
     oscillators: tuple[str, ...]
     others: tuple[str, ...]
     chi: dict[str, float]
     period: float
     pairs: tuple[PhasePair, ...]
-    sum_peak: Series | None
+    sum_peak: Array | None
     anti_phase: AntiPhase | None
     inputs: tuple[InputUse, ...]
     no_phase: str
     budget: Budget | None
 
-    def motion(self, coordinate: str) -> Series:
+    def motion(self, coordinate: str) -> Array:
         """Give the coordinate as it moved, shape (samples,)."""
         return self.recording[f"{self.prefix}.{coordinate}"]
 
-    def ideal(self, coordinate: str) -> Series | None:
+    def ideal(self, coordinate: str) -> Array | None:
         """Give the coordinate of the virtual system by itself, where it was recorded."""
         return self.recording.columns.get(f"ideal.{coordinate}")
 
@@ -266,14 +265,14 @@ def parameters(recording: Recording) -> tuple[Parameter, ...]:
     return tuple(_parameter(manifest, name, declared.get(name)) for name in names)
 
 
-def ends(tau: Series, mean_period: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def ends(tau: Array, mean_period: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Masks of the first three periods of the record and of its last twentieth (three periods if that is shorter)."""
     length = tau[-1] - tau[0]
     few = min(3 * mean_period, length / 2)
     return tau <= tau[0] + few, tau >= tau[-1] - max(few, _END * length)
 
 
-def _no_phase(manifest: Mapping[str, Any], motions: Mapping[str, Series], all_: Series, periods: list[float]) -> str:
+def _no_phase(manifest: Mapping[str, Any], motions: Mapping[str, Array], all_: Array, periods: list[float]) -> str:
     """Say why a phase difference cannot be given; "" where it can."""
     if not manifest.get("oscillators"):
         return "the record does not say which coordinates are oscillators"
@@ -289,7 +288,7 @@ def _no_phase(manifest: Mapping[str, Any], motions: Mapping[str, Series], all_: 
     return ""
 
 
-def _pairs(tau: Series, motions: Mapping[str, Series], mean_period: float) -> tuple[PhasePair, ...]:
+def _pairs(tau: Array, motions: Mapping[str, Array], mean_period: float) -> tuple[PhasePair, ...]:
     first, *rest = motions
     head, tail = ends(tau, mean_period)
     pairs = []
@@ -302,7 +301,7 @@ def _pairs(tau: Series, motions: Mapping[str, Series], mean_period: float) -> tu
 
 
 def _verdict(
-    tau: Series, motions: Mapping[str, Series], names: tuple[str, str], mean_period: float
+    tau: Array, motions: Mapping[str, Array], names: tuple[str, str], mean_period: float
 ) -> Synchronisation | None:
     rows = slice(None, None, max(1, int(mean_period / _ROWS * (len(tau) - 1) / (tau[-1] - tau[0]))))
     try:
@@ -311,7 +310,7 @@ def _verdict(
         return None
 
 
-def _anti_phase(tau: Series, motions: Mapping[str, Series]) -> AntiPhase | None:
+def _anti_phase(tau: Array, motions: Mapping[str, Array]) -> AntiPhase | None:
     if len(motions) != 2:
         return None
     a, b = motions.values()

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
+from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from masking.analysis.synchronisation import principal, running_peak
@@ -89,8 +89,7 @@ def _synchronisation(study: Study) -> CaptionedFigure:
         above.annotate(text, (0.995, level), (0, 3), ("axes fraction", "data"), "offset points", ha="right",
                        fontsize=SIZE - 1, color=MUTED)  # fmt: skip
     above.set_ylim(-0.5, 1.5)
-    above.yaxis.set_major_locator(FixedLocator([-0.5, 0.0, 0.5, 1.0, 1.5]))
-    above.set_yticklabels(["\N{MINUS SIGN}π/2", "0", "π/2", "π", "3π/2"])
+    above.set_yticks([-0.5, 0.0, 0.5, 1.0, 1.5], labels=["\N{MINUS SIGN}π/2", "0", "π/2", "π", "3π/2"])
     above.set_ylabel("phase difference (rad)")
     if len(study.pairs) > 1:
         above.legend(
@@ -198,8 +197,7 @@ def _budget(study: Study) -> CaptionedFigure:
                   ha="center", fontsize=SIZE - 1, color=MUTED)  # fmt: skip
     axes.axhline(len(rows) - 1.5, color=MUTED, lw=0.8)
     axes.set(xlim=(0.0, most), ylim=(len(rows) - 0.4, -0.6))
-    axes.yaxis.set_major_locator(FixedLocator(range(len(rows))))
-    axes.set_yticklabels([row.title for row in rows])
+    axes.set_yticks(range(len(rows)), labels=[row.title for row in rows])
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("masking error χ, rms of the coordinates")

@@ -62,8 +62,8 @@ def _shapes(found: Stability) -> CaptionedFigure:
         axes.bar(at - 0.19, shape.real, 0.36, color=COLOURS[0])
         axes.bar(at + 0.19, shape.imag, 0.36, color=COLOURS[1])
         axes.axhline(0.0, color=MUTED, lw=0.8)
-        axes.set(ylim=(-1.15, 1.15), xticks=at)
-        axes.set_xticklabels([style.symbol(name) for name in found.coordinates])
+        axes.set_ylim(-1.15, 1.15)
+        axes.set_xticks(at, labels=map(style.symbol, found.coordinates))
         z = mode.eigenvalue
         text = f"{z.real:+.4f}" + (f" ± {mode.frequency:.4f}i" if mode.frequency else "")
         axes.set_title(text.replace("-", "\N{MINUS SIGN}"), loc="left", fontsize=SIZE - 1, color=MUTED)

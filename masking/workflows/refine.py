@@ -15,7 +15,7 @@ from typing import Any
 import yaml
 
 from masking.declaration import registry
-from masking.discovery.discover import discover
+from masking.discovery.discover import Tell, discover
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.settings import DiscoverySettings
 from masking.errors import DeclarationError, IntegrationError, Problem, SingularityError
@@ -29,8 +29,6 @@ from masking.runs.experiment import Experiment
 from masking.workflows import inputs
 from masking.workflows.outputs import check_folder
 from masking.workflows.settings import with_fields_of
-
-Tell = Callable[[str, float], None]
 
 EXPERIMENT, NUMBERS, BEFORE, AFTER = "experiment.yaml", "refine.json", "before", "after"
 WORTH = 0.9  # of the masking error before: above it, the run is called no better

@@ -38,6 +38,7 @@ SMALLEST = 1e-7  # part of a side of the box, below which a box is not cut
 MOST_BOXES = 400_000
 _FURTHER = 10.0  # times the largest declared initial value, the box where nothing else is known
 _MOST_REFINED = 200
+_OFF_MIDDLE = 0.4871  # part of a side at which a box is cut: symmetric models have equilibria in the middle
 _MARGIN = 0.0137  # of a turn, so that an equilibrium is not on the edge of a box of angles
 
 
@@ -158,10 +159,7 @@ class _Rest:
     def enclose(self, nodes: list[Node], boxes: Interval) -> Interval:
         """Return enclosures (m, len(nodes)) over boxes (m, n)."""
         given = self.values | {node: boxes[:, i] for i, node in enumerate(self.at)}
-        found = enclose(self.graph, nodes, given)
-        m = len(boxes.low)
-        low = np.stack([np.broadcast_to(x.low, m) for x in found], axis=1)
-        return Interval(low, np.stack([np.broadcast_to(x.high, m) for x in found], axis=1))
+        return Interval.stacked(enclose(self.graph, nodes, given), len(boxes.low))
 
     @cached_property
     def angles(self) -> list[bool]:
@@ -244,7 +242,7 @@ class _Rest:
             if np.any(small):
                 undecided.append(np.stack([pending.low[small], pending.high[small]], axis=2))
                 pending, parts = pending[~small], parts[~small]
-            pending = _halves(pending, np.argmax(parts, axis=1)) if len(pending.low) else pending
+            pending = halves(pending, np.argmax(parts, axis=1), _OFF_MIDDLE) if len(pending.low) else pending
         unproved = np.concatenate(undecided) if undecided else np.empty((0, len(sides), 2))
         kept = [not any(np.all((b[:, 0] >= low) & (b[:, 1] <= high)) for low, high in roots) for b in unproved]
         return self._distinct(roots), unproved[kept] if len(unproved) else unproved
@@ -297,7 +295,7 @@ class _Rest:
                     entry = entry - y[:, i, p] * j[:, p, k]
                 total = total + entry * spread[:, k]
             columns.append(total)
-        return Interval(np.stack([c.low for c in columns], 1), np.stack([c.high for c in columns], 1)), is_regular
+        return Interval.stacked(columns, m), is_regular
 
     def _distinct(self, roots: list[tuple[Array, Array]]) -> list[tuple[Array, Array]]:
         """Return each root once, in a box as small as Krawczyk's operator makes it; angles in (-pi, pi]."""
@@ -341,10 +339,16 @@ class _Rest:
         return bool(_determinant(stiffness).high < 0.0 < _determinant(mass).low)
 
 
-def _halves(boxes: Interval, axis: Array) -> Interval:
-    """Cut each box in two along its axis, a little off the middle, where symmetric models have their equilibria."""
+def halves(boxes: Interval, axis: Array, part: float = 0.5) -> Interval:
+    """Cut each box (m, n) in two along its axis.
+
+    Args:
+        boxes: (m, n).
+        axis: of each box (m,).
+        part: of its side at which it is cut.
+    """
     rows = np.arange(len(boxes.low))
-    at = boxes.low[rows, axis] + 0.4871 * boxes.width[rows, axis]
+    at = boxes.low[rows, axis] + part * boxes.width[rows, axis]
     first, second = boxes.high.copy(), boxes.low.copy()
     first[rows, axis], second[rows, axis] = at, at
     return Interval(np.concatenate([boxes.low, second]), np.concatenate([first, boxes.high]))
