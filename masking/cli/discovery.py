@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from masking.cli.options import NAMED, RECORD, Verb, add_json, add_of_tables, add_out, answer, names, prepare
+from masking.cli.options import NAMED, RECORD, Verb, add_json, add_of_tables, add_out, answer, prepare, settings_of_fit
 from masking.cli.progress import Bar
 from masking.workflows.choices import TOLERANCE
 
@@ -50,19 +50,7 @@ def _add_settings(sub: argparse.ArgumentParser) -> None:
 
 def _settings(chosen: argparse.Namespace) -> dict[str, Any]:
     """Return the fields of `DiscoverySettings`, and the plant."""
-    from masking.records import readers
-
-    return {
-        "plant": chosen.plant,
-        "validation": chosen.validate,
-        "parameters": names(chosen.parameters),
-        "tolerance": chosen.tolerance,
-        "shooting_interval": chosen.shooting_interval,
-        "hold": chosen.hold,
-        "columns": readers.mapping(chosen.map),
-        "dt": chosen.dt,
-        "effects": chosen.effects,
-    }
+    return {**settings_of_fit(chosen), "tolerance": chosen.tolerance, "effects": chosen.effects}
 
 
 def _discover(chosen: argparse.Namespace) -> int:

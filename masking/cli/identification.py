@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from masking.cli.options import RECORD, Verb, add_json, add_of_tables, add_out, add_verb, answer, names
+from masking.cli.options import RECORD, Verb, add_json, add_of_tables, add_out, add_verb, answer, names, settings_of_fit
 from masking.cli.progress import Bar
 from masking.workflows.choices import METHODS
 
@@ -34,26 +34,19 @@ def _add_identify(sub: argparse.ArgumentParser) -> None:
 
 def _identify(chosen: argparse.Namespace) -> int:
     """Fit parameters of a plant to recordings of it."""
-    from masking.records import readers
     from masking.workflows.identify import identify
 
     out = Path(chosen.out or "results/identified")
     with Bar("fitting") as bar:
         found = identify(
             *chosen.records,
-            plant=chosen.plant,
             model=chosen.model,
-            parameters=names(chosen.parameters),
-            validation=chosen.validate,
-            shooting_interval=chosen.shooting_interval,
             method=chosen.method,
             square_root=chosen.square_root,
             iterated=chosen.iterated,
-            hold=chosen.hold,
-            columns=readers.mapping(chosen.map),
-            dt=chosen.dt,
             out=out,
             progress=bar,
+            **settings_of_fit(chosen),
         )
     files = {"model": str(out / "model.yaml"), "plant": str(out / "plant.yaml"), "page": str(out / "fit.html")}
     text = f"{found}\nwritten: {files['model']}, {files['plant']}\npage: {files['page']}"

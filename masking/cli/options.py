@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from masking.cli.progress import raise_interrupts
 from masking.workflows.choices import HOLDS
@@ -98,6 +99,21 @@ def add_of_tables(sub: argparse.ArgumentParser) -> None:
     text = "rename columns: NAME=COLUMN, with commas; in groups of an HDF5 file V1=GROUP/COLUMN"
     sub.add_argument("--map", metavar="t=time,V1=u", default="", help=text)
     sub.add_argument("--dt", metavar="SECONDS", type=float, help="time between samples, for a record without a clock")
+
+
+def settings_of_fit(chosen: argparse.Namespace) -> dict[str, Any]:
+    """Return the settings that verbs that fit to records have in common."""
+    from masking.records import readers
+
+    return {
+        "plant": chosen.plant,
+        "validation": chosen.validate,
+        "parameters": names(chosen.parameters),
+        "shooting_interval": chosen.shooting_interval,
+        "hold": chosen.hold,
+        "columns": readers.mapping(chosen.map),
+        "dt": chosen.dt,
+    }
 
 
 def names(text: str) -> tuple[str, ...]:

@@ -40,7 +40,7 @@ def _gap(found: Discovery) -> CaptionedFigure:
     """Draw the error of each sensor before and after, in the record and in the validation record, beside the noise."""
     names = found.twin.sensors
     said = capital(discovery_text.left(found)) if found.verdict == "none" else discovery_text.gap(found)
-    figure, (row,) = style.panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), parts.top(said) + 0.28)
+    figure, (row,) = style.panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), top=style.BELOW + 0.28, heading=said)
     sides = errors(found)
     every = [v for side in sides.values() for one in side for v in one.values() if 0.0 < v < np.inf]
     low, high = 100.0 * min(every) / 1.6, 100.0 * max(every) * 1.6
@@ -61,7 +61,6 @@ def _gap(found: Discovery) -> CaptionedFigure:
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("error relative to the reading")
         axes.set_title(title, loc="left", fontsize=SIZE, color=MUTED, pad=5)
-    parts.heading(figure, said)
     handles = [
         parts.marker_key("as declared", "white", mec=MUTED, mew=1.4),
         parts.marker_key("adjusted parameters", BEFORE),
@@ -86,7 +85,7 @@ def _course(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFig
     column = found.record.acting[:, found.twin.actuators.index(command)]
     said = _coursed(found, lacking, command)
     by, unit = parts.shown(lacking.units[0], lacking.before)
-    figure, ((over, time, spectrum),) = style.panels(1, 1.75, (2.05, 2.7, 1.6), parts.top(said))
+    figure, ((over, time, spectrum),) = style.panels(1, 1.75, (2.05, 2.7, 1.6), heading=said)
     t, step = np.arange(len(lacking.before)) / found.record.rate, max(1, len(lacking.before) // POINTS)
     pairs = [(lacking.before, BEFORE), *([(lacking.after, AFTER)] if found.effects else [])]
     drawn = [(values, colour) for values, colour in pairs if values is not None]
@@ -115,7 +114,6 @@ def _course(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFig
     spectrum.set_xlabel("frequency (Hz)")
     spectrum.set_ylabel(style.with_unit("density", f"{pretty(lacking.units[0])}/√Hz" if lacking.units[0] else ""))
     parts.plain_numbers(spectrum.xaxis, few=WIDE)
-    parts.heading(figure, said)
     handles = [parts.line_key(what, BEFORE)]
     if len(drawn) > 1:
         handles.append(parts.line_key(f"remaining {what}", AFTER))
@@ -156,7 +154,7 @@ def _residual(found: Discovery) -> CaptionedFigure:
         if not more
         else f"On the validation record, the residual of {listed(more)} is above the noise floor"
     )
-    figure, rows = style.panels(len(names), 1.35, (4.55, 2.55), parts.top(said))
+    figure, rows = style.panels(len(names), 1.35, (4.55, 2.55), heading=said)
     t = np.arange(len(record)) / record.rate
     pairs = [(found.adjusted, BEFORE, 0.9), *([(found.after, AFTER, 1.0)] if found.effects else [])]
     for i, (name, (time, spectrum)) in enumerate(zip(names, rows, strict=True)):
@@ -180,7 +178,6 @@ def _residual(found: Discovery) -> CaptionedFigure:
         spectrum.set_ylabel(f"{unit}/√Hz" if unit != "1" else "1/√Hz")
     rows[-1][0].set_xlabel("time (s)")
     rows[-1][1].set_xlabel("frequency (Hz)")
-    parts.heading(figure, said)
     handles = [parts.line_key("adjusted parameters", BEFORE)]
     if found.effects:
         handles.append(parts.line_key("with the finding", AFTER))
@@ -220,7 +217,7 @@ def _candidates(found: Discovery) -> CaptionedFigure:
             f"Of {count} candidates, {len(near)} would each explain more than {min(near):.2g} % of the residual; full "
             "fits decide between them as far as the record allows"
         )
-    figure, ((axes,),) = style.panels(1, 0.235 * len(rows) + 0.1, (5.6,), parts.top(said))
+    figure, ((axes,),) = style.panels(1, 0.235 * len(rows) + 0.1, (5.6,), heading=said)
     box = axes.get_position()
     right, room = box.x0 + 0.19 + box.width, LETTER * max(map(len, names)) / WIDTH
     axes.set_position((max(box.x0, room), box.y0, right - max(box.x0, room), box.height))
@@ -240,7 +237,6 @@ def _candidates(found: Discovery) -> CaptionedFigure:
         axes.set_xlabel("gain in log-likelihood, relative to the least that counts (%)")
     else:
         axes.set_xlabel("part of the residual beyond noise that the candidate alone would explain (%)")
-    parts.heading(figure, said)
     kinds = {AFTER: "chosen", COLOURS[4]: "fitted in full", GRID: "looked at"}
     parts.legend(figure, axes, [Patch(color=colour, label=text) for colour, text in kinds.items() if colour in colours])
     caption = (

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib.metadata
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -53,7 +53,6 @@ class Files:
     page: Path
     model: Path | None
     plant: Path | None
-    figures: tuple[Path, ...]
 
 
 def save(
@@ -80,9 +79,8 @@ def save(
         DeclarationError: the model with its causes is not a sound one.
     """
     out = Path(folder)
-    images = html.images(figures, out)
-    files = replace(paths(found, out), figures=tuple(images))
-    contents: dict[Path, bytes | str] = {files.page: page, **images}
+    files = paths(found, out)
+    contents: dict[Path, bytes | str] = {files.page: page, **html.images(figures, out)}
     if files.model is not None and files.plant is not None:
         contents[files.model] = model_files.text(model(found, files.model.parent, origin))
         contents[files.plant] = model_files.text(plant(found, files.model.relative_to(out), origin, out))
@@ -97,13 +95,13 @@ def save(
 
 
 def paths(found: Discovery, out: Path) -> Files:
-    """Return where the files of a discovery lie, without its figures."""
+    """Return where the files of a discovery lie."""
     if not found.effects:
-        return Files(out / NUMBERS, out / PAGE, None, None, ())
+        return Files(out / NUMBERS, out / PAGE, None, None)
     base = found.twin.declaration.model
     stem = base if base in catalogue.names("model") else Path(base).stem
     causes = "+".join(dict.fromkeys(cause.name for cause in found.effects))
-    return Files(out / NUMBERS, out / PAGE, out / "models" / f"{Path(stem).name}+{causes}.yaml", out / PLANT, ())
+    return Files(out / NUMBERS, out / PAGE, out / "models" / f"{Path(stem).name}+{causes}.yaml", out / PLANT)
 
 
 def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
@@ -147,26 +145,24 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
         name: model_files.parameter(value, std, STD_DIGITS) for name, value, std in refitted(found)
     }
     known = _uncertain(found)
-    for name, parameter in whole.parameters.items():
-        if name not in twin.base.parameters:
-            parameters[name] = _written(parameter, *known.get(name, (0.0, "")))
-    made["parameters"] = parameters
-    new_states = {n: s for n, s in whole.states.items() if n not in twin.base.states}
-    if new_states:
-        made["states"] = {n: s.model_dump(mode="json", exclude_defaults=True) for n, s in new_states.items()}
-    for section in ("definitions", "elements"):
-        before = getattr(twin.base, section)
-        new = {n: x for n, x in getattr(whole, section).items() if n not in before}
-        if new:
-            made[section] = {
-                n: x.text if section == "definitions" else x.model_dump(mode="json", exclude_defaults=True)
-                for n, x in new.items()
-            }
-    rates = {left.text: right.text for left, right in whole.equations.items() if whole.state_of(left) in new_states}
-    if rates:
-        made["equations"] = rates
-    terms = _terms(found, whole)
-    return made | ({"terms": terms} if terms else {})
+
+    def new(section: str) -> dict[str, Any]:
+        return {n: x for n, x in getattr(whole, section).items() if n not in getattr(twin.base, section)}
+
+    def written(section: str) -> dict[str, Any]:
+        return {n: x.model_dump(mode="json", exclude_defaults=True) for n, x in new(section).items()}
+
+    parameters |= {n: _written(x, *known.get(n, (0.0, ""))) for n, x in new("parameters").items()}
+    states = written("states")
+    sections = {
+        "parameters": parameters,
+        "states": states,
+        "definitions": {n: x.text for n, x in new("definitions").items()},
+        "elements": written("elements"),
+        "equations": {x.text: y.text for x, y in whole.equations.items() if whole.state_of(x) in states},
+        "terms": _terms(found, whole),
+    }
+    return made | {name: content for name, content in sections.items() if content or name == "parameters"}
 
 
 def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> dict[str, Any]:
@@ -175,19 +171,21 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
     before = twin.declaration.canonical().get("effects", {})
     first: dict[str, Any] = {}
     last: dict[str, Any] = {}
+
+    def add(target: dict[str, Any], effect: str, at: str, values: Mapping[str, float]) -> None:
+        rounded = {name: model_files.rounded(value) for name, value in values.items()}
+        label = _free(f"{effect}_{at}", {*before, *first, *last})
+        target[label] = {"effect": effect, "at": at, "parameters": rounded}
+
     for slot in found.explanation.hypothesis.slots:
         if slot.effect == laws.DELAY:
             _add_delay(found, slot, first, {*before, *first, *last})
         elif slot.where != "element":
-            values = dict(zip(slot.entry.parameters, map(model_files.rounded, slot.values), strict=True))
             # Commands pass what was found first; readings pass it last.
-            target = first if slot.where == "actuator" else last
-            name = _free(f"{slot.effect}_{slot.at}", {*before, *first, *last})
-            target[name] = {"effect": slot.effect, "at": slot.at, "parameters": values}
+            values = dict(zip(slot.entry.parameters, slot.values, strict=True))
+            add(first if slot.where == "actuator" else last, slot.effect, slot.at, values)
     for cause in found.effects[len(found.explanation.hypothesis.slots) or found.explanation.kind == "parameter" :]:
-        name = _free(f"{cause.name}_{cause.on}", {*before, *first, *last})
-        values = {n: model_files.rounded(value) for n, (value, _) in cause.parameters.items()}
-        last[name] = {"effect": cause.name, "at": cause.on, "parameters": values}
+        add(last, cause.name, cause.on, {n: value for n, (value, _) in cause.parameters.items()})
     heading = {
         "name": f"{twin.declaration.name} with {_causes(found)}",
         "model": model_file.as_posix(),

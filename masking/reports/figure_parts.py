@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -16,34 +14,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
 from masking.numerics.arrays import Array
-from masking.reports.style import DASHED, INK, LEFT, MUTED, RIGHT, SIZE, WIDTH
+from masking.reports.style import DASHED, INK, MUTED, RIGHT, SIZE, WIDTH
 
 if TYPE_CHECKING:
     from scipy import signal
 else:
     signal = lazy.load("scipy.signal", suppress_warning=True)
-
-_LINE = 90  # letters of the sentence in a line
-_LINES = 3  # of the sentence, at most
-
-
-def top(sentence: str, *, has_legend: bool = True) -> float:
-    """Return the inches above the first axes that a heading takes, and a legend below it."""
-    return 0.2 + 0.2 * len(_wrapped(sentence)) + (0.24 if has_legend else 0.04)
-
-
-def heading(figure: Figure, sentence: str) -> None:
-    """Write the finding on top of a figure."""
-    height = figure.get_size_inches()[1]
-    figure.text(LEFT / WIDTH, 1.0 - 0.12 / height, "\n".join(_wrapped(sentence)), fontsize=SIZE + 1.5, color=INK,
-                va="top", ha="left", linespacing=1.25)  # fmt: skip
-
-
-def _wrapped(sentence: str) -> list[str]:
-    kept = re.sub(
-        r"(?<=[\d±]) (?=[\w%°±])", "\N{NO-BREAK SPACE}", sentence.replace("$", r"\$")
-    )  # a number and its unit
-    return textwrap.wrap(kept, _LINE, max_lines=_LINES, placeholder=" …")
 
 
 def legend(figure: Figure, axes: Axes | None, handles: Sequence[Any], above: float = 0.04) -> None:

@@ -51,7 +51,7 @@ def fit(made: Simulated, *, was_fitted: bool) -> CaptionedFigure:
     """
     names = made.sensors[:_MOST_SENSORS]
     sentence = verdict(made, was_fitted=was_fitted)
-    figure, rows = style.panels(len(names), 1.35, _WIDTHS, parts.top(sentence))
+    figure, rows = style.panels(len(names), 1.35, _WIDTHS, heading=sentence)
     seconds = _span(made)
     part = made.times <= seconds
     for i, (name, (motion, rest, spectrum)) in enumerate(zip(names, rows, strict=True)):
@@ -83,7 +83,6 @@ def fit(made: Simulated, *, was_fitted: bool) -> CaptionedFigure:
     rows[-1][0].set_xlabel("time (s)")
     rows[-1][1].set_xlabel("time (s)")
     rows[-1][2].set_xlabel("frequency (Hz)")
-    parts.heading(figure, sentence)
     parts.legend(figure, rows[0][0], [
         parts.line_key("measured", COLOURS[0]),
         parts.line_key("residual", COLOURS[1], 1.4),
@@ -108,7 +107,7 @@ def estimates(found: KalmanFit) -> CaptionedFigure:
     chi = max(found.chi.values())
     error = f"with an error of {percent(chi)} or less" if np.isfinite(chi) else "but the simulation is not finite"
     sentence = f"One pass of {found.times[-1]:.3g} s estimates {last}; the final values reproduce the record {error}"
-    figure, rows = style.panels(max(count, 1), 1.15, widths, parts.top(sentence) + _TITLE)
+    figure, rows = style.panels(max(count, 1), 1.15, widths, style.BELOW + _TITLE, sentence)
     cells = [axes for row in rows for axes in row]
     known = found.twin.model.declaration.parameters
     for i, (name, axes) in enumerate(zip(names, cells, strict=False)):
@@ -131,7 +130,6 @@ def estimates(found: KalmanFit) -> CaptionedFigure:
         axes.set_visible(False)
     for axes in cells[max(len(names) - columns, 0) : len(names)]:
         axes.set_xlabel("time (s)")
-    parts.heading(figure, sentence)
     parts.legend(figure, cells[0], [
         parts.line_key("estimate, ± 2 standard deviations", COLOURS[0]),
         parts.line_key("final value", INK, 1, dashed=True),

@@ -42,7 +42,7 @@ def figure(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigu
     reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
     rows_of = [(lacking.before, BEFORE, "before"), *([(lacking.after, AFTER, "after")] if has_after else [])]
     seen = lacking.seen
-    figure, rows = style.panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), parts.top(said))
+    figure, rows = style.panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), heading=said)
     low = np.array([np.quantile(x, [0.0005, 0.9995]) for x, _ in seen])
     step = max(1, len(lacking.x) // POINTS)
     for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
@@ -67,7 +67,6 @@ def figure(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigu
         for axes in row[1:]:
             axes.tick_params(labelleft=False)
             axes.yaxis.get_offset_text().set_visible(False)
-    parts.heading(figure, said)
     handles: list[Line2D | Patch] = [parts.line_key(f"{what}, its mean and ± 2 deviations", BEFORE)]
     if law is not None:
         label = "law that was fitted" if len(slots) == 1 else f"sum of the {len(slots)} laws that were fitted"

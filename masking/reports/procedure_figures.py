@@ -47,7 +47,7 @@ def _springs(measured: Measurement[SpringCurve]) -> list[CaptionedFigure]:
     curve, x, f = measured.found, measured.channels["displacement"], measured.channels["force"]
     grid = np.asarray(measured.series["displacement"])
     (by, x_unit), (times, f_unit) = parts.shown(x.unit, curve.displacement), parts.shown(f.unit, curve.force)
-    figure, (above, below) = style.sheet([2.5, 1.9], top=parts.top(measured.sentence))
+    figure, (above, below) = style.sheet([2.5, 1.9], heading=measured.sentence)
     line = float(curve.stiffness(0.5 * (curve.lowest + curve.highest)))
     rest = curve.force - line * curve.displacement
     small, rest_unit = parts.shown(f.unit, rest)
@@ -63,7 +63,6 @@ def _springs(measured: Measurement[SpringCurve]) -> list[CaptionedFigure]:
     above.set_ylabel(style.with_unit(f"force {style.symbol(f.name)}", f_unit))
     below.set_ylabel(style.with_unit("force less a straight line", rest_unit))
     below.set_xlabel(style.with_unit(f"displacement at {style.symbol(x.name)}", x_unit))
-    parts.heading(figure, measured.sentence)
     parts.legend(figure, above, [
         parts.line_key("force rises", UP), parts.line_key("force falls", DOWN),
         parts.line_key(f"spring, order {len(curve.coefficients) - 1}, with 95 %", INK, 1.2, dashed=True),
@@ -84,7 +83,7 @@ def _actuators(measured: Measurement[ActuatorRatio]) -> list[CaptionedFigure]:
     gains, fitted = found.gains[order], found.fitted[order]
     slope = np.polyfit(found.gains[found.used], found.fitted[found.used], 1)[0]
     turn = np.conj(slope) / abs(slope)  # the phase in which the motion passes zero
-    figure, (above, below) = style.sheet([2.1, 2.1], top=parts.top(measured.sentence))
+    figure, (above, below) = style.sheet([2.1, 2.1], heading=measured.sentence)
     near = found.used[order]
     low, high = found.interval(LEVEL)
     for axes, seen, made in (
@@ -107,7 +106,6 @@ def _actuators(measured: Measurement[ActuatorRatio]) -> list[CaptionedFigure]:
     below.annotate(f"balance at {found.ratio:.4f}, 95 %: {low:.4f} to {high:.4f}", (found.ratio, 0.0),
                    (-8 if left == "right" else 8, 12), textcoords="offset points", ha=left, fontsize=SIZE - 0.5,
                    color=COLOURS[2])  # fmt: skip
-    parts.heading(figure, measured.sentence)
     parts.legend(figure, above, [
         parts.marker_key("readings near the balance", UP, "o", 4),
         parts.marker_key("others", UP, "o", 3.2, alpha=0.35),
@@ -123,8 +121,8 @@ def _actuators(measured: Measurement[ActuatorRatio]) -> list[CaptionedFigure]:
 
 def _friction(measured: Measurement[Friction]) -> list[CaptionedFigure]:
     shift, place = measured.found.shift, measured.found.place
-    space = parts.top(measured.sentence, has_legend=False)
-    figure, rows = style.sheet([2.3] * ((shift is not None) + (place is not None)), top=space)
+    count = (shift is not None) + (place is not None)
+    figure, rows = style.sheet([2.3] * count, top=0.04, heading=measured.sentence)
     if shift is not None and place is not None:
         for axes, up in ((rows[0], 0.34), (rows[1], 0.0)):  # both have an axis of their own below
             axes.tick_params(labelbottom=True)
@@ -134,7 +132,6 @@ def _friction(measured: Measurement[Friction]) -> list[CaptionedFigure]:
         _shift(rows[0], shift, measured)
     if place is not None:
         _place(rows[-1], place, measured)
-    parts.heading(figure, measured.sentence)
     words = []
     if shift is not None:
         words.append(
@@ -191,7 +188,7 @@ def _place(axes: Axes, place: LocatedFriction, measured: Measurement[Friction]) 
 def _response(measured: Measurement[Response]) -> list[CaptionedFigure]:
     made = measured.found
     outputs = made.outputs[:_MOST_OUTPUTS]
-    figure, rows = style.sheet([1.7, 0.95] * len(outputs), top=parts.top(measured.sentence))
+    figure, rows = style.sheet([1.7, 0.95] * len(outputs), heading=measured.sentence)
     for i, (name, colour) in enumerate(zip(made.inputs, COLOURS, strict=False)):
         found = made.responses[name]
         f, radius = found.frequencies, found.radius(LEVEL)[:, :, 0]
@@ -217,7 +214,6 @@ def _response(measured: Measurement[Response]) -> list[CaptionedFigure]:
         if most < _NARROW * least:
             parts.plain_numbers(axes.yaxis)
     rows[-1].set_xlabel("frequency (Hz)")
-    parts.heading(figure, measured.sentence)
     parts.legend(figure, rows[0], [
         parts.line_key(f"to {style.symbol(name)}", colour)
         for name, colour in zip(made.inputs, COLOURS, strict=False)
@@ -247,7 +243,7 @@ def _distortion(measured: Measurement[Response]) -> CaptionedFigure:
     shares = {name: made.distortions[name].shares for name in outputs}
     told = [f"{name} {percent(s['even'])} even and {percent(s['odd'])} odd" for name, s in shares.items()]
     sentence = f"Nonlinear distortion, as part of the response: {', '.join(told)}"
-    figure, rows = style.sheet([1.9] * len(outputs), top=parts.top(sentence))
+    figure, rows = style.sheet([1.9] * len(outputs), heading=sentence)
     for name, axes in zip(outputs, rows, strict=True):
         each, unit = made.distortions[name], measured.channels[f"output {name}"].unit
         by, unit = parts.shown(unit, np.sqrt(each.level))
@@ -260,7 +256,6 @@ def _distortion(measured: Measurement[Response]) -> CaptionedFigure:
         axes.set_xlim(0.0, 1.02 * each.frequencies[-1])
         axes.set_ylabel(style.with_unit(f"amplitude of {style.symbol(name)}", unit))
     rows[-1].set_xlabel("frequency (Hz)")
-    parts.heading(figure, sentence)
     parts.legend(figure, rows[0], [
         parts.marker_key("excited lines", UP, "o", 4.2),
         parts.marker_key("even lines", DOWN, "^", 4.2),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import io
 import re
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -32,6 +33,8 @@ DPI = 160
 WIDTH = 9.0  # inches, all figures
 LEFT, RIGHT, BOTTOM, GAP = 0.95, 0.22, 0.55, 0.24  # inches
 LEGEND, NOTE, BARE = 0.52, 0.32, 0.14  # inches above the first axes: for a legend, a line of text, nothing
+BELOW = 0.24  # inches below a heading, for a legend
+_LINE, _LINES = 90, 3  # of a heading: letters in a line, and lines at most
 SIZE = 9.5  # points
 DASHED: Final = (0, (4, 3))
 BAND: Final = 0.22  # opacity
@@ -72,13 +75,25 @@ def symbol(name: str) -> str:
     return rf"$\mathit{{{letters}}}_{{{index}}}$" if index else name.replace("$", r"\$")
 
 
-def sheet(heights: Sequence[float], *, zooms: bool = False, top: float = LEGEND) -> tuple[Figure, list[Axes]]:
-    """Make a figure of stacked axes of given heights in inches; with `zooms` the last row is two axes side by side."""
+def sheet(
+    heights: Sequence[float], *, zooms: bool = False, top: float | None = None, heading: str = ""
+) -> tuple[Figure, list[Axes]]:
+    """Make a figure of stacked axes.
+
+    Args:
+        heights: of the axes, in inches.
+        zooms: whether the last row is two axes side by side.
+        top: room above and below the heading, in inches; by default for a legend.
+        heading: the finding, written on top.
+
+    Returns:
+        the figure, and its axes from above.
+    """
     full, gaps = WIDTH - LEFT - RIGHT, [GAP] * (len(heights) - 1)
     widths: list[tuple[float, ...]] = [(full,)] * len(heights)
     if zooms:
         widths[-1], gaps[-1] = ((full - 0.6) / 2,) * 2, 0.85  # room for the tick labels above and the titles below
-    figure, grid = _grid(heights, widths, gaps, top)
+    figure, grid = _grid(heights, widths, gaps, top, heading)
     rows = [axes for row in grid for axes in row]
     for axes in (rows[:-2] if zooms else rows)[:-1]:
         axes.tick_params(labelbottom=False)
@@ -86,30 +101,41 @@ def sheet(heights: Sequence[float], *, zooms: bool = False, top: float = LEGEND)
     return figure, rows
 
 
-def panels(count: int, height: float, widths: Sequence[float], top: float = LEGEND) -> tuple[Figure, list[list[Axes]]]:
+def panels(
+    count: int, height: float, widths: Sequence[float], top: float | None = None, heading: str = ""
+) -> tuple[Figure, list[list[Axes]]]:
     """Make a figure of rows of axes side by side.
 
     Args:
         count: number of rows.
         height: of each, in inches.
         widths: of the columns, in inches; the rest of the figure's width is shared out between them.
-        top: room above, in inches.
+        top: room above and below the heading, in inches; by default for a legend.
+        heading: the finding, written on top.
 
     Returns:
         the figure, and the axes of each row.
     """
-    figure, rows = _grid([height] * count, [widths] * count, [0.62] * (count - 1), top)
+    figure, rows = _grid([height] * count, [widths] * count, [0.62] * (count - 1), top, heading)
     for column in zip(*rows, strict=True):
         figure.align_ylabels(column)
     return figure, rows
 
 
 def _grid(
-    heights: Sequence[float], widths: Sequence[Sequence[float]], gaps: Sequence[float], top: float
+    heights: Sequence[float],
+    widths: Sequence[Sequence[float]],
+    gaps: Sequence[float],
+    top: float | None,
+    heading: str,
 ) -> tuple[Figure, list[list[Axes]]]:
     """Make a figure of rows of axes with given heights, widths in each row, and gaps between rows, in inches."""
-    total = top + sum(heights) + sum(gaps) + BOTTOM
-    figure, rows, y = Figure(figsize=(WIDTH, total), dpi=DPI, facecolor="white"), [], total - top
+    # A number and its unit stay together.
+    kept = re.sub(r"(?<=[\d±]) (?=[\w%°±])", "\N{NO-BREAK SPACE}", heading.replace("$", r"\$"))
+    lines = textwrap.wrap(kept, _LINE, max_lines=_LINES, placeholder=" …")
+    room = 0.2 + 0.2 * len(lines) + (BELOW if top is None else top) if lines else LEGEND if top is None else top
+    total = room + sum(heights) + sum(gaps) + BOTTOM
+    figure, rows, y = Figure(figsize=(WIDTH, total), dpi=DPI, facecolor="white"), [], total - room
     for height, row, gap in zip(heights, widths, [*gaps, 0.0], strict=True):
         y -= height
         between = (WIDTH - LEFT - RIGHT - sum(row)) / max(1, len(row) - 1)
@@ -119,6 +145,8 @@ def _grid(
         y -= gap
         for axes in rows[-1]:
             dress(axes)
+    figure.text(LEFT / WIDTH, 1.0 - 0.12 / total, "\n".join(lines), fontsize=SIZE + 1.5, color=INK, va="top", ha="left",
+                linespacing=1.25)  # fmt: skip
     return figure, rows
 
 
