@@ -253,7 +253,8 @@ def _add_delay(found: Discovery, slot: EffectInstance, effects: dict[str, Any], 
 
 def _uncertain(found: Discovery) -> dict[str, tuple[float, str]]:
     """Return standard deviation and unit of the parameters of causes in the equations, by the names they have there."""
-    made, known = {}, labels(found)
+    made: dict[str, tuple[float, str]] = {}
+    known = labels(found)
     deviations = iter(found.deviations[len(found.rig.names) :])
     for slot in found.explanation.hypothesis.slots:
         free = {name: float(next(deviations)) for name in slot.names}
