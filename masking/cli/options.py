@@ -37,7 +37,13 @@ class Verb:
 def add_verb(
     found: argparse._SubParsersAction[argparse.ArgumentParser], verb: Verb, *, is_asked_for: bool = True
 ) -> None:
-    """Add a verb to a parser, with its options if it is asked for."""
+    """Add a verb to a parser, with its options if it is asked for.
+
+    Args:
+        found: verbs of the parser.
+        verb: to add.
+        is_asked_for: whether the command line names it.
+    """
     text = (verb.text or (verb.act or verb.add).__doc__ or verb.name).removesuffix(".")
     first, more = text[0], text[1:]
     sub = found.add_parser(verb.name, help=f"{first.lower()}{more}", description=f"{first.upper()}{more}.")

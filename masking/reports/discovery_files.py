@@ -105,7 +105,13 @@ def paths(found: Discovery, out: Path) -> Files:
 
 
 def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
-    """Return a discovery and where its files lie, as JSON can hold it."""
+    """Return a discovery and where its files lie, as JSON can hold it.
+
+    Args:
+        found: the discovery.
+        out: folder of its files.
+        origin: of the records.
+    """
     files, told = paths(found, out), found.as_dict()
     told.setdefault("next_experiment", None)
     told["model"] = None if files.model is None else str(files.model)
@@ -131,7 +137,13 @@ def refitted(found: Discovery) -> list[tuple[str, float, float]]:
 
 
 def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
-    """Return the content of a model file in a folder that extends the model by the causes in its equations."""
+    """Return the content of a model file in a folder that extends the model by the causes in its equations.
+
+    Args:
+        found: the discovery.
+        folder: of the model file.
+        origin: of the records.
+    """
     twin = found.twin
     whole = twin.base
     for slot, label in labels(found).items():
@@ -166,7 +178,14 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
 
 
 def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> dict[str, Any]:
-    """Return the content of a plant file in a folder, with a model and with the causes outside of its equations."""
+    """Return the content of a plant file in a folder, with a model and with the causes outside of its equations.
+
+    Args:
+        found: the discovery.
+        model_file: path of the model file from the folder.
+        origin: of the records.
+        folder: of the plant file.
+    """
     twin = found.twin
     before = twin.declaration.canonical().get("effects", {})
     first: dict[str, Any] = {}

@@ -34,7 +34,14 @@ TITLES = {
 
 
 def save(found: Discovery, folder: str | Path, origin: Origin, *, lies: Path | None = None) -> Files:
-    """Draw a discovery and write all its files into a folder; see `discovery_files.save`."""
+    """Draw a discovery and write all its files into a folder; see `discovery_files.save`.
+
+    Args:
+        found: the discovery.
+        folder: where to write.
+        origin: of the records.
+        lies: the folder to which all will be moved, if that is another.
+    """
     figures = discovery_figures.figures(found)
     text = page(found, figures, origin, lies or Path(folder))
     return discovery_files.save(found, folder, origin, text, figures, lies=lies)

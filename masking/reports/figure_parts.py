@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import lazy_loader as lazy
 import numpy as np
@@ -23,7 +23,14 @@ else:
 
 
 def legend(figure: Figure, axes: Axes | None, handles: Sequence[Any], above: float = 0.04) -> None:
-    """Put a legend at the right in a row: a number of inches above axes, or at the top of the figure."""
+    """Put a legend at the right in a row: a number of inches above axes, or at the top of the figure.
+
+    Args:
+        figure: that has the axes.
+        axes: below the legend; None for the top of the figure.
+        handles: lines and markers with their labels.
+        above: distance from the axes in inches.
+    """
     if not handles:
         return
     height, x = figure.get_size_inches()[1], 1.0 - RIGHT / WIDTH
@@ -37,18 +44,40 @@ def legend(figure: Figure, axes: Axes | None, handles: Sequence[Any], above: flo
 
 
 def line_key(label: str, colour: str, width: float = 2.0, *, dashed: bool = False) -> Line2D:
-    """Return the line of a legend."""
+    """Return the line of a legend.
+
+    Args:
+        label: text of the entry.
+        colour: of the line.
+        width: of the line in points.
+        dashed: whether the line is dashed.
+    """
     return Line2D([], [], color=colour, lw=width, ls=DASHED if dashed else "-", label=label)
 
 
 def marker_key(label: str, colour: str, shape: str = "o", size: float = 6.0, **style: Any) -> Line2D:  # noqa: ANN401  # matplotlib's own
-    """Return the marker of a legend."""
+    """Return the marker of a legend.
+
+    Args:
+        label: text of the entry.
+        colour: of the marker.
+        shape: matplotlib's letter of the marker.
+        size: in points.
+        style: further properties of the marker.
+    """
     return Line2D([], [], color=colour, marker=shape, ls="", ms=size, label=label, **style)
 
 
-def note(axes: Axes, text: str, *, side: str = "right", colour: str = MUTED) -> None:
-    """Write a few words above axes, at the left or at the right."""
-    axes.set_title(text, loc="right" if side == "right" else "left", fontsize=SIZE - 1, color=colour, pad=3)
+def note(axes: Axes, text: str, *, side: Literal["left", "right"] = "right", colour: str = MUTED) -> None:
+    """Write a few words above axes, at the left or at the right.
+
+    Args:
+        axes: below the words.
+        text: the words.
+        side: 'left' or 'right'.
+        colour: of the words.
+    """
+    axes.set_title(text, loc=side, fontsize=SIZE - 1, color=colour, pad=3)
 
 
 def ticks(axes: Axes, count: int = 5) -> None:
@@ -57,7 +86,13 @@ def ticks(axes: Axes, count: int = 5) -> None:
 
 
 def logarithmic(axes: Axes, which: str = "xy", count: int = 5) -> None:
-    """Make axes logarithmic, with a few numbers."""
+    """Make axes logarithmic, with a few numbers.
+
+    Args:
+        axes: to change.
+        which: 'x', 'y' or both.
+        count: numbers on an axis, at most.
+    """
     for name in which:
         axes.set(**{f"{name}scale": "log"})
         axis = {"x": axes.xaxis, "y": axes.yaxis}[name]
@@ -66,7 +101,13 @@ def logarithmic(axes: Axes, which: str = "xy", count: int = 5) -> None:
 
 
 def plain_numbers(axis: Axis, unit: str = "", few: float = 60.0) -> None:
-    """Give a logarithmic axis numbers without exponents, at 1, 2 and 5 if its ends have a ratio below `few`."""
+    """Give a logarithmic axis numbers without exponents, at 1, 2 and 5 if its ends have a ratio below `few`.
+
+    Args:
+        axis: to change.
+        unit: written behind each number.
+        few: ratio of the ends below which there are numbers between the powers of ten.
+    """
     low, high = axis.get_view_interval()
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < few * low else (1.0,)))
     axis.set_major_formatter(StrMethodFormatter(f"{{x:g}}{unit}"))
@@ -79,7 +120,13 @@ def noise_band(axes: Axes, level: float) -> None:
 
 
 def noise_level(spectrum: Axes, deviation: float, rate: float) -> float:
-    """Draw the amplitude density of white noise of a standard deviation, sampled at a rate in Hz, and return it."""
+    """Draw the amplitude density of white noise of a standard deviation, sampled at a rate in Hz, and return it.
+
+    Args:
+        spectrum: axes of the spectrum.
+        deviation: standard deviation of the noise.
+        rate: sampling rate in Hz.
+    """
     level = float(deviation * np.sqrt(2.0 / rate))
     spectrum.axhline(level, color=INK, lw=0.9, ls=DASHED, zorder=4)
     return level
@@ -93,7 +140,13 @@ def shown(unit: str, *values: Array | Sequence[float]) -> tuple[float, str]:
 
 
 def first_of(count: int, total: int, what: str = "") -> str:
-    """Say that only some are shown; "" if all are."""
+    """Say that only some are shown; "" if all are.
+
+    Args:
+        count: number that are shown.
+        total: number of all.
+        what: what is counted, in the plural.
+    """
     return f" The first {count} of {total}{what and f' {what}'} are shown." if total > count else ""
 
 

@@ -28,7 +28,13 @@ _SETTLED = 0.15  # of the record: after that, a band sets the range of its axis
 
 
 def figures(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]) -> tuple[list[CaptionedFigure], str]:
-    """Return the figures of a fit and what they say; without a record whose simulation is not finite."""
+    """Return the figures of a fit and what they say; without a record whose simulation is not finite.
+
+    Args:
+        found: the fit.
+        train: records that were fitted, of which the first is drawn.
+        unseen: validation records, of which the first is drawn.
+    """
     drawn, sentence = [], "The simulation with the fitted values is not finite"
     for record, was_fitted in ((train[0], True), *((record, False) for record in unseen[:1])):
         try:

@@ -95,7 +95,13 @@ def laws_at(found: Discovery, lacking: latent_force.LatentForce) -> list[EffectI
 
 
 def along(found: Discovery, lacking: latent_force.LatentForce, slots: Sequence[EffectInstance]) -> Array:
-    """Return what causes at the place that is looked at give together (m,): force, command or reading."""
+    """Return what causes at the place that is looked at give together (m,): force, command or reading.
+
+    Args:
+        found: the discovery.
+        lacking: the latent force, at the place in view.
+        slots: effect instances there.
+    """
     law = np.zeros_like(lacking.before)
     motion, names = found.smoothed.before, [place.name for place in found.rig.places]
     for slot in slots:

@@ -61,7 +61,13 @@ class CaptionedFigure:
 
 
 def absent(name: str, title: str, why: str) -> CaptionedFigure:
-    """Return the caption of a figure that cannot be drawn, which says why."""
+    """Return the caption of a figure that cannot be drawn, which says why.
+
+    Args:
+        name: of the figure's file.
+        title: of the figure.
+        why: reason, without a full stop.
+    """
     return CaptionedFigure(name, title, f"Not shown: {why}.", None)
 
 
@@ -176,7 +182,13 @@ def with_unit(text: str, unit: str) -> str:
 
 
 def envelope(tau: Series, series: Series, bins: int) -> tuple[Series, Series, Series]:
-    """Give (middle, least, greatest) of each of at most `bins` stretches of equally many samples."""
+    """Give (middle, least, greatest) of each of at most `bins` stretches of equally many samples.
+
+    Args:
+        tau: times (m,).
+        series: samples (m,).
+        bins: number of stretches, at most.
+    """
     starts = np.unique(np.linspace(0, len(tau), max(1, min(bins, len(tau))), endpoint=False).astype(int))
     last = np.append(starts[1:], len(tau)) - 1
     middle = (tau[starts] + tau[last]) / 2
@@ -185,7 +197,13 @@ def envelope(tau: Series, series: Series, bins: int) -> tuple[Series, Series, Se
 
 
 def thin(tau: Series, series: Series, bins: int = BINS) -> tuple[Series, Series]:
-    """Keep the ends and, of each stretch, the least and the greatest sample in their order: a line looks the same."""
+    """Keep the ends and, of each stretch, the least and the greatest sample in their order: a line looks the same.
+
+    Args:
+        tau: times (m,).
+        series: samples (m,).
+        bins: number of stretches.
+    """
     if len(tau) <= 4 * bins:
         return tau, series
     length = len(tau) // bins
