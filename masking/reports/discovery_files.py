@@ -24,6 +24,7 @@ from masking.discovery.places import identifier, opened
 from masking.effects import LAG, attach
 from masking.modelling.model import Model
 from masking.reports import discovery_text, html, model_files
+from masking.reports.style import CaptionedFigure
 from masking.rig.twin import Twin
 
 STD_DIGITS = 3  # of standard deviations
@@ -60,7 +61,7 @@ def save(
     folder: str | Path,
     origin: Origin,
     page: str,
-    figures: Sequence[html.Picture],
+    figures: Sequence[CaptionedFigure],
     *,
     lies: Path | None = None,
 ) -> Files:

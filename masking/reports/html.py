@@ -12,18 +12,18 @@ import re
 import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jinja2
 import markupsafe
 from markupsafe import Markup
 
 from masking.errors import RecordError
+from masking.reports.text import GREEK
 
-GREEK: Final = frozenset(
-    {"alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu"}
-    | {"xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}
-)
+if TYPE_CHECKING:  # drawing is loaded by what draws
+    from masking.reports.style import CaptionedFigure
+
 _TEMPLATES = Path(__file__).with_name("templates")
 _SYMBOL = re.compile(r"([A-Za-z]{1,3}|" + "|".join(sorted(GREEK)) + r")(\d*|_\w+)")
 # Short words and units that may be names, too: symbols where a value follows, or where they do not stand as units.
@@ -32,18 +32,6 @@ _SHORT = frozenset({"A", "a", "an", "as", "at", "by", "in", "is", "it", "no", "o
 _UNITS = frozenset({"A", "C", "F", "H", "Hz", "J", "K", "N", "Pa", "T", "V", "W", "g", "h", "kg", "m", "min", "mm",
                     "ms", "rad", "s"})  # fmt: skip
 _WORDS = {"chi": "<var>&chi;</var>", "pi": "&pi;", "alpha": "<var>&alpha;</var>", "eps": "<var>&epsilon;</var>"}
-
-
-class Picture(Protocol):
-    """A figure as it is written: its file's name, and the content of a PNG file, None if there is nothing to draw."""
-
-    @property
-    def name(self) -> str:
-        """Return the name of its file, without the ending."""
-
-    @property
-    def png(self) -> bytes | None:
-        """Return the content of the file."""
 
 
 class Tile(NamedTuple):
@@ -67,7 +55,11 @@ def render(template: str, **facts: object) -> str:
 
 
 def save(
-    page: Path, template: str, figures: Sequence[Picture], numbers: Mapping[str, Any] | None = None, **facts: object
+    page: Path,
+    template: str,
+    figures: Sequence[CaptionedFigure],
+    numbers: Mapping[str, Any] | None = None,
+    **facts: object,
 ) -> None:
     """Write a page with its figures as PNG files beside it, and its numbers as JSON.
 
@@ -87,7 +79,7 @@ def save(
     write({**contents, page: render(template, figures=figures, **facts)})
 
 
-def images(figures: Iterable[Picture], folder: Path) -> dict[Path, bytes]:
+def images(figures: Iterable[CaptionedFigure], folder: Path) -> dict[Path, bytes]:
     """Return the content of the PNG file of each figure that is drawn, by its path in a folder."""
     return {folder / f"{one.name}.png": one.png for one in figures if one.png is not None}
 

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from numpy.typing import NDArray
 
-from masking.reports.html import GREEK
+from masking.reports.text import GREEK
 
 Series = NDArray[np.float64]
 
