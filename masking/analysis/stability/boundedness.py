@@ -10,19 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
+import sympy as sp
 
 from masking.analysis.stability.algebra import normal
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.motion import Motion
 from masking.errors import ModelError
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 
 @dataclass(frozen=True)
@@ -79,6 +73,11 @@ def squares(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], given: Hypotheses) 
     """Return x^T matrix x as a sum of squares with positive coefficients; None where it is not seen to be one.
 
     By completing squares, one symbol after the other: matrix = L D L^T, with D > 0 or left out where it is 0.
+
+    Args:
+        matrix: symmetric (n, n).
+        symbols: x (n,).
+        given: hypotheses, which get those that the signs of D need.
     """
     rest, found = matrix.applyfunc(normal), []
     for i in range(rest.rows):
@@ -94,7 +93,7 @@ def squares(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], given: Hypotheses) 
     return tuple(found)
 
 
-def _unbounded(potential: sp.Expr, motion: Motion) -> str:  # one reason each
+def _unbounded(potential: sp.Expr, motion: Motion) -> str:
     """Return why a potential may not grow in every direction that is no angle; '' where it does."""
     lines = [q for q in motion.q if q not in motion.circles]
     given, forms, remainder = motion.given, [], sp.Integer(0)

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-import lazy_loader as lazy
 import numpy as np
+import sympy as sp
 
 from masking.analysis.stability.algebra import is_zero, normal
 from masking.analysis.stability.boundedness import Square, squares
@@ -24,11 +24,6 @@ from masking.analysis.stability.motion import Motion
 from masking.codegen.graph import Graph
 from masking.errors import ModelError
 from masking.numerics.arrays import Array
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 Status = Literal["proved", "refuted", "supported numerically", "open"]
 
