@@ -20,6 +20,7 @@ import numpy as np
 from masking.codegen.graph import Graph, Node
 from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot
 from masking.declaration import schema
+from masking.errors import ModelError
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 
@@ -72,6 +73,21 @@ class Controller:
             "transform_parameters": list(self.transform.parameters),
             "regulation": self.regulation and [self.regulation.energy is not None, self.regulation.phase],
         }
+
+
+def check_same_rig(assumed: Model, plant: Model) -> None:
+    """Refuse a controller's model whose coordinates and inputs are not those of the plant.
+
+    Raises:
+        ModelError: names both.
+    """
+    for what in ("coordinates", "inputs"):
+        ours, theirs = getattr(assumed, what), getattr(plant, what)
+        if ours != theirs:
+            raise ModelError(
+                f"the controller's model {assumed.name} has the {what} {', '.join(ours)}, the plant {plant.name} has "
+                f"{', '.join(theirs)}; both must have the same, in the same order"
+            )
 
 
 @dataclass(frozen=True)

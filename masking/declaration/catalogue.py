@@ -24,42 +24,14 @@ _ARTICLE = {
     None: "a declaration",
 }
 OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
-    "experiment": frozenset(
-        [
-            "plant",
-            "virtual",
-            "transform",
-            "controller",
-            "initial",
-            "duration",
-            "time_scale",
-            "record",
-            "stop",
-            "tolerance",
-            "seed",
-        ]
-    ),
-    "plant": frozenset(["kind", "model", "sensors", "actuators", "limits", "allocation", "own_effects"]),
-    "model": frozenset(
-        [
-            "extends",
-            "coordinates",
-            "states",
-            "inputs",
-            "definitions",
-            "equations",
-            "lagrangian",
-            "dissipation",
-            "forces",
-            "terms",
-            "outputs",
-            "energy",
-            "scales",
-            "oscillators",
-            "elements",
-        ]
-    ),
-    "dictionary": frozenset(["dictionary"]),
+    kind: frozenset(keys.split())
+    for kind, keys in {
+        "experiment": "plant virtual transform controller initial duration time_scale record stop tolerance seed",
+        "plant": "kind model sensors actuators limits allocation own_effects",
+        "model": "extends coordinates states inputs definitions equations lagrangian dissipation forces terms outputs "
+        "energy scales oscillators elements",
+        "dictionary": "dictionary",
+    }.items()
 }
 _NAMED_BY = {("plant", "experiment"): "plant", ("model", "experiment"): "virtual", ("model", "plant"): "model"}
 

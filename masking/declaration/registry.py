@@ -10,16 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from masking.declaration import strict_yaml
-from masking.declaration.catalogue import (
-    NOWHERE,
-    Reference,
-    find,
-    folder,
-    kind_of,
-    kind_of_keys,
-    names,
-    wrong_kind,
-)
+from masking.declaration.catalogue import NOWHERE, Reference, find, folder, kind_of_keys, wrong_kind
 from masking.declaration.checks import check_model
 from masking.declaration.cross_checks import check_experiment, check_plant
 from masking.declaration.dictionary import check_dictionary
@@ -33,40 +24,14 @@ from masking.declaration.schema import (
     ModelDeclaration,
     PlantDeclaration,
 )
-from masking.declaration.strict_yaml import Node
-from masking.declaration.validate import Places, in_order, plain_mapping, read
+from masking.declaration.strict_yaml import Node, Places
+from masking.declaration.validate import in_order, plain_mapping, read
 from masking.errors import DeclarationError, Place, Problem, nearest
-
-__all__ = [
-    "NOWHERE",
-    "Assembly",
-    "Reference",
-    "assemble",
-    "changed_experiment",
-    "check_plant_file",
-    "check_units",
-    "find",
-    "folder",
-    "kind_of",
-    "load_dictionary",
-    "load_experiment",
-    "load_model",
-    "load_plant",
-    "name_from",
-    "names",
-    "refer",
-    "with_dictionary",
-]
 
 D = TypeVar("D", bound=Declaration)
 
-_SHORT = {
-    "coordinates": "meaning",
-    "states": "meaning",
-    "inputs": "meaning",
-    "parameters": "value",
-    "outputs": "expression",
-}
+_SHORT = dict.fromkeys(("coordinates", "states", "inputs"), "meaning")
+_SHORT |= {"parameters": "value", "outputs": "expression"}
 _MERGED = {*_SHORT, "definitions", "equations", "forces", "scales", "elements"}
 
 
@@ -168,8 +133,7 @@ def name_from(declaration: Declaration, start: Path | None = None) -> str:
 
 def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str, object]) -> ExperimentDeclaration:
     """Return an experiment with some sections of its file replaced, checked as if the file said so."""
-    places = Places.of(experiment, without=sections)
-    data = {**experiment.canonical(), **sections}
+    data, places = {**experiment.canonical(), **sections}, experiment._places.without(sections)
     return read(ExperimentDeclaration, data, places, experiment.files, lambda *_: [])
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,37 @@ class Node:
     text: str = ""
     keys: dict[str, Place] = field(default_factory=dict)
     pieces: tuple[tuple[int, Place], ...] = ()
+
+
+@dataclass
+class Places:
+    """The places of all keys and values of some files, by dotted path."""
+
+    values: dict[str, Place] = field(default_factory=dict)
+    keys: dict[str, Place] = field(default_factory=dict)
+
+    def without(self, sections: Collection[str]) -> Places:
+        """Return the places outside of some sections."""
+
+        def kept(places: dict[str, Place]) -> dict[str, Place]:
+            return {path: place for path, place in places.items() if path.partition(".")[0] not in sections}
+
+        return Places(kept(self.values), kept(self.keys))
+
+    def add(self, node: Node) -> None:
+        """Add a node and everything inside it; what is there already stays behind what comes later."""
+        self.values[node.path] = node.place
+        if isinstance(node.value, dict):
+            self.keys |= {child.path: node.keys[key] for key, child in node.value.items()}
+        if isinstance(node.value, dict | list):
+            for child in node.value.values() if isinstance(node.value, dict) else node.value:
+                self.add(child)
+
+    def around(self, path: str) -> Place | None:
+        """Give the place of a value, or of the nearest value around it."""
+        while path and path not in self.values:
+            path = path.rpartition(".")[0]
+        return self.values.get(path)
 
 
 def load(path: str | Path) -> Node:

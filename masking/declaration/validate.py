@@ -13,45 +13,10 @@ from pydantic_core import ErrorDetails
 
 from masking.declaration.fields import plain
 from masking.declaration.schema import Declaration
-from masking.declaration.strict_yaml import Node
-from masking.errors import DeclarationError, Place, Problem, nearest
+from masking.declaration.strict_yaml import Node, Places
+from masking.errors import DeclarationError, Problem, nearest
 
 D = TypeVar("D", bound=Declaration)
-
-
-class Places:
-    """The places of all keys and values of some files, by dotted path."""
-
-    def __init__(self) -> None:
-        self.values: dict[str, Place] = {}
-        self.keys: dict[str, Place] = {}
-
-    @classmethod
-    def of(cls, declaration: Declaration, *, without: Collection[str]) -> Places:
-        """Return the places of a declaration, without those of some of its sections."""
-        made = cls()
-        for mine, theirs in ((made.values, declaration._places), (made.keys, declaration._keys)):
-            mine.update({path: place for path, place in theirs.items() if path.partition(".")[0] not in without})
-        return made
-
-    def add(self, node: Node) -> None:
-        """Add a node and everything inside it; what is there already stays behind what comes later."""
-        self.values[node.path] = node.place
-        children: Iterable[Node] = ()
-        if isinstance(node.value, dict):
-            children = node.value.values()
-            for key, child in node.value.items():
-                self.keys[child.path] = node.keys[key]
-        elif isinstance(node.value, list):
-            children = node.value
-        for child in children:
-            self.add(child)
-
-    def around(self, path: str) -> Place | None:
-        """Give the place of a value, or of the nearest value around it."""
-        while path and path not in self.values:
-            path = path.rpartition(".")[0]
-        return self.values.get(path)
 
 
 def read(
@@ -75,8 +40,7 @@ def read(
         problems = list(_translate(kind, errors, places))
         declaration = _validate(kind, _repaired(data, errors))[0]
     if declaration is not None:
-        declaration._places.update(places.values)
-        declaration._keys.update(places.keys)
+        declaration._places = places
         declaration._files.update(files)
         problems += check(declaration, whole is not None, _lost(data, errors))
     if declaration is None or problems or refused:

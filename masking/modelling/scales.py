@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from masking.declaration import schema
+from masking.declaration.checks import bounded
 from masking.declaration.expression import Expression
 from masking.declaration.units import conversion, describe, dimension_of
 from masking.errors import DeclarationError, ModelError, Problem, nearest
@@ -149,7 +150,11 @@ class Units:
                     continue
                 found[name] = self._si(value, parameter.unit, found)
                 del pending[name]
-                self._check_bounds(name, found[name])
+                value = found[name] / self.conversions[parameter.unit].factor
+                unit = "" if parameter.unit == PLAIN else f" {parameter.unit}"
+                shown = f"{name} = {value:g}{unit}"
+                if problems := [*bounded(self.declaration, f"parameters.{name}", shown, value, parameter.bounds)]:
+                    raise DeclarationError(problems)
         return {name: found[name] for name in parameters}
 
     def _si(self, value: float | Expression, unit: str, values: Mapping[str, float]) -> float:
@@ -158,22 +163,6 @@ class Units:
             computed = value.evaluate(values)
             return computed if value.names else computed * self.conversions[unit].factor
         return value * self.conversions[unit].factor
-
-    def _check_bounds(self, name: str, si_value: float) -> None:
-        parameter = self.declaration.parameters[name]
-        value = si_value / self.conversions[parameter.unit].factor
-        low, high = parameter.bounds
-        unit = "" if parameter.unit == PLAIN else f" {parameter.unit}"
-        path = f"parameters.{name}"
-        if not math.isfinite(value):
-            raise DeclarationError(Problem(self.declaration.place(path), path, f"{name} = {value:g} is not finite"))
-        for bound, side, is_outside in (
-            (low, "below its lower", low is not None and value < low),
-            (high, "above its upper", high is not None and value > high),
-        ):
-            if is_outside:
-                message = f"{name} = {value:g}{unit} is {side} bound {bound:g}{unit}"
-                raise DeclarationError(Problem(self.declaration.place(path), path, message))
 
 
 def _units(declaration: schema.ModelDeclaration) -> dict[str, str]:

@@ -257,7 +257,7 @@ class _Bench:
         sampled = loop.sampled
         return run_twin(
             loop,
-            np.zeros(len(sampled.end)) if sampled.homing else sampled.end,
+            sampled.start,
             duration=experiment.declaration.duration * experiment.time_scale,
             seed=experiment.declaration.seed,
             every=experiment.every * round(sampled.rate / self.rate),

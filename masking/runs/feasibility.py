@@ -24,7 +24,8 @@ from masking.errors import DeclarationError, IntegrationError, MaskingError, Pro
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME
 from masking.runs.experiment import Experiment
-from masking.runs.offline import INVERTIBLE, rig_state
+from masking.runs.offline import rig_state
+from masking.runs.stopping import INVERTIBLE
 
 if TYPE_CHECKING:
     from scipy import signal

@@ -22,8 +22,8 @@ from masking.records.recording import Recording
 from masking.rig.twin import Twin
 from masking.runs.experiment import Experiment
 from masking.runs.offline import TwinRun
-from masking.runs.realtime import FAILED, FINISHED, LOST, REFUSED, STOPPED, RigRun, check_channels, every, run_rig
-from masking.runs.stopping import SYNCHRONISED
+from masking.runs.realtime import RigRun, check_channels, every, run_rig
+from masking.runs.stopping import FAILED, FINISHED, LOST, REFUSED, STOPPED, SYNCHRONISED
 
 WATCHDOG = 0.02
 _MEND = "run it on that plant, or write the plant that is there into it"
@@ -87,8 +87,7 @@ def run(
     """Run an experiment on a plant, from rest through the homing phase to the end.
 
     SIGINT, SIGTERM and SIGHUP end the run in order; what there is since the release is returned. The manifest's
-    `rig.end` says why the run ended: "finished", "synchronised", "interrupted", "stopped", "plant lost", "command
-    refused" or "failed".
+    `rig.end` says why the run ended, with one of `masking.runs.stopping.REASONS`.
 
     Args:
         experiment: with a sampled controller, an observer and a homing phase.
