@@ -83,7 +83,7 @@ def test_a_value_outside_its_bounds_is_refused_in_its_own_unit():
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_value_that_is_no_number_is_refused(value):
-    with pytest.raises(DeclarationError, match=r"parameters\.c1\.value: c1 = -?(nan|inf) is not finite$"):
+    with pytest.raises(DeclarationError, match=r"parameters\.c1\.value: c1 = -?(nan|inf) m/s\*\*2/V is not finite$"):
         setup().with_parameters(c1=value)
 
 

@@ -110,7 +110,7 @@ class Kalman:
 
     def __post_init__(self) -> None:
         if self.order not in {0, 1, 2}:
-            raise ModelError(f"observer.order {self.order}: allowed are 1 (a constant disturbance) and 2 (a line)")
+            raise ModelError(f"observer.order {self.order}: allowed are 0, 1 (a constant disturbance) and 2 (a line)")
 
     def gain(self, plan: Plan, offset: int) -> Array:
         """Return the steady Kalman gain: correction of [q, v, s, d, ...] per unit of reading.

@@ -233,10 +233,10 @@ class Experiment:
             SingularityError: the decoupling matrix became singular on the way.
             IntegrationError: the run could not go on.
         """
+        stages = [time.perf_counter()]
         problems = [*self._check_size(), *([] if self.is_compiled else registry.check_units(self.assembly))]
         if problems:
             raise DeclarationError(problems)
-        stages = [time.perf_counter()]
         self._prepare_kernels()
         stages.append(time.perf_counter())
         simulate = self._sampled_run() if self.has_observer else self._exact_run()
