@@ -47,7 +47,11 @@ class Graph:
         return self._node(("symbol", name), varying)
 
     def number(self, value: float) -> Node:
-        """Return the node of a finite constant."""
+        """Return the node of a finite constant.
+
+        Raises:
+            ModelError: it is not finite.
+        """
         if not math.isfinite(value):
             raise ModelError(f"the equations contain the constant {value}; constants must be finite")
         return self._node(("number", float(value)), False)

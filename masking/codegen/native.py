@@ -138,7 +138,13 @@ class NativeFunction:
 
 
 def interface(name: str, arguments: Mapping[str, str], results: Sequence[str]) -> str:
-    """Return the source of a function's C interface: pointers and sizes in, results through a pointer."""
+    """Return the source of a function's C interface: pointers and sizes in, results through a pointer.
+
+    Args:
+        name: of the function.
+        arguments: their types by their names.
+        results: their types.
+    """
     parameters, passed = [], []
     for argument, kind in arguments.items():
         axes = [f"{argument}_{axis}" for axis in range(DIMENSIONS.get(kind, 0))]

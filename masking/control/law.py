@@ -184,7 +184,14 @@ class Homing:
     time: Node
 
     def lower(self, graph: Graph, rig: RigSymbols, jacobian: list[list[Node]], wanted: list[Node]) -> list[Node]:
-        """Return the wanted virtual accelerations, replaced before the release by those of homing."""
+        """Return the wanted virtual accelerations, replaced before the release by those of homing.
+
+        Args:
+            graph: the graph to add to.
+            rig: nodes of time and rig state.
+            jacobian: J (k, n).
+            wanted: virtual accelerations after the release (k,).
+        """
         number, mul = graph.number, graph.mul
         one = number(1.0)
         moving = mul(number(MOVING_PART), self.time)

@@ -61,7 +61,10 @@ def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
 def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[str] = ()) -> list[Problem]:
     """List everything that is wrong with a model; of one that is not whole, only names and symbols.
 
-    `lost` are names that stand in a section whose key is not known, and pass for anything.
+    Args:
+        model: that was read.
+        whole: whether the schema refused nothing of it.
+        lost: names in a section whose key is not known, which pass for anything.
     """
     problems = [*_names(model, lost), *_symbols(model, lost)]
     if whole:
@@ -76,7 +79,15 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
 
 
 def problem_at(declaration: Declaration, path: str, message: str, mend: str = "", at_key: bool = False) -> Problem:
-    """Describe what is wrong with one value of a declaration, or with its key."""
+    """Describe what is wrong with one value of a declaration, or with its key.
+
+    Args:
+        declaration: that was read.
+        path: of the value.
+        message: what is wrong.
+        mend: what to do about it.
+        at_key: whether it is at the key.
+    """
     place = declaration.key_place(path) if at_key else declaration.place(path)
     return Problem(place, path, message, mend)
 
@@ -147,7 +158,14 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
 def check_symbols(
     expression: Expression, allowed: Collection[str], coordinates: Collection[str], known: Collection[str] = ()
 ) -> Iterator[Problem]:
-    """Yield a problem for each symbol that is not allowed: derivative of no coordinate, not for here, or unknown."""
+    """Yield a problem for each symbol that is not allowed: derivative of no coordinate, not for here, or unknown.
+
+    Args:
+        expression: in which they stand.
+        allowed: symbols.
+        coordinates: names that have derivatives.
+        known: symbols that are allowed elsewhere.
+    """
     for problem, symbol in zip(expression.check_symbols(allowed), expression.unknown(allowed), strict=True):
         name = symbol.rstrip("'")
         if symbol != name and name not in coordinates and (name in allowed or name in known):
@@ -241,7 +259,13 @@ def _elements(model: ModelDeclaration) -> Iterator[Problem]:
 
 
 def no_equation(model: ModelDeclaration, coordinate: str, path: str) -> Problem:
-    """Describe that no equation of motion is a coordinate's own, so that a force cannot act on it."""
+    """Describe that no equation of motion is a coordinate's own, so that a force cannot act on it.
+
+    Args:
+        model: with the equations.
+        coordinate: on which a force is to act.
+        path: where that is written.
+    """
     message = f"no equation has {coordinate}'' and no other acceleration on its left side"
     mend = f"a force on {coordinate} acts in such an equation, as {coordinate}'': ..., or in those of a lagrangian"
     return problem_at(model, path, message, mend, at_key=True)

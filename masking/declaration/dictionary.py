@@ -44,7 +44,10 @@ _UNITS = {
 def check_dictionary(declaration: DictionaryDeclaration, whole: bool, lost: Collection[str]) -> list[Problem]:
     """List everything that is wrong with a dictionary; of one that is not whole, only names and symbols.
 
-    `lost` is not needed: a dictionary has one section.
+    Args:
+        declaration: that was read.
+        whole: whether the schema refused nothing of it.
+        lost: not needed: a dictionary has one section.
     """
     problems: list[Problem] = []
     if not declaration.dictionary:

@@ -113,7 +113,13 @@ def displacement_dimension(element: Element, symbols: Mapping[str, Dimension | N
 
 
 def unit_problem(declaration: Declaration, path: str, error: DeclarationError) -> Problem:
-    """Describe a unit that is none, at its place in a declaration."""
+    """Describe a unit that is none, at its place in a declaration.
+
+    Args:
+        declaration: that was read.
+        path: of the unit.
+        error: what reading the unit raised.
+    """
     problem = error.problems[0]
     return Problem(declaration.place(path), path, problem.message, problem.mend, problem.excerpt)
 

@@ -74,7 +74,11 @@ def refuse(message: str, mend: str = "") -> PydanticCustomError:
 
 
 def read_text(value: object) -> str:
-    """Read a text; a number is taken as written."""
+    """Read a text; a number is taken as written.
+
+    Raises:
+        PydanticCustomError: it is neither a text nor a number.
+    """
     if isinstance(value, str):
         return str(value)
     if isinstance(value, Real):
@@ -83,14 +87,22 @@ def read_text(value: object) -> str:
 
 
 def read_number(value: object) -> float:
-    """Read a finite number."""
+    """Read a finite number.
+
+    Raises:
+        PydanticCustomError: it is not.
+    """
     if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
         return float(value)
     raise refuse(f"must be a finite number, not {_shown(value)}")
 
 
 def read_positive(value: object) -> float:
-    """Read a number above zero."""
+    """Read a number above zero.
+
+    Raises:
+        PydanticCustomError: it is not.
+    """
     number = read_number(value)
     if number > 0.0:
         return number
@@ -98,14 +110,22 @@ def read_positive(value: object) -> float:
 
 
 def read_truth(value: object) -> bool:
-    """Read true or false."""
+    """Read true or false.
+
+    Raises:
+        PydanticCustomError: it is neither.
+    """
     if isinstance(value, bool):
         return value
     raise refuse(f"must be true or false, not {_shown(value)}")
 
 
 def read_integer(value: object) -> int:
-    """Read an integer that is not negative."""
+    """Read an integer that is not negative.
+
+    Raises:
+        PydanticCustomError: it is not.
+    """
     number = read_number(value)
     if number < 0 or number != int(number):
         raise refuse(f"must be an integer of at least 0, not {number:g}")
@@ -113,7 +133,11 @@ def read_integer(value: object) -> int:
 
 
 def read_expression(value: object) -> Expression:
-    """Read an expression, keeping the place of a scalar that has one."""
+    """Read an expression, keeping the place of a scalar that has one.
+
+    Raises:
+        PydanticCustomError: it is none.
+    """
     if isinstance(value, Expression):
         return value
     if isinstance(value, bool) or not isinstance(value, str | int | float):
@@ -135,7 +159,11 @@ def read_value(value: object) -> float | Expression:
 
 
 def read_name(value: object) -> str:
-    """Read a name that is free to use: of a coordinate, an input, a parameter, a definition or an output."""
+    """Read a name that is free to use: of a coordinate, an input, a parameter, a definition or an output.
+
+    Raises:
+        PydanticCustomError: it is none, or taken.
+    """
     name = read_text(value)
     if not re.match(NAME_PATTERN, name):
         raise refuse(
@@ -148,7 +176,11 @@ def read_name(value: object) -> str:
 
 
 def read_rate(value: object) -> float:
-    """Read a sampling rate such as '1 kHz' or '1 ms' into Hz."""
+    """Read a sampling rate such as '1 kHz' or '1 ms' into Hz.
+
+    Raises:
+        PydanticCustomError: it is none.
+    """
     match = _RATE.fullmatch(value) if isinstance(value, str) else None
     try:
         number = float(match["number"]) if match else math.nan

@@ -47,7 +47,11 @@ class Assembly:
 
 
 def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> ModelDeclaration:
-    """Load a model with everything it extends, merged into one declaration whose places point into the right files."""
+    """Load a model with everything it extends, merged into one declaration whose places point into the right files.
+
+    Raises:
+        DeclarationError: lists every problem with its place.
+    """
     chain: list[tuple[Path, Node, dict[str, Any]]] = []
     files: dict[str, str] = {}
     refused: list[Problem] = []
@@ -96,7 +100,13 @@ def load_dictionary(name_or_path: str | Path, reference: Reference = NOWHERE) ->
 def with_dictionary(
     plant: PlantDeclaration, name_or_path: str | Path, reference: Reference = NOWHERE
 ) -> PlantDeclaration:
-    """Return a plant that names one more dictionary of own effects; one that it has read already is not read anew."""
+    """Return a plant that names one more dictionary of own effects; one that it has read already is not read anew.
+
+    Args:
+        plant: that was read.
+        name_or_path: of the dictionary.
+        reference: where that was written.
+    """
     file = find("dictionary", name_or_path, reference).resolve()
     if any(Path(known).resolve() == file for own in plant.dictionaries for known in own.files):
         return plant
@@ -104,7 +114,11 @@ def with_dictionary(
 
 
 def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
-    """Load a plant and check it against the model that it names, the units of both included."""
+    """Load a plant and check it against the model that it names, the units of both included.
+
+    Raises:
+        DeclarationError: lists every problem with its place.
+    """
     plant = load_plant(name_or_path)
     model = load_model(plant.model, refer(plant, "model"))
     problems = check_plant(plant, model) + check_dimensions(model) + check_scales(model)
@@ -138,7 +152,11 @@ def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str,
 
 
 def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Assembly:
-    """Load what an experiment refers to and check that it fits; `plant` replaces the experiment's own."""
+    """Load what an experiment refers to and check that it fits; `plant` replaces the experiment's own.
+
+    Raises:
+        DeclarationError: lists every problem with its place.
+    """
     rig = load_plant(plant) if plant else load_plant(experiment.plant, refer(experiment, "plant"))
     plant_model = load_model(rig.model, refer(rig, "model"))
     virtual_model = load_model(experiment.virtual, refer(experiment, "virtual"))

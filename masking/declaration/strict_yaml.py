@@ -116,7 +116,11 @@ def load(path: str | Path) -> Node:
 
 
 def read_bytes(path: str | Path) -> bytes:
-    """Read a file of bounded size."""
+    """Read a file of bounded size.
+
+    Raises:
+        DeclarationError: it is not there, cannot be read, or is too large.
+    """
     path, start = Path(path), Place(str(path), 1, 1)
     if not path.is_file():
         raise DeclarationError(Problem(start, "", "there is no such file"))
@@ -131,7 +135,16 @@ def read_bytes(path: str | Path) -> bytes:
 
 
 def decode(data: bytes, file: str, refused: list[Problem] | None = None) -> Node:
-    """Read YAML from the bytes of a file; `refused` is as in `loads`."""
+    """Read YAML from the bytes of a file.
+
+    Args:
+        data: content of the file.
+        file: its name.
+        refused: as in `loads`.
+
+    Raises:
+        DeclarationError: it is not UTF-8, or as for `loads`.
+    """
     try:
         return loads(data.decode("utf-8"), file, refused)
     except UnicodeDecodeError as error:
@@ -141,10 +154,16 @@ def decode(data: bytes, file: str, refused: list[Problem] | None = None) -> Node
 
 
 def loads(text: str, file: str = "<text>", refused: list[Problem] | None = None) -> Node:
-    """Read YAML from a text; `file` names it in messages.
+    """Read YAML from a text.
 
-    A list given as `refused` takes the problems of single scalars and keys, so that the rest of the file can be checked
-    too; without one they are raised as any other.
+    Args:
+        text: YAML.
+        file: its name in messages.
+        refused: takes the problems of single scalars and keys, so that the rest of the file can be checked too; without
+            such a list they are raised as any other.
+
+    Raises:
+        DeclarationError: lists every problem with its place.
     """
     text = text.removeprefix("\ufeff")  # the byte order mark that some editors write
     if len(text) > LARGEST_FILE:

@@ -111,8 +111,10 @@ def _powers(unit: str) -> dict[str, Fraction]:
 def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
     """Resolve a unit into scales, given as name: unit.
 
-    Solves unit = prod(scale_k**e_k) dimension by dimension in rationals; raises `DeclarationError` where the scales do
-    not span the unit. Scales that are not needed get the exponent 0. Without any scales only the factor to SI is found.
+    Solves unit = prod(scale_k**e_k) dimension by dimension in rationals. Scales that are not needed get the exponent 0. Without any scales only the factor to SI is found.
+
+    Raises:
+        DeclarationError: it is no unit, or the scales do not span it.
     """
     factor, wanted = _unit(unit)
     if not scales:

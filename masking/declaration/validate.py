@@ -28,10 +28,19 @@ def read(
     *,
     refused: Sequence[Problem] = (),
 ) -> D:
-    """Make a declaration of plain data; raises `DeclarationError` with every problem, of the schema and of `check`.
+    """Make a declaration of plain data.
 
-    `check` gets the declaration, whether it is whole (one that is not has lost the entries that the schema refuses) and
-    the names that are lost with sections whose keys are not known. `refused` is what the reader of YAML refused.
+    Args:
+        kind: of the declaration.
+        data: plain mappings, lists and scalars.
+        places: of the data.
+        files: that were read, with their SHA-256.
+        check: lists what is wrong beyond the schema; it gets the declaration, whether it is whole (one that is not has
+            lost the entries that the schema refuses) and the names in sections whose keys are not known.
+        refused: what the reader of YAML refused.
+
+    Raises:
+        DeclarationError: lists every problem in the order of the file.
     """
     problems: list[Problem] = []
     whole, errors = _validate(kind, data)
@@ -89,7 +98,11 @@ def _is_unknown_section(error: ErrorDetails) -> bool:
 
 
 def plain_mapping(node: Node) -> dict[str, Any]:
-    """Give the plain data of a whole file, named after the file if it has no name."""
+    """Give the plain data of a whole file, named after the file if it has no name.
+
+    Raises:
+        DeclarationError: the file is no mapping.
+    """
     if not isinstance(node.value, dict):
         raise DeclarationError(Problem(node.place, "", "the file is not a mapping", "write 'key: value' lines"))
     data: dict[str, Any] = plain(node)

@@ -210,6 +210,10 @@ class Model:
 
         Returns:
             states (m, 2 n + k), the k internal states last, and their times.
+
+        Raises:
+            ModelError: the times are none.
+            IntegrationError: the integrator could not go on.
         """
         times = np.atleast_1d(np.asarray(times, dtype=float))
         if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):

@@ -111,7 +111,11 @@ class Units:
         }
 
     def scale_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
-        """Return the declared scales in SI units; all must be positive."""
+        """Return the declared scales in SI units; all must be positive.
+
+        Raises:
+            DeclarationError: one is not.
+        """
         values = self._si_values(overrides)
         found = {}
         for name, scale in self.declaration.scales.items():

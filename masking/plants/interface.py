@@ -170,7 +170,11 @@ class LifeCycle:
 
 
 def check_command(command: Array, actuators: tuple[str, ...]) -> None:
-    """Refuse a command that is not one finite number for each actuator, shape (actuators,)."""
+    """Refuse a command that is not one finite number for each actuator, shape (actuators,).
+
+    Raises:
+        CommandError: it is not.
+    """
     if np.shape(command) != (len(actuators),):
         names = ", ".join(actuators)
         message = f"the command has shape {np.shape(command)}; give ({len(actuators)},), one number for each of {names}"

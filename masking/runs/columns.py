@@ -34,12 +34,26 @@ class Columns:
         return self.assembly.plant.actuators or self.assembly.plant_model.inputs
 
     def add(self, name: str, values: Array, unit: str, meaning: str) -> None:
-        """Add one column (m,)."""
+        """Add one column (m,).
+
+        Args:
+            name: of the column.
+            values: (m,).
+            unit: of the values.
+            meaning: in words.
+        """
         self.columns[name] = np.ascontiguousarray(values)
         self.units[name] = {"unit": unit, "meaning": meaning}
 
     def add_motion(self, times: Array, rig: Array, virtual: Array, ideal: Array) -> Columns:
-        """Add time, and coordinates and velocities of the rig, the virtual system and the ideal."""
+        """Add time, and coordinates and velocities of the rig, the virtual system and the ideal.
+
+        Args:
+            times: (m,), s.
+            rig: its states (m, .), SI units.
+            virtual: virtual coordinates and velocities (m, 2 k), in the virtual system's units.
+            ideal: those of the virtual system by itself (m, 2 k).
+        """
         self.add("t", times, "s", "time")
         for prefix, model, states in (
             ("rig", self.plant, rig),

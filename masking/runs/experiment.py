@@ -149,7 +149,11 @@ class Experiment:
 
     @cached_property
     def sampled(self) -> SampledController:
-        """Return the sampled controller, with the initial state to which it brings the rig."""
+        """Return the sampled controller, with the initial state to which it brings the rig.
+
+        Raises:
+            ModelError: homing is to end in an initial state that moves.
+        """
         settings = self.declaration.controller
         made = SampledController(
             self.controller,
