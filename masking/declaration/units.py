@@ -111,7 +111,8 @@ def _powers(unit: str) -> dict[str, Fraction]:
 def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
     """Resolve a unit into scales, given as name: unit.
 
-    Solves unit = prod(scale_k**e_k) dimension by dimension in rationals. Scales that are not needed get the exponent 0. Without any scales only the factor to SI is found.
+    Solves unit = prod(scale_k**e_k) dimension by dimension in rationals. Scales that are not needed get the exponent 0.
+    Without any scales only the factor to SI is found.
 
     Raises:
         DeclarationError: it is no unit, or the scales do not span it.
