@@ -442,8 +442,10 @@ def test_units_and_conversion():
     assert factor_of("mm") == pytest.approx(1e-3, rel=1e-15)
     assert factor_of("km/h") == pytest.approx(1 / 3.6, rel=1e-15)
     scales = {"length": "mm", "time": "s", "mass": "kg", "voltage": "V"}
-    assert conversion("N/m", scales) == (1.0, {"length": 0, "time": -2, "mass": 1, "voltage": 0})
-    assert conversion("mm/s", {"length": "m", "rate": "Hz"}) == (pytest.approx(1e-3), {"length": 1, "rate": 1})
+    assert conversion("N/m", scales) == (1.0, {"length": 0, "time": -2, "mass": 1, "voltage": 0}, "N/m")
+    assert conversion("mm/s", {"length": "m", "rate": "Hz"}) == (
+        pytest.approx(1e-3), {"length": 1, "rate": 1}, "m/s",
+    )  # fmt: skip
     assert conversion("m", {"area": "m**2"}).exponents == {"area": 0.5}
     with pytest.raises(DeclarationError) as caught:
         conversion("N/m", {"length": "m", "time": "s"})

@@ -53,10 +53,8 @@ class Controller:
     @cached_property
     def lengths(self) -> Array:
         """Return the size in SI units of one unit of each rig coordinate as the transform sees it (n,)."""
-        units = [c.unit for c in self.model.declaration.coordinates.values()]
-        if not (self.virtual.is_dimensionless or self.virtual.units.is_plain):
-            return np.ones(len(units))
-        return np.array([self.model.units.size(unit, self.model.overrides) for unit in units])
+        has_scales = self.virtual.is_dimensionless or self.virtual.units.is_plain
+        return self.model.lengths if has_scales else np.ones(len(self.model.coordinates))
 
     def values(self) -> Array:
         """Return the parameter array of the control law: model, virtual system, transform, lengths, time scale."""

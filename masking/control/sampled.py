@@ -249,7 +249,11 @@ class _Lowered:
         controller, instruments = sampled.controller, sampled.instruments
         equations = controller.model.equations
         self.graph, self.loads = Graph(), dict[str, str]()
-        n, channels, inputs = len(equations.coordinates), len(instruments.actuators), len(controller.model.inputs)
+        n, channels, inputs = (
+            len(equations.coordinates),
+            len(instruments.actuators),
+            len(controller.model.inputs),
+        )
         self._count = n
         time = self._read("t", "t", varying=True)
         y = {name: self._array(name, "y", len(symbols), first, varying=True) for name, symbols, first in (

@@ -45,10 +45,15 @@ TIME: Dimension = tuple(Fraction(int(base == "time")) for base in BASES)
 
 
 class Conversion(NamedTuple):
-    """A unit in terms of scales: value * factor / prod(scale_si**exponent) is dimensionless."""
+    """A unit in terms of scales: value * factor / prod(scale_si**exponent) is dimensionless; `si` is its SI unit."""
 
     factor: float
     exponents: dict[str, float]
+    si: str
+
+    def scale(self, scales: Mapping[str, float]) -> float:
+        """Return the size in SI units of what the scales make of this dimension."""
+        return math.prod(float(scales[name] ** exponent) for name, exponent in self.exponents.items())
 
 
 def dimension_of(unit: str) -> Dimension:
@@ -118,8 +123,9 @@ def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
         DeclarationError: it is no unit, or the scales do not span it.
     """
     factor, wanted = _unit(unit)
+    si = unit if factor == 1.0 else describe(wanted)
     if not scales:
-        return Conversion(factor, {})
+        return Conversion(factor, {}, si)
     columns = [dimension_of(scale) for scale in scales.values()]
     exponents = _solve(columns, wanted)
     if exponents is None:
@@ -127,7 +133,7 @@ def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
         what = f"no scale for {' and '.join(absent)}" if absent else "no product of the scales"
         message = f"the unit {unit} cannot be made dimensionless: {what}"
         raise DeclarationError(Problem(None, "scales", message, f"add one under scales; there are {', '.join(scales)}"))
-    return Conversion(factor, {name: float(power) for name, power in zip(scales, exponents, strict=True)})
+    return Conversion(factor, {name: float(power) for name, power in zip(scales, exponents, strict=True)}, si)
 
 
 @functools.cache

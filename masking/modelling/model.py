@@ -251,6 +251,11 @@ class Model:
         internal = [given.get(n, z.initial) * self._size(z.unit) for n, z in self.declaration.states.items()]
         return np.array([*positions, *velocities, *internal], dtype=float)
 
+    @property
+    def lengths(self) -> np.ndarray:
+        """Return a size of each coordinate, in SI units (n,): that of the scales, else 1."""
+        return np.array([self.units.size(c.unit, self.overrides) for c in self.declaration.coordinates.values()])
+
     def _size(self, unit: str) -> float:
         """Return the size of a declared unit in SI units, or in the declared scales."""
         size = self.units.conversions[unit].factor

@@ -8,7 +8,6 @@ dimension is the product of scale_k to the power e_k is divided by that product.
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,34 +15,11 @@ from typing import Any
 from masking.declaration import schema
 from masking.declaration.checks import bounded
 from masking.declaration.expression import Expression
-from masking.declaration.units import conversion, describe, dimension_of
+from masking.declaration.units import Conversion, conversion
 from masking.errors import DeclarationError, ModelError, Problem, nearest
 
 PLAIN = "1"
 SECOND = "s"
-
-
-@dataclass(frozen=True)
-class Conversion:
-    """How one unit converts: to the SI unit of its dimension by a factor, and to the scales by their exponents."""
-
-    factor: float
-    exponents: Mapping[str, float]
-    si: str
-
-    @classmethod
-    def of(cls, unit: str, scales: Mapping[str, str]) -> Conversion:
-        """Derive the conversion of a unit; `scales` are the units of the scales.
-
-        Raises:
-            DeclarationError: the text is no unit, or the scales cannot express it.
-        """
-        factor, exponents = conversion(unit, scales)
-        return cls(factor, exponents, unit if factor == 1.0 else describe(dimension_of(unit)))
-
-    def scale(self, scales: Mapping[str, float]) -> float:
-        """Return the size in SI units of what the scales make of this dimension."""
-        return math.prod(float(scales[name] ** exponent) for name, exponent in self.exponents.items())
 
 
 @dataclass(frozen=True)
@@ -68,11 +44,11 @@ class Units:
         scales = {name: scale.unit for name, scale in declaration.scales.items()}
         found = {PLAIN: Conversion(1.0, {}, PLAIN)}
         with contextlib.suppress(DeclarationError):  # scales without a time leave it in seconds
-            found[SECOND] = Conversion.of(SECOND, scales)
+            found[SECOND] = conversion(SECOND, scales)
         for what, unit in _units(declaration).items():
             if unit not in found:
                 try:
-                    found[unit] = Conversion.of(unit, scales)
+                    found[unit] = conversion(unit, scales)
                 except DeclarationError as error:
                     raise ModelError(f"{declaration.name}: {what} [{unit}]: {error}") from None
         return cls(declaration, found)

@@ -122,9 +122,8 @@ def run(
 
     def made(ran: RigRun) -> Recording:
         reason = keeper.reason if ran.reason in {STOPPED, FINISHED} and keeper.is_over else ran.reason
-        return experiment.record_rig(
-            keeper.rows(ran, experiment.every), lockstep=lockstep, outcome=_outcome(ran, reason)
-        )
+        outcome = {"end": reason, "counters": dict(ran.counters), **({"note": ran.note} if ran.note else {})}
+        return experiment.record_rig(keeper.rows(ran, experiment.every), lockstep=lockstep, outcome=outcome)
 
     def on_end(ran: RigRun) -> None:
         if ran.reason in {LOST, REFUSED, FAILED} and keep is not None and keeper.is_released:
@@ -170,14 +169,6 @@ def _prepare(sampled: SampledController) -> None:
     for name in ("control", "still", "transform", "transforms", *([] if sampled.has_model else ["skip"])):
         getattr(sampled.kernels, name).prepare()
     _ = sampled.gain
-
-
-def _outcome(ran: RigRun, reason: str) -> dict[str, object]:
-    """Return the manifest's entries for a run on a plant, and why it ended."""
-    outcome: dict[str, object] = {"end": reason, "counters": dict(ran.counters)}
-    if ran.note:
-        outcome["note"] = ran.note
-    return outcome
 
 
 @dataclass
