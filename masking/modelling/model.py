@@ -21,7 +21,6 @@ from masking.codegen.kernels import Kernels, Trajectory
 from masking.codegen.source import Module
 from masking.declaration import registry, schema
 from masking.declaration.dimensions import check_dimensions, check_scales
-from masking.declaration.expression import Expression
 from masking.effects import Effect, Setting, attach
 from masking.errors import DeclarationError, ModelError
 from masking.modelling.equations import Equations
@@ -171,13 +170,10 @@ class Model:
                 kind: {n: x.unit for n, x in getattr(d, kind).items()}
                 for kind in ("coordinates", "states", "inputs", "parameters")
             },
-            "definitions": _texts(d.definitions),
+            **{kind: {n: x.text for n, x in getattr(d, kind).items()} for kind in ("definitions", "forces")},
             "equations": [[left.text, right.text] for left, right in d.equations.items()],
-            "lagrangian": _text(d.lagrangian),
-            "dissipation": _text(d.dissipation),
-            "forces": _texts(d.forces),
+            **{kind: x and x.text for kind in ("lagrangian", "dissipation", "energy") for x in [getattr(d, kind)]},
             "outputs": {n: o.expression.text for n, o in d.outputs.items()},
-            "energy": _text(d.energy),
             "scales": {n: s.unit for n, s in d.scales.items()},
         }
 
@@ -390,11 +386,3 @@ class Model:
         if problems:
             raise DeclarationError(problems)
         return module(self.equations)
-
-
-def _text(expression: Expression | None) -> str | None:
-    return None if expression is None else expression.text
-
-
-def _texts(expressions: Mapping[str, Expression]) -> dict[str, str]:
-    return {name: expression.text for name, expression in expressions.items()}
