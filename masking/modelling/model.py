@@ -172,7 +172,7 @@ class Model:
             },
             **{kind: {n: x.text for n, x in getattr(d, kind).items()} for kind in ("definitions", "forces")},
             "equations": [[left.text, right.text] for left, right in d.equations.items()],
-            **{kind: x and x.text for kind in ("lagrangian", "dissipation", "energy") for x in [getattr(d, kind)]},
+            **{kind: getattr(getattr(d, kind), "text", None) for kind in ("lagrangian", "dissipation", "energy")},
             "outputs": {n: o.expression.text for n, o in d.outputs.items()},
             "scales": {n: s.unit for n, s in d.scales.items()},
         }

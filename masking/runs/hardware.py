@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from masking.analysis.synchronisation import Watch
 from masking.control.sampled import Memory, SampledController
@@ -201,7 +201,7 @@ class _Watched:
         self.watch.step(float(self._virtual[first]), float(self._virtual[second]))
 
 
-@dataclass
+@final
 class _Keeper:
     """A sampled controller with a row for each of its steps.
 
@@ -212,20 +212,11 @@ class _Keeper:
         watched: what ends the run before that.
     """
 
-    sampled: SampledController
-    before: int
-    after: int
-    watched: _Watched | None = None
-    memory: Memory | None = None
-    first: int = 0
-    row: int = 0
-    estimates: Array = field(init=False)
-    demanded: Array = field(init=False)
-    power: Array = field(init=False)
-    index: NDArray[np.int64] = field(init=False)
-
-    def __post_init__(self) -> None:
-        sizes, samples = self.sampled.sizes, self.before + self.after
+    def __init__(self, sampled: SampledController, before: int, after: int, watched: _Watched | None) -> None:
+        self.sampled, self.before, self.after, self.watched = sampled, before, after, watched
+        self.memory: Memory | None = None
+        self.first, self.row = 0, 0
+        sizes, samples = sampled.sizes, before + after
         self.estimates = np.zeros((samples, sizes.states))
         self.demanded = np.zeros((samples, sizes.actuators))
         self.power = np.zeros((samples, sizes.actuators))
