@@ -95,10 +95,10 @@ class Differences:
 
 @dataclass(frozen=True)
 class Kalman:
-    """State of a model, and with an order also the acceleration that it lacks, corrected by what the sensors tell.
+    """State of a model, and with an order also its unknown acceleration, corrected by the readings.
 
     Args:
-        order: how that disturbance is expected to go on: 0 where there is none, 1 as a constant, 2 as a straight line.
+        order: how the unknown acceleration (the disturbance) continues: 0 if there is none, 1 as a constant, 2 as a line.
         bandwidth: rad/s, one or one for each coordinate; chosen by the rule of `bandwidths` where it is None.
 
     Raises:
