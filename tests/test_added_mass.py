@@ -68,10 +68,10 @@ def test_several_at_once_are_a_mass_matrix(rig):
     # and what the kernel says of parameters while there are any is right, too
     commands = excitation(6.0, 3)
     p = dict(zip(rig.names, rig.start, strict=True))
-    evidence = evidence_of(rig, Data("a record", RATE, commands, np.zeros_like(commands)))
+    problem = evidence_of(rig, Data("a record", RATE, commands, np.zeros_like(commands)))
     places = (("x1", 0.05), ("spring1", 0.4), ("beam", -0.2), ("x2", 0.1), ("spring2", 0.7))
-    slots = tuple(EffectInstance("added_mass", at, (m,), (0,)) for at, m in places)
-    found = evidence.equations(rig.start, np.zeros((1, 6)), slots, np.array([m for _, m in places]))
+    instances = tuple(EffectInstance("added_mass", at, (m,), (0,)) for at, m in places)
+    found = problem.equations(rig.start, np.zeros((1, 6)), instances, np.array([m for _, m in places]))
     exact = read(setup(p, (0.05, 0.1, -0.2), (0.4, 0.7)), commands)
     assert np.abs(found.simulated - exact).max() < 1e-7 * np.abs(exact).max()
     for i in range(len(places)):  # -J^T W r is the gradient of half the squares, r being minus what is read
@@ -199,10 +199,10 @@ def test_it_is_the_parameter_of_a_single_mass(single_rig):
     commands = 100.0 * excitation(10.0, 1, rate=200.0)
     exact = slider(1.3, commands, 200.0)
     assert np.abs(exact).max() > 0.8  # 30 % more inertia than at rest, or so
-    evidence, start = evidence_of(rig, Data("a record", 200.0, commands, np.zeros_like(exact))), np.zeros((1, 2))
+    problem, start = evidence_of(rig, Data("a record", 200.0, commands, np.zeros_like(exact))), np.zeros((1, 2))
     larger = rig.start * np.where(np.array(rig.names) == "m", 1.3, 1.0)
-    added = evidence.equations(rig.start, start, (EffectInstance("added_mass", "x", (0.3,), (0,)),), np.array([0.3]))
-    heavy = evidence.equations(larger, start)
+    added = problem.equations(rig.start, start, (EffectInstance("added_mass", "x", (0.3,), (0,)),), np.array([0.3]))
+    heavy = problem.equations(larger, start)
     for found in (added, heavy):
         np.testing.assert_allclose(found.simulated, exact, atol=1e-6)
     by, own = rig.names.index("m"), [*range(n), n + 1, n + 2]

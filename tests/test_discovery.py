@@ -149,9 +149,9 @@ def test_json_has_fixed_keys(discovered):
         assert told["simulation_error"][part].keys() == {"before", "after"}
         assert all(chi.keys() == {"s1", "s2", "s3"} for chi in told["simulation_error"][part].values())
     assert len(told["records"]["record"]["sha256"]) == 64
-    lacking = told["localisation"]["latent_force"]
-    assert lacking["coordinates"]["x1"] > 0.95
-    assert lacking["places"]["spring1"]["energy"]["rate"] > 0.9
+    latent = told["localisation"]["latent_force"]
+    assert latent["coordinates"]["x1"] > 0.95
+    assert latent["places"]["spring1"]["energy"]["rate"] > 0.9
     assert {after["white"] for after in (one["after"] for one in told["localisation"]["whiteness"].values())} == {True}
 
 

@@ -95,11 +95,11 @@ def test_emps_has_dry_friction_and_an_offset(tmp_path):
     values = {name: one["value"] for name, one in found["parameters"].items()}
     assert values["M"] == pytest.approx(95.1089, rel=0.05)
     assert values["Fv"] == pytest.approx(203.5034, rel=0.05)
-    residual = lacking(test, values, friction["parameters"]["fc"]["value"], force)
+    residual = latent(test, values, friction["parameters"]["fc"]["value"], force)
     assert residual < 1.1 * 0.045  # the best with these four parameters in the README of the data: 4.5 %
 
 
-def lacking(file, values, friction, offset):
+def latent(file, values, friction, offset):
     """Return the part of the force below 20 Hz that inverse dynamics do not give."""
     held = io.loadmat(file)
     force, q = held["gtau"].ravel()[0] * held["vir"].ravel(), held["qm"].ravel()

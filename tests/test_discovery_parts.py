@@ -11,7 +11,7 @@ from masking.declaration.dimensions import is_plain
 from masking.discovery import fitting
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.candidates import candidates
-from masking.discovery.composites import is_composite
+from masking.discovery.composites import are_composite
 from masking.discovery.explanation import occam
 from masking.discovery.noise import steps_of
 from masking.discovery.places import opened, places
@@ -29,7 +29,7 @@ from masking.workflows import inputs
 from tests.test_discovery import PLANT
 
 RATE, SECONDS, NOISE = 1000.0, 12.0, 1e-3
-SLOTS = {
+INSTANCES = {
     "dry friction": EffectInstance("dry_friction", "spring1", (0.05, 1e-3), (0,)),
     "hysteresis": EffectInstance("hysteresis", "beam", (10.0, 1e-3, 0.5, 2.0), (0, 1)),
     "a stop": EffectInstance("stop", "spring2", (50.0, 1e-3, 0.0, 1.0), (0, 1)),
@@ -70,27 +70,27 @@ def commands():
 
 
 @pytest.fixture(scope="module")
-def evidence(twin, rig, commands):
+def problem(twin, rig, commands):
     record = Data("a record", RATE, commands, np.zeros((len(commands), 3)))
     return EstimationProblem(rig, record, prior_of(twin, rig, 0.01), np.full(3, NOISE), 2)
 
 
-def equations(evidence, slots=(), added=None, theta=None):
-    rig = evidence.rig
-    values = np.array([s.values[i] for s in slots for i in s.free]) if added is None else added
-    return evidence.equations(rig.start if theta is None else theta, np.zeros((1, 6)), slots, values)
+def equations(problem, instances=(), added=None, theta=None):
+    rig = problem.rig
+    values = np.array([s.values[i] for s in instances for i in s.free]) if added is None else added
+    return problem.equations(rig.start if theta is None else theta, np.zeros((1, 6)), instances, values)
 
 
-def noisy(evidence, slots, seed=0):
-    """Return evidence whose record holds effects and noise."""
-    told = equations(replace(evidence, substeps=4), slots).simulated
+def noisy(problem, instances, seed=0):
+    """Return a problem whose record holds effects and noise."""
+    told = equations(replace(problem, substeps=4), instances).simulated
     noise = NOISE * np.random.default_rng(seed).standard_normal(told.shape)
-    return replace(evidence, record=replace(evidence.record, readings=told + noise))
+    return replace(problem, record=replace(problem.record, readings=told + noise))
 
 
-def test_without_effects_it_is_the_linear_rig(evidence):
+def test_without_effects_it_is_the_linear_rig(problem):
     # (4.1)-(4.3), exactly discretised with commands held
-    p = dict(zip(evidence.rig.names, evidence.rig.start, strict=True))
+    p = dict(zip(problem.rig.names, problem.rig.start, strict=True))
     k = np.array([p["w1"] ** 2, p["w2"] ** 2, p["w3"] ** 2])
     c = np.array([2 * p["z1"] * p["w1"], 2 * p["z2"] * p["w2"], 2 * p["z3"] * p["w3"]])
     relative = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0], [0.0, 0.0, 1.0]])
@@ -103,20 +103,20 @@ def test_without_effects_it_is_the_linear_rig(evidence):
         np.hstack([200.0 * relative, np.zeros((3, 3))]),
         np.zeros((3, 3)),
     )
-    exact = signal.dlsim((*signal.cont2discrete(system, 1.0 / RATE)[:4], 1.0 / RATE), evidence.record.commands)[1]
-    assert np.abs(equations(evidence).simulated - exact).max() < 1e-7 * np.abs(exact).max()
+    exact = signal.dlsim((*signal.cont2discrete(system, 1.0 / RATE)[:4], 1.0 / RATE), problem.record.commands)[1]
+    assert np.abs(equations(problem).simulated - exact).max() < 1e-7 * np.abs(exact).max()
 
 
-@pytest.mark.parametrize("name", SLOTS)
-def test_derivatives_are_those_of_differences(evidence, name):
-    slot, readings = SLOTS[name], equations(evidence).simulated
-    evidence = replace(evidence, record=replace(evidence.record, readings=readings))
-    found = equations(evidence, (slot,))
-    values = np.array([slot.values[i] for i in slot.free])
-    k, size = len(evidence.rig.names), found.squares.sum() / NOISE**2
+@pytest.mark.parametrize("name", INSTANCES)
+def test_derivatives_are_those_of_differences(problem, name):
+    instance, readings = INSTANCES[name], equations(problem).simulated
+    problem = replace(problem, record=replace(problem.record, readings=readings))
+    found = equations(problem, (instance,))
+    values = np.array([instance.values[i] for i in instance.free])
+    k, size = len(problem.rig.names), found.squares.sum() / NOISE**2
 
     def cost(added, theta):
-        left = readings - equations(evidence, (slot,), added, theta).simulated
+        left = readings - equations(problem, (instance,), added, theta).simulated
         return 0.5 * float((left**2).sum()) / NOISE**2
 
     for i, value in enumerate(values):
@@ -127,7 +127,7 @@ def test_derivatives_are_those_of_differences(evidence, name):
         scale = np.sqrt(found.matrix[k + i, k + i] * size)
         assert -found.gradient[k + i] == pytest.approx(slope, abs=2e-3 * scale)
     for i in (0, 7):
-        theta = evidence.rig.start
+        theta = problem.rig.start
         step = 1e-5 * theta[i] * (np.arange(k) == i)
         slope = (cost(values, theta + step) - cost(values, theta - step)) / (2e-5 * theta[i])
         scale = np.sqrt(found.matrix[i, i] * size)
@@ -179,10 +179,10 @@ def test_a_coordinate_without_an_equation_of_its_own_is_refused(tmp_path):
         places(twin.base)
 
 
-def test_the_smoother_finds_a_force_and_how_well_it_is_known(evidence):
+def test_the_smoother_finds_a_force_and_how_well_it_is_known(problem):
     hidden = EffectInstance("periodic_force", "beam", (0.05, 0.02, 0.7), (0, 1, 2))
-    record = noisy(evidence, (hidden,))
-    motion = smooth(record, evidence.rig.start, np.zeros((1, 6)))
+    record = noisy(problem, (hidden,))
+    motion = smooth(record, problem.rig.start, np.zeros((1, 6)))
     t = np.arange(len(motion.forces)) / RATE
     true = -0.05 * np.sin(2 * np.pi * 0.7 * t) - 0.02 * np.cos(2 * np.pi * 0.7 * t)
     middle = slice(2000, -2000)
@@ -192,25 +192,25 @@ def test_the_smoother_finds_a_force_and_how_well_it_is_known(evidence):
     assert np.abs(motion.forces[middle, 0]).mean() < 3.0 * motion.deviation[0]
 
 
-def test_screening_tells_what_a_fit_would_take_off(evidence):
-    hidden = SLOTS["dry friction"]
-    record = noisy(evidence, (hidden,))
+def test_screening_tells_what_a_fit_would_take_off(problem):
+    hidden = INSTANCES["dry friction"]
+    record = noisy(problem, (hidden,))
     base = fitting.fit(record)
     motion = smooth(record, base.theta, base.start)
     search = Search(record)
     every = [c for c in candidates(record.rig, search._spans(motion), record.dt) if c.at in ("spring1", "s1")]
     best = Screen(record, base, motion).scores(every)
     friction = next(score for score in best if score.candidate.key == ("dry_friction", "spring1"))
-    fitted = fitting.fit(record, (friction.slot,), theta=base.theta, start=base.start)
+    fitted = fitting.fit(record, (friction.instance,), theta=base.theta, start=base.start)
     assert friction.gain == pytest.approx(base.cost - fitted.cost, rel=0.02)
-    assert friction.slot.values[0] == pytest.approx(0.05, rel=0.01)
+    assert friction.instance.values[0] == pytest.approx(0.05, rel=0.01)
     assert fitted.added[0] == pytest.approx(0.05, abs=4.0 * fitted.deviations[-1])
 
 
-def test_a_parameter_that_the_record_does_not_tell_pays_nothing(evidence):
+def test_a_parameter_that_the_record_does_not_tell_pays_nothing(problem):
     # friction without a dip: the rate at which it would have fallen is not told
-    record = noisy(evidence, (SLOTS["dry friction"],))
-    plain = fitting.fit(record, (SLOTS["dry friction"],))
+    record = noisy(problem, (INSTANCES["dry friction"],))
+    plain = fitting.fit(record, (INSTANCES["dry friction"],))
     dip = EffectInstance("stribeck_friction", "spring1", (0.05, 0.05, 0.01, 1e-3), (0, 2))
     assert occam(fitting.fit(record, (dip,))) == pytest.approx(occam(plain), abs=1.5)
 
@@ -223,27 +223,27 @@ def test_readings_on_a_lattice_are_rounded():
 
 
 @pytest.mark.parametrize("rest", [1, 7, 500])
-def test_first_states_of_windows_lie_on_the_readings_also_where_the_last_is_short(evidence, rest):
+def test_first_states_of_windows_lie_on_the_readings_also_where_the_last_is_short(problem, rest):
     t = np.arange(1000 + rest) / RATE
     readings = np.add(np.outer(t, (1e-3, -2e-3, 3e-3)), (1e-3, 2e-3, 0.0))
     record = Data("a line", RATE, np.zeros_like(readings), readings)
-    windows = replace(evidence, record=record, interval=500)
-    found = fitting.first_states(windows, evidence.rig.start)
-    offset, sensing = evidence.rig.reading(evidence.rig.start, np.zeros(6))
+    windows = replace(problem, record=record, interval=500)
+    found = fitting.first_states(windows, problem.rig.start)
+    offset, sensing = problem.rig.reading(problem.rig.start, np.zeros(6))
     assert found.shape == (3, 6)
     np.testing.assert_allclose(offset + sensing @ found[2], readings[1000], atol=1e-12)
     np.testing.assert_allclose(sensing[:, :3] @ found[2, 3:], (1e-3, -2e-3, 3e-3), atol=1e-10)
 
 
-def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, evidence, commands):
+def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, problem, commands):
     """By scipy's least squares on the residuals of both, simulated by the rig alone."""
-    slot = EffectInstance("hardening_spring", "spring1", (3e4,), (0,))
+    instance = EffectInstance("hardening_spring", "spring1", (3e4,), (0,))
     records = []
     for seed, more in ((1, 1.0), (2, 0.7)):
-        record = noisy(replace(evidence, record=replace(evidence.record, commands=more * commands)), (slot,), seed)
+        record = noisy(replace(problem, record=replace(problem.record, commands=more * commands)), (instance,), seed)
         records.append(record)
     first, second = records
-    start = slot.with_values((0,), (2e4,))
+    start = instance.with_values((0,), (2e4,))
     alone = fitting.fit(first, (start,))
     both = fitting.together(first, second, alone)
     k = len(rig.start)
@@ -279,4 +279,4 @@ def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, evidence
     ],
 )
 def test_laws_of_one_kind_at_one_place_are_a_patchwork(rig, causes, patched):
-    assert is_composite(causes, rig) is patched
+    assert are_composite(causes, rig) is patched

@@ -81,7 +81,7 @@ def test_a_strong_spring_is_found(discovered, k3, in_windows):
     assert (found.verdict, [(e.name, e.on) for e in found.effects]) == ("named", [("hardening_spring", "spring")])
     assert found.effects[0].parameters["k3"][0] == pytest.approx(k3, rel=1e-3)
     assert found.closed
-    assert (0 < found.evidence.interval < len(found.record)) is in_windows
+    assert (0 < found.problem.interval < len(found.record)) is in_windows
 
 
 def test_what_only_the_record_that_judges_shows_is_not_nothing(discovered):
@@ -101,7 +101,7 @@ def test_friction_that_turns_round_fast_is_simulated_in_finer_steps(discovered):
     assert (found.verdict, [(e.name, e.on) for e in found.effects]) == ("named", [("dry_friction", "spring")])
     value, std = found.effects[0].parameters["fc"]
     assert abs(value - 0.5) < 4.0 * std < 1e-3
-    assert found.evidence.substeps > 1
+    assert found.problem.substeps > 1
 
 
 @pytest.mark.search

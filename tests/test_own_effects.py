@@ -77,7 +77,6 @@ effects:
 MAGNET_ENTRY = Effect(
     "magnet",
     "A magnet beside the leaf pulls it in.",
-    "element",
     "f0*(x0/(x0 + d))**2",
     {
         "f0": EffectParameter("F", "force at rest"),
@@ -227,7 +226,7 @@ class TestDiscovery:
             c.key: c for c in candidates(AugmentedModel(twin, ("k", "c")), {"leaf": span, "x": span, "u": span}, 2e-3)
         }
         made = found["magnet", "leaf"]
-        assert [slot.values for slot in made.slots] == [(0.0, part * 2e-3) for part in (1.2, 2.0, 4.0)]
+        assert [instance.values for instance in made.instances] == [(0.0, part * 2e-3) for part in (1.2, 2.0, 4.0)]
         assert (made.factors, made.free) == ((0,), (0, 1))
         assert ("ripple", "x") in found
 

@@ -16,28 +16,6 @@ QUOTED = {
     "CHANGELOG.md": {"fidelity", "wiring"},
 }
 
-# Words that are not gone yet, by file; the table may only shrink.
-NOT_YET: dict[str, set[str]] = {
-    "masking/discovery/augmented_model.py": {"slot", "slots"},
-    "masking/discovery/candidates.py": {"slots"},
-    "masking/discovery/fitting.py": {"slots"},
-    "masking/discovery/force_decomposition.py": {"portrait"},
-    "masking/discovery/laws.py": {"told"},
-    "masking/discovery/noise.py": {"wiring"},
-    "masking/discovery/places.py": {"told"},
-    "masking/discovery/problem.py": {
-        "begins anew",
-        "belief",
-        "believed",
-        "horizon",
-        "slots",
-        "so many",
-        "what is left",
-    },
-    "masking/discovery/screening.py": {"belief", "judge", "promises", "slot", "slots", "what is left"},
-    "masking/discovery/search.py": {"slot", "slots"},
-}
-
 
 def unwanted() -> list[str]:
     """Return the words of the left column that have no sense in brackets, in which alone they are unwanted."""
@@ -85,8 +63,8 @@ def test_the_table_of_words_is_read():
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_public_text_uses_the_words_of_the_field(path):
     name = path.relative_to(ROOT).as_posix()
-    assert not found(path) - QUOTED.get(name, set()) - NOT_YET.get(name, set())
+    assert not found(path) - QUOTED.get(name, set())
 
 
 def test_what_is_excused_exists():
-    assert all((ROOT / name).is_file() for name in NOT_YET)
+    assert all((ROOT / name).is_file() for name in QUOTED)

@@ -291,7 +291,7 @@ def test_residuals_that_are_zero_are_white():
 
 
 NOISE = 1e-3
-SLOTS = {
+INSTANCES = {
     "friction": EffectInstance("dry_friction", "spring1", (0.0055, 1e-3), (0,)),
     "square": EffectInstance("polynomial_spring", "spring2", (0.0, 0.0, 3e3, 0.0, 0.0, 0.0), (2,)),
     "limit": EffectInstance("saturation", "V3", (0.08,), (0,)),
@@ -316,25 +316,25 @@ def discoveries(rig):
     empty = Data("a record", RATE, commands, np.zeros((len(commands), 3)))
     plain = EstimationProblem(rig, empty, prior_of(rig.twin, rig, 0.01), np.full(3, NOISE), 2)
 
-    def find(slot):
-        told = plain.equations(rig.start, np.zeros((1, 6)), (slot,), np.array(slot.estimated)).simulated
+    def find(instance):
+        told = plain.equations(rig.start, np.zeros((1, 6)), (instance,), np.array(instance.estimated)).simulated
         noise = NOISE * np.random.default_rng(1).standard_normal(told.shape)
-        evidence = replace(plain, record=replace(empty, readings=told + noise))
-        base, known = fitting.fit(evidence), fitting.fit(evidence, (slot,))
+        problem = replace(plain, record=replace(empty, readings=told + noise))
+        base, known = fitting.fit(problem), fitting.fit(problem, (instance,))
         first = Explanation("none", (), base)
-        chosen = Explanation("effects", ((slot.effect, slot.at),), known)
-        motion = smooth(evidence, base.theta, base.start)
+        chosen = Explanation("effects", ((instance.effect, instance.at),), known)
+        motion = smooth(problem, base.theta, base.start)
         found = SearchResult(first, ((chosen,),), motion)
-        parameters = {n: (slot.values[i], 0.0) for n, i in zip(slot.names, slot.free, strict=True)}
-        named = (Named(slot.effect, slot.at, parameters, 1.0),)
+        parameters = {n: (instance.values[i], 0.0) for n, i in zip(instance.names, instance.free, strict=True)}
+        named = (Named(instance.effect, instance.at, parameters, 1.0),)
         each = dict.fromkeys(rig.twin.sensors, 0.1)
         gap = SimulationError((each, each), (each, each), each, each, each)
         return Discovery(
-            "named", named, gap, 0.0, rig.twin, chosen, (chosen,), 1.0, found, evidence, evidence, base, known, base
+            "named", named, gap, 0.0, rig.twin, chosen, (chosen,), 1.0, found, problem, problem, base, known, base
         )
 
     known = {}
-    return lambda name: known.setdefault(name, known.get(name) or find(SLOTS[name]))
+    return lambda name: known.setdefault(name, known.get(name) or find(INSTANCES[name]))
 
 
 @pytest.mark.parametrize("record", ["explained", "judging"])
@@ -400,17 +400,17 @@ def test_a_quadratic_spring_is_even(discoveries):
 
 def test_a_gap_on_the_side_of_actuators_follows_a_command(discoveries):
     found = discoveries("limit")
-    lacking = found.localisation.latent
-    assert lacking.actuators["V3"] > 0.9 > 2.0 * lacking.best.explained
+    latent = found.localisation.latent
+    assert latent.actuators["V3"] > 0.9 > 2.0 * latent.best.explained
     assert "follows the command of V3" in discovery_text.whereabouts(found)[0]
     assert "follows the command of V3" in discovery_text.look(replace(found, verdict="unknown", effects=()))
 
 
 def test_a_gap_on_the_side_of_sensors_follows_a_reading(discoveries):
     found = discoveries("bent")
-    lacking = found.localisation.latent
-    assert lacking.sensors["s1"] > 0.95
-    assert max(lacking.sensors["s2"], lacking.sensors["s3"]) < 0.1
+    latent = found.localisation.latent
+    assert latent.sensors["s1"] > 0.95
+    assert max(latent.sensors["s2"], latent.sensors["s3"]) < 0.1
     assert discovery_text.whereabouts(found)[0].endswith("of the model error in s1 follows its reading")
 
 

@@ -14,7 +14,7 @@ from masking.discovery.explanation import Explanation
 from masking.discovery.next_experiment import NextExperiment
 from masking.effects import EFFECTS
 from masking.reports import discovery_page, discovery_text, force_map
-from tests.test_where import SLOTS, discoveries, rig
+from tests.test_where import INSTANCES, discoveries, rig
 
 __all__ = ["discoveries", "rig"]  # fixtures
 
@@ -86,13 +86,13 @@ def test_parameters_that_moved_are_told(discoveries, wide, how):
     at, known = found.rig.names.index("z2"), found.explanation.hypothesis
     theta = found.rig.start.copy()
     theta[at] *= 1.05
-    belief = found.evidence.prior
+    prior = found.problem.prior
     moved = replace(
         found,
         explanation=replace(
             found.explanation, hypothesis=replace(known, theta=theta, covariance=0.0 * known.covariance)
         ),
-        evidence=replace(found.evidence, prior=replace(belief, deviation=wide * belief.deviation)),
+        problem=replace(found.problem, prior=replace(prior, deviation=wide * prior.deviation)),
     )
     assert discovery_text.moved(moved).startswith("Adjusted: z2 = ")
     assert discovery_text.moved(moved).endswith(f", 5 % more than declared, {how} its prior uncertainty")
@@ -163,31 +163,31 @@ def test_effects_are_named_after_people(name, told):
 
 def test_the_map_credits_each_law_with_its_own_part(discoveries):
     found = discoveries("friction")
-    lacking = latent_force.lack(found, "spring1")
-    friction, hypothesis = SLOTS["friction"], found.explanation.hypothesis
+    latent = latent_force.force_at(found, "spring1")
+    friction, hypothesis = INSTANCES["friction"], found.explanation.hypothesis
     weak = EffectInstance("hardening_spring", "spring1", (1e-3,), (0,))
-    both = (hypothesis.slots[0], weak)
-    laws = [force_map.along(found, lacking, [slot]) for slot in both]
-    assert np.allclose(force_map.along(found, lacking, both), sum(laws))
+    both = (hypothesis.instances[0], weak)
+    laws = [force_map.along(found, latent, [instance]) for instance in both]
+    assert np.allclose(force_map.along(found, latent, both), sum(laws))
     assert laws[0].max() == pytest.approx(friction.values[0], rel=0.05)
-    assert force_map.share(lacking, laws[0]) > 0.8
-    assert force_map.share(lacking, laws[1]) < 0.01
-    effects = tuple(Named(slot.effect, slot.at, {}, 1.0) for slot in both)
+    assert force_map.share(latent, laws[0]) > 0.8
+    assert force_map.share(latent, laws[1]) < 0.01
+    effects = tuple(Named(instance.effect, instance.at, {}, 1.0) for instance in both)
     together = replace(
-        found, effects=effects, explanation=replace(found.explanation, hypothesis=replace(hypothesis, slots=both))
+        found, effects=effects, explanation=replace(found.explanation, hypothesis=replace(hypothesis, instances=both))
     )
-    said = force_map._seen(together, lacking, "force", laws[0])
+    said = force_map._seen(together, latent, "force", laws[0])
     assert said.startswith("Dry friction in spring1 and hardening spring in spring1 together explain ")
     alone = replace(together, effects=effects[1:])  # the other is not offered at this place
-    part = force_map._seen(replace(alone, explanation=together.explanation), lacking, "force", laws[1])
+    part = force_map._seen(replace(alone, explanation=together.explanation), latent, "force", laws[1])
     assert part.startswith("Hardening spring in spring1 explains ")
     assert "; the whole finding explains " in part
 
 
 def test_no_force_is_told_where_a_parameter_explains_it(discoveries):
     found = discoveries("friction")
-    lacking = latent_force.lack(found, "spring1")
-    small = replace(lacking, before=1e-9 * lacking.before)
+    latent = latent_force.force_at(found, "spring1")
+    small = replace(latent, before=1e-9 * latent.before)
     told = force_map._seen(replace(found, verdict="parameter"), small, "force", None)
     assert told.startswith("With the parameters that were found, the record shows no force at spring1")
 

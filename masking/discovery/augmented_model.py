@@ -79,14 +79,14 @@ class EffectInstance:
         return tuple(self.values[i] for i in self.free)
 
     def with_values(self, at: Sequence[int], values: Iterable[float]) -> EffectInstance:
-        """Return the slot with other values of some of its parameters."""
+        """Return the instance with other values of some of its parameters."""
         made = list(self.values)
         for i, value in zip(at, values, strict=True):
             made[i] = float(value)
         return replace(self, values=tuple(made))
 
     def with_free_times(self, factor: float) -> EffectInstance:
-        """Return the slot with its estimated parameters multiplied."""
+        """Return the instance with its estimated parameters multiplied."""
         return self.with_values(self.free, (self.values[i] * factor for i in self.free))
 
     @property
@@ -108,7 +108,7 @@ class EffectInstance:
 class Equations:
     """Normal equations of a record: J^T W J (w, w), J^T W r (w,), squared residuals (sensors,), simulated readings.
 
-    Columns: parameters of the rig, free parameters of the slots, where their states begin, then what each window may
+    Columns: parameters of the rig, free parameters of the effects, where their states begin, then what each window may
     begin with, as `Twin.free` has it.
     """
 
@@ -324,37 +324,37 @@ class AugmentedModel:
         self.kernels.sensed(0.0, state, given, p, np.zeros(sensors), s, js, jps)
         return s, js, jps
 
-    def instances(self, slots: Sequence[EffectInstance], theta: Array) -> Instances:
+    def instances(self, instances: Sequence[EffectInstance], theta: Array) -> Instances:
         """Return the tables of effect instances that kernels read.
 
         Args:
-            slots: the effects.
+            instances: the effects.
             theta: their free parameters, one after the other (f,).
         """
         channels, used, states = len(self.twin.actuators), len(self.names), 0
         acts, late = np.zeros(len(self.places) + channels, dtype=np.int64), np.zeros(channels)
         late_columns = np.full(channels, -1)
         rows, columns, values = [], [], list[float]()
-        for slot in slots:
+        for instance in instances:
             first, estimated = len(values), [-1] * MOST_PARAMETERS
-            values += slot.values
-            for j in slot.free:
+            values += instance.values
+            for j in instance.free:
                 values[first + j] = float(theta[used - len(self.names)])
                 estimated[j] = used
                 used += 1
-            if slot.effect == laws.DELAY:
-                at = [self.twin.actuators.index(slot.at)] if slot.at else range(channels)
+            if instance.effect == laws.DELAY:
+                at = [self.twin.actuators.index(instance.at)] if instance.at else range(channels)
                 for channel in at:
                     late[channel] += values[first]
                     late_columns[channel] = estimated[0]
                     acts[len(self.places) + channel] |= estimated[0] >= 0
                 continue
-            kind, place = INERTIA if slot.entry.is_inertia else KINDS[slot.where], self.index(slot)
+            kind, place = INERTIA if instance.entry.is_inertia else KINDS[instance.where], self.index(instance)
             if kind != SENSOR:
                 acts[place + len(self.places) * (kind == ACTUATOR)] = 1
-            state = len(self.twin.state_names) + states if slot.entry.states else -1
-            states += len(slot.entry.states)
-            rows.append((self._number(slot), kind, place, first, state))
+            state = len(self.twin.state_names) + states if instance.entry.states else -1
+            states += len(instance.entry.states)
+            rows.append((self._number(instance), kind, place, first, state))
             columns.append(estimated)
         # Sensors last: they may read what the others do.
         order = sorted(range(len(rows)), key=lambda i: rows[i][1] == SENSOR)
@@ -364,32 +364,32 @@ class AugmentedModel:
         found = np.array([columns[i] for i in order], dtype=np.int64).reshape(-1, MOST_PARAMETERS)
         return Instances(table, found, read, acts, late, late_columns, states)
 
-    def along(self, slot: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
+    def along(self, instance: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
         """Return what an effect gives along a known motion, and its derivatives by some parameters (m, 1 + c).
 
         Args:
-            slot: the effect with its values.
+            instance: the effect with its values.
             x: displacement, command or reading that it acts on (m,).
             rate: of it (m,).
             dt: time between samples, s.
             by: indices of these parameters.
         """
         features = np.empty((len(x), 1 + len(by)))
-        values = np.array([*slot.values, *np.zeros(MOST_PARAMETERS)])
-        number, has_state = self._number(slot), bool(slot.entry.states)
+        values = np.array([*instance.values, *np.zeros(MOST_PARAMETERS)])
+        number, has_state = self._number(instance), bool(instance.entry.states)
         x, rate = np.ascontiguousarray(x), np.ascontiguousarray(rate)
         parameters = np.array([*by, 0], dtype=np.int64)  # of none, nothing is read
         self.kernels.along(len(x), dt, number, has_state, x, rate, parameters, values, features)
         return features
 
-    def index(self, slot: EffectInstance) -> int:
-        """Return the index of a slot's place among the places, sensors or actuators."""
+    def index(self, instance: EffectInstance) -> int:
+        """Return the index of an instance's place among the places, sensors or actuators."""
         names = {"element": [p.name for p in self.places], "sensor": self.twin.sensors, "actuator": self.twin.actuators}
-        return list(names[slot.where]).index(slot.at)
+        return list(names[instance.where]).index(instance.at)
 
-    def _number(self, slot: EffectInstance) -> int:
-        """Return the number of a slot's effect among the laws."""
-        return list(self.laws).index(slot.effect)
+    def _number(self, instance: EffectInstance) -> int:
+        """Return the number of an instance's effect among the laws."""
+        return list(self.laws).index(instance.effect)
 
 
 def _followed(lowered: LoweredTwin, places: Sequence[Place]) -> list[Node]:

@@ -23,14 +23,14 @@ class Candidate:
         at: the place.
         factors: indices of the parameters that are factors.
         free: indices of all that are estimated.
-        slots: one for each start, with factors 0 or as the start has them.
+        instances: one for each start, with factors 0 or as the start has them.
     """
 
     effect: str
     at: str
     factors: tuple[int, ...]
     free: tuple[int, ...]
-    slots: tuple[EffectInstance, ...]
+    instances: tuple[EffectInstance, ...]
 
     @property
     def key(self) -> tuple[str, str]:
@@ -40,7 +40,7 @@ class Candidate:
     @property
     def entry(self) -> Effect:
         """Return the effect's entry in the dictionary."""
-        return self.slots[0].entry
+        return self.instances[0].entry
 
 
 def candidates(rig: AugmentedModel, spans: Mapping[str, Span], period: float) -> Iterator[Candidate]:
@@ -69,8 +69,8 @@ def candidates(rig: AugmentedModel, spans: Mapping[str, Span], period: float) ->
                     yield from _candidate(effect, trial, name, spans[name])
     samples = DELAY.parameters[DELAY.grows_with].tried
     for at in ("", *commanded) if commanded == rig.twin.actuators else commanded:
-        slots = tuple(EffectInstance(DELAY.name, at, (number * period,), (0,)) for number in samples)
-        yield Candidate(DELAY.name, at, (), (0,), slots)
+        instances = tuple(EffectInstance(DELAY.name, at, (number * period,), (0,)) for number in samples)
+        yield Candidate(DELAY.name, at, (), (0,), instances)
 
 
 def _candidate(effect: Effect, trial: Trial, at: str, span: Span) -> Iterator[Candidate]:
@@ -81,5 +81,5 @@ def _candidate(effect: Effect, trial: Trial, at: str, span: Span) -> Iterator[Ca
     usual = {name: parameter.value or 0.0 for name, parameter in effect.parameters.items()}
     starts = [{**usual, **dict.fromkeys(names, 0.0), **start} for start in trial.starts(span)]
     if starts:
-        slots = tuple(EffectInstance(effect.name, at, tuple(start.values()), free, effect) for start in starts)
-        yield Candidate(effect.name, at, factors, free, slots)
+        instances = tuple(EffectInstance(effect.name, at, tuple(start.values()), free, effect) for start in starts)
+        yield Candidate(effect.name, at, factors, free, instances)

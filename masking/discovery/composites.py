@@ -12,7 +12,7 @@ from masking.discovery.verdict import Key, Law
 from masking.effects import Effect
 
 
-def is_composite(causes: Sequence[Key], rig: AugmentedModel, rules: DecisionRules = RULES) -> bool:
+def are_composite(causes: Sequence[Key], rig: AugmentedModel, rules: DecisionRules = RULES) -> bool:
     """Return whether several effects imitate one that the dictionary lacks, see `verdict.is_composite`.
 
     A coordinate that only one element moves counts as that element.

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from masking.discovery import fitting, shooting, verdict
 from masking.discovery.augmented_model import AugmentedModel
-from masking.discovery.composites import is_composite
+from masking.discovery.composites import are_composite
 from masking.discovery.discovery import Discovery, Named, SimulationError
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
@@ -69,17 +69,17 @@ def discover(
     say = tell or (lambda text, part: None)
     say("preparing the rig; the first time, it is compiled", 0.0)
     rules = settings.rules
-    train, judge = train_validation_split(record, rules.held_out) if validation is None else (record, validation)
+    train, unseen = train_validation_split(record, rules.held_out) if validation is None else (record, validation)
     prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
     whole = EstimationProblem(rig, train, prior, noise_of(rig, train, rules), most, rules=rules)
-    evidence = replace(whole, interval=shooting.interval(whole, settings.shooting_interval))
-    evidence = replace(evidence, substeps=shooting.substeps(evidence))
-    noise = noise_of(rig, judge, rules)
-    found = _explained(evidence, judge, noise, say)
-    if settings.shooting_interval is None and not evidence.interval and _is_out_of_step(found):
+    problem = replace(whole, interval=shooting.interval(whole, settings.shooting_interval))
+    problem = replace(problem, substeps=shooting.substeps(problem))
+    noise = noise_of(rig, unseen, rules)
+    found = _explained(problem, unseen, noise, say)
+    if settings.shooting_interval is None and not problem.interval and _loses_phase(found):
         for seconds in shooting.shorter(whole):
-            say(f"the motion comes out of step with the record: in windows of {seconds:.2g} s", 0.0)
-            again = _explained(replace(evidence, interval=shooting.interval(whole, seconds)), judge, noise, say)
+            say(f"the motion loses phase with the record: in shooting intervals of {seconds:.2g} s", 0.0)
+            again = _explained(replace(problem, interval=shooting.interval(whole, seconds)), unseen, noise, say)
             if again.verdict != "unknown":
                 found = again
                 break
@@ -90,70 +90,70 @@ def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
     """Return the errors that are left where held commands were measured; None where they are no smaller."""
     if found.record.hold != "zero-order" or not found.twin.actuators:
         return None
-    evidence, known = found.evidence, found.explanation.hypothesis
-    evidence = replace(evidence, record=replace(found.record, hold="first-order", delay=0))
+    problem, known = found.problem, found.explanation.hypothesis
+    problem = replace(problem, record=replace(found.record, hold="first-order", delay=0))
     with threadpool_limits(1), suppress(IntegrationError):
-        other = fitting.fit(evidence)
+        other = fitting.fit(problem)
         size = found.record.readings.size
-        if other.cost - size < evidence.rules.first_order_hold_fraction * (known.cost - size):
-            return _chi(evidence, other)
+        if other.cost - size < problem.rules.first_order_hold_fraction * (known.cost - size):
+            return _chi(problem, other)
     return None
 
 
-def _is_out_of_step(found: Discovery) -> bool:
+def _loses_phase(found: Discovery) -> bool:
     """Return whether nothing is found by simulating the whole record in one, whose motion the model does not follow."""
     left = relative(found.twin.sensors, [found.record], found.search.base.hypothesis.squares)
-    return found.verdict == "unknown" and max(left.values()) > found.evidence.rules.phase_loss
+    return found.verdict == "unknown" and max(left.values()) > found.problem.rules.phase_loss
 
 
-def _explained(evidence: EstimationProblem, judge: Data, noise: Array, say: Tell) -> Discovery:
+def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) -> Discovery:
     """Return what explains a record, simulated in steps that are fine enough for the law that is found."""
-    found = _found(evidence, judge, noise, say)
+    found = _found(problem, unseen, noise, say)
     if found.verdict == "unknown":
         return found
     with threadpool_limits(1):
-        steps = shooting.finer(evidence, found.explanation.hypothesis)
-    if steps == evidence.substeps:
+        steps = shooting.finer(problem, found.explanation.hypothesis)
+    if steps == problem.substeps:
         return found
     say(f"again, with {steps} steps between samples", 0.0)
-    return _found(replace(evidence, substeps=steps), judge, noise, say)
+    return _found(replace(problem, substeps=steps), unseen, noise, say)
 
 
-def _found(evidence: EstimationProblem, judge: Data, noise: Array, say: Tell) -> Discovery:
+def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) -> Discovery:
     """Return the explanation of a record, given the noise of the validation record (sensors,)."""
-    rig, rules = evidence.rig, evidence.rules
-    judged, size = replace(evidence, record=judge, sigma=noise), evidence.record.readings.size
+    rig, rules = problem.rig, problem.rules
+    validation, size = replace(problem, record=unseen, sigma=noise), problem.record.readings.size
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
-        found = Search(evidence, say).run()
+        found = Search(problem, say).run()
         say("comparing explanations on data that were not used", 0.95)
-        found = replace(found, steps=tuple(_reordered(step, evidence, judged) for step in found.steps))
-        adjusted = fitting.judged(judged, found.base.hypothesis)
-        rivals = _needed(found, judged, adjusted)
-        tempering = evidence.tempering(rivals[0].hypothesis.residuals)
-        is_demoted = verdict.is_demoted([_scored(rival, evidence, tempering) for rival in rivals], size, rules)
+        found = replace(found, steps=tuple(_reordered(step, problem, validation) for step in found.steps))
+        adjusted = fitting.validated(validation, found.base.hypothesis)
+        rivals = _needed(found, validation, adjusted)
+        tempering = problem.tempering(rivals[0].hypothesis.residuals)
+        is_demoted = verdict.is_demoted([_scored(rival, problem, tempering) for rival in rivals], size, rules)
         if is_demoted:
             rivals = tuple(sorted(rivals, key=lambda rival: rival.score(tempering)))
         chosen = rivals[0]
-        declared = fitting.fit(evidence, theta=evidence.prior.mean, frozen=True)
-        before, after = fitting.judged(judged, declared), fitting.judged(judged, chosen.hypothesis)
-    tempering = evidence.tempering(chosen.hypothesis.residuals)
+        declared = fitting.fit(problem, theta=problem.prior.mean, frozen=True)
+        before, after = fitting.validated(validation, declared), fitting.validated(validation, chosen.hypothesis)
+    tempering = problem.tempering(chosen.hypothesis.residuals)
     excess, left = (verdict.excess_cost(one.cost, size) for one in (found.base, chosen))
     rest = left / excess if excess > 0.0 else 0.0
-    gap = SimulationError(
-        (_chi(evidence, declared), _chi(evidence, chosen.hypothesis)),
-        (_chi(judged, before), _chi(judged, after)),
-        _floor(evidence),
-        _floor(judged),
-        _chi(judged, adjusted),
+    errors = SimulationError(
+        (_chi(problem, declared), _chi(problem, chosen.hypothesis)),
+        (_chi(validation, before), _chi(validation, after)),
+        _floor(problem),
+        _floor(validation),
+        _chi(validation, adjusted),
     )
-    scored = [_scored(rival, evidence, tempering) for rival in rivals]
-    told = verdict.decide(scored, rest, size, rules, composite=is_composite(chosen.names, rig, rules))
-    effects, rounded = _causes(rig, rivals, tempering, scored, rules), _rounded(evidence, chosen.hypothesis)
+    scored = [_scored(rival, problem, tempering) for rival in rivals]
+    decision = verdict.decide(scored, rest, size, rules, composite=are_composite(chosen.names, rig, rules))
+    effects, rounded = _causes(rig, rivals, tempering, scored, rules), _rounded(problem, chosen.hypothesis)
     answer = verdict.revised(
-        told,
+        decision,
         demoted=is_demoted,
         rounded=not effects and any(is_much for _, is_much in rounded),
-        at_noise=gap.is_noise(len(judge), rules),
+        at_noise=errors.is_noise(len(unseen), rules),
     )
     coming = None
     if answer == "ambiguous":
@@ -161,10 +161,10 @@ def _found(evidence: EstimationProblem, judge: Data, noise: Array, say: Tell) ->
         first, second = rivals[:2]
         names_of = (_name(first), _name(second))
         with threadpool_limits(1):
-            coming = next_experiment(evidence, first.hypothesis, second.hypothesis, names_of, _limits(rig.twin))
+            coming = next_experiment(problem, first.hypothesis, second.hypothesis, names_of, _limits(rig.twin))
     causes = (*effects, *(cause for cause, _ in rounded))
     return Discovery(
-        answer, causes, gap, rest, rig.twin, chosen, rivals, tempering, found, evidence, judged, before, after,
+        answer, causes, errors, rest, rig.twin, chosen, rivals, tempering, found, problem, validation, before, after,
         adjusted, coming,
     )  # fmt: skip
 
@@ -183,18 +183,18 @@ def _limits(twin: Twin) -> Array | None:
     return np.array([declared[n].max * twin.size(declared[n].unit) / twin.size(ports[n].unit) for n in twin.actuators])
 
 
-def _cost(evidence: EstimationProblem, hypothesis: Hypothesis) -> float:
+def _cost(problem: EstimationProblem, hypothesis: Hypothesis) -> float:
     try:
-        return float(fitting.judged(evidence, hypothesis).squares @ evidence.weights)
+        return float(fitting.validated(problem, hypothesis).squares @ problem.weights)
     except IntegrationError:
         return np.inf
 
 
 def _reordered(
-    rivals: tuple[Explanation, ...], evidence: EstimationProblem, judged: EstimationProblem
+    rivals: tuple[Explanation, ...], problem: EstimationProblem, validation: EstimationProblem
 ) -> tuple[Explanation, ...]:
     """Return explanations that are nearly as good as the best, ordered by how well they explain another record, too."""
-    tempering, margin = evidence.tempering(rivals[0].hypothesis.residuals), evidence.rules.validation_margin
+    tempering, margin = problem.tempering(rivals[0].hypothesis.residuals), problem.rules.validation_margin
     near = [rival for rival in rivals if rival.score(tempering) <= rivals[0].score(tempering) + margin]
     if len(near) < 2 or any(rival.score(tempering) < rivals[0].score(tempering) for rival in near):
         return rivals
@@ -202,53 +202,53 @@ def _reordered(
     for rival in near:
         best = min((one.joint.cost for one in both if one.joint), default=np.inf)
         with suppress(IntegrationError):
-            joint = fitting.together(rival.with_prior(evidence), judged, rival.hypothesis, best)
+            joint = fitting.together(rival.with_prior(problem), validation, rival.hypothesis, best)
             both.append(replace(rival, joint=joint))
     return tuple(sorted(both, key=lambda rival: rival.score(tempering)))
 
 
-def _needed(found: SearchResult, judged: EstimationProblem, adjusted: Hypothesis) -> tuple[Explanation, ...]:
+def _needed(found: SearchResult, validation: EstimationProblem, adjusted: Hypothesis) -> tuple[Explanation, ...]:
     """Return the explanations of the last step that is needed, and that the validation record supports."""
     size = found.base.hypothesis.residuals.size
 
     def plain(explanation: Explanation, cost: float) -> Scored:
-        misfit = float(explanation.hypothesis.squares @ judged.weights)
+        misfit = float(explanation.hypothesis.squares @ validation.weights)
         return replace(_plain(explanation), misfit=misfit, validation_cost=cost)
 
-    steps = (plain(step[0], _cost(judged, step[0].hypothesis)) for step in found.steps)
-    base = plain(found.base, float(adjusted.squares @ judged.weights))
+    steps = (plain(step[0], _cost(validation, step[0].hypothesis)) for step in found.steps)
+    base = plain(found.base, float(adjusted.squares @ validation.weights))
     last = found.steps[-1][0].cost if found.steps else found.base.cost
-    count = verdict.steps_needed(base, steps, last, size, judged.rules)
+    count = verdict.steps_needed(base, steps, last, size, validation.rules)
     return found.steps[count - 1] if count else (found.base,)
 
 
 def _plain(explanation: Explanation) -> Scored:
     """Return an explanation as plain data, without what takes another record or a tempering factor."""
-    absorbed = tuple(bool(slot.entry.absorbed_by) for slot in explanation.hypothesis.slots)
+    absorbed = tuple(bool(instance.entry.absorbed_by) for instance in explanation.hypothesis.instances)
     return Scored(explanation.kind, explanation.names, explanation.cost, absorbed=absorbed, unique=explanation.unique)
 
 
-def _scored(explanation: Explanation, evidence: EstimationProblem, tempering: float) -> Scored:
+def _scored(explanation: Explanation, problem: EstimationProblem, tempering: float) -> Scored:
     """Return an explanation as plain data, with its score and the estimates of its last cause."""
-    rig, estimates = evidence.rig, _estimates(evidence.rig, explanation, tempering)
+    rig, estimates = problem.rig, _estimates(problem.rig, explanation, tempering)
     usual = rig.start[rig.names.index(explanation.names[0][0])] if explanation.kind == "parameter" else 0.0
     last = tuple((value - float(usual), std) for value, std in estimates[-1].values()) if estimates else ()
     return replace(_plain(explanation), score=explanation.score(tempering), estimates=last)
 
 
-def _rounded(evidence: EstimationProblem, hypothesis: Hypothesis) -> list[tuple[Named, bool]]:
+def _rounded(problem: EstimationProblem, hypothesis: Hypothesis) -> list[tuple[Named, bool]]:
     """Return the rounding of each sensor that makes much of its noise, and whether it makes much of the residual, too.
 
     It is seen in the readings themselves, and named if the rig does not declare it.
     """
-    twin, least = evidence.rig.twin, evidence.rules.rounding_fraction
+    twin, least = problem.rig.twin, problem.rules.rounding_fraction
     known = {effect.at for effect in twin.effects if effect.kind == ROUNDING.name and effect.enabled}
-    left = hypothesis.squares / len(evidence.record)
+    left = hypothesis.squares / len(problem.record)
     found = []
-    steps = steps_of(evidence.record, evidence.rules.rounded_values)
+    steps = steps_of(problem.record, problem.rules.rounded_values)
     for i, (name, step) in enumerate(zip(twin.sensors, steps, strict=True)):
         variance = step**2 / 12.0
-        if name not in known and variance > least * evidence.sigma[i] ** 2:
+        if name not in known and variance > least * problem.sigma[i] ** 2:
             cause = Named(ROUNDING.name, name, {ROUNDING.quantum: (float(step), 0.0)}, 1.0)
             found.append((cause, bool(variance > least * left[i])))
     return found
@@ -262,11 +262,11 @@ def _estimates(rig: AugmentedModel, explanation: Explanation, tempering: float) 
         i = rig.names.index(name)
         return [{name: (float(hypothesis.theta[i]), float(deviations[i]))}]
     found, used = [], len(rig.names)
-    for slot in hypothesis.slots:
-        own = deviations[used : used + len(slot.free)]
-        values = (float(slot.values[i]) for i in slot.free)
-        found.append(dict(zip(slot.names, zip(values, map(float, own), strict=True), strict=True)))
-        used += len(slot.free)
+    for instance in hypothesis.instances:
+        own = deviations[used : used + len(instance.free)]
+        values = (float(instance.values[i]) for i in instance.free)
+        found.append(dict(zip(instance.names, zip(values, map(float, own), strict=True), strict=True)))
+        used += len(instance.free)
     return found
 
 
@@ -284,9 +284,9 @@ def _causes(
     return (*causes[:-1], replace(causes[-1], probability=weights[0], alternatives=others))
 
 
-def _chi(evidence: EstimationProblem, hypothesis: Hypothesis) -> dict[str, float]:
-    return relative(evidence.rig.twin.sensors, [evidence.record], hypothesis.squares)
+def _chi(problem: EstimationProblem, hypothesis: Hypothesis) -> dict[str, float]:
+    return relative(problem.rig.twin.sensors, [problem.record], hypothesis.squares)
 
 
-def _floor(evidence: EstimationProblem) -> dict[str, float]:
-    return relative(evidence.rig.twin.sensors, [evidence.record], len(evidence.record) * evidence.sigma**2)
+def _floor(problem: EstimationProblem) -> dict[str, float]:
+    return relative(problem.rig.twin.sensors, [problem.record], len(problem.record) * problem.sigma**2)

@@ -84,7 +84,7 @@ class Discovery:
         rivals: the explanations that it was chosen from, itself first.
         tempering: factor by which costs were divided, see `EstimationProblem.tempering`.
         search: the whole search.
-        evidence: the record that was explained.
+        problem: the record that was explained.
         validation: the estimation problem of the validation record.
         before, after: the model as declared and with the causes, on the validation record.
         adjusted: the model without causes, its parameters adjusted within their priors, on the validation record.
@@ -102,7 +102,7 @@ class Discovery:
     rivals: tuple[Explanation, ...]
     tempering: float
     search: SearchResult
-    evidence: EstimationProblem
+    problem: EstimationProblem
     validation: EstimationProblem
     before: Hypothesis
     after: Hypothesis
@@ -119,12 +119,12 @@ class Discovery:
     @property
     def rig(self) -> AugmentedModel:
         """Return the rig with its places open."""
-        return self.evidence.rig
+        return self.problem.rig
 
     @property
     def record(self) -> Data:
         """Return the record that was explained."""
-        return self.evidence.record
+        return self.problem.record
 
     @property
     def validation_record(self) -> Data:
@@ -156,13 +156,13 @@ class Discovery:
     @property
     def is_at_noise_floor(self) -> bool:
         """Return whether the validation residual of each sensor is at the noise floor."""
-        return self.simulation_error.is_noise(len(self.validation_record), self.evidence.rules)
+        return self.simulation_error.is_noise(len(self.validation_record), self.problem.rules)
 
     @property
     def is_hidden(self) -> bool:
         """Return whether something is missing that shows in the validation record alone."""
         after, floor = self.simulation_error.estimation[1].values(), self.simulation_error.noise_floor.values()
-        is_seen = not at_noise_floor(after, floor, len(self.record), self.evidence.rules)
+        is_seen = not at_noise_floor(after, floor, len(self.record), self.problem.rules)
         return (
             self.verdict == "unknown" and self.explanation.kind == "none" and not is_seen and not self.is_at_noise_floor
         )
@@ -174,10 +174,10 @@ class Discovery:
         Where the motion begins so often anew that its initial states take much of the noise, its size alone counts.
         """
         fitted = self.explanation.hypothesis
-        seen = [*self.whiteness.values(), *whiteness_of(self.evidence, fitted.residuals).values()]
+        seen = [*self.whiteness.values(), *whiteness_of(self.problem, fitted.residuals).values()]
         states = max(fitted.start.size, self.after.start.size)
         estimated, white = states / self.validation_record.readings.size, (one.white for one in seen)
-        return is_closed(at_noise=self.is_at_noise_floor, white=white, estimated=estimated, rules=self.evidence.rules)
+        return is_closed(at_noise=self.is_at_noise_floor, white=white, estimated=estimated, rules=self.problem.rules)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the discovery as JSON can hold it."""
@@ -192,10 +192,10 @@ class Discovery:
         }
 
 
-def whiteness_of(evidence: EstimationProblem, residuals: Array) -> dict[str, Whiteness]:
+def whiteness_of(problem: EstimationProblem, residuals: Array) -> dict[str, Whiteness]:
     """Return how white residuals (m, sensors) of a record are, by sensor."""
-    readings, rate = evidence.record.readings, evidence.record.rate
+    readings, rate = problem.record.readings, problem.record.rate
     return {
-        name: whiteness(residuals[:, i], readings[:, i], float(evidence.sigma[i]), rate)
-        for i, name in enumerate(evidence.rig.twin.sensors)
+        name: whiteness(residuals[:, i], readings[:, i], float(problem.sigma[i]), rate)
+        for i, name in enumerate(problem.rig.twin.sensors)
     }

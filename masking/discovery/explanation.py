@@ -40,17 +40,17 @@ class Explanation:
         """Return the cost of the record to which it was fitted."""
         return self.hypothesis.cost
 
-    def with_prior(self, evidence: EstimationProblem) -> EstimationProblem:
+    def with_prior(self, problem: EstimationProblem) -> EstimationProblem:
         """Return the problem with the parameter of this explanation free, if it is one."""
         if self.kind != "parameter":
-            return evidence
-        index = evidence.rig.names.index(self.names[0][0])
-        return replace(evidence, prior=evidence.prior.freed(index, evidence.rules.freed_factor))
+            return problem
+        index = problem.rig.names.index(self.names[0][0])
+        return replace(problem, prior=problem.prior.freed(index, problem.rules.freed_factor))
 
     def score(self, tempering: float) -> float:
         """Return its cost over a tempering factor, with the Occam factor of its parameters."""
-        told = self.joint or self.hypothesis
-        return told.cost / tempering + occam(told, tempering)
+        fitted = self.joint or self.hypothesis
+        return fitted.cost / tempering + occam(fitted, tempering)
 
     def deviations(self, tempering: float) -> Array:
         """Return the standard deviations of its parameters (k + f,), larger where more than white noise is left."""
@@ -73,24 +73,24 @@ def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
     if not np.isfinite(covariance).all():
         return np.inf
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    information = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True, rcond=1e-12)
+    information = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True, rcond=hypothesis.rules.occam_rank)
     strength = np.abs(added) / size * np.sqrt(np.maximum(np.diag(information), 0.0))  # each by itself, in deviations
     widths, used = np.abs(added) / size, 0
-    for slot in hypothesis.slots:
-        own = [used + i for i, name in enumerate(slot.names) if name in slot.entry.factors]
-        for i, width in enumerate(_expected(slot)):
+    for instance in hypothesis.instances:
+        own = [used + i for i, name in enumerate(instance.names) if name in instance.entry.factors]
+        for i, width in enumerate(_expected(instance)):
             widths[used + i] = max(widths[used + i], width / size[used + i])
-        used += len(slot.free)
+        used += len(instance.free)
         if own:
             alone = np.sqrt(np.maximum(np.diag(information)[own], 1e-300))
             widths[own] = np.maximum(widths[own], strength[own].max() / alone)
-    told = np.linalg.eigvalsh(information * np.outer(widths, widths)) / tempering
-    return float(np.log1p(np.maximum(told, 0.0)).sum())
+    ratios = np.linalg.eigvalsh(information * np.outer(widths, widths)) / tempering
+    return float(np.log1p(np.maximum(ratios, 0.0)).sum())
 
 
-def _expected(slot: EffectInstance) -> list[float]:
+def _expected(instance: EffectInstance) -> list[float]:
     """Return half the range in which each estimated parameter is expected, where it is a plain number; else 0."""
-    if slot.effect == laws.DELAY:
+    if instance.effect == laws.DELAY:
         return [0.0]
-    declared = [slot.entry.parameters[name] for name in slot.names]
+    declared = [instance.entry.parameters[name] for name in instance.names]
     return [0.5 * (p.prior[1] - p.prior[0]) if p.unit == "1" and p.prior else 0.0 for p in declared]

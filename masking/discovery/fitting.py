@@ -16,6 +16,7 @@ import numpy as np
 from masking.discovery import laws
 from masking.discovery.augmented_model import EffectInstance, Equations
 from masking.discovery.problem import EstimationProblem
+from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import IntegrationError
 from masking.estimation.least_squares import Box, Damping, Dense, Linearised, minimise
 from masking.estimation.simulation import guessed_state
@@ -23,8 +24,6 @@ from masking.numerics.arrays import Array
 
 MOST_ROUNDS = 40
 DAMPING = Damping(1e-6, least=1e-9, most=1e8)
-HOPE, SLOW = 0.03, 6  # a fit ends that comes nearer to a better one by no more than this fraction, this often in a row
-CONVERGED = 0.02  # of the tempering factor: a smaller reduction of the cost ends a fit
 
 
 @dataclass(frozen=True)
@@ -32,27 +31,29 @@ class Hypothesis:
     """The rig with effects, fitted.
 
     Args:
-        slots: the effects with fitted values.
+        instances: the effects with fitted values.
         theta: parameters of the rig (k,).
         start: initial state of each window (windows, states).
         cost: -2 log likelihood and prior, up to a constant: squared residuals over their variance.
         squares: of each sensor (sensors,).
         covariance: of rig's parameters and free parameters of the effects (k + f, k + f).
         residuals: of each sample (m, sensors).
+        rules: the thresholds that it was fitted by.
     """
 
-    slots: tuple[EffectInstance, ...]
+    instances: tuple[EffectInstance, ...]
     theta: Array
     start: Array
     cost: float
     squares: Array
     covariance: Array
     residuals: Array
+    rules: DecisionRules = RULES
 
     @property
     def added(self) -> Array:
         """Return the free parameters of the effects (f,)."""
-        return estimated(self.slots)
+        return estimated(self.instances)
 
     @property
     def deviations(self) -> Array:
@@ -61,14 +62,14 @@ class Hypothesis:
         return found
 
 
-def estimated(slots: Sequence[EffectInstance]) -> Array:
-    """Return the values of the estimated parameters of slots, one after the other (f,)."""
-    return np.array([value for slot in slots for value in slot.estimated])
+def estimated(instances: Sequence[EffectInstance]) -> Array:
+    """Return the values of the estimated parameters of effect instances, one after the other (f,)."""
+    return np.array([value for instance in instances for value in instance.estimated])
 
 
 def fit(
-    evidence: EstimationProblem,
-    slots: Sequence[EffectInstance] = (),
+    problem: EstimationProblem,
+    instances: Sequence[EffectInstance] = (),
     *,
     theta: Array | None = None,
     start: Array | None = None,
@@ -79,8 +80,8 @@ def fit(
     """Fit a rig with effects to a record.
 
     Args:
-        evidence: the record and the rig.
-        slots: effects with values to begin from.
+        problem: the record and the rig.
+        instances: effects with values to begin from.
         theta: parameters to begin from; the prior's means if none are given.
         start: initial states to begin from (windows, states); from the first readings if none are given.
         rounds: most rounds.
@@ -90,18 +91,18 @@ def fit(
     Raises:
         IntegrationError: the motion is not finite from where it begins.
     """
-    x = evidence.prior.mean.copy() if theta is None else theta.copy()
-    state = first_states(evidence, x) if start is None else start.copy()
-    return _Problem(evidence, tuple(slots), state, frozen=frozen).solve(x, rounds, rival)
+    x = problem.prior.mean.copy() if theta is None else theta.copy()
+    state = first_states(problem, x) if start is None else start.copy()
+    return _LeastSquares(problem, tuple(instances), state, frozen=frozen).solve(x, rounds, rival)
 
 
 def together(
-    evidence: EstimationProblem, other: EstimationProblem, known: Hypothesis, rival: float = np.inf
+    problem: EstimationProblem, other: EstimationProblem, known: Hypothesis, rival: float = np.inf
 ) -> Hypothesis:
     """Fit a hypothesis to its own record and to another one at once, from where the first has left it.
 
     Args:
-        evidence: of its own record.
+        problem: of its own record.
         other: of the other one, with its own initial states.
         known: the hypothesis, fitted to its own record.
         rival: as in `fit`.
@@ -113,28 +114,28 @@ def together(
         IntegrationError: the motion is not finite.
     """
     start = np.concatenate([known.start, first_states(other, known.theta)])
-    return _Problem(evidence, known.slots, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
+    return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
 
 
-def judged(evidence: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:
+def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:
     """Return a hypothesis on a validation record: only its initial state is estimated."""
-    return fit(evidence, hypothesis.slots, theta=hypothesis.theta, frozen=True)
+    return fit(problem, hypothesis.instances, theta=hypothesis.theta, frozen=True)
 
 
-def cost(evidence: EstimationProblem, slots: Sequence[EffectInstance], theta: Array, start: Array) -> float:
+def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta: Array, start: Array) -> float:
     """Return the cost of a hypothesis that is not fitted; infinite if its motion is not finite."""
-    problem = _Problem(evidence, tuple(slots), start)
+    whole = _LeastSquares(problem, tuple(instances), start)
     try:
-        return problem.linearised(problem.unknowns(theta)).cost
+        return whole.linearised(whole.unknowns(theta)).cost
     except IntegrationError:
         return np.inf
 
 
-def first_states(evidence: EstimationProblem, theta: Array, samples: int = 20) -> Array:
+def first_states(problem: EstimationProblem, theta: Array, samples: int = 20) -> Array:
     """Return a first guess of initial states (windows, states), from straight lines through the first readings."""
-    rig, record, acting = evidence.rig, evidence.record, evidence.record.acting
+    rig, record, acting = problem.rig, problem.record, problem.record.acting
     found = []
-    for begin in range(0, len(record), evidence.begin):
+    for begin in range(0, len(record), problem.begin):
         early = min(begin, max(len(record) - samples, 0))  # the line of a short last interval begins before it
         read = record.readings[early:][:samples]
         times = (np.arange(len(read)) + early - begin) / record.rate
@@ -144,49 +145,49 @@ def first_states(evidence: EstimationProblem, theta: Array, samples: int = 20) -
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _LeastSquares:
     """Least squares of records and prior.
 
     The unknowns x (n,) are parameters of rig (k) and effects (f), initial states of effects (s), and of the motion.
 
     Args:
-        evidence: of the record whose residuals are kept.
-        slots: the effects.
+        problem: of the record whose residuals are kept.
+        instances: the effects.
         start: initial states of each record in turn (windows, states); those that are not free stay as they are.
         others: other records.
         frozen: whether only initial states are estimated.
     """
 
-    evidence: EstimationProblem
-    slots: tuple[EffectInstance, ...]
+    problem: EstimationProblem
+    instances: tuple[EffectInstance, ...]
     start: Array
     others: tuple[EstimationProblem, ...] = ()
     frozen: bool = False
 
     @property
     def records(self) -> tuple[EstimationProblem, ...]:
-        """Return the evidence of each record."""
-        return (self.evidence, *self.others)
+        """Return the problem of each record."""
+        return (self.problem, *self.others)
 
     @cached_property
     def begins(self) -> Array:
         """Return how far from 0 the states of effects may begin, in one record after the other (s,)."""
-        return np.tile([size for slot in self.slots for size in slot.begins], len(self.records))
+        return np.tile([size for instance in self.instances for size in instance.begins], len(self.records))
 
     @cached_property
     def edges(self) -> tuple[int, int, int]:
         """Return where the unknowns of the rig, of the effects, and of the states of effects end."""
-        k, f = len(self.evidence.prior.mean), len(estimated(self.slots))
+        k, f = len(self.problem.prior.mean), len(estimated(self.instances))
         return k, k + f, k + f + len(self.begins)
 
     @property
     def free(self) -> list[int]:
         """Return the states of the motion that are estimated."""
-        return [*self.evidence.rig.twin.free]
+        return [*self.problem.rig.twin.free]
 
     def unknowns(self, theta: Array) -> Array:
         """Return the unknowns (n,) at values of the rig's parameters (k,)."""
-        return np.concatenate([theta, estimated(self.slots), 0.0 * self.begins, self.start[:, self.free].ravel()])
+        return np.concatenate([theta, estimated(self.instances), 0.0 * self.begins, self.start[:, self.free].ravel()])
 
     def parts(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Return parameters of rig and effects, and initial states of effects and motion (windows, states)."""
@@ -197,18 +198,18 @@ class _Problem:
 
     def solve(self, theta: Array, rounds: int, rival: float) -> Hypothesis:
         """Return the fitted hypothesis, from values of the rig's parameters (k,)."""
-        slow = 0
+        rules, slow = self.problem.rules, 0
 
         def is_hopeless(now: float, tried: float) -> bool:
             nonlocal slow
-            slow = slow + 1 if now > rival and now - tried < HOPE * (now - rival) else 0
-            return slow == SLOW
+            slow = slow + 1 if now > rival and now - tried < rules.hopeless_fraction * (now - rival) else 0
+            return slow == rules.hopeless_steps
 
         def tolerance(at: Linearised[Dense, Equations]) -> float:
-            return CONVERGED * self.evidence.tempering(self.evidence.record.readings - at.found.simulated)
+            return rules.converged * self.problem.tempering(self.problem.record.readings - at.found.simulated)
 
-        belief, effects = self.evidence.prior, bounds(self.slots)
-        low, high = np.concatenate([belief.low, effects.low]), np.concatenate([belief.high, effects.high])
+        prior, effects = self.problem.prior, bounds(self.instances)
+        low, high = np.concatenate([prior.low, effects.low]), np.concatenate([prior.high, effects.high])
         box = Box(low, high, np.arange(len(low)) >= self.edges[0])
         made = minimise(
             self.linearised, self.unknowns(theta), box, DAMPING, rounds=rounds, tolerance=tolerance,
@@ -216,10 +217,14 @@ class _Problem:
         )  # fmt: skip
         theta, added, _, start = self.parts(made.x)
         left, found, shared = iter(added), made.at.found, self.edges[1]
-        values = [slot.with_values(slot.free, itertools.islice(left, len(slot.free))) for slot in self.slots]
+        values = [
+            instance.with_values(instance.free, itertools.islice(left, len(instance.free)))
+            for instance in self.instances
+        ]
         return Hypothesis(
             tuple(values), theta, start, made.at.cost, found.squares,
-            made.at.equations.covariance()[:shared, :shared], self.evidence.record.readings - found.simulated,
+            made.at.equations.covariance()[:shared, :shared], self.problem.record.readings - found.simulated,
+            rules,
         )  # fmt: skip
 
     def linearised(self, x: Array) -> Linearised[Dense, Equations]:
@@ -228,17 +233,17 @@ class _Problem:
         starts = np.split(start, np.cumsum([one.windows for one in self.records])[:-1])
         pieces = zip(self.records, starts, np.split(inner, len(self.records)), strict=True)
         found = _joined(
-            [one.equations(theta, begin, self.slots, added, inner=begun) for one, begin, begun in pieces],
+            [one.equations(theta, begin, self.instances, added, inner=begun) for one, begin, begun in pieces],
             self.edges[1],
             len(inner) // len(self.records),
-            [one.weights / self.evidence.weights for one in self.records],
+            [one.weights / self.problem.weights for one in self.records],
         )
-        (k, first, last), belief = self.edges, self.evidence.prior
+        (k, first, last), prior = self.edges, self.problem.prior
         off, deviation, fixed = np.zeros(len(x)), np.full(len(x), np.inf), np.zeros(len(x), dtype=bool)
-        off[:k], deviation[:k], fixed[:first] = belief.mean - theta, belief.deviation, self.frozen
+        off[:k], deviation[:k], fixed[:first] = prior.mean - theta, prior.deviation, self.frozen
         known = self.begins == 0.0
         off[first:last], deviation[first:last], fixed[first:last] = -inner, np.where(known, np.inf, self.begins), known
-        cost = float(found.squares @ self.evidence.weights + ((off / deviation) ** 2).sum())
+        cost = float(found.squares @ self.problem.weights + ((off / deviation) ** 2).sum())
         return Linearised(cost, Dense(found.matrix, found.gradient, fixed).with_prior(off, deviation), found)
 
 
@@ -265,11 +270,11 @@ def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequen
     return Equations(matrix, gradient, squares, parts[0].simulated)
 
 
-def bounds(slots: Sequence[EffectInstance]) -> Box:
+def bounds(instances: Sequence[EffectInstance]) -> Box:
     """Return the bounds of the free parameters of effects (f,); what is positive may at most double in a step."""
     pairs: list[tuple[float | None, float | None]] = []
-    for slot in slots:
-        every = [] if slot.effect == laws.DELAY else [p.bounds for p in slot.entry.parameters.values()]
-        pairs += [(0.0, None)] if slot.effect == laws.DELAY else [every[i] for i in slot.free]
+    for instance in instances:
+        every = [] if instance.effect == laws.DELAY else [p.bounds for p in instance.entry.parameters.values()]
+        pairs += [(0.0, None)] if instance.effect == laws.DELAY else [every[i] for i in instance.free]
     low = np.array([-np.inf if a is None else a for a, _ in pairs])
     return Box(low, np.array([np.inf if b is None else b for _, b in pairs]), growing=True)

@@ -90,7 +90,7 @@ class ForceDecomposition:
     regions: Mapping[str, Mapping[str, Region]]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the portrait as JSON can hold it."""
+        """Return the decomposition as JSON can hold it."""
         return {
             "rms": self.size,
             "mean": self.mean,
@@ -129,16 +129,16 @@ def decompose(
 
 
 def followed(x: Array, force: Array, cycle: int | None = None) -> float:
-    """Return the mean square of that part of a force (m,) that is a function of x (m,); `cycle` as for `portrait`."""
+    """Return the mean square of that part of a force (m,) that is a function of x (m,); `cycle` as for `decompose`."""
     every, stretches = _thinned(x, cycle)
     x, force = x[every], force[every]
     rows, bend = _curve(x, _knots(x))
     return _explained(force, _held_out(rows, bend, force, stretches)[:, 0])
 
 
-def _explained(force: Array, told: Array) -> float:
+def _explained(force: Array, part: Array) -> float:
     """Return the mean square that a force loses if its explained part is taken off; 0 if it gains."""
-    return max(float((force**2).mean() - ((force - told) ** 2).mean()), 0.0)
+    return max(float((force**2).mean() - ((force - part) ** 2).mean()), 0.0)
 
 
 def _parts(x: Array, rate: Array, force: Array, energy: float, stretches: Indices) -> Parts:
@@ -146,8 +146,8 @@ def _parts(x: Array, rate: Array, force: Array, energy: float, stretches: Indice
     split = of_x.shape[1]
     alone = _held_out(np.hstack([of_x, of_rate]), linalg.block_diag(bend_x, bend_rate), force, stretches, split)
     if np.ptp(x) == 0.0:  # of a displacement that is not known, the force follows none but a constant
-        told = alone.sum(axis=1)
-        alone = np.column_stack([np.full(len(x), told.mean()), told - told.mean()])
+        total = alone.sum(axis=1)
+        alone = np.column_stack([np.full(len(x), total.mean()), total - total.mean()])
     mean = float(alone[:, 1].mean())  # a constant gives back what it takes
     each = np.array([(force * (alone[:, 0] + mean)).mean(), (force * (alone[:, 1] - mean)).mean()]).clip(0.0)
     explained = _explained(force, alone.sum(axis=1))

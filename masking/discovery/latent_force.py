@@ -103,7 +103,7 @@ class Explained(Protocol):
         """Return the estimation record."""
 
     @property
-    def evidence(self) -> EstimationProblem:
+    def problem(self) -> EstimationProblem:
         """Return the estimation problem."""
 
     @property
@@ -119,18 +119,18 @@ class Explained(Protocol):
         """Return the latent forces along the record."""
 
 
-def lack(found: Explained, most: str) -> LatentForce:
+def force_at(found: Explained, most: str) -> LatentForce:
     """Return the latent force at the place of the last cause.
 
     Args:
         found: the discovery.
         most: the place with the largest latent force, which is taken if no cause explains it.
     """
-    slots = found.explanation.hypothesis.slots
-    if not slots or found.verdict == "unknown":
+    instances = found.explanation.hypothesis.instances
+    if not instances or found.verdict == "unknown":
         return _force(found, "element", most)
-    name = slots[-1].at or _busiest(found)
-    return _sensor(found, name) if slots[-1].where == "sensor" else _force(found, slots[-1].where, name)
+    name = instances[-1].at or _busiest(found)
+    return _sensor(found, name) if instances[-1].where == "sensor" else _force(found, instances[-1].where, name)
 
 
 def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Array]:
@@ -146,7 +146,7 @@ def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Arra
 
 def energies(found: Explained) -> dict[str, float]:
     """Return the share of each sensor in what is beyond noise in the record, by name."""
-    m, sigma = len(found.record), found.evidence.sigma
+    m, sigma = len(found.record), found.problem.sigma
     beyond = np.maximum(found.search.base.hypothesis.squares / sigma**2 - m, 0.0)
     whole = float(beyond.sum()) or 1.0
     return dict(zip(found.twin.sensors, (float(part / whole) for part in beyond), strict=True))
@@ -179,18 +179,18 @@ def _sensor(found: Explained, name: str) -> LatentForce:
     at, base, after = found.twin.sensors.index(name), found.search.base.hypothesis, found.explanation.hypothesis
     x = (found.record.readings - after.residuals)[:, at]
     rate = np.gradient(x) * found.record.rate
-    unit, sigma = found.twin.declaration.sensors[name].unit, float(found.evidence.sigma[at])
+    unit, sigma = found.twin.declaration.sensors[name].unit, float(found.problem.sigma[at])
     units = unit, unit, _per_second(unit)
     before, left = base.residuals[:, at], after.residuals[:, at]
     return LatentForce(name, "sensor", x, rate, before, left, (sigma, sigma), units)
 
 
-def along(found: Explained, slot: EffectInstance, x: Array, rate: Array) -> Array:
+def along(found: Explained, instance: EffectInstance, x: Array, rate: Array) -> Array:
     """Return what an effect gives along a motion of its place (m,)."""
-    if slot.effect == laws.DELAY:
+    if instance.effect == laws.DELAY:
         t = np.arange(len(x)) / found.record.rate
-        return np.asarray(np.interp(t - slot.values[0], t, x))
-    return np.asarray(found.rig.along(slot, x, rate, found.evidence.dt)[:, 0])
+        return np.asarray(np.interp(t - instance.values[0], t, x))
+    return np.asarray(found.rig.along(instance, x, rate, found.problem.dt)[:, 0])
 
 
 def smoothed(found: Explained) -> Smoothed:
@@ -198,14 +198,14 @@ def smoothed(found: Explained) -> Smoothed:
     chosen, base = found.explanation.hypothesis, found.search.base.hypothesis
     if chosen is base:
         return Smoothed(found.search.motion, None, base.residuals)
-    record, evidence = found.record, found.evidence
+    record, problem = found.record, found.problem
     try:
-        if evidence.interval:  # readings without causes would jump from window to window
-            before = smooth(evidence, chosen.theta, chosen.start)
+        if problem.interval:  # readings without causes would jump from window to window
+            before = smooth(problem, chosen.theta, chosen.start)
             return Smoothed(before, _without(found, before), base.residuals)
-        without = evidence.equations(chosen.theta, chosen.start).simulated
+        without = problem.equations(chosen.theta, chosen.start).simulated
         cleaned = replace(record, readings=np.ascontiguousarray(chosen.residuals + without))
-        before, after = (smooth(replace(evidence, record=r), chosen.theta, chosen.start) for r in (record, cleaned))
+        before, after = (smooth(replace(problem, record=r), chosen.theta, chosen.start) for r in (record, cleaned))
     except IntegrationError:
         return Smoothed(found.search.motion, None, base.residuals)
     return Smoothed(before, after, record.readings - without)
@@ -214,15 +214,15 @@ def smoothed(found: Explained) -> Smoothed:
 def _without(found: Explained, motion: Motion) -> Motion:
     """Return a motion without the forces of the causes along it."""
     forces = motion.forces.copy()
-    for slot in found.explanation.hypothesis.slots:
-        if slot.where == "sensor":
+    for instance in found.explanation.hypothesis.instances:
+        if instance.where == "sensor":
             continue
-        for i in [found.rig.index(slot)] if slot.at else range(len(found.twin.actuators)):
-            if slot.where == "actuator":
+        for i in [found.rig.index(instance)] if instance.at else range(len(found.twin.actuators)):
+            if instance.where == "actuator":
                 x = found.record.acting[:, i]
-                law, column = along(found, slot, x, np.zeros_like(x)) - x, found.rig.columns[2][i]
+                law, column = along(found, instance, x, np.zeros_like(x)) - x, found.rig.columns[2][i]
             else:
-                law, column = along(found, slot, *motion.acted_on(slot.entry, i)), found.rig.columns[1][i]
+                law, column = along(found, instance, *motion.acted_on(instance.entry, i)), found.rig.columns[1][i]
             forces -= np.outer(law, directions(found, column))
     return replace(motion, forces=forces)
 

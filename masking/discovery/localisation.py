@@ -132,10 +132,10 @@ def localise(found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whitenes
         whiteness: of the validation residual of each sensor, before and after.
     """
     seen, periods = found.smoothed, Periods.of(found.record.commands, found.record.rate)
-    lacking = _latent_forces(found, seen.before, seen.error, periods)
+    latent = _latent_forces(found, seen.before, seen.error, periods)
     residuals = found.explanation.hypothesis.residuals
     left = None if seen.after is None else _latent_forces(found, seen.after, residuals, periods)
-    return Localisation(lacking, left, whiteness)
+    return Localisation(latent, left, whiteness)
 
 
 def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Periods | None) -> LatentForces:
@@ -163,7 +163,7 @@ def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Peri
         actuators[name] = share(force, deviation) * part
     sensors = {}
     for name, reading, rest, sigma in zip(
-        found.twin.sensors, (found.record.readings - error).T, error.T, found.evidence.sigma, strict=True
+        found.twin.sensors, (found.record.readings - error).T, error.T, found.problem.sigma, strict=True
     ):
         square = float((rest**2).mean())
         is_seen = square > BEYOND * sigma**2

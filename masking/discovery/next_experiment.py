@@ -85,7 +85,7 @@ class NextExperiment:
 
 
 def next_experiment(
-    evidence: EstimationProblem,
+    problem: EstimationProblem,
     first: Hypothesis,
     second: Hypothesis,
     names: tuple[str, str],
@@ -97,40 +97,40 @@ def next_experiment(
     input is the rate of which.
 
     Args:
-        evidence: the record that leaves them open.
+        problem: the record that leaves them open.
         first: one explanation.
         second: the other.
         names: of the two.
         limits: largest command of each actuator (actuators,); three times the record's where none are given.
     """
     best: NextExperiment | None = None
-    rates = _rates(evidence.rig)
+    rates = _rates(problem.rig)
     if rates is None:
         return None
-    size = np.abs(evidence.record.commands).max(axis=0)
+    size = np.abs(problem.record.commands).max(axis=0)
     most = np.maximum(FACTORS[-1] * size, 1e-12) if limits is None else limits
-    for name, settings, commands in _possible(evidence, size, most, rates):
+    for name, settings, commands in _possible(problem, size, most, rates):
         separation = min(
-            _left(evidence, commands, first, second), _left(evidence, commands, second, first)
+            _left(problem, commands, first, second), _left(problem, commands, second, first)
         )  # fmt: skip
-        found = NextExperiment(name, settings, separation, names, commands, evidence.rules.separation)
+        found = NextExperiment(name, settings, separation, names, commands, problem.rules.separation)
         if best is None or found.separation > best.separation:
             best = found
     assert best is not None  # noqa: S101  # there are always excitations
     return best
 
 
-def _left(evidence: EstimationProblem, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
+def _left(problem: EstimationProblem, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
     """Return the cost of one explanation on readings that the other one simulates."""
-    hold: Hold = "first-order" if evidence.rig.twin.measured_actuators else "zero-order"
-    nothing = np.zeros((len(commands), len(evidence.sigma)))
-    record = Data("simulated", evidence.record.rate, commands, nothing, hold=hold)
-    state = evidence.rig.rest[None]
-    free = replace(evidence, record=record, interval=0)
+    hold: Hold = "first-order" if problem.rig.twin.measured_actuators else "zero-order"
+    nothing = np.zeros((len(commands), len(problem.sigma)))
+    record = Data("simulated", problem.record.rate, commands, nothing, hold=hold)
+    state = problem.rig.rest[None]
+    free = replace(problem, record=record, interval=0)
     try:
-        made = free.equations(truth.theta, state, truth.slots, truth.added)
-        told = replace(free, record=replace(record, readings=made.simulated))
-        return fitting.fit(told, other.slots, theta=other.theta, start=state, rounds=12).cost
+        made = free.equations(truth.theta, state, truth.instances, truth.added)
+        pretended = replace(free, record=replace(record, readings=made.simulated))
+        return fitting.fit(pretended, other.instances, theta=other.theta, start=state, rounds=12).cost
     except IntegrationError:
         return 0.0
 
@@ -143,32 +143,32 @@ def _rates(rig: AugmentedModel) -> dict[int, int] | None:
         x, rate = (None if one is None else one.text.strip() for one in (element.displacement, element.rate))
         if x in names and rate in names:
             found[names[rate]] = names[x]
-    told = {*found, *found.values()}
-    return found if all(names[name] in told for name in twin.measured_actuators) else None
+    known = {*found, *found.values()}
+    return found if all(names[name] in known for name in twin.measured_actuators) else None
 
 
 def _possible(
-    evidence: EstimationProblem, size: Array, most: Array, rates: Mapping[int, int]
+    problem: EstimationProblem, size: Array, most: Array, rates: Mapping[int, int]
 ) -> Iterator[tuple[str, dict[str, Any], Array]]:
     """Give the excitations in which each rate is that of its displacement; a step would have none."""
-    for name, settings, commands in _excitations(evidence, size, most):
+    for name, settings, commands in _excitations(problem, size, most):
         if rates and name == STEPS:
             continue
-        made, told = commands.copy(), dict(settings)
+        made, stated = commands.copy(), dict(settings)
         for rate, x in rates.items():
-            made[:, rate] = np.gradient(commands[:, x]) * evidence.record.rate
+            made[:, rate] = np.gradient(commands[:, x]) * problem.record.rate
         if rates:
-            peaks = zip(evidence.rig.twin.actuators, np.abs(made).max(axis=0), strict=True)
-            told["peak"] = {actuator: float(f"{peak:.3g}") for actuator, peak in peaks}
-        yield name, told, made
+            peaks = zip(problem.rig.twin.actuators, np.abs(made).max(axis=0), strict=True)
+            stated["peak"] = {actuator: float(f"{peak:.3g}") for actuator, peak in peaks}
+        yield name, stated, made
 
 
-def _excitations(evidence: EstimationProblem, size: Array, most: Array) -> Iterator[tuple[str, dict[str, Any], Array]]:
-    rate, actuators = evidence.record.rate, evidence.rig.twin.actuators
+def _excitations(problem: EstimationProblem, size: Array, most: Array) -> Iterator[tuple[str, dict[str, Any], Array]]:
+    rate, actuators = problem.record.rate, problem.rig.twin.actuators
     t = np.arange(round(SECONDS * rate)) / rate
     for factor in FACTORS:
         peaks = np.minimum(factor * size, most)
-        told = {name: float(f"{peak:.3g}") for name, peak in zip(actuators, peaks, strict=True)}
+        peak_of = {name: float(f"{peak:.3g}") for name, peak in zip(actuators, peaks, strict=True)}
         for low, high in BANDS:
             lines = np.arange(max(1, round(low * PERIOD)), round(high * PERIOD) + 1)
             columns = []
@@ -177,11 +177,11 @@ def _excitations(evidence: EstimationProblem, size: Array, most: Array) -> Itera
                 phases = signals.schroeder_phases(np.ones(len(own)))
                 wave = signals.Multisine.harmonic(own, PERIOD, phases=phases).sample(t)
                 columns.append(wave / np.abs(wave).max())
-            settings = {"peak": told, "lowest": f"{low:g} Hz", "highest": f"{high:g} Hz", "seconds": SECONDS}
+            settings = {"peak": peak_of, "lowest": f"{low:g} Hz", "highest": f"{high:g} Hz", "seconds": SECONDS}
             yield "multisine", settings, np.array(columns).T * peaks
         shape = np.interp(t / SECONDS, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
         shifted = [np.roll(shape, i * len(t) // len(actuators)) for i in range(len(actuators))]
-        yield "ramp", {"peak": told, "seconds": SECONDS}, np.array(shifted).T * peaks
+        yield "ramp", {"peak": peak_of, "seconds": SECONDS}, np.array(shifted).T * peaks
         turns = np.outer(t / SECONDS, 6.0 + 2.0 * np.arange(len(actuators)))
         steps = np.sign(np.sin(2.0 * np.pi * turns)) * (t / SECONDS)[:, None]
-        yield STEPS, {"peak": told, "seconds": SECONDS}, steps * peaks
+        yield STEPS, {"peak": peak_of, "seconds": SECONDS}, steps * peaks

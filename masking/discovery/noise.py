@@ -35,7 +35,7 @@ def noise_of(rig: AugmentedModel, record: Data, rules: DecisionRules = RULES) ->
     for name, value in zip(twin.sensors, size, strict=True):
         if value == 0.0:
             raise RecordError(
-                f"{record.name}: {name} reads 0 throughout; look at its wiring, or leave it out of the plant"
+                f"{record.name}: {name} reads 0 throughout; look at its cable, or leave it out of the plant"
             )
     rounding = np.array([step / np.sqrt(12.0) for step in steps_of(record, rules.rounded_values)])
     floor: Array = np.maximum.reduce([found, 1e-6 * size, rounding])

@@ -1,10 +1,10 @@
 """Places: where an effect may sit in a model: its elements, each coordinate, and between each two coordinates.
 
 What a force moves by itself is a degree: a coordinate, and without one an internal state or an output that elements act
-on. Each has a place, by whose force what the model lacks there is told, even where no law can sit in it.
+on. Each has a place, by whose force the model error there is reported, even where no law can sit in it.
 
-A force between two coordinates acts on both; how strongly, their masses tell. Where these are not known from the model
-itself, as in equations that are divided by a mass, they follow from its elements, which pass a force on.
+A force between two coordinates acts on both, in the ratio of their masses. If these do not follow from the equations,
+which may be divided by a mass, they follow from the elements, which pass a force on.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class EstimationProblem:
         self,
         theta: Array,
         start: Array,
-        slots: Sequence[EffectInstance] = (),
+        instances: Sequence[EffectInstance] = (),
         added: Array | None = None,
         *,
         inner: Array | None = None,
@@ -72,7 +72,7 @@ class EstimationProblem:
         Args:
             theta: parameters of the rig (k,), in declared units.
             start: state at the first sample of each window (windows, states).
-            slots: effects, one after the other.
+            instances: effects, one after the other.
             added: their free parameters (f,).
             inner: where their states begin (s,); at 0 where this is not given.
 
@@ -81,7 +81,7 @@ class EstimationProblem:
         """
         rig, record = self.rig, self.record
         added = np.empty(0) if added is None else added
-        given = rig.instances(slots, added)
+        given = rig.instances(instances, added)
         states = given.states
         p, basis = rig.basis(theta, len(added) + states)
         k, moving, windows = basis.shape[1], rig.begins, self.windows
@@ -108,9 +108,9 @@ class EstimationProblem:
         return Equations(matrix, gradient, squares, simulated)
 
     def tempering(self, residuals: Array) -> float:
-        """Return by how much more is left than white noise, and how much more slowly it changes; at least 1.
+        """Return the tempering factor: residual variance over noise variance, of samples or block means; at least 1.
 
-        Costs are divided by it: what is left is so many times the noise, or so many readings tell the same.
+        The inverse is the effective sample size per reading of a residual that changes slowly.
 
         Args:
             residuals: of the readings (m, sensors).

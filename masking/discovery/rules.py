@@ -1,10 +1,12 @@
 """Rules: every number that takes part in a verdict of discovery, with its meaning and the reason for its value.
 
 Costs are -2 log likelihoods: a squared deviation of one standard deviation costs 1. "Benchmark" is the suite of
-`make bench-discovery`; a value "chosen on the benchmark" has no better reason than its records, and no measured
-sensitivity unless one is stated.
+`make bench-discovery`. "Gaussian motion" is one whose displacement and rate are normally distributed, as under
+multisines: a law is then a sum of Hermite polynomials, each of which takes its own part of the mean square. Of dry
+friction, sign(v), the linear one takes 2/pi = 64 %, of a cubic spring 9/15 = 60 %.
 Source: Kass and Raftery (1995), JASA 90(430), 773-795, for differences of costs; Wilks (1938), Ann. Math. Stat. 9(1),
-60-62, for likelihood ratios of nested models.
+60-62, for likelihood ratios of nested models; Bussgang (1952), MIT RLE Technical Report 216, for laws under Gaussian
+motion; Widrow and Kollar (2008), Quantization Noise, chapter 5, for rounding.
 """
 
 from __future__ import annotations
@@ -42,8 +44,9 @@ class DecisionRules:
     small_residual: float = 4.0
     """Cost per reading up to which a residual is small: it is screened itself, and may remain unexplained.
 
-    Why: twice the noise in rms. Above, missing forces distort each other's response, and the residual of the model as
-    declared is screened instead. Chosen on the benchmark.
+    Why: twice the noise in rms: the unexplained part is then sqrt(3) times the noise, so that 10 % that missing forces
+    distort in each other's response stay well below it. Above, the residual of the model as declared is screened
+    instead.
     """
 
     excess_deviations: float = 3.0
@@ -55,8 +58,8 @@ class DecisionRules:
     tempering_block: int = 32
     """Samples of the block means that show whether a residual changes slowly.
 
-    Why: at 1 kHz this is 30 ms, shorter than the periods of the rigs and long enough to average white noise by a factor
-    of 5.7. Chosen on the benchmark.
+    Why: averages white noise by sqrt(32) = 5.7, and leaves 300 blocks in 10 s at 1 kHz; 30 ms are shorter than the
+    periods of the rigs.
     """
 
     slow_excess: float = 1.3
@@ -83,7 +86,8 @@ class DecisionRules:
     parameter_preference: float = 0.5
     """Part of log(m) by which a parameter is preferred to an effect that does as well.
 
-    Why: half of Schwarz's penalty for one parameter: parsimony decides among equals. Chosen on the benchmark.
+    Why: prior odds of m^(1/4), 10 for 10 000 readings, of what the model has over what it would have to be given: a
+    quarter of Schwarz's penalty, log m, of a further parameter in odds, half of it in cost.
     """
 
     indifferent: float = 2.0
@@ -110,50 +114,57 @@ class DecisionRules:
     most_exchanges: int = 3
     """Effects that are tried in the place of each one found earlier.
 
-    Why: limits computing time; the right one was among the first three on the benchmark.
+    Why: limits computing time; on the benchmark the right one was among the first three.
     """
 
     gain_fraction: float = 0.2
     """Part of the excess cost that a further effect must take.
 
-    Why: what only resembles the missing effect takes small parts, one after the other. Chosen on the benchmark.
+    Why: laws that only resemble the missing one take smaller and smaller parts, one after the other: of dry friction
+    under Gaussian motion a linear, a cubic and a quintic law take 64 %, 29 % and 19 % of what the last one left; the
+    third is refused.
     """
 
     late_gain_fraction: float = 0.7
     """The same once the remainder is small enough to leave unexplained.
 
-    Why: then only an effect that explains most of the remainder is worth a name. Chosen on the benchmark.
+    Why: above the 64 % and 60 % that a linear law takes of dry friction and of a cubic spring under Gaussian motion:
+    then only the right law is worth a name.
     """
 
     unexplained_fraction: float = 0.3
     """Part of the excess cost that named effects may leave.
 
-    Why: chosen on the benchmark: laws near the missing one leave more, the right one with a small second cause less.
+    Why: below the 36 % and 40 % that a linear law leaves of dry friction and of a cubic spring under Gaussian motion,
+    so that neither is named in the place of the other.
     """
 
     small_unexplained_fraction: float = 0.7
     """The same if the residual is small (`small_residual`).
 
-    Why: a small residual is explained to a large part by a weak effect beside errors of the model that are as large.
-    Chosen on the benchmark.
+    Why: a weak effect is named beside errors of the model up to sqrt(0.7 / 0.3) = 1.5 times as large in rms, which are
+    expected where the residual is small.
     """
 
     trace_fraction: float = 0.05
     """Part of the excess cost of the model as declared that counts as small, however far above noise.
 
-    Why: 5 % of the cost is 22 % of the rms: where noise is low, a law near the missing one leaves about that much.
+    Why: 5 % of the cost is 22 % of the rms: as much as a law leaves whose factor is right and whose shape is a fifth
+    off.
     """
 
     far_cost: float = 100.0
     """Cost per reading above which `trace_fraction` applies after a further effect.
 
-    Why: ten times the noise in rms. Below, one more effect may still reach the noise floor. Chosen on the benchmark.
+    Why: ten times the noise in rms. Below, an effect that takes 99 % reaches the noise floor, as fits of the right law
+    do; above, no single one is expected to.
     """
 
     nested_fraction: float = 0.8
     """Part of the best reduction that a nested model must reach to be preferred while more is left.
 
-    Why: parsimony; the remainder may have another cause, which the richer law would imitate. Chosen on the benchmark.
+    Why: the complement of `gain_fraction`: what the richer law takes beyond must be enough for a cause of its own. The
+    remainder may have another cause, which the richer law would imitate.
     """
 
     # Which candidates are fitted
@@ -161,7 +172,8 @@ class DecisionRules:
     fewest_fits: int = 3
     """Candidates that are fitted in each round at least.
 
-    Why: the first-order score of the right effect was among the first three on the benchmark.
+    Why: a fit more costs time, a right effect left out costs the answer; on the benchmark it was among the first three
+    of the first-order score.
     """
 
     most_fits: int = 8
@@ -179,7 +191,8 @@ class DecisionRules:
     fit_ratio: float = 2.5
     """Excess that a candidate may leave in the screen over that of the best to be fitted.
 
-    Why: a screen is of first order and sees shapes on a grid. Chosen on the benchmark.
+    Why: the right law may look sqrt(2.5) = 1.6 times worse in rms than a wrong one, by linearisation and by the grid
+    of its shapes, and is fitted still; a larger value costs computing time alone, up to `most_fits`.
     """
 
     screen_resolution: float = 0.05
@@ -192,6 +205,80 @@ class DecisionRules:
     """Cost of noise in a screen over that of white noise.
 
     Why: as `slow_excess`: a screen compares block means.
+    """
+
+    screened_frequency: float = 60.0
+    """Highest frequency in Hz that a screen resolves, or twice that of the fastest mode of the rig if that is higher.
+
+    Why: beyond twice its fastest mode a rig passes less than a third of a force, 1 / (2^2 - 1), and less and less
+    above. 60 Hz hold ten harmonics of motions of up to 6 Hz if all modes are slower.
+    """
+
+    sharpened_fraction: float = 0.5
+    """Part of the best score from which the shape of a candidate is optimised in the screen.
+
+    Why: a score is a squared correlation: half of it is a cosine of 0.71. A shape lies within one step of its grid,
+    which gains less than a factor of two.
+    """
+
+    most_sharpened: int = 24
+    """Candidates whose shapes are optimised at most.
+
+    Why: limits computing time; three times `most_fits`.
+    """
+
+    sharpening_steps: int = 8
+    """Steps of this optimisation at most.
+
+    Why: Gauss-Newton steps converge within that from a neighbouring point of the grid; what has not converged is left
+    to the fit.
+    """
+
+    quantum_zooms: tuple[float, ...] = (0.08, 0.02, 0.005, 0.00125)
+    """Relative widths on both sides of a converter's step in which nine steps each are scored, one width after the
+    other.
+
+    Why: the effect of a step has no slope to follow. Nine points are a quarter of the width apart, which is the next
+    width; the first covers half the distance of the steps that are tried, but of the coarsest, and the last moves the
+    24th level by 3 % of a step.
+    """
+
+    most_growth: float = 20.0
+    """Factor by which a first-order score may enlarge a time constant before its fit.
+
+    Why: the first order ends where the lag is no longer short; 20 is the ratio of the largest to the least lag that is
+    tried.
+    """
+
+    least_factor: float = 1e-3
+    """Part of the largest factor of an effect at which a factor beyond its bounds begins.
+
+    Why: a positive parameter at most doubles in a step of a fit: ten steps, 2^10, reach the size of the largest.
+    """
+
+    response_rank: float = 1e-7
+    """Singular value, over the largest, from which a combination of parameters has a response.
+
+    Why: that is the relative error of integration, see `redundant_fraction`: a smaller response is error.
+    """
+
+    hopeless_fraction: float = 0.03
+    """Part of the distance to a better fit that each step of a fit must take; one that takes less, `hopeless_steps`
+    times in a row, ends.
+
+    Why: at 3 % in each, the way takes more than 33 steps; with six before, that is all that a fit may take, 40.
+    """
+
+    hopeless_steps: int = 6
+    """Steps in a row after which such a fit ends.
+
+    Why: three steps in vain raise the damping by 1e6; three more show whether that helps.
+    """
+
+    converged: float = 0.02
+    """Reduction of the cost, over the tempering factor, below which a fit ends.
+
+    Why: a hundredth of `indifferent`: what a fit leaves decides nothing.
     """
 
     # Verdict
@@ -217,8 +304,8 @@ class DecisionRules:
     unique_fraction: float = 0.03
     """Fraction of an effect's response outside the span of the parameters' responses, below which it is a parameter.
 
-    Why: above the relative differences of responses that come from linearising at the fit, below those of laws that are
-    different. Chosen on the benchmark.
+    Why: three times the default tolerance of parameters, 1 %: responses are those at fitted values, which may be off
+    by that.
     """
 
     likelihood_fraction: float = 0.5
@@ -226,6 +313,13 @@ class DecisionRules:
 
     Why: below one half, re-fitted parameters explain the record as well: the effect stands for several parameters
     that are off together, and may make the validation residual somewhat larger.
+    """
+
+    occam_rank: float = 1e-12
+    """Eigenvalue of the scaled covariance of an effect's parameters, over the largest, below which it is 0.
+
+    Why: double precision, 2.2e-16, leaves an eigenvalue of 1e-12 with four digits: enough for a logarithm. Smaller
+    ones are rounding, which would pay for a parameter.
     """
 
     linear_laws: int = 3
@@ -249,7 +343,8 @@ class DecisionRules:
     rounding_fraction: float = 0.3
     """Part of the noise variance that rounding must make to be named, and of the residual to be the verdict.
 
-    Why: below, a coarser converter would not be noticed. Chosen on the benchmark.
+    Why: a step of sqrt(0.3 * 12) = 1.9 standard deviations: noise dithers steps up to 2 deviations, whose rounding is
+    white noise like any other.
     """
 
     # When a record is searched again
@@ -257,7 +352,8 @@ class DecisionRules:
     phase_loss: float = 0.5
     """Relative residual of a sensor from which the simulated motion has lost phase with the record.
 
-    Why: between 0, a perfect simulation, and sqrt(2), one of the right size and random phase.
+    Why: a phase of 29 degrees, 2 sin(phase/2) = 0.5; between 0, a perfect simulation, and sqrt(2), one of the right
+    size and random phase.
     """
 
     first_order_hold_fraction: float = 0.2
@@ -297,7 +393,8 @@ class DecisionRules:
     intervals: int = 20
     """Shooting intervals of a record of a model that does not settle.
 
-    Why: chosen on the benchmark: drift stays small, and initial states take few readings.
+    Why: drift, which grows with the square of time, is 400 times smaller; 20 initial states of six numbers take 1.2 %
+    of 10 000 readings.
     """
 
     fewest_samples: int = 200

@@ -1,8 +1,8 @@
-"""Screening: how much of the gap each candidate could close, to first order along the motion that was measured.
+"""Screening: the score of each candidate, to first order along the motion that was measured.
 
 The force that an effect would have made along the measured motion is passed through the rig to its sensors and compared
-with what is left of the record. Where the rig is linear and the motion known, this is not an approximation, however
-strong the effect is. What the rig's own parameters and the initial state could explain is taken out first.
+with the residual. If the rig is linear and the motion known, this is no approximation, however strong the effect is.
+The part that the rig's own parameters and the initial state could explain is projected out first.
 Source: Frisch and Waugh (1933), Econometrica 1(4), for regression with some columns taken out.
 """
 
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from masking.discovery import laws
-from masking.discovery.augmented_model import MOST_COLUMNS, AugmentedModel, EffectInstance
+from masking.discovery.augmented_model import MOST_COLUMNS, EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.fitting import Hypothesis, bounds
 from masking.discovery.problem import EstimationProblem
@@ -23,28 +23,27 @@ from masking.discovery.smoothing import Motion, linearised
 from masking.estimation.least_squares import Dense
 from masking.numerics.arrays import Array, IntVector
 
-HIGHEST = 60.0  # Hz, or twice what the rig does by itself; what is faster is averaged away
-NEAR = 0.5  # of the best gain: candidates whose shapes are sharpened
-ZOOMS = (0.08, 0.02, 0.005, 0.00125)  # of a converter's step, that are looked at on both sides
-MOST_SHARPENED, SHARPENINGS = 24, 8
-HUGE = 1e9  # standard deviations: no effect that can be told of
+# Double precision: singular values of columns beside prior rows, parts of squares, and normal equations, over the
+# largest: smaller ones are rounding.
+RANK, ROUNDING, COLLINEAR = 1e-9, 1e-12, 1e-10
+HUGE = 1e9  # standard deviations: beyond any force that a rig can be under
 KEPT = 4e7  # numbers of what candidates do along a motion that are kept for the next screen of it
 
 
 @dataclass(frozen=True)
 class Score:
-    """What a candidate could take off the cost, with the slot from which to begin.
+    """What a candidate could take off the cost, with the effect instance from which to begin.
 
     Args:
         candidate: the candidate.
-        slot: with the best shape, and its factors.
+        instance: with the best shape, and its factors.
         gain: of the cost (-2 log likelihood).
         unique: unique fraction of its effect on the sensors, which parameters of the rig could not have; of an inertia,
             that no one of them could have: equations that are divided by a mass hold it in several.
     """
 
     candidate: Candidate
-    slot: EffectInstance
+    instance: EffectInstance
     gain: float
     unique: float
 
@@ -53,10 +52,11 @@ class Score:
 Along = MutableMapping[tuple[tuple[int, ...], EffectInstance], tuple[Array, Array]]
 
 
-def thinning(rig: AugmentedModel, rate: float) -> tuple[int, int]:
-    """Return the samples over which motions, and over which readings are averaged, at a rate in Hz."""
+def thinning(problem: EstimationProblem) -> tuple[int, int]:
+    """Return the samples over which motions, and over which readings are averaged."""
+    rig, rate = problem.rig, problem.record.rate
     own = np.abs(np.linalg.eigvals(linearised(rig, rig.start)[0]).imag).max(initial=0.0) / (2.0 * np.pi)
-    highest = max(HIGHEST, 2.0 * float(own))
+    highest = max(problem.rules.screened_frequency, 2.0 * float(own))
     thin = max(1, int(rate / (6.0 * highest)))
     return thin, thin * max(1, int(rate / (2.0 * highest) / thin))
 
@@ -65,7 +65,7 @@ class Screen:
     """A record with what the rig's own parameters explain taken out.
 
     Args:
-        evidence: the record and the rig.
+        problem: the record and the rig.
         base: a fit of the rig, whose residuals are looked at.
         motion: the smoothed record.
         found: effects that were found before; what they and their parameters explain is taken out too.
@@ -75,7 +75,7 @@ class Screen:
 
     def __init__(
         self,
-        evidence: EstimationProblem,
+        problem: EstimationProblem,
         base: Hypothesis,
         motion: Motion,
         found: Sequence[EffectInstance] = (),
@@ -83,12 +83,13 @@ class Screen:
         taken: bool = False,
         along: Along | None = None,
     ) -> None:
-        self.rig, self.record, self.base, self.motion = evidence.rig, evidence.record, base, motion
+        self.rig, self.record, self.base, self.motion = problem.rig, problem.record, base, motion
+        self.rules = problem.rules
         self.along: Along = {} if along is None else along
-        rig, record, prior, sigma = evidence.rig, evidence.record, evidence.prior, evidence.sigma
-        self.thin, self.every = thinning(rig, record.rate)
+        rig, record, prior, sigma = problem.rig, problem.record, problem.prior, problem.sigma
+        self.thin, self.every = thinning(problem)
         self.blocks = len(record) // self.every
-        self.begin = evidence.begin // self.thin if evidence.interval else len(record)
+        self.begin = problem.begin // self.thin if problem.interval else len(record)
         self._states = _thinned(motion.states, self.thin)
         self._commands = _thinned(record.acting, self.thin)
         self.scale = np.sqrt(self.every) / sigma
@@ -108,11 +109,11 @@ class Screen:
         size = np.linalg.norm(whole, axis=0)
         size = np.where(size > 0.0, size, 1.0)
         u, s, v = np.linalg.svd(whole / size, full_matrices=False)
-        told = s > 1e-9 * s[0]
-        self.taken, self._back = u[:, told], v[told].T / s[told] / size[:, None]
+        independent = s > RANK * s[0]
+        self.taken, self._back = u[:, independent], v[independent].T / s[independent] / size[:, None]
         u, s, _ = np.linalg.svd(own / size, full_matrices=False)
-        self.possible = u[:, s > 1e-7 * s[0]]
-        self.single = _apart(own[:, :k], own[:, k:])
+        self.possible = u[:, s > self.rules.response_rank * s[0]]
+        self.single = _apart(own[:, :k], own[:, k:], self.rules.response_rank)
         left = self._rows((self._means(base.residuals) - (0.0 if taken else values))[:, :, None])[:, 0]
         self._whole_left = np.concatenate([left, (prior.mean - base.theta) / prior.deviation])
         self.left = self._out(self._whole_left)
@@ -125,34 +126,34 @@ class Screen:
         found: Array = np.einsum("bsc,bw->bswc", columns, apart).reshape(*columns.shape[:2], -1)
         return found
 
-    def _found(self, slots: Sequence[EffectInstance]) -> tuple[Array, Array]:
+    def _found(self, instances: Sequence[EffectInstance]) -> tuple[Array, Array]:
         """Return what effects that were found do to the sensors (blocks, sensors), and its derivatives (..., f)."""
         sensors = len(self.rig.twin.sensors)
         values, slopes = np.zeros((self.blocks, sensors)), [np.zeros((self.blocks, sensors, 0))]
-        for made in self._effects(slots):
+        for made in self._effects(instances):
             values += made[:, :, 0]
             slopes.append(made[:, :, 1:])
         return values, np.concatenate(slopes, axis=2)
 
-    def _effects(self, slots: Sequence[EffectInstance]) -> list[Array]:
+    def _effects(self, instances: Sequence[EffectInstance]) -> list[Array]:
         """Return what effects with given values do to the sensors, and its derivatives (blocks, sensors, 1 + f)."""
         features, at = [], []
-        for slot in slots:
-            made, columns = self._with_slopes(slot)
+        for instance in instances:
+            made, columns = self._with_slopes(instance)
             features.append(_thinned(made, self.thin))
             at.append(columns)
         found: list[Array] = []
         first = 0
-        while first < len(slots):
+        while first < len(instances):
             last, many = first, 0
-            while last < len(slots) and many + features[last].shape[1] <= MOST_COLUMNS:
+            while last < len(instances) and many + features[last].shape[1] <= MOST_COLUMNS:
                 many += features[last].shape[1]
                 last += 1
             part = slice(first, last)
-            found += self._at_sensors([slot.where for slot in slots[part]], features[part], at[part])
+            found += self._at_sensors([instance.where for instance in instances[part]], features[part], at[part])
             first = last
-        for i, slot in enumerate(slots):
-            if slot.effect == laws.DELAY:  # the columns of each actuator: values, then slopes
+        for i, instance in enumerate(instances):
+            if instance.effect == laws.DELAY:  # the columns of each actuator: values, then slopes
                 halves = np.split(found[i], 2, axis=2)
                 found[i] = np.stack([half.sum(axis=2) for half in halves], axis=2)
         return found
@@ -171,9 +172,9 @@ class Screen:
                 found[i][:, int(at[i][0])] = self._means(table, self.every // self.thin)
         return found
 
-    def around(self, slot: EffectInstance) -> tuple[Array, Array]:
+    def around(self, instance: EffectInstance) -> tuple[Array, Array]:
         """Return parameters of the rig (k,) and initial states (windows, states) that go best with an effect."""
-        (table,) = self._effects([slot])
+        (table,) = self._effects([instance])
         left = self._whole_left.copy()
         rows = self._rows(table[:, :, :1])[:, 0]
         left[: len(rows)] -= rows
@@ -183,44 +184,44 @@ class Screen:
         start[:, free] += step[len(theta) : len(theta) + len(start) * len(free)].reshape(len(start), len(free))
         return theta + step[: len(theta)], start
 
-    def _with_slopes(self, slot: EffectInstance) -> tuple[Array, Array]:
-        """Return what a slot adds where it acts, with derivatives by its free parameters (m, c), and columns (c,)."""
-        if slot.effect == laws.DELAY:
+    def _with_slopes(self, instance: EffectInstance) -> tuple[Array, Array]:
+        """Return what an instance adds where it acts, with slopes by its free parameters (m, c), and columns (c,)."""
+        if instance.effect == laws.DELAY:
             half = 0.5 / self.record.rate
-            late, at = self._late(slot)
-            later, _ = self._late(slot.with_values((0,), (slot.values[0] + half,)))
+            late, at = self._late(instance)
+            later, _ = self._late(instance.with_values((0,), (instance.values[0] + half,)))
             return np.hstack([late, (later - late) / half]), np.concatenate([at, at])
-        x, rate, column = self._subject(slot)
-        made = self.rig.along(slot, x, rate, 1.0 / self.record.rate, slot.free)
-        if slot.where != "element":
+        x, rate, column = self._subject(instance)
+        made = self.rig.along(instance, x, rate, 1.0 / self.record.rate, instance.free)
+        if instance.where != "element":
             made[:, 0] -= x
         return made, np.full(made.shape[1], column)
 
     def scores(self, candidates: Sequence[Candidate]) -> list[Score]:
         """Return what each candidate could take off, the best first."""
         found: dict[int, Score] = {}
-        self._settle([(candidate, slot) for candidate in candidates for slot in candidate.slots], found)
+        self._settle([(candidate, instance) for candidate in candidates for instance in candidate.instances], found)
         self._zoom(found)
         best = max((score.gain for score in found.values()), default=0.0)
-        near = [p for p in found.values() if p.gain > NEAR * best and _has_shape(p.candidate)]
-        sharper = self._sharpened(sorted(near, key=lambda score: -score.gain)[:MOST_SHARPENED])
+        near = [p for p in found.values() if p.gain > self.rules.sharpened_fraction * best and _has_shape(p.candidate)]
+        sharper = self._sharpened(sorted(near, key=lambda score: -score.gain)[: self.rules.most_sharpened])
         kept = [sharper.get(id(score.candidate), score) for score in found.values()]
         return sorted(kept, key=lambda score: -score.gain)
 
     def _zoom(self, found: dict[int, Score]) -> None:
         """Look nearer at the steps of converters, whose effect has no slope to follow."""
-        for width in ZOOMS:
+        for width in self.rules.quantum_zooms:
             near = [p for p in found.values() if p.candidate.entry.quantum and p.gain > 0.0]
             parts = 1.0 + np.linspace(-width, width, 9)
-            self._settle([(p.candidate, p.slot.with_free_times(part)) for p in near for part in parts], found)
+            self._settle([(p.candidate, p.instance.with_free_times(part)) for p in near for part in parts], found)
 
     def _sharpened(self, scores: Sequence[Score]) -> dict[int, Score]:
         """Return scores whose shapes are brought to their best values, by the method of Levenberg and Marquardt."""
         best = {id(score.candidate): score for score in scores}
-        slots = {key: score.slot for key, score in best.items()}
+        instances = {key: score.instance for key, score in best.items()}
         damping, active = 1e-4, [score.candidate for score in scores]
-        for number in range(SHARPENINGS):
-            columns = self._effects([slots[id(candidate)] for candidate in active])
+        for number in range(self.rules.sharpening_steps):
+            columns = self._effects([instances[id(candidate)] for candidate in active])
             going = []
             for candidate, table in zip(active, columns, strict=True):
                 key = id(candidate)
@@ -233,151 +234,151 @@ class Screen:
                 gram, right = rows.T @ rows - known.T @ known, rows.T @ self.left[: len(rows)]
                 gain = 2.0 * float(right[0]) - float(gram[0, 0])
                 if gain > least:
-                    best[key] = replace(best[key], slot=slots[key], gain=max(gain, 0.0))
+                    best[key] = replace(best[key], instance=instances[key], gain=max(gain, 0.0))
                     step, _ = Dense(gram[1:, 1:], right[1:] - gram[1:, 0]).step(damping)
-                    slots[key] = _stepped(slots[key], step)
+                    instances[key] = _stepped(instances[key], step)
                     going.append(candidate)
             active, damping = going, damping / 10.0
         return best
 
     def _settle(self, jobs: Sequence[tuple[Candidate, EffectInstance]], found: dict[int, Score]) -> None:
-        """Judge slots of candidates, and keep the best of each candidate."""
+        """Score instances of candidates, and keep the best of each."""
         chunks: list[list[tuple[Candidate, EffectInstance]]] = [[]]
         many = 0
-        for candidate, slot in jobs:
+        for candidate, instance in jobs:
             columns = len(self.rig.twin.actuators) if candidate.effect == laws.DELAY else max(1, len(candidate.factors))
             if many + columns > MOST_COLUMNS:
                 chunks.append([])
                 many = 0
-            chunks[-1].append((candidate, slot))
+            chunks[-1].append((candidate, instance))
             many += columns
         with ThreadPoolExecutor(2) as pool:
-            for scores in pool.map(self._judged, filter(None, chunks)):
+            for scores in pool.map(self._scored, filter(None, chunks)):
                 for score in scores:
                     before = found.get(id(score.candidate))
                     if before is None or score.gain > before.gain:
                         found[id(score.candidate)] = score
 
-    def _judged(self, jobs: Sequence[tuple[Candidate, EffectInstance]]) -> list[Score]:
-        """Return what slots of candidates take off; their columns together are at most `MOST_COLUMNS`."""
-        candidates, slots = zip(*jobs, strict=True)
-        features, at = zip(*(self._thin(candidate, slot) for candidate, slot in jobs), strict=True)
+    def _scored(self, jobs: Sequence[tuple[Candidate, EffectInstance]]) -> list[Score]:
+        """Return the scores of instances of candidates; their columns together are at most `MOST_COLUMNS`."""
+        candidates, instances = zip(*jobs, strict=True)
+        features, at = zip(*(self._thin(candidate, instance) for candidate, instance in jobs), strict=True)
         tables = [
             table.sum(axis=2, keepdims=True) if candidate.effect == laws.DELAY else table
             for candidate, table in zip(
-                candidates, self._at_sensors([slot.where for slot in slots], features, at), strict=True
+                candidates, self._at_sensors([instance.where for instance in instances], features, at), strict=True
             )
         ]
         sizes = [table.shape[2] for table in tables]
         rows = self._rows(np.concatenate(tables, axis=2))
         rows[:, ~(np.abs(rows).max(axis=0) < HUGE)] = 0.0
-        # Products of columns once what rig and belief explain is taken out of them, without making these columns.
+        # Products of the projected columns, without making these.
         known, possible = self.taken[: len(rows)].T @ rows, self.possible.T @ rows
         squares = np.einsum("ij,ij->j", rows, rows)
         gram, right = rows.T @ rows - known.T @ known, rows.T @ self.left[: len(rows)]
         beyond = squares - (possible**2).sum(axis=0)
-        inertias = np.repeat([slot.entry.is_inertia for slot in slots], sizes)
+        inertias = np.repeat([instance.entry.is_inertia for instance in instances], sizes)
         if inertias.any():
             others, ones = (part.T @ rows for part in self.single)
             beyond = np.where(inertias, squares - (others**2).sum(axis=0) - (ones**2).max(axis=0), beyond)
         beyond = np.maximum(beyond, 0.0)
         made, first = [], 0
-        for (candidate, slot), count in zip(jobs, sizes, strict=True):
+        for (candidate, instance), count in zip(jobs, sizes, strict=True):
             part = slice(first, first + count)
             first += count
             total = float(squares[part].sum())
             own = float(np.sqrt(beyond[part].sum() / total)) if total > 0.0 else 0.0
-            made.append(self._judge(Score(candidate, slot, 0.0, own), gram[part, part], right[part], squares[part]))
+            made.append(self._score(Score(candidate, instance, 0.0, own), gram[part, part], right[part], squares[part]))
         return made
 
-    def _judge(self, nothing: Score, gram: Array, right: Array, squares: Array) -> Score:
-        """Return what a slot takes off.
+    def _score(self, nothing: Score, gram: Array, right: Array, squares: Array) -> Score:
+        """Return the score of an instance.
 
         Args:
-            nothing: the candidate and its slot.
+            nothing: the candidate and its instance.
             gram: products of its columns (c, c).
-            right: products of its columns with what is left (c,).
-            squares: of its columns, with what rig and belief explain (c,).
+            right: products of its columns with the residual (c,).
+            squares: of its columns before the projection (c,).
         """
-        candidate, slot, own = nothing.candidate, nothing.slot, nothing.unique
+        candidate, instance, own = nothing.candidate, nothing.instance, nothing.unique
         diagonal = np.diag(gram)
-        keep = diagonal > 1e-12 * squares
+        keep = diagonal > ROUNDING * squares
         if not keep.any():
             return nothing
         if not candidate.factors:  # a shape without factors: the size of its effect tells how near it is
             gain = 2.0 * float(right[0]) - float(diagonal[0])
-            if slot.entry.grows_with:
+            if instance.entry.grows_with:
                 factor = float(right[0] / diagonal[0])
                 if factor <= 0.0:
                     return nothing
                 gain = max(gain, factor * float(right[0]))
-                slot = slot.with_free_times(min(factor, 20.0))
-            elif slot.entry.quantum:
+                instance = instance.with_free_times(min(factor, self.rules.most_growth))
+            elif instance.entry.quantum:
                 gain = max(gain, float(right[0]) ** 2 / float(diagonal[0])) if right[0] > 0.0 else 0.0
-            return Score(candidate, slot, max(gain, 0.0), own)
+            return Score(candidate, instance, max(gain, 0.0), own)
         scale = np.sqrt(diagonal[keep])
         factors = np.zeros(len(keep))
         scaled = gram[np.ix_(keep, keep)] / np.outer(scale, scale)
-        factors[keep] = np.linalg.lstsq(scaled, right[keep] / scale, rcond=1e-10)[0] / scale
-        if slot.entry.scaled:  # its one factor scales forces and stiffness together
+        factors[keep] = np.linalg.lstsq(scaled, right[keep] / scale, rcond=COLLINEAR)[0] / scale
+        if instance.entry.scaled:  # its one factor scales forces and stiffness together
             if factors[0] <= 0.0:
                 return nothing
-            scaled_by = slot.entry.indices(slot.entry.scaled)
-            slot = slot.with_values(scaled_by, factors[0] * np.array([slot.values[i] for i in scaled_by]))
+            scaled_by = instance.entry.indices(instance.entry.scaled)
+            instance = instance.with_values(scaled_by, factors[0] * np.array([instance.values[i] for i in scaled_by]))
         else:
-            entries = list(slot.entry.parameters.values())
+            entries = list(instance.entry.parameters.values())
             lows = [entries[i].bounds[0] for i in candidate.factors]
             if any(low is not None and factor < low for low, factor in zip(lows, factors, strict=True)):
                 if (factors <= 0.0).all():
                     return nothing
-                factors = np.maximum(factors, 1e-3 * np.abs(factors).max())
-            slot = slot.with_values(candidate.factors, factors)
-        return Score(candidate, slot, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
+                factors = np.maximum(factors, self.rules.least_factor * np.abs(factors).max())
+            instance = instance.with_values(candidate.factors, factors)
+        return Score(candidate, instance, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
 
-    def _thin(self, candidate: Candidate, slot: EffectInstance) -> tuple[Array, Array]:
+    def _thin(self, candidate: Candidate, instance: EffectInstance) -> tuple[Array, Array]:
         """Return what a candidate does along the motion, thinned (m, c), and the columns where it acts (c,)."""
-        key = candidate.factors, slot
+        key = candidate.factors, instance
         found = self.along.get(key)
         if found is None:
-            made, at = self._features(candidate, slot)
+            made, at = self._features(candidate, instance)
             found = _thinned(made, self.thin), at
-            follows_fit = slot.where == "sensor"  # it acts on readings as they are simulated
+            follows_fit = instance.where == "sensor"  # it acts on readings as they are simulated
             many = sum(table.size for table, _ in [*self.along.values(), found])
-            if slot in candidate.slots and not follows_fit and many < KEPT:
+            if instance in candidate.instances and not follows_fit and many < KEPT:
                 self.along[key] = found
         return found
 
-    def _features(self, candidate: Candidate, slot: EffectInstance) -> tuple[Array, Array]:
+    def _features(self, candidate: Candidate, instance: EffectInstance) -> tuple[Array, Array]:
         """Return what a candidate does along the motion (m, c), by its factors, and the columns where it acts (c,)."""
         if candidate.effect == laws.DELAY:
-            return self._late(slot)
+            return self._late(instance)
         rig, record = self.rig, self.record
-        x, rate, column = self._subject(slot)
-        if not candidate.factors or slot.entry.scaled:
-            value = rig.along(slot, x, rate, 1.0 / record.rate)
-            return (value[:, :1] - (0.0 if slot.where == "element" else x[:, None])), np.array([column])
-        slot = slot.with_values(candidate.factors, np.zeros(len(candidate.factors)))
-        made = rig.along(slot, x, rate, 1.0 / record.rate, candidate.factors)
+        x, rate, column = self._subject(instance)
+        if not candidate.factors or instance.entry.scaled:
+            value = rig.along(instance, x, rate, 1.0 / record.rate)
+            return (value[:, :1] - (0.0 if instance.where == "element" else x[:, None])), np.array([column])
+        instance = instance.with_values(candidate.factors, np.zeros(len(candidate.factors)))
+        made = rig.along(instance, x, rate, 1.0 / record.rate, candidate.factors)
         return made[:, 1:], np.full(len(candidate.factors), column)
 
-    def _late(self, slot: EffectInstance) -> tuple[Array, Array]:
+    def _late(self, instance: EffectInstance) -> tuple[Array, Array]:
         """Return what a delay changes of each command (m, actuators), and the columns where these act (actuators,)."""
         acting, m = self.record.acting, len(self.record)
-        early = np.clip(np.arange(m) - slot.values[0] * self.record.rate, 0.0, None)
+        early = np.clip(np.arange(m) - instance.values[0] * self.record.rate, 0.0, None)
         low = np.floor(early).astype(int)
         share = (early - low)[:, None]
         late = (1.0 - share) * acting[low] + share * acting[np.minimum(low + 1, m - 1)]
         actuators = self.rig.twin.actuators
-        at = [actuators.index(slot.at)] if slot.at else [*range(len(actuators))]
+        at = [actuators.index(instance.at)] if instance.at else [*range(len(actuators))]
         return (late - acting)[:, at], np.array([self.rig.columns[2][i] for i in at], dtype=float)
 
-    def _subject(self, slot: EffectInstance) -> tuple[Array, Array, float]:
+    def _subject(self, instance: EffectInstance) -> tuple[Array, Array, float]:
         """Return what an effect acts on and its rate (m,), and the column where it acts."""
         rig, record, motion = self.rig, self.record, self.motion
-        where, at = slot.where, rig.index(slot)
+        where, at = instance.where, rig.index(instance)
         nothing = np.zeros(len(record))
         if where == "element":
-            x, rate = motion.acted_on(slot.entry, at)
+            x, rate = motion.acted_on(instance.entry, at)
             column = float(rig.columns[1][at])
         elif where == "actuator":
             x, rate, column = record.acting[:, at], nothing, float(rig.columns[2][at])
@@ -412,27 +413,27 @@ class Screen:
         return found
 
     def _out(self, x: Array) -> Array:
-        """Return what is left of columns once what rig and belief explain is taken out."""
+        """Return columns with the span of the responses of rig and prior projected out."""
         return x - self.taken @ (self.taken.T @ x)
 
 
-def _apart(columns: Array, others: Array) -> tuple[Array, Array]:
+def _apart(columns: Array, others: Array, rank: float) -> tuple[Array, Array]:
     """Return a basis of other columns (r, o), and each of the columns (r, k) without these, of length 1."""
     u, s, _ = np.linalg.svd(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300), full_matrices=False)
-    basis = u[:, s > 1e-7 * s.max(initial=0.0)]
+    basis = u[:, s > rank * s.max(initial=0.0)]
     left = columns - basis @ (basis.T @ columns)
     size = np.linalg.norm(left, axis=0)
-    told = size > 1e-9 * np.linalg.norm(columns, axis=0)
-    return basis, np.where(told, left / np.where(told, size, 1.0), 0.0)
+    independent = size > RANK * np.linalg.norm(columns, axis=0)
+    return basis, np.where(independent, left / np.where(independent, size, 1.0), 0.0)
 
 
 def _has_shape(candidate: Candidate) -> bool:
     return bool(set(candidate.free) - set(candidate.factors)) and not candidate.entry.quantum
 
 
-def _stepped(slot: EffectInstance, step: Array) -> EffectInstance:
-    """Return a slot after a step of its free parameters, within their bounds."""
-    return slot.with_values(slot.free, bounds([slot]).after(np.array(slot.estimated), step))
+def _stepped(instance: EffectInstance, step: Array) -> EffectInstance:
+    """Return an instance after a step of its free parameters, within their bounds."""
+    return instance.with_values(instance.free, bounds([instance]).after(np.array(instance.estimated), step))
 
 
 def _thinned(table: Array, thin: int) -> Array:

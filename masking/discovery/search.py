@@ -19,7 +19,7 @@ from scipy import signal
 from masking.discovery import fitting, verdict
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import Candidate, candidates
-from masking.discovery.composites import is_composite
+from masking.discovery.composites import are_composite
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
@@ -76,27 +76,27 @@ class Search:
     """A search in one record.
 
     Args:
-        evidence: the record and the rig.
+        problem: the record and the rig.
         tell: called with what is done, and the fraction done.
     """
 
-    evidence: EstimationProblem
+    problem: EstimationProblem
     tell: Tell = lambda text, part: None
 
     @property
     def rules(self) -> DecisionRules:
         """Return the thresholds of all decisions."""
-        return self.evidence.rules
+        return self.problem.rules
 
     @property
     def size(self) -> int:
         """Return the number of readings."""
-        return self.evidence.record.readings.size
+        return self.problem.record.readings.size
 
     @cached_property
     def nested(self) -> dict[str, tuple[str, ...]]:
         """Return the simpler effects that are nested in each effect."""
-        return {name: effect.nested for name, effect in self.evidence.rig.twin.dictionary.items()}
+        return {name: effect.nested for name, effect in self.problem.rig.twin.dictionary.items()}
 
     def _nested_in(self, key: Key) -> set[Key]:
         """Return the effects that are nested in one at its place."""
@@ -104,25 +104,25 @@ class Search:
         return {(name, at) for name in self.nested.get(effect, ())}
 
     @property
-    def price(self) -> float:
-        """Return what each added parameter must pay."""
+    def penalty(self) -> float:
+        """Return the complexity penalty of each added parameter."""
         return float(np.log(self.size))
 
     def run(self) -> SearchResult:
         """Search for causes, one after the other, until none is worth its complexity penalty."""
         self.tell("fitting the model as it is", 0.0)
-        plain = fitting.fit(self.evidence)
+        plain = fitting.fit(self.problem)
         base = Explanation("none", (), plain)
         self.tell("smoothing the motion", 0.1)
-        motion = smooth(self.evidence, base.hypothesis.theta, base.hypothesis.start)
-        ground = _Ground(base, motion, list(candidates(self.evidence.rig, self._spans(motion), self.evidence.dt)))
+        motion = smooth(self.problem, base.hypothesis.theta, base.hypothesis.start)
+        ground = _Ground(base, motion, list(candidates(self.problem.rig, self._spans(motion), self.problem.dt)))
         steps: list[tuple[Explanation, ...]] = []
         tried: tuple[Score, ...] = ()
         now = settled = base
         number = 0
         while number < self.rules.most_effects:
-            if is_composite(now.names, self.evidence.rig, self.rules):
-                # One more law would leave it a patchwork; another one in the place of these may not.
+            if are_composite(now.names, self.problem.rig, self.rules):
+                # One more law would leave it composite; another one in the place of these may not.
                 if now is settled:
                     break
                 now, before = self._settled(now, ground), now
@@ -132,7 +132,9 @@ class Search:
                 continue
             self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
             near = now.cost < self.rules.small_residual * self.size
-            screen = self._screen(ground, now.hypothesis if near else base.hypothesis, now.hypothesis.slots, taken=near)
+            screen = self._screen(
+                ground, now.hypothesis if near else base.hypothesis, now.hypothesis.instances, taken=near
+            )
             scores = screen.scores(ground.every)
             tried = tried or tuple(scores)
             found = self._round(now, scores, screen, parameters=number == 0)
@@ -162,12 +164,12 @@ class Search:
         self, now: Explanation, scores: Sequence[Score], screen: Screen, *, parameters: bool
     ) -> list[Explanation]:
         """Return explanations with one more cause, best first; none where the best is no better than chance."""
-        rules, gains = self.rules, self._releases(now.hypothesis)
+        rules, gains = self.rules, self._freed_scores(now.hypothesis)
         best = max([score.gain for score in scores] + [*gains], default=0.0)
         most = self._worth(screen, screen.total - best)
         chosen: list[Score] = []
         for score in scores:
-            pays = score.gain > self.price * len(score.candidate.free) + 0.5 * rules.effect_evidence
+            pays = score.gain > self.penalty * len(score.candidate.free) + 0.5 * rules.effect_evidence
             if score.candidate.key in now.names or not pays or len(chosen) == rules.most_fits:
                 continue
             if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
@@ -185,12 +187,12 @@ class Search:
         jobs = [partial(self._added, now, score, screen) for score in chosen]
         if parameters:
             wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
-            jobs += [partial(self._released, now, i) for i in wrong]
+            jobs += [partial(self._freed, now, i) for i in wrong]
         self.tell(f"fitting {len(jobs)} of them", 0.3)
         found: list[Explanation] = []
-        for some in (jobs[:2], jobs[2:]):  # the most promising set the mark for the others
+        for some in (jobs[:2], jobs[2:]):  # the best scores set the mark for the others
             rival = min(e.hypothesis.cost for e in (now, *found))
-            found += [e for e in self._tried(some, rival) if e is not None]
+            found += [e for e in self._fitted(some, rival) if e is not None]
         if not found:
             return []
         # Other shapes of a nested model are fitted if one takes a part of what the best does.
@@ -198,9 +200,9 @@ class Search:
         least = now.hypothesis.cost - rules.nested_fraction * (now.hypothesis.cost - rival)
         near = {e.names[-1] for e in found if e.hypothesis.cost < least}
         again = [partial(self._added, now, score, screen) for score in variants if score.candidate.key in near]
-        found += [e for e in self._tried(again, rival) if e is not None]
+        found += [e for e in self._fitted(again, rival) if e is not None]
         found += self._simpler(found)
-        tempering = self.evidence.tempering(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
+        tempering = self.problem.tempering(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
         merged: dict[tuple[tuple[str, str], ...], Explanation] = {}
         for explanation in sorted(found, key=lambda e: e.score(tempering)):
             merged.setdefault(tuple(sorted(explanation.names)), explanation)
@@ -209,10 +211,10 @@ class Search:
         def is_redundant(e: Explanation) -> bool:
             return verdict.is_redundant(e, every, self._nested_in(e.names[-1]), now.cost, rules, tempering=tempering)
 
-        telling = [e for e in every if not is_redundant(e)]
+        distinct = [e for e in every if not is_redundant(e)]
         # Of what is the same, a parameter of the rig comes first.
-        bonus = rules.parameter_preference * self.price
-        ranked = sorted(telling, key=lambda e: e.score(tempering) - bonus * (e.kind == "parameter"))
+        bonus = rules.parameter_preference * self.penalty
+        ranked = sorted(distinct, key=lambda e: e.score(tempering) - bonus * (e.kind == "parameter"))
         least = rules.parameter_evidence if ranked[0].kind == "parameter" else rules.effect_evidence
         if now.score(tempering) - ranked[0].score(tempering) < least:
             return []
@@ -224,17 +226,17 @@ class Search:
         if best.kind != "effects":
             return []
         known = best.hypothesis
-        values = dict(zip(known.slots[-1].names, known.slots[-1].estimated, strict=True))
+        values = dict(zip(known.instances[-1].names, known.instances[-1].estimated, strict=True))
         better = []
         for nested in found:
             if nested.names[-1] not in self._nested_in(best.names[-1]):
                 continue
-            slot = nested.hypothesis.slots[-1]
-            shared = [i for i, name in zip(slot.free, slot.names, strict=True) if name in values]
-            slot = slot.with_values(shared, (values[name] for name in slot.names if name in values))
-            slots = (*known.slots[:-1], slot)
-            if fitting.cost(self.evidence, slots, known.theta, known.start) < nested.hypothesis.cost:
-                better.append(replace(nested, hypothesis=self._fit(slots, known, known.cost)))
+            instance = nested.hypothesis.instances[-1]
+            shared = [i for i, name in zip(instance.free, instance.names, strict=True) if name in values]
+            instance = instance.with_values(shared, (values[name] for name in instance.names if name in values))
+            instances = (*known.instances[:-1], instance)
+            if fitting.cost(self.problem, instances, known.theta, known.start) < nested.hypothesis.cost:
+                better.append(replace(nested, hypothesis=self._fit(instances, known, known.cost)))
         return better
 
     def _worth(self, screen: Screen, left: float) -> float:
@@ -246,22 +248,22 @@ class Search:
         return verdict.reaches_noise(explanation.cost, self.size, self.rules)
 
     @staticmethod
-    def _tried(jobs: Sequence[Job], rival: float) -> list[Explanation | None]:
+    def _fitted(jobs: Sequence[Job], rival: float) -> list[Explanation | None]:
         """Return what fits give, two at once; None where the motion is not finite."""
 
-        def tried(job: Job) -> Explanation | None:
+        def fitted(job: Job) -> Explanation | None:
             try:
                 return job(rival)
             except IntegrationError:
                 return None
 
         with ThreadPoolExecutor(2) as pool:
-            return [*pool.map(tried, jobs)]
+            return [*pool.map(fitted, jobs)]
 
     def _screen(
         self, ground: _Ground, looked_at: Hypothesis, found: Sequence[EffectInstance], *, taken: bool = False
     ) -> Screen:
-        return Screen(self.evidence, looked_at, ground.motion, found, taken=taken, along=ground.along)
+        return Screen(self.problem, looked_at, ground.motion, found, taken=taken, along=ground.along)
 
     def _is_too_little(self, base: Explanation, now: Explanation, then: Explanation) -> bool:
         """Return whether one more cause takes too little of the excess cost."""
@@ -282,10 +284,10 @@ class Search:
             chosen = [p for p in scores if screen.total - p.gain < most][: self.rules.most_exchanges]
             jobs = [partial(self._in_place, best, i, score) for score in chosen]
             others = [
-                e for e in self._tried(jobs, best.hypothesis.cost) if e and self._is_better(ground.base, e, best, i)
+                e for e in self._fitted(jobs, best.hypothesis.cost) if e and self._is_better(ground.base, e, best, i)
             ]
             if others:
-                tempering = self.evidence.tempering(min(others, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
+                tempering = self.problem.tempering(min(others, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
                 best = min(others, key=lambda e: e.score(tempering))
                 return self._swapped(best, ground) if i + 1 < len(best.names) - 1 else best
         return best
@@ -293,7 +295,7 @@ class Search:
     def _in_place(self, best: Explanation, i: int, score: Score, rival: float) -> Explanation:
         """Return a fit with an effect in the place of one."""
         names, others = _without(best, i)
-        found = self._fit((score.slot, *others), best.hypothesis, rival)
+        found = self._fit((score.instance, *others), best.hypothesis, rival)
         return Explanation("effects", (score.candidate.key, *names), found, min(best.unique, score.unique))
 
     def _is_better(self, base: Explanation, other: Explanation, best: Explanation, i: int) -> bool:
@@ -301,27 +303,27 @@ class Search:
         richer = best.names[i][0] in self.nested[other.names[0][0]]
         if richer and self._is_too_little(base, best, other):
             return False
-        tempering = self.evidence.tempering(other.hypothesis.residuals)
+        tempering = self.problem.tempering(other.hypothesis.residuals)
         return other.score(tempering) < best.score(tempering) - self.rules.indifferent
 
     def _reduced(self, best: Explanation) -> Explanation:
         """Leave out each cause in turn: where the rest is as good without it, it goes."""
         if len(best.names) < 2:
             return best
-        tempering = self.evidence.tempering(best.hypothesis.residuals)
+        tempering = self.problem.tempering(best.hypothesis.residuals)
         jobs = [partial(self._less, best, i) for i in reversed(range(len(best.names)))]
-        for fewer in self._tried(jobs, best.hypothesis.cost):
+        for fewer in self._fitted(jobs, best.hypothesis.cost):
             if fewer and fewer.score(tempering) < best.score(tempering) + self.rules.effect_evidence:
                 return self._reduced(fewer)
         return best
 
     def _less(self, best: Explanation, i: int, rival: float) -> Explanation:
         """Return a fit without one cause."""
-        names, slots = _without(best, i)
-        return Explanation("effects", names, self._fit(slots, best.hypothesis, rival), best.unique)
+        names, instances = _without(best, i)
+        return Explanation("effects", names, self._fit(instances, best.hypothesis, rival), best.unique)
 
-    def _fit(self, slots: tuple[EffectInstance, ...], like: Hypothesis, rival: float) -> Hypothesis:
-        return fitting.fit(self.evidence, slots, theta=like.theta, start=like.start, rival=rival)
+    def _fit(self, instances: tuple[EffectInstance, ...], like: Hypothesis, rival: float) -> Hypothesis:
+        return fitting.fit(self.problem, instances, theta=like.theta, start=like.start, rival=rival)
 
     def _added(self, now: Explanation, score: Score, screen: Screen, rival: float) -> Explanation:
         """Return a fit with one more effect, from parameters as they are or as screening has them.
@@ -330,47 +332,47 @@ class Search:
         """
         here = (now.hypothesis.theta, now.hypothesis.start)
 
-        def cost(slot: EffectInstance, at: tuple[Array, Array]) -> float:
-            return fitting.cost(self.evidence, (*now.hypothesis.slots, slot), *at)
+        def cost(instance: EffectInstance, at: tuple[Array, Array]) -> float:
+            return fitting.cost(self.problem, (*now.hypothesis.instances, instance), *at)
 
-        def fitted(slot: EffectInstance, at: tuple[Array, Array]) -> Explanation:
-            slots = (*now.hypothesis.slots, slot)
-            found = fitting.fit(self.evidence, slots, theta=at[0], start=at[1], rival=rival)
+        def fitted(instance: EffectInstance, at: tuple[Array, Array]) -> Explanation:
+            instances = (*now.hypothesis.instances, instance)
+            found = fitting.fit(self.problem, instances, theta=at[0], start=at[1], rival=rival)
             return Explanation("effects", (*now.names, score.candidate.key), found, score.unique)
 
-        found = fitted(score.slot, min((here, screen.around(score.slot)), key=partial(cost, score.slot)))
+        found = fitted(score.instance, min((here, screen.around(score.instance)), key=partial(cost, score.instance)))
         if found.hypothesis.cost <= now.hypothesis.cost:
             return found
-        less = (_scaled(score.slot, part) for part in LESS)
-        better = (fitted(slot, here) for slot in less if cost(slot, here) < now.hypothesis.cost)
+        less = (_scaled(score.instance, part) for part in LESS)
+        better = (fitted(instance, here) for instance in less if cost(instance, here) < now.hypothesis.cost)
         return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
 
-    def _released(self, now: Explanation, index: int, rival: float) -> Explanation:
-        names = ((self.evidence.rig.names[index], ""),)
-        free = Explanation("parameter", names, now.hypothesis).with_prior(self.evidence)
+    def _freed(self, now: Explanation, index: int, rival: float) -> Explanation:
+        names = ((self.problem.rig.names[index], ""),)
+        free = Explanation("parameter", names, now.hypothesis).with_prior(self.problem)
         found = fitting.fit(free, theta=now.hypothesis.theta, start=now.hypothesis.start, rival=rival)
         return Explanation("parameter", names, found)
 
-    def _releases(self, hypothesis: Hypothesis) -> Array:
+    def _freed_scores(self, hypothesis: Hypothesis) -> Array:
         """Return what setting each parameter free would take off the cost, to first order (k,)."""
-        k = len(self.evidence.prior.mean)
-        pull = (hypothesis.theta - self.evidence.prior.mean) / self.evidence.prior.deviation
-        variance = np.diag(hypothesis.covariance)[:k] / self.evidence.prior.deviation**2
+        k = len(self.problem.prior.mean)
+        pull = (hypothesis.theta - self.problem.prior.mean) / self.problem.prior.deviation
+        variance = np.diag(hypothesis.covariance)[:k] / self.problem.prior.deviation**2
         # The parameter's own prior term, and what the others give once it is gone.
         found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
         return np.where(variance < 1.0 - 1e-9, found, 0.0)
 
     def _spans(self, motion: Motion) -> dict[str, Span]:
         found, tones = {}, self._tones(motion.forces)
-        for place, x, rate in zip(self.evidence.rig.places, motion.displacement.T, motion.rate.T, strict=True):
+        for place, x, rate in zip(self.problem.rig.places, motion.displacement.T, motion.rate.T, strict=True):
             moved = x if place.element.displacement is not None else self._moved(rate)
             found[place.name] = _span(moved, float(rate.std()), tones)
             if not place.is_of_coordinates:
                 turns = tuple(part * float(np.sqrt((rate**2).mean())) or 1.0 for part in RELATIVE_TURNS)
                 found[place.name] = replace(found[place.name], turns=turns)
         for names, table in (
-            (self.evidence.rig.twin.sensors, self.evidence.record.readings),
-            (self.evidence.rig.twin.actuators, self.evidence.record.commands),
+            (self.problem.rig.twin.sensors, self.problem.record.readings),
+            (self.problem.rig.twin.actuators, self.problem.record.commands),
         ):
             for name, x in zip(names, table.T, strict=True):
                 found[name] = _span(x)
@@ -378,7 +380,7 @@ class Search:
 
     def _moved(self, rate: Array) -> Array:
         """Return how far a place goes to and fro whose rate alone is known (m,): without what goes on and on."""
-        x = np.cumsum(rate) * self.evidence.dt
+        x = np.cumsum(rate) * self.problem.dt
         found: Array = signal.detrend(x)
         return found
 
@@ -391,9 +393,9 @@ class Search:
         )
         if isinstance(power, int):
             return ()
-        frequencies = np.fft.rfftfreq(many, 1.0 / self.evidence.record.rate)
+        frequencies = np.fft.rfftfreq(many, 1.0 / self.problem.record.rate)
         (low, high), width = self.rules.tone_band, self.rules.tone_width
-        power = np.where((frequencies > low) & (frequencies < high * self.evidence.record.rate), power, 0.0)
+        power = np.where((frequencies > low) & (frequencies < high * self.problem.record.rate), power, 0.0)
         found = []
         for _ in range(self.rules.tones):
             i = int(np.argmax(power))
@@ -407,15 +409,15 @@ def _keys(scores: Iterable[Score]) -> set[tuple[str, str]]:
 
 
 def _without(explanation: Explanation, i: int) -> tuple[tuple[tuple[str, str], ...], tuple[EffectInstance, ...]]:
-    """Return names and slots of an explanation without one of its causes."""
-    names, slots = explanation.names, explanation.hypothesis.slots
-    return (*names[:i], *names[i + 1 :]), (*slots[:i], *slots[i + 1 :])
+    """Return names and instances of an explanation without one of its causes."""
+    names, instances = explanation.names, explanation.hypothesis.instances
+    return (*names[:i], *names[i + 1 :]), (*instances[:i], *instances[i + 1 :])
 
 
-def _scaled(slot: EffectInstance, part: float) -> EffectInstance:
-    """Return a slot with a part of the effect."""
-    at = [i for i, name in zip(slot.free, slot.names, strict=True) if name in slot.entry.factors]
-    return slot.with_values(at, (part * slot.values[i] for i in at))
+def _scaled(instance: EffectInstance, part: float) -> EffectInstance:
+    """Return an instance with a part of the effect."""
+    at = [i for i, name in zip(instance.free, instance.names, strict=True) if name in instance.entry.factors]
+    return instance.with_values(at, (part * instance.values[i] for i in at))
 
 
 def _span(x: Array, rate: float = 0.0, tones: tuple[float, ...] = ()) -> Span:

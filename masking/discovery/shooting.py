@@ -22,15 +22,15 @@ from masking.errors import RecordError
 from masking.numerics.arrays import Array
 
 
-def interval(evidence: EstimationProblem, seconds: float | None) -> int:
+def interval(problem: EstimationProblem, seconds: float | None) -> int:
     """Return the samples of a window, in whole blocks of the screening: as asked, or as the model needs; 0 for none.
 
     Raises:
         RecordError: the windows asked for are too short.
     """
-    rate, count, rules = evidence.record.rate, len(evidence.record), evidence.rules
+    rate, count, rules = problem.record.rate, len(problem.record), problem.rules
     if seconds is None:
-        speeds = _speeds(evidence) * count / rate
+        speeds = _speeds(problem) * count / rate
         if not ((np.abs(speeds) < rules.settling_rates) | (speeds.real > 1.0)).any():
             return 0
         seconds = count / rate / rules.intervals
@@ -39,63 +39,63 @@ def interval(evidence: EstimationProblem, seconds: float | None) -> int:
         raise RecordError(f"the shooting interval is {seconds:g} s; give {few / rate:g} s or more: {few} samples")
     if seconds * rate >= count:
         return 0
-    _, block = thinning(evidence.rig, rate)
+    _, block = thinning(problem)
     samples = round(seconds * rate / block) * block
     return samples if samples < count else 0
 
 
-def shorter(evidence: EstimationProblem) -> Iterator[float]:
-    """Give horizons in s, the longest first, for a motion that comes out of step with its record."""
-    speeds = np.abs(_speeds(evidence).imag)
+def shorter(problem: EstimationProblem) -> Iterator[float]:
+    """Give shooting intervals in s, the longest first, for a motion that loses phase with its record."""
+    speeds = np.abs(_speeds(problem).imag)
     slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
-    rules, rate = evidence.rules, evidence.record.rate
-    least, last = rules.fewest_samples / rate, len(evidence.record) / rate
+    rules, rate = problem.rules, problem.record.rate
+    least, last = rules.fewest_samples / rate, len(problem.record) / rate
     for seconds in (max(periods * 2.0 * np.pi / slowest, least) for periods in rules.interval_periods):
         if seconds < 0.5 * last:
             last = seconds
             yield seconds
 
 
-def substeps(evidence: EstimationProblem) -> int:
+def substeps(problem: EstimationProblem) -> int:
     """Return how many integration steps between samples simulate the readings within their noise."""
-    least = evidence.rules.stiff_steps if len(evidence.rig.twin.free) > 2 * len(evidence.rig.coordinates) else 1
-    theta, most = evidence.prior.mean, max(least, evidence.substeps)
-    start = fitting.first_states(evidence, theta)
+    least = problem.rules.stiff_steps if len(problem.rig.twin.free) > 2 * len(problem.rig.coordinates) else 1
+    theta, most = problem.prior.mean, max(least, problem.substeps)
+    start = fitting.first_states(problem, theta)
 
     def simulated(number: int) -> Array:
-        return replace(evidence, substeps=number).equations(theta, start).simulated
+        return replace(problem, substeps=number).equations(theta, start).simulated
 
     steps, before = least, simulated(least)
     while steps < most:
         after = simulated(min(2 * steps, most))
         change = np.sqrt(((after - before) ** 2).mean(axis=0))
-        if bool((change < evidence.rules.integration_error * evidence.sigma).all()):
+        if bool((change < problem.rules.integration_error * problem.sigma).all()):
             break
         steps, before = min(2 * steps, most), after
     return steps
 
 
-def finer(evidence: EstimationProblem, found: Hypothesis) -> int:
+def finer(problem: EstimationProblem, found: Hypothesis) -> int:
     """Return how many steps simulate a law that was found: friction that turns round fast, a stop, a gap.
 
     Steps are enough where four times as many change the readings by no more than `law_error` of their noise.
     """
-    if not found.slots:
-        return evidence.substeps
+    if not found.instances:
+        return problem.substeps
 
     @cache
     def left(number: int) -> Array:
-        fine = replace(evidence, substeps=number)
-        return fitting.fit(fine, found.slots, theta=found.theta, start=found.start, frozen=True).residuals
+        fine = replace(problem, substeps=number)
+        return fitting.fit(fine, found.instances, theta=found.theta, start=found.start, frozen=True).residuals
 
-    steps, most = evidence.substeps, evidence.rules.most_refinement * evidence.substeps
+    steps, most = problem.substeps, problem.rules.most_refinement * problem.substeps
     while steps < most:
         change = np.sqrt(((left(4 * steps) - left(steps)) ** 2).mean(axis=0))
-        if bool((change < evidence.rules.law_error * evidence.sigma).all()):
+        if bool((change < problem.rules.law_error * problem.sigma).all()):
             break
         steps *= 2
     return steps
 
 
-def _speeds(evidence: EstimationProblem) -> Array:
-    return np.asarray(np.linalg.eigvals(linearised(evidence.rig, evidence.prior.mean)[0]))
+def _speeds(problem: EstimationProblem) -> Array:
+    return np.asarray(np.linalg.eigvals(linearised(problem.rig, problem.prior.mean)[0]))

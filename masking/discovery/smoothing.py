@@ -67,19 +67,19 @@ class _Gains:
     spread: Array
 
 
-def smooth(evidence: EstimationProblem, theta: Array, start: Array) -> Motion:
+def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     """Return the motion and the latent forces of a record.
 
     Args:
-        evidence: the record and the rig.
+        problem: the record and the rig.
         theta: its parameters (k,).
         start: its first state, of each window the first (windows, states).
 
     Raises:
         IntegrationError: the readings do not tell all coordinates, or the motion is no longer finite.
     """
-    rig, record, sigma = evidence.rig, evidence.record, evidence.sigma
-    part = replace(evidence, record=record.first(SHORT)) if len(record) > SHORT * record.rate else evidence
+    rig, record, sigma = problem.rig, problem.record, problem.sigma
+    part = replace(problem, record=record.first(SHORT)) if len(record) > SHORT * record.rate else problem
     unit, walks = _unit(rig, theta, sigma, record.rate), WALKS if rig.coordinates else (*FURTHER, *WALKS)
     costs = []
     for walk in walks:
@@ -88,7 +88,7 @@ def smooth(evidence: EstimationProblem, theta: Array, start: Array) -> Motion:
         whitened = linalg.solve_triangular(linalg.cholesky(gains.spread, lower=True), innovations.T, lower=True)
         costs.append((whitened**2).mean() + 2.0 * np.log(np.diag(linalg.cholesky(gains.spread))).mean())
     gains = _gains(rig, theta, record.rate, sigma, walks[int(np.argmin(costs))] * unit)
-    innovations, states, predicted = _filter(evidence, theta, start, gains)
+    innovations, states, predicted = _filter(problem, theta, start, gains)
     rig.kernels.smooth_backward(len(record), gains.backward, states, predicted)
     n = len(rig.twin.state_names)
     placed = np.empty((len(record), 3 * len(rig.places)))
@@ -101,16 +101,16 @@ def smooth(evidence: EstimationProblem, theta: Array, start: Array) -> Motion:
     )  # fmt: skip
 
 
-def _filter(evidence: EstimationProblem, theta: Array, start: Array, gains: _Gains) -> tuple[Array, Array, Array]:
+def _filter(problem: EstimationProblem, theta: Array, start: Array, gains: _Gains) -> tuple[Array, Array, Array]:
     """Return innovations (m, sensors), filtered and predicted states with forces (m, n + degrees)."""
-    rig, record = evidence.rig, evidence.record
+    rig, record = problem.rig, problem.record
     size = start.shape[1] + len(rig.degrees)
     states, predicted = np.empty((len(record), size)), np.empty((len(record), size))
     x = np.concatenate([start[0], np.zeros(len(rig.degrees))])
     p, _ = rig.basis(theta)
     acting = np.ascontiguousarray(record.acting)
     status = rig.kernels.follow(
-        len(record), evidence.dt, evidence.substeps, is_first_order(record.hold), x, p.copy(), gains.forward,
+        len(record), problem.dt, problem.substeps, is_first_order(record.hold), x, p.copy(), gains.forward,
         acting, record.readings, states, predicted,
     )  # fmt: skip
     if status or not np.isfinite(states).all():

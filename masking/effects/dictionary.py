@@ -100,18 +100,8 @@ def _effect(name: str, declared: OwnEffect) -> Effect:
         for key, z in declared.states.items()
     }
     return Effect(
-        name,
-        declared.meaning,
-        declared.where,
-        declared.expression.text,
-        parameters,
-        declared.cause,
-        declared.remedy,
-        declared.source,
-        states,
-        family=declared.family,
-        label=declared.label,
-        nested=declared.nested,
-        absorbed_by=declared.absorbed_by,
+        name, declared.meaning, declared.expression.text, parameters, declared.cause, declared.remedy,
+        declared.source, states, declared.where, declared.family, declared.label,
+        nested=declared.nested, absorbed_by=declared.absorbed_by,
         is_linear=declared.linear or bool(declared.absorbed_by),
-    )
+    )  # fmt: skip

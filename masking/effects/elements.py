@@ -5,6 +5,8 @@ One is a force of the acceleration of the displacement, `d_acc`: an inertia.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from masking.effects import starts
 from masking.effects.entry import NOT_NEGATIVE, POSITIVE, TURNS, Effect, EffectParameter, EffectState, Trial
 
@@ -17,6 +19,11 @@ _STRIBECK = EffectParameter(
     "D/s", "rate at which the force has fallen most of the way", (1e-3, 0.1), 1e-2, 1e-2, POSITIVE
 )
 _CONTACT = EffectParameter("F/D", "stiffness of the contact", (1e3, 1e6), 2e4, None, NOT_NEGATIVE)
+_REVERSAL = EffectParameter("F/D", "stiffness at reversals", (0.0, 1e4), 100.0, None, NOT_NEGATIVE)
+_HALF_DECADES = (0.003, 0.01, 0.03, 0.1, 0.3)  # from nearly dry friction to nearly a spring
+_YIELDS = (0.01, 0.03, 0.08, 0.2, 0.4, 0.8)  # beyond 1 it never yields and is a spring
+_SLIPPING = "joints that slip a little, material damping of rubber or bonded springs, magnetic materials"
+_CLAMPED = "clamp joints tighter and avoid rubber; the force can be cancelled once the model holds it"
 _SIDE = EffectParameter("1", "1: it is beyond the edge upwards, -1: downwards", (-1.0, 1.0), 1.0, 1.0, (-1.0, 1.0))
 # The square alone, with the cube, and all powers: the fewer are estimated, the weaker a force is still found.
 _POWERS = (Trial(factors=("k2",)), Trial(factors=("k2", "k3")), Trial(factors=("k2", "k3", "k4", "k5")))
@@ -29,7 +36,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "constant_force",
         "A constant force.",
-        "element",
         "f0",
         {"f0": EffectParameter("F", "force", (-5.0, 5.0), 0.1)},
         cause="weight on a rig that is not level, a spring at rest elsewhere than assumed, an offset of an amplifier",
@@ -42,7 +48,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "linear_spring",
         "The stiffness is larger than declared, by k.",
-        "element",
         "k*d",
         {"k": EffectParameter("F/D", "additional stiffness", (-500.0, 500.0), 10.0)},
         cause="a wrong spring constant or mass, a cable that pulls, a leaf spring clamped at another length",
@@ -56,7 +61,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "polynomial_spring",
         "A polynomial of the displacement, in addition to the declared force of the spring.",
-        "element",
         "k0 + d*(k1 + d*(k2 + d*(k3 + d*(k4 + d*k5))))",
         {
             "k0": EffectParameter("F", "force at rest", (-5.0, 5.0), 0.1, 0.0),
@@ -77,7 +81,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "hardening_spring",
         "A cubic spring: stiffer the further it is stretched, or softer if k3 is negative.",
-        "element",
         "k3*d**3",
         {"k3": EffectParameter("F/D**3", "cubic coefficient", (-1e7, 1e7), 1e5)},
         cause="leaf springs that are stretched when they bend, large rotations",
@@ -90,7 +93,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "viscous_damping",
         "A force in proportion to the rate of displacement, in addition to the declared damping.",
-        "element",
         "c*d_rate",
         {"c": EffectParameter("F*s/D", "additional damping", (-10.0, 10.0), 0.5)},
         cause="eddy currents in the voice coil, air, lubricated bearings; a wrong damping ratio",
@@ -104,7 +106,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "quadratic_damping",
         "A resistance that grows with the square of the rate of displacement.",
-        "element",
         "c*d_rate*abs(d_rate)",
         {"c": EffectParameter("F*s**2/D**2", "coefficient", (0.0, 100.0), 1.0, None, NOT_NEGATIVE)},
         cause="drag of air or of a liquid on plates and arms, flow through an orifice",
@@ -115,7 +116,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "added_mass",
         "More inertia than declared, by m; between two coordinates, an inerter.",
-        "element",
         "m*d_acc",
         {"m": EffectParameter("F*s**2/D", "additional mass", (-10.0, 10.0), 0.05)},
         cause="a coil, a bracket, a target or glue that was not weighed, cables that move along, a liquid around it",
@@ -128,7 +128,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "dry_friction",
         "Coulomb friction: a force of constant size against the motion; its smooth sign allows creep at rest.",
-        "element",
         "fc*tanh(d_rate/vs)",
         {"fc": _COULOMB, "vs": _SLIDING},
         cause="sliding bearings, a coil that touches its magnet, cables that rub",
@@ -143,7 +142,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "asymmetric_friction",
         "Dry friction of different size in each direction.",
-        "element",
         "where(d_rate > 0, fp, fm)*tanh(d_rate/vs)",
         {
             "fp": EffectParameter("F", "force while the displacement grows", (1e-3, 2.0), 0.1, None, NOT_NEGATIVE),
@@ -162,7 +160,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "stribeck_friction",
         "Dry friction that is larger at small rates, at which the lubricant does not carry yet.",
-        "element",
         "(fc + (fs - fc)*exp(-(d_rate/vst)**2))*tanh(d_rate/vs)",
         {"fc": _COULOMB, "fs": _STATIC, "vst": _STRIBECK, "vs": _SLIDING},
         cause="lubricated sliding contacts and ball bearings at low speed",
@@ -178,11 +175,10 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "lugre_friction",
         "Friction of bristles that bend before they slip: stiction, presliding displacement and hysteresis.",
-        "element",
         "s0*z + s1*(d_rate - s0*abs(d_rate)*z/(fc + (fs - fc)*exp(-(d_rate/vst)**2))) + s2*d_rate",
         {
-            "fc": EffectParameter("F", _COULOMB.meaning, _COULOMB.prior, _COULOMB.nominal, None, POSITIVE),
-            "fs": EffectParameter("F", _STATIC.meaning, _STATIC.prior, _STATIC.nominal, None, POSITIVE),
+            "fc": replace(_COULOMB, bounds=POSITIVE),
+            "fs": replace(_STATIC, bounds=POSITIVE),
             "vst": _STRIBECK,
             "s0": EffectParameter("F/D", "stiffness of the bristles", (1e2, 1e6), 1e4, None, NOT_NEGATIVE),
             "s1": EffectParameter("F*s/D", "damping of the bristles", (0.0, 1e3), 10.0, 0.0, NOT_NEGATIVE),
@@ -208,19 +204,11 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "dahl_friction",
         "Dry friction that builds up over a short displacement after each reversal.",
-        "element",
         "fc*z",
         {
-            "fc": EffectParameter("F", _COULOMB.meaning, _COULOMB.prior, _COULOMB.nominal, None, NOT_NEGATIVE),
-            # half-decades: from nearly dry friction to nearly a spring
+            "fc": _COULOMB,
             "x0": EffectParameter(
-                "D",
-                "displacement over which it builds up",
-                (1e-6, 1e-2),
-                1e-4,
-                None,
-                POSITIVE,
-                (0.003, 0.01, 0.03, 0.1, 0.3),
+                "D", "displacement over which it builds up", (1e-6, 1e-2), 1e-4, None, POSITIVE, _HALF_DECADES
             ),
         },
         cause="rolling bearings, preloaded contacts, cables that bend",
@@ -233,25 +221,17 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "hysteresis",
         "A spring that remembers: its force follows another path back, in the normalised form of Bouc and Wen.",
-        "element",
         "k*z",
         {
-            "k": EffectParameter("F/D", "stiffness at reversals", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
-            # beyond 1 it never yields and is a spring
+            "k": _REVERSAL,
             "zmax": EffectParameter(
-                "D",
-                "displacement at which it yields",
-                (1e-5, 1e-2),
-                1e-3,
-                None,
-                POSITIVE,
-                (0.01, 0.03, 0.08, 0.2, 0.4, 0.8),
+                "D", "displacement at which it yields", (1e-5, 1e-2), 1e-3, None, POSITIVE, _YIELDS
             ),
             "beta": EffectParameter("1", "shape: 1/2 unloads in a straight line", (0.5, 2.0), 0.5, 0.5, (0.5, None)),
             "n": EffectParameter("1", "sharpness of yielding", (1.0, 10.0), 2.0, 2.0, (1.0, None)),
         },
-        cause="joints that slip a little, material damping of rubber or bonded springs, magnetic materials",
-        remedy="clamp joints tighter and avoid rubber; the force can be cancelled once the model holds it",
+        cause=_SLIPPING,
+        remedy=_CLAMPED,
         source="Wen (1976), J. Eng. Mech. Div. 102; Ikhouane and Rodellar (2007), Systems with Hysteresis, (2.15)",
         states={
             "z": EffectState(
@@ -267,10 +247,9 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "bouc_wen_hysteresis",
         "A spring that remembers, in the general form of Bouc and Wen: loops that yield, or that open like a wedge.",
-        "element",
         "k*z",
         {
-            "k": EffectParameter("F/D", "stiffness at reversals", (0.0, 1e4), 100.0, None, NOT_NEGATIVE),
+            "k": _REVERSAL,
             # bends soon, within the motion, or hardly
             "x0": EffectParameter(
                 "D", "displacement over which it bends", (1e-5, 1e-1), 1e-3, None, POSITIVE, (0.15, 0.6, 2.4)
@@ -281,8 +260,8 @@ ELEMENTS: tuple[Effect, ...] = (
             ),
             "n": EffectParameter("1", "sharpness of the bend", (1.0, 4.0), 1.0, 1.0, (1.0, None)),
         },
-        cause="joints that slip a little, material damping of rubber or bonded springs, magnetic materials",
-        remedy="clamp joints tighter and avoid rubber; the force can be cancelled once the model holds it",
+        cause=_SLIPPING,
+        remedy=_CLAMPED,
         source="Wen (1976), J. Eng. Mech. Div. 102; Ismail et al. (2009), Arch. Comput. Methods Eng. 16",
         states={
             "z": EffectState(
@@ -299,7 +278,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "backlash",
         "A spring with play: no force within the gap, linear beyond it on both sides.",
-        "element",
         "k*(d - min(max(d, -gap/2), gap/2))",
         {
             "k": EffectParameter("F/D", "stiffness beyond the gap", (1.0, 1e6), 1e3, None, NOT_NEGATIVE),
@@ -316,14 +294,11 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "stop",
         "An end stop: a contact that pushes back beyond an edge and never pulls.",
-        "element",
         "side*k*max(side*(d - edge), 0)*max(1 + c*side*d_rate, 0)",
         {
             "k": _CONTACT,
             "edge": EffectParameter("D", "displacement at which the contact begins", (-0.02, 0.02), 5e-3),
-            "c": EffectParameter(
-                "s/D", "damping of the contact per force and rate", (0.0, 50.0), 1.0, 0.0, NOT_NEGATIVE
-            ),
+            "c": EffectParameter("s/D", "damping per force and rate", (0.0, 50.0), 1.0, 0.0, NOT_NEGATIVE),
             "side": _SIDE,
         },
         cause="the end of the stroke: a bumper, the housing of the coil",
@@ -336,7 +311,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "local_friction",
         "Dry friction in one part of the stroke only, beyond an edge.",
-        "element",
         "fc*tanh(d_rate/vs)*(1 + tanh(side*(d - edge)/width))/2",
         {
             "fc": _COULOMB,
@@ -356,7 +330,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "gravity_force",
         "The torque of a weight on an arm, and of anything that repeats once a turn: a sine of the displacement.",
-        "element",
         "a*sin(d/r)",
         {
             "a": EffectParameter("F", "largest force", (-20.0, 20.0), 0.1),
@@ -374,7 +347,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "periodic_force",
         "A sinusoidal force that does not depend on the motion.",
-        "element",
         "-a*sin(2*pi*nu*t) - b*cos(2*pi*nu*t)",
         {
             "a": EffectParameter("F", "sine part", (-5.0, 5.0), 0.1),
@@ -391,7 +363,6 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "stiffness_drift",
         "The stiffness changes steadily with time.",
-        "element",
         "k*d*t",
         {"k": EffectParameter("F/D/s", "change of the stiffness in a second", (-5.0, 5.0), 0.1)},
         cause="a spring that warms up or creeps, a magnet that weakens, a clamp that settles",

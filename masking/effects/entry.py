@@ -137,13 +137,13 @@ class Effect:
     Args:
         name: in declarations and reports.
         meaning: one sentence.
-        where: the kind of place in which it sits.
         expression: of the force of an element, or of the value of a sensor or actuator; '' if it sits in the loop.
         parameters: by their names.
         cause: usual causes on a rig.
         remedy: what helps.
         source: of the law.
         states: internal states by their names.
+        where: the kind of place in which it sits.
         family: one of `FAMILIES`; '' gives it a row of its own in the error budget.
         label: its name in a sentence; by default the name with spaces.
         trials: the ways in which discovery fits it; by default one, with every parameter that has values to try.
@@ -163,13 +163,13 @@ class Effect:
 
     name: str
     meaning: str
-    where: Where
     expression: str
     parameters: Mapping[str, EffectParameter]
     cause: str = ""
     remedy: str = ""
     source: str = ""
     states: Mapping[str, EffectState] = field(default_factory=dict)
+    where: Where = "element"
     family: str = ""
     label: str = ""
     trials: tuple[Trial, ...] = ()

@@ -2,108 +2,100 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from masking.effects import starts
 from masking.effects.entry import NOT_NEGATIVE, POSITIVE, SATURATION, Effect, EffectParameter, EffectState, Trial
 
+_sensor = partial(Effect, where="sensor", family="sensor errors")
+_actuator = partial(Effect, where="actuator")
+_DOEBELIN = "Doebelin (2003), Measurement Systems, section 3.2"
+_TAO = "Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 1"
+_WIDROW = "Widrow and Kollar (2008), Quantization Noise, ch. 1"
 _SAMPLED = "raise the resolution of the converter or amplify the signal to fill its range; the observer smooths it"
 
+# Values from which fits start.
+_CLIPPED = (0.3, 0.5, 0.7, 0.85, 0.95)  # denser near the peak, where few samples are cut off
+_LIMITS = (0.3, 0.45, 0.6, 0.75, 0.9)  # beyond 1 nothing is cut off
+_ZONES = (0.01, 0.03, 0.08, 0.2)  # half-decades
+_LAGS = (1e-3, 5e-3, 2e-2)  # s: a filter or amplifier of some 160 Hz, a coil under voltage, and a slow drive
+_BUFFERS = (1.0, 5.0)  # of one sample, and a network
+
 INSTRUMENTS: tuple[Effect, ...] = (
-    Effect(
+    _sensor(
         "sensor_offset",
         "Every reading is shifted by the same amount.",
-        "sensor",
         "s + e0",
         {"e0": EffectParameter("S", "offset", (-0.5, 0.5), 0.01)},
         cause="a zero that was not adjusted, drift of an amplifier with temperature",
         remedy="adjust the zero at rest before each run",
-        source="Doebelin (2003), Measurement Systems, section 3.2",
-        family="sensor errors",
+        source=_DOEBELIN,
     ),
-    Effect(
+    _sensor(
         "sensor_gain",
         "The sensor's gain differs from the declared one.",
-        "sensor",
         "s*(1 + e)",
         {"e": EffectParameter("1", "relative error of the gain", (-0.3, 0.3), 0.02)},
         cause="a calibration at another distance, temperature or supply voltage",
         remedy="calibrate against a gauge over the whole stroke",
-        source="Doebelin (2003), Measurement Systems, section 3.2",
-        family="sensor errors",
+        source=_DOEBELIN,
         is_linear=True,
     ),
-    Effect(
+    _sensor(
         "sensor_saturation",
         "The reading is clipped at a limit.",
-        "sensor",
         "min(max(s, -limit), limit)",
-        {
-            # denser near the peak, where few samples are cut off
-            "limit": EffectParameter(
-                "S", "largest magnitude", (0.1, 20.0), 10.0, None, NOT_NEGATIVE, (0.3, 0.5, 0.7, 0.85, 0.95)
-            )
-        },
+        {"limit": EffectParameter("S", "largest magnitude", (0.1, 20.0), 10.0, None, NOT_NEGATIVE, _CLIPPED)},
         cause="the end of the range of a sensor, amplifier or converter",
         remedy="lower the gain or stay within the range; beyond it the state cannot be known",
-        source="Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 1",
-        family="sensor errors",
+        source=_TAO,
     ),
-    Effect(
+    _sensor(
         "sensor_lag",
         "The reading follows through a first-order lag.",
-        "sensor",
         "m",
-        {
-            # s: a filter of some 160 Hz, and of 30 Hz
-            "tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE, (1e-3, 5e-3))
-        },
+        {"tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE, _LAGS[:2])},
         cause="a filter in the amplifier, a slow sensor",
         remedy="raise the cut-off of the filter, or put it into the observer's model",
         source="Doebelin (2003), Measurement Systems, section 3.3",
         states={"m": EffectState("(s - m)/tau", "S", "filtered value")},
-        family="sensor errors",
         is_linear=True,
         grows_with="tau",
     ),
-    Effect(
+    _sensor(
         "sensor_cubic",
         "The sensor's gain changes towards the ends of its range.",
-        "sensor",
         "s + c*s**3",
         {"c": EffectParameter("S**(-2)", "cubic coefficient", (-1.0, 1.0), 0.01)},
         cause="a sensor used beyond its linear range, the field of a coil towards its end",
         remedy="calibrate over the whole stroke and undo the curve, or stay near the middle",
-        source="Doebelin (2003), Measurement Systems, section 3.2",
-        family="sensor errors",
+        source=_DOEBELIN,
     ),
-    Effect(
+    _sensor(
         "sensor_rectification",
         "The sensor's gain differs between the two signs.",
-        "sensor",
         "s + r*abs(s)",
         {"r": EffectParameter("1", "half the difference of the gains", (-1.0, 1.0), 0.02, None, (-1.0, 1.0))},
         cause="a diode or a demodulator that is out of balance",
         remedy="adjust the demodulator, or undo the difference",
-        source="Doebelin (2003), Measurement Systems, section 3.2",
-        family="sensor errors",
+        source=_DOEBELIN,
     ),
-    Effect(
+    _sensor(
         "quantisation",
         "The reading is rounded to multiples of a step; a step of 0 leaves it unchanged.",
-        "sensor",
         "where(step > 0, step*floor(s/step + 1/2), s)",
         {"step": EffectParameter("S", "step", (0.0, 0.1), 3e-4, None, NOT_NEGATIVE)},
         cause="a converter of finite resolution, an encoder",
         remedy=_SAMPLED,
-        source="Widrow and Kollar (2008), Quantization Noise, ch. 1",
+        source=_WIDROW,
         family="quantisation",
         is_searched=False,
         quantum="step",
         deviation="step/sqrt(12)",
     ),
-    Effect(
+    _sensor(
         "noise",
         "White noise on the readings, independent from sample to sample.",
-        "sensor",
         "s + sigma*xi",
         {"sigma": EffectParameter("S", "standard deviation of a sample", (0.0, 0.1), 1e-3, None, NOT_NEGATIVE)},
         cause="thermal noise of the electronics, stray fields, vibration of the sensor's mount",
@@ -113,10 +105,9 @@ INSTRUMENTS: tuple[Effect, ...] = (
         is_searched=False,
         deviation="sigma",
     ),
-    Effect(
+    _actuator(
         "actuator_offset",
         "The actuator acts at a command of zero.",
-        "actuator",
         "u + u0",
         {"u0": EffectParameter("U", "offset", (-0.5, 0.5), 0.01)},
         cause="an amplifier or converter whose zero was not adjusted",
@@ -124,10 +115,9 @@ INSTRUMENTS: tuple[Effect, ...] = (
         source="Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, ch. 10",
         family="actuator gains",
     ),
-    Effect(
+    _actuator(
         "actuator_gain",
         "The actuator's gain differs from the declared one.",
-        "actuator",
         "(1 + e)*u",
         {"e": EffectParameter("1", "relative error of the gain", (-0.5, 0.5), 0.05)},
         cause="a wrong motor constant, a weaker magnet, a coil outside its homogeneous field",
@@ -137,42 +127,33 @@ INSTRUMENTS: tuple[Effect, ...] = (
         absorbed_by="gain",
         is_linear=True,
     ),
-    Effect(
+    _actuator(
         "saturation",
         "The command is clipped at a limit.",
-        "actuator",
         "min(max(u, -limit), limit)",
-        {
-            # beyond 1 nothing is cut off
-            "limit": EffectParameter(
-                "U", "largest magnitude", (0.01, 50.0), 0.42, None, NOT_NEGATIVE, (0.3, 0.45, 0.6, 0.75, 0.9)
-            )
-        },
+        {"limit": EffectParameter("U", "largest magnitude", (0.01, 50.0), 0.42, None, NOT_NEGATIVE, _LIMITS)},
         cause="the supply of the amplifier, a fuse, a limit in software",
         remedy="ask for less: smaller amplitude, slower time scale, a virtual system nearer to the rig",
-        source="Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 1",
+        source=_TAO,
         family=SATURATION,
     ),
-    Effect(
+    _actuator(
         "dead_zone",
         "The actuator does nothing for small values.",
-        "actuator",
         "u - min(max(u, -width), width)",
         {
-            # half-decades
             "width": EffectParameter(
-                "U", "largest value without an answer", (0.0, 1.0), 0.01, None, NOT_NEGATIVE, (0.01, 0.03, 0.08, 0.2)
+                "U", "largest value without an answer", (0.0, 1.0), 0.01, None, NOT_NEGATIVE, _ZONES
             )
         },
         cause="the crossover of an amplifier, a valve that overlaps",
         remedy="a bias current, or add the width in the direction of the command",
-        source="Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 1",
+        source=_TAO,
         family="actuator dynamics",
     ),
-    Effect(
+    _actuator(
         "actuator_cubic",
         "The actuator's gain changes towards the ends of its range.",
-        "actuator",
         "u + c*u**3",
         {"c": EffectParameter("U**(-2)", "cubic coefficient", (-10.0, 10.0), 0.1)},
         cause="a voice coil that leaves its field, an amplifier near its supply",
@@ -180,29 +161,24 @@ INSTRUMENTS: tuple[Effect, ...] = (
         source="Preumont (2011), Vibration Control of Active Structures, section 3.2",
         family="actuator gains",
     ),
-    Effect(
+    _actuator(
         "dac_quantisation",
         "The command is rounded to multiples of a step; a step of 0 leaves it unchanged.",
-        "actuator",
         "where(step > 0, step*floor(u/step + 1/2), u)",
         {"step": EffectParameter("U", "step", (0.0, 0.1), 3e-4, None, NOT_NEGATIVE)},
         cause="a converter of finite resolution",
         remedy=_SAMPLED,
-        source="Widrow and Kollar (2008), Quantization Noise, ch. 1",
+        source=_WIDROW,
         family="actuator dynamics",
         label="DAC quantisation",
         trials=(Trial(starts.levels, ("step",)),),
         quantum="step",
     ),
-    Effect(
+    _actuator(
         "actuator_lag",
         "The actuator follows through a first-order lag.",
-        "actuator",
         "a",
-        {
-            # s: an amplifier, a coil under voltage, and a slow drive
-            "tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE, (1e-3, 5e-3, 2e-2))
-        },
+        {"tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE, _LAGS)},
         cause="the inductance of the coil under voltage, the bandwidth of the amplifier",
         remedy="drive the coil by a current amplifier, or lead the command by the time constant",
         source="Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, ch. 2",
@@ -211,10 +187,9 @@ INSTRUMENTS: tuple[Effect, ...] = (
         is_linear=True,
         grows_with="tau",
     ),
-    Effect(
+    _actuator(
         "thermal",
         "The coil warms up, and its driver limits the mean power.",
-        "actuator",
         "where(P < limit, u, min(max(u, -sqrt(limit/r)), sqrt(limit/r)))",
         {
             "r": EffectParameter("W/U**2", "power per squared value", (1e-3, 1e3), 10.0, None, NOT_NEGATIVE),
@@ -233,15 +208,12 @@ INSTRUMENTS: tuple[Effect, ...] = (
     Effect(
         "delay",
         "Commands act some samples late.",
-        "loop",
         "",
-        {
-            # a buffer of one sample, and a network
-            "samples": EffectParameter("1", "whole samples", (0.0, 20.0), 1.0, None, NOT_NEGATIVE, (1.0, 5.0))
-        },
+        {"samples": EffectParameter("1", "whole samples", (0.0, 20.0), 1.0, None, NOT_NEGATIVE, _BUFFERS)},
         cause="the time of computing, buffers of converters and drivers, a network",
         remedy="predict the state by the delay before computing the command, or raise the rate",
         source="Astrom and Wittenmark (1997), Computer-Controlled Systems, section 3.5",
+        where="loop",
         family="delay",
         is_searched=False,
         is_linear=True,

@@ -18,7 +18,7 @@ from masking.errors import RecordError
 from masking.estimation.data import Data
 from masking.estimation.least_squares import Arrow, Box, Damping, Linearised, minimise
 from masking.estimation.sensitivity import Sensitivity
-from masking.estimation.simulation import first_start, judged, noise_alone, relative
+from masking.estimation.simulation import first_start, noise_alone, relative, validated
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
@@ -174,7 +174,7 @@ def fit(
         theta = x[: len(names)]
     made = problem.result(x)
     if unseen:
-        made = replace(made, validation=judged(sensitivity, theta, unseen, problem.sigma**-2))
+        made = replace(made, validation=validated(sensitivity, theta, unseen, problem.sigma**-2))
     tell(1.0)
     return made
 

@@ -30,7 +30,7 @@ from masking.errors import IntegrationError, ModelError, RecordError
 from masking.estimation.data import Data, is_first_order
 from masking.estimation.innovations import KalmanFit
 from masking.estimation.sensitivity import Sensitivity, spans
-from masking.estimation.simulation import first_start, judged, nearest, noise_alone, relative
+from masking.estimation.simulation import first_start, nearest, noise_alone, relative, validated
 from masking.numerics.arrays import Array
 from masking.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE
 from masking.rig.twin import Twin
@@ -136,7 +136,7 @@ def extended_kalman(
     run = _Run(sensing, record, scales, r, np.concatenate([q, none]), square_root)
     theta, covariance = run.filter(y.copy(), sensing.start(), p0, progress)
     found = run.result(theta, covariance, p0)
-    return replace(found, validation=judged(sensing, theta, validation, 1.0 / r)) if validation else found
+    return replace(found, validation=validated(sensing, theta, validation, 1.0 / r)) if validation else found
 
 
 def _check(twin: Twin, record: Data) -> None:

@@ -68,7 +68,7 @@ def noise_alone(sensors: Sequence[str], records: Sequence[Data]) -> dict[str, fl
     return relative(sensors, records, np.sum([len(record) * record.noise**2 for record in records], axis=0))
 
 
-def judged(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weights: Array) -> dict[str, float]:
+def validated(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weights: Array) -> dict[str, float]:
     """Return the relative error of each sensor over records that were not fitted, by name.
 
     Args:

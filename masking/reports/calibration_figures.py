@@ -38,7 +38,7 @@ from masking.reports.style import (
 from masking.reports.text import short
 
 _MOST_ROWS = len(COLOURS)
-_SHOWN = 10.0  # s of the unseen record in which single swings can be told apart
+_SHOWN = 10.0  # s of the unseen record in which single swings can be distinguished apart
 _WINDOW = 0.5  # s over which a residual's rms is taken
 _BINS_PER_DECADE = 14  # of a spectrum
 _WORDS = 1.72  # inches at the right for the names of lines
@@ -269,8 +269,8 @@ def _reading(found: Calibration, sensor: str) -> str:
 
 
 def _meanings(found: Calibration, names: Sequence[str]) -> str:
-    told = [f"{name}: {meaning}" for name in names if (meaning := found.twin.declaration.sensors[name].meaning)]
-    return f"{'; '.join(told)}." if told else ""
+    meanings = [f"{name}: {meaning}" for name in names if (meaning := found.twin.declaration.sensors[name].meaning)]
+    return f"{'; '.join(meanings)}." if meanings else ""
 
 
 def _si(value: float, unit: str) -> str:

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 else:
     calibration_figures = lazy.load("masking.reports.calibration_figures", suppress_warning=True)
 
-_LACKS = 1.5  # times the noise: an error from here on is told as something that the model lacks
-_MISSED = 1e-4  # of the samples of a record, from which on it is told that some were missed
-_FAR = 3.0  # deviations by which a value is told to differ from the plant file's
-_STRONG = 0.95  # correlation from which a pair of parameters is told
+_LACKS = 1.5  # times the noise: an error from here on is reported as something that the model lacks
+_MISSED = 1e-4  # of the samples of a record, from which missed ones are reported
+_FAR = 3.0  # deviations by which a value is reported to differ from the plant file's
+_STRONG = 0.95  # correlation from which a pair of parameters is reported
 _PAIRS = 5  # of them, at most
 # The real rig, by its linear model: multisine and steps (Table 4.3), free motion of the coupled system (Table 4.5).
 _DOCUMENT: Final = (
@@ -90,10 +90,10 @@ def _cautions(found: Calibration) -> list[str]:
     """Say what makes the result less than it could be; nothing where all is well."""
     fit = found.best.fit
     far = [name for name, chi in fit.validation.items() if chi > _LACKS * found.unseen_floor[name]]
-    told = []
+    sentences = []
     if far:
         times = listed([f"{fit.validation[name] / found.unseen_floor[name]:.2g}" for name in far])
-        told.append(
+        sentences.append(
             f"In {listed(far)} the error is {times} times that of the noise: the model misses something that "
             "the rig does. The spectrum of the residual shows where; add an effect to the plant file, or try another "
             "--model."
@@ -101,12 +101,12 @@ def _cautions(found: Calibration) -> list[str]:
     missed = found.records.missed
     if max(missed.values()) > _MISSED * len(found.records.fit):
         counts = ", ".join(f"{count} in {name}" for name, count in missed.items())
-        told.append(
+        sentences.append(
             f"Samples were missed ({counts}) and are interpolated: errors and noise are larger than the rig's own. A "
             "computer with less else to do misses fewer."
         )
-    told += [f"{capital(note)}." for note in fit.notes]
-    return told
+    sentences += [f"{capital(note)}." for note in fit.notes]
+    return sentences
 
 
 def _tiles(found: Calibration) -> list[Tile]:
@@ -127,9 +127,9 @@ def _errors(found: Calibration) -> list[list[str]]:
     """Return the errors in the form of Tables 4.3 and 4.5, and the document's own: model, record, and each sensor."""
     rows = []
     for stage in found.stages:
-        told = f"{_spoken(stage)}, {len(stage.fit.names)} parameters" + ": written" * (stage is found.best)
+        label = f"{_spoken(stage)}, {len(stage.fit.names)} parameters" + ": written" * (stage is found.best)
         rows += [
-            [told, "fitted", *map(_digits, stage.fit.chi.values())],
+            [label, "fitted", *map(_digits, stage.fit.chi.values())],
             ["", "unseen", *map(_digits, stage.fit.validation.values())],
         ]
     rows.append(["noise alone", "fitted", *map(_digits, found.floor.values())])
@@ -187,12 +187,12 @@ def _pairs(found: Calibration) -> list[str]:
     correlation = np.tril(fit.correlation, -1)
     order = np.argsort(-np.abs(correlation), axis=None)[:_PAIRS]
     strong = [(i, j) for i, j in zip(*np.unravel_index(order, correlation.shape), strict=True)]
-    told = [f"{fit.names[j]} and {fit.names[i]} {correlation[i, j]:.3f}" for i, j in strong
+    pairs = [f"{fit.names[j]} and {fit.names[i]} {correlation[i, j]:.3f}" for i, j in strong
             if abs(correlation[i, j]) > _STRONG]  # fmt: skip
-    more = int((np.abs(correlation) > _STRONG).sum()) - len(told)
+    more = int((np.abs(correlation) > _STRONG).sum()) - len(pairs)
     rest = f", and {more} more pairs" if more > 0 else ""
-    return [f"Correlations above {_STRONG:g}: {', '.join(told)}{rest}; these are known better together than by "
-            "themselves."] if told else []  # fmt: skip
+    return [f"Correlations above {_STRONG:g}: {', '.join(pairs)}{rest}; these are known better together than by "
+            "themselves."] if pairs else []  # fmt: skip
 
 
 def _excited(found: Calibration) -> list[list[str]]:

@@ -47,17 +47,17 @@ from masking.reports.text import capital, listed
 MOST_SENSORS = 6
 MOST_TRIED = 12
 LETTER = 0.082  # inches of a letter of a label, with some room
-MOST_PAID = 1000.0  # %, of what would count: more is told as more than this
-NEAR = 0.9  # of the best candidate's gain: those that are told together
+MOST_PAID = 1000.0  # %, of what would count: more is stated as more than this
+NEAR = 0.9  # of the best candidate's gain: those that are named together
 WIDE = 200.0  # highest over lowest frequency from which powers of ten are enough of a scale
 FAINT = 1e-3  # of the strongest line: weaker ones are rounded off by the smoother, and not drawn
 
 
 def figures(found: Discovery) -> list[CaptionedFigure]:
     """Draw the figures of a discovery."""
-    lacking = latent_force.lack(found, discovery_text.rest(found).best.name)
-    course = [_course(found, lacking)] if lacking.where != "sensor" and found.twin.actuators else []
-    return [_gap(found), force_map.figure(found, lacking), *course, _residual(found), _candidates(found)]
+    latent = latent_force.force_at(found, discovery_text.rest(found).best.name)
+    course = [_course(found, latent)] if latent.where != "sensor" and found.twin.actuators else []
+    return [_gap(found), force_map.figure(found, latent), *course, _residual(found), _candidates(found)]
 
 
 def _gap(found: Discovery) -> CaptionedFigure:
@@ -110,17 +110,17 @@ def _gap(found: Discovery) -> CaptionedFigure:
     return CaptionedFigure("gap", "Simulation error", caption, figure)
 
 
-def _course(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigure:
+def _course(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigure:
     """Draw the latent force over a command, time and frequency, before and after."""
-    what = MISSING[lacking.where]
+    what = MISSING[latent.where]
     seen = discovery_text.subject(found)
     command = max(seen.actuators, key=lambda name: seen.actuators[name])
     column = found.record.acting[:, found.twin.actuators.index(command)]
-    said = _coursed(found, lacking, command)
-    by, unit = scale(lacking.units[0], [lacking.before])
+    said = _coursed(found, latent, command)
+    by, unit = scale(latent.units[0], [latent.before])
     figure, ((over, time, spectrum),) = panels(1, 1.75, (2.05, 2.7, 1.6), top(said))
-    t, step = np.arange(len(lacking.before)) / found.record.rate, max(1, len(lacking.before) // POINTS)
-    pairs = [(lacking.before, BEFORE), *([(lacking.after, AFTER)] if found.effects else [])]
+    t, step = np.arange(len(latent.before)) / found.record.rate, max(1, len(latent.before) // POINTS)
+    pairs = [(latent.before, BEFORE), *([(latent.after, AFTER)] if found.effects else [])]
     drawn = [(values, colour) for values, colour in pairs if values is not None]
     times, name = scale(latent_force.command_unit(found, command), [column])
     for values, colour in drawn:
@@ -133,8 +133,8 @@ def _course(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFig
             spectrum.set_xlim(f[0], f[strong][-1])
             spectrum.set_ylim(0.03 * FAINT * density.max(), 2.0 * density.max())
     for axes in (over, time):
-        noise_band(axes, 2.0 * by * lacking.deviations[0])
-    reach = 1.05 * by * max(2.0 * lacking.deviations[0], *(float(np.abs(values).max()) for values, _ in drawn))
+        noise_band(axes, 2.0 * by * latent.deviations[0])
+    reach = 1.05 * by * max(2.0 * latent.deviations[0], *(float(np.abs(values).max()) for values, _ in drawn))
     over.set_ylim(-reach, reach)
     time.set(xlim=(0.0, t[-1]), ylim=(-reach, reach))
     time.tick_params(labelleft=False)
@@ -145,7 +145,7 @@ def _course(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFig
     time.set_xlabel("time (s)")
     logarithmic(spectrum)
     spectrum.set_xlabel("frequency (Hz)")
-    spectrum.set_ylabel(with_unit("density", f"{pretty(lacking.units[0])}/√Hz" if lacking.units[0] else ""))
+    spectrum.set_ylabel(with_unit("density", f"{pretty(latent.units[0])}/√Hz" if latent.units[0] else ""))
     low, high = spectrum.get_xlim()
     steps = (1.0, 2.0, 5.0) if high < WIDE * low else (1.0,)
     spectrum.xaxis.set_major_locator(LogLocator(subs=steps))
@@ -158,31 +158,31 @@ def _course(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFig
     handles.append(line_key(label, INK, 1, dashed=True))
     legend(figure, spectrum, handles)
     caption = (
-        f"The {what} at {lacking.place} over the command that it follows most, over time, and the root of its power "
+        f"The {what} at {latent.place} over the command that it follows most, over time, and the root of its power "
         "spectral density. Effects that change with time, or have a frequency of their own, show here."
     )
     return CaptionedFigure("course", f"{capital(what)} over command, time and frequency", caption, figure)
 
 
-def _coursed(found: Discovery, lacking: latent_force.LatentForce, command: str) -> str:
+def _coursed(found: Discovery, latent: latent_force.LatentForce, command: str) -> str:
     """Say how much of the model error follows a command, and how alike the thirds of the record are."""
     seen = discovery_text.subject(found)
     if not any(seen.coordinates.values()):
-        return f"The model error at {lacking.place} is not beyond its deviation"
-    told = capital(discovery_text.follows_command(seen, command))
-    place = next((place for place in seen.places if place.name == lacking.place), None)
+        return f"The model error at {latent.place} is not beyond its deviation"
+    sentence = capital(discovery_text.follows_command(seen, command))
+    place = next((place for place in seen.places if place.name == latent.place), None)
     if place is None or not place.decomposition.regions:
-        return told
+        return sentence
     thirds = [energy for energy, _ in place.decomposition.regions["record"].values()]
     parts = listed([percent(part) for part in thirds])
-    return f"{told}; the thirds of the record hold {parts} of the energy of the force at {lacking.place}"
+    return f"{sentence}; the thirds of the record hold {parts} of the energy of the force at {latent.place}"
 
 
 def _residual(found: Discovery) -> CaptionedFigure:
     """Draw the residuals of the validation record, over time and frequency, before and after."""
     names = found.twin.sensors[:MOST_SENSORS]
     sigma, record = found.validation.sigma, found.validation_record
-    most = noise_threshold(len(record), found.evidence.rules)
+    most = noise_threshold(len(record), found.problem.rules)
     more = [
         n for i, n in enumerate(found.twin.sensors) if found.after.squares[i] > most**2 * len(record) * sigma[i] ** 2
     ]
@@ -294,12 +294,12 @@ def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
     """Return each candidate once, the best first: effect, place, part of the gap, part of what would count."""
     best: dict[str, Score] = {}
     for score in found.search.tried:
-        told = discovery_text.spoken(found, *score.candidate.key)
-        if score.gain > 0.0 and score.gain > getattr(best.get(told), "gain", 0.0):
-            best[told] = score
+        label = discovery_text.spoken(found, *score.candidate.key)
+        if score.gain > 0.0 and score.gain > getattr(best.get(label), "gain", 0.0):
+            best[label] = score
     size = found.record.readings.size
     whole = max(found.search.base.hypothesis.cost - size, *(p.gain for p in best.values()), 1e-300)
-    price, least = float(np.log(size)), found.evidence.rules.effect_evidence
+    price, least = float(np.log(size)), found.problem.rules.effect_evidence
     return [
         (*p.candidate.key, p.gain / whole, p.gain / (price * len(p.candidate.free) + least))
         for p in sorted(best.values(), key=lambda score: -score.gain)

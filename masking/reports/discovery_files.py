@@ -42,10 +42,10 @@ class Origin:
 
     def source(self, found: Discovery) -> str:
         """Say in a line how a file was made."""
-        told = "; ".join(f"{what} {path} (SHA-256 {digest[:16]})" for what, (path, digest) in self.records.items())
+        records = "; ".join(f"{what} {path} (SHA-256 {digest[:16]})" for what, (path, digest) in self.records.items())
         sure = f", probability {found.effects[-1].probability:.4g}" if found.effects else ""
         version = importlib.metadata.version("masking")
-        return f"masking discover {version}, {datetime.now(UTC):%Y-%m-%d}: {told}; verdict {found.verdict}{sure}"
+        return f"masking discover {version}, {datetime.now(UTC):%Y-%m-%d}: {records}; verdict {found.verdict}{sure}"
 
 
 @dataclass(frozen=True)
@@ -129,19 +129,19 @@ def paths(found: Discovery, out: Path) -> Files:
 
 def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     """Return a discovery and where its files lie, as JSON can hold it."""
-    files, told = paths(found, out), found.as_dict()
-    told.setdefault("next_experiment", None)
-    told["model"] = None if files.model is None else str(files.model)
-    told["plant"] = None if files.plant is None else str(files.plant)
-    told["parameters"] = {
+    files, facts = paths(found, out), found.as_dict()
+    facts.setdefault("next_experiment", None)
+    facts["model"] = None if files.model is None else str(files.model)
+    facts["plant"] = None if files.plant is None else str(files.plant)
+    facts["parameters"] = {
         name: {"value": value, "std": std, "declared": float(start)}
         for (name, value, std), start in zip(refitted(found), found.rig.start, strict=True)
     }
-    told["adjusted"] = list(discovery_text.adjusted(found))
-    told["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
-    told["page"] = str(files.page)
-    told["localisation"] = found.localisation.as_dict()
-    return told
+    facts["adjusted"] = list(discovery_text.adjusted(found))
+    facts["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
+    facts["page"] = str(files.page)
+    facts["localisation"] = found.localisation.as_dict()
+    return facts
 
 
 def refitted(found: Discovery) -> list[tuple[str, float, float]]:
@@ -157,8 +157,8 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
     """Return the content of a model file in a folder that extends the model by the causes in its equations."""
     twin = found.twin
     whole = twin.base
-    for slot, label in labels(found).items():
-        whole = _attached(found, whole, slot, label)
+    for instance, label in labels(found).items():
+        whole = _attached(found, whole, instance, label)
     made: dict[str, Any] = {
         "name": f"{twin.base.name} with {_causes(found)}",
         "source": "; ".join(filter(None, (twin.base.source, origin.source(found)))),
@@ -196,16 +196,16 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
     before = twin.declaration.canonical().get("effects", {})
     first: dict[str, Any] = {}
     last: dict[str, Any] = {}
-    for slot in found.explanation.hypothesis.slots:
-        if slot.effect == laws.DELAY:
-            _add_delay(found, slot, first, {*before, *first, *last})
-        elif slot.where != "element":
-            values = dict(zip(slot.entry.parameters, map(model_files.rounded, slot.values), strict=True))
+    for instance in found.explanation.hypothesis.instances:
+        if instance.effect == laws.DELAY:
+            _add_delay(found, instance, first, {*before, *first, *last})
+        elif instance.where != "element":
+            values = dict(zip(instance.entry.parameters, map(model_files.rounded, instance.values), strict=True))
             # Commands pass what was found first; readings pass it last.
-            target = first if slot.where == "actuator" else last
-            name = _free(f"{slot.effect}_{slot.at}", {*before, *first, *last})
-            target[name] = {"effect": slot.effect, "at": slot.at, "parameters": values}
-    for cause in found.effects[len(found.explanation.hypothesis.slots) or found.explanation.kind == "parameter" :]:
+            target = first if instance.where == "actuator" else last
+            name = _free(f"{instance.effect}_{instance.at}", {*before, *first, *last})
+            target[name] = {"effect": instance.effect, "at": instance.at, "parameters": values}
+    for cause in found.effects[len(found.explanation.hypothesis.instances) or found.explanation.kind == "parameter" :]:
         name = _free(f"{cause.name}_{cause.on}", {*before, *first, *last})
         values = {n: model_files.rounded(value) for n, (value, _) in cause.parameters.items()}
         last[name] = {"effect": cause.name, "at": cause.on, "parameters": values}
@@ -221,37 +221,37 @@ def labels(found: Discovery) -> dict[EffectInstance, str]:
     """Return the label of each cause in the equations."""
     made: dict[EffectInstance, str] = {}
     base = found.twin.attached
-    for slot in found.explanation.hypothesis.slots:
-        if slot.where != "element":
+    for instance in found.explanation.hypothesis.instances:
+        if instance.where != "element":
             continue
         taken = {*made.values(), *(n.removesuffix("_on") for n in base.parameters if n.endswith("_on"))}
         names = [*base.parameters, *base.definitions, *base.states, *base.coordinates, *base.inputs]
-        taken |= {slot.effect} if any(n.startswith(f"{slot.effect}_") for n in names) else set()
-        label = slot.effect if slot.effect not in taken else f"{slot.effect}_{_element(found, slot)}"
-        made[slot] = _free(label, taken)
+        taken |= {instance.effect} if any(n.startswith(f"{instance.effect}_") for n in names) else set()
+        label = instance.effect if instance.effect not in taken else f"{instance.effect}_{_element(found, instance)}"
+        made[instance] = _free(label, taken)
     return made
 
 
-def _attached(found: Discovery, whole: ModelDeclaration, slot: EffectInstance, label: str) -> ModelDeclaration:
+def _attached(found: Discovery, whole: ModelDeclaration, instance: EffectInstance, label: str) -> ModelDeclaration:
     """Return a model with one more cause in its equations, at an element that is made where there is none."""
-    at = _element(found, slot)
+    at = _element(found, instance)
     if at not in whole.elements:
         element = opened(found.twin.base)[0].elements[at]
         whole = whole.model_copy(update={"elements": {**whole.elements, at: element}})
-    values = dict(zip(slot.entry.parameters, map(model_files.rounded, slot.values), strict=True))
-    return attach(whole, slot.entry, at, label, values)
+    values = dict(zip(instance.entry.parameters, map(model_files.rounded, instance.values), strict=True))
+    return attach(whole, instance.entry, at, label, values)
 
 
-def _element(found: Discovery, slot: EffectInstance) -> str:
-    place = found.rig.places[found.rig.index(slot)]
+def _element(found: Discovery, instance: EffectInstance) -> str:
+    place = found.rig.places[found.rig.index(instance)]
     return place.name if place.declared else identifier(place.name)
 
 
 def _terms(found: Discovery, whole: ModelDeclaration) -> dict[str, str]:
     """Return what the causes add to each equation."""
     terms: dict[str, str] = {}
-    for slot, label in labels(found).items():
-        for coordinate, factor in whole.elements[_element(found, slot)].acts.items():
+    for instance, label in labels(found).items():
+        for coordinate, factor in whole.elements[_element(found, instance)].acts.items():
             left = equation_of(whole, coordinate)
             key = coordinate if left is None else left.text  # a Lagrangian has forces instead
             text = factor.text.strip()
@@ -261,15 +261,15 @@ def _terms(found: Discovery, whole: ModelDeclaration) -> dict[str, str]:
     return terms
 
 
-def _add_delay(found: Discovery, slot: EffectInstance, effects: dict[str, Any], taken: set[str]) -> None:
+def _add_delay(found: Discovery, instance: EffectInstance, effects: dict[str, Any], taken: set[str]) -> None:
     """Add a delay in whole samples; its remainder, or a delay of a single actuator, becomes a lag of the same time."""
-    rate, seconds = found.record.rate, slot.values[0]
-    whole = 0 if slot.at else int(seconds * rate + WHOLE)
+    rate, seconds = found.record.rate, instance.values[0]
+    whole = 0 if instance.at else int(seconds * rate + WHOLE)
     rest = seconds - whole / rate
     if whole:
         effects[_free("delay_found", taken)] = {"effect": laws.DELAY, "parameters": {"samples": whole}}
     if rest * rate > WHOLE:
-        at = [slot.at] if slot.at else list(found.twin.actuators)
+        at = [instance.at] if instance.at else list(found.twin.actuators)
         lag = {"effect": LAG.name, "at": at, "parameters": {LAG.grows_with: model_files.rounded(rest)}}
         effects[_free("rest_of_delay", {*taken, *effects})] = lag
 
@@ -277,23 +277,23 @@ def _add_delay(found: Discovery, slot: EffectInstance, effects: dict[str, Any], 
 def _deviations(found: Discovery) -> dict[str, float]:
     """Return the standard deviations of the parameters of causes in the equations, by the names they have there."""
     every = found.deviations[len(found.rig.names) :]
-    told, used, names = {}, 0, labels(found)
-    for slot in found.explanation.hypothesis.slots:
-        for name in slot.names:
-            if slot in names:
-                told[f"{names[slot]}_{name}"] = float(every[used])
+    values, used, names = {}, 0, labels(found)
+    for instance in found.explanation.hypothesis.instances:
+        for name in instance.names:
+            if instance in names:
+                values[f"{names[instance]}_{name}"] = float(every[used])
             used += 1
-    return told
+    return values
 
 
 def _units(found: Discovery) -> dict[str, str]:
     """Return the units of the parameters of causes in the equations, by the names they have there, as places say."""
-    told: dict[str, str] = {}
-    for slot, label in labels(found).items():
-        values = dict.fromkeys(slot.entry.parameters, (0.0, 0.0))
-        units = discovery_text.plain_units(found, Named(slot.effect, slot.at, values, 1.0))
-        told |= {f"{label}_{name}": unit for name, unit in units.items()}
-    return told
+    units_of: dict[str, str] = {}
+    for instance, label in labels(found).items():
+        values = dict.fromkeys(instance.entry.parameters, (0.0, 0.0))
+        units = discovery_text.plain_units(found, Named(instance.effect, instance.at, values, 1.0))
+        units_of |= {f"{label}_{name}": unit for name, unit in units.items()}
+    return units_of
 
 
 def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:

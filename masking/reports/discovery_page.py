@@ -27,9 +27,9 @@ else:
     discovery_figures = lazy.load("masking.reports.discovery_figures", suppress_warning=True)
 
 MOST_TRIED = 20
-LEAST_SURE = 0.001  # probability: less is told as less than this
-LEAST = 0.01  # share of a place that is told
-LITTLE = 0.05  # of the power that a force could take out of the motion: less is not told
+LEAST_SURE = 0.001  # probability: less is shown as less than this
+LEAST = 0.01  # share of a place that is shown
+LITTLE = 0.05  # of the power that a force could take out of the motion: less is not shown
 TITLES = {
     "none": "Nothing is missing",
     "parameter": "A parameter is off",
@@ -89,8 +89,8 @@ def page(found: Discovery, figures: Sequence[style.CaptionedFigure], origin: Ori
 def _tiles(found: Discovery) -> Iterator[Tile]:
     for one in found.effects[:3] if found.verdict != "unknown" else ():
         sure = discovery_text.probability(found, one)
-        told = percent(sure) if sure > LEAST_SURE else f"< {percent(LEAST_SURE)}"
-        yield Tile(discovery_text.labelled(found, one.name, one.on), told, "probability")
+        probability = percent(sure) if sure > LEAST_SURE else f"< {percent(LEAST_SURE)}"
+        yield Tile(discovery_text.labelled(found, one.name, one.on), probability, "probability")
     errors, worst = found.simulation_error, discovery_text.worst(found)
     floor, after = errors.validation_noise_floor, errors.validation[1]
     if found.effects:
@@ -98,7 +98,7 @@ def _tiles(found: Discovery) -> Iterator[Tile]:
         label = f"error in {worst} {'as declared' if how == 'as declared' else 'without it'}"
         yield Tile(label, percent(before[worst]), "validation")
     label = f"error in {worst}" + " with it" * bool(found.effects)
-    most = noise_threshold(len(found.validation_record), found.evidence.rules)
+    most = noise_threshold(len(found.validation_record), found.problem.rules)
     yield Tile(label, percent(after[worst]), f"noise {percent(floor[worst])}", after[worst] > most * floor[worst])
 
 
@@ -127,36 +127,36 @@ def _gaps(found: Discovery) -> Iterator[tuple[str, ...]]:
         yield name, "validation", *(percent(part[name]) for part in unseen), ""
 
 
-def _places(lacking: LatentForces) -> Iterator[tuple[str, ...]]:
+def _places(latent: LatentForces) -> Iterator[tuple[str, ...]]:
     """Yield the force at each place: its share, what it follows, the power that it takes out, and where it sits."""
-    seen = [place for place in lacking.places if place.share > LEAST]
+    seen = [place for place in latent.places if place.share > LEAST]
     for place in sorted(seen, key=lambda place: -place.explained):
-        parts, portrait = place.decomposition.parts, place.decomposition
-        told, odd, at = [""] * 4, "", ""
+        parts, force = place.decomposition.parts, place.decomposition
+        energy, odd, at = [""] * 4, "", ""
         if parts is not None:
-            told = [percent(part) for part in (parts.displacement, parts.rate, parts.both, parts.neither)]
+            energy = [percent(part) for part in (parts.displacement, parts.rate, parts.both, parts.neither)]
             odd = "" if parts.odd is None else percent(parts.odd)
             regions = discovery_text.regions(place)
             at = listed(regions) if regions else ""
-        loss = f"{'-' if portrait.loss < 0.0 else ''}{power(abs(portrait.loss), place.units)}"
-        yield place.name, percent(place.share), *told, odd, loss if abs(portrait.taken) > LITTLE else "little", at
+        loss = f"{'-' if force.loss < 0.0 else ''}{power(abs(force.loss), place.units)}"
+        yield place.name, percent(place.share), *energy, odd, loss if abs(force.taken) > LITTLE else "little", at
 
 
-def _sides(lacking: LatentForces) -> str:
+def _sides(latent: LatentForces) -> str:
     """Say how much functions of commands and readings would explain, and which harmonics the force has."""
     said = ""
     for what, those, of in (
-        ("command", lacking.actuators, "the model error"),
-        ("reading", lacking.sensors, "its residual"),
+        ("command", latent.actuators, "the model error"),
+        ("reading", latent.sensors, "its residual"),
     ):
         if those:
             each = listed([f"{percent(part)} ({name})" for name, part in those.items()])
             said += f"A function of a {what} would explain {each} of {of}. "
-    harmonics = lacking.best.harmonics
+    harmonics = latent.best.harmonics
     if harmonics is not None and harmonics.only_odd:
         said += (
             f"The commands repeat themselves with odd multiples of {harmonics.base:.4g} Hz only; of the force at "
-            f"{lacking.best.name}, {percent(harmonics.even)} is at even multiples and "
+            f"{latent.best.name}, {percent(harmonics.even)} is at even multiples and "
             f"{percent(harmonics.odd)} at odd ones that were not excited."
         )
     return said
@@ -183,20 +183,20 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
     sure = map(float, probabilities([rival.score(tempering) for rival in rivals]))
     for rival, probability in zip(rivals, sure, strict=True):
         first, *more = rival.names
-        told = " and ".join(
+        causes = " and ".join(
             [discovery_text.labelled(found, *first), *(discovery_text.spoken(found, *name) for name in more)]
         )
-        if told in rows:  # a delay of the only actuator is that of all of them
-            rows[told] = (rows[told][0] + probability, *rows[told][1:])
+        if causes in rows:  # a delay of the only actuator is that of all of them
+            rows[causes] = (rows[causes][0] + probability, *rows[causes][1:])
             continue
         deviations = iter(np.sqrt(tempering) * rival.hypothesis.deviations[len(found.rig.names) :])
         values = [
-            f"{name} = {with_deviation(slot.values[i], float(next(deviations)), '')}"
-            for slot in rival.hypothesis.slots
-            for name, i in zip(slot.names, slot.free, strict=True)
+            f"{name} = {with_deviation(instance.values[i], float(next(deviations)), '')}"
+            for instance in rival.hypothesis.instances
+            for name, i in zip(instance.names, instance.free, strict=True)
         ]
-        rows[told] = probability, number(rival.score(tempering) - rivals[0].score(tempering), 4), ", ".join(values)
-    return [(told, _probability(p), worse, values) for told, (p, worse, values) in rows.items()]
+        rows[causes] = probability, number(rival.score(tempering) - rivals[0].score(tempering), 4), ", ".join(values)
+    return [(causes, _probability(p), worse, values) for causes, (p, worse, values) in rows.items()]
 
 
 def _signed(part: float) -> str:
@@ -213,16 +213,16 @@ def _parameters(found: Discovery) -> Iterator[tuple[str, ...]]:
     known = found.twin.base.parameters
     for (name, value, std), start in zip(discovery_files.refitted(found), found.rig.start, strict=True):
         change = _signed(value / start - 1.0) if start else ""
-        declared, told = number(float(start), 6), with_deviation(value, std, "")
-        yield name, declared, told, change, pretty(known[name].unit), known[name].meaning
+        declared, estimate = number(float(start), 6), with_deviation(value, std, "")
+        yield name, declared, estimate, change, pretty(known[name].unit), known[name].meaning
 
 
 def _provenance(found: Discovery, origin: Origin, folder: Path) -> list[tuple[str, object]]:
     files = discovery_files.paths(found, folder)
-    record, judge = found.record, found.validation_record
+    record, validation = found.record, found.validation_record
     return [
         *((what, f"{path}, SHA-256 {sha}") for what, (path, sha) in origin.records.items()),
-        ("samples", f"{len(record)} to find, {len(judge)} to validate, {record.rate:g} Hz"),
+        ("samples", f"{len(record)} to find, {len(validation)} to validate, {record.rate:g} Hz"),
         ("rig", found.twin.declaration.name),
         ("model", ", ".join(found.twin.base.files) or found.twin.declaration.model),
         *(("own effects", file) for one in found.twin.declaration.dictionaries for file in one.files),
@@ -236,7 +236,7 @@ def summary(found: Discovery, files: Files | None) -> str:
     lines = [f"{discovery_text.sentence(found)}."]
     if discovery_text.beside(found):
         lines.append(f"{discovery_text.beside(found)}.")
-    lines += [f"{told}." for told in discovery_text.whereabouts(found)]
+    lines += [f"{sentence}." for sentence in discovery_text.whereabouts(found)]
     gap = found.simulation_error
     head = ("validation error", *found.twin.sensors)
     table = [head]
@@ -254,9 +254,9 @@ def summary(found: Discovery, files: Files | None) -> str:
     for one in discovery_text.offered(found):
         effect = found.twin.dictionary.get(one.name)
         if effect is not None and (effect.cause or effect.remedy):
-            told = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]
-            lines.append(f"{effect.spoken}: {'; '.join(told)}")
+            advice = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]
+            lines.append(f"{effect.spoken}: {'; '.join(advice)}")
     if files is not None:
-        told = [str(path) for path in (files.model, files.plant, files.numbers) if path]
-        lines += [f"written: {', '.join(told)}", f"page: {files.page}"]
+        written = [str(path) for path in (files.model, files.plant, files.numbers) if path]
+        lines += [f"written: {', '.join(written)}", f"page: {files.page}"]
     return "\n".join(lines)

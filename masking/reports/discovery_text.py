@@ -12,18 +12,20 @@ from masking.discovery.localisation import LatentForces, LocatedForce
 from masking.estimation.whiteness import Whiteness
 from masking.reports.text import alternatives, capital, listed, much
 
-NOTABLE = 0.15  # part of a force's energy from which a dependence is told
+NOTABLE = 0.15  # part of a force's energy from which a dependence is stated
 ALIKE = 0.9  # part of it that turns round with the motion, or does not, from which it is called so
 CONSTANT = 0.9  # part of its mean square that is its mean's, from which it hardly changes
-MOST = 0.5  # part of what is lacking from which a place or a side of the rig is told
-MUCH = 1.5  # times the part of the time: a part of the energy from which a region is told
-TAKEN = 0.2  # of the power that a force could take out of the motion, from which that is told
-SHOWN = 0.01  # probability from which an alternative is told
-SURE = 2.0  # deviations of a parameter from which it is told in a sentence
-MOVED = 3.0  # of its deviations by which a parameter moved that is told, and of those that are believed
+MOST = 0.5  # part of the model error from which a place or a side of the rig is stated
+MUCH = 1.5  # times the part of the time: a part of the energy from which a region is stated
+TAKEN = 0.2  # of the power that a force could take out of the motion, from which that is stated
+SHOWN = 0.01  # probability from which an alternative is stated
+SURE = 2.0  # deviations of a parameter from which it is stated in a sentence
+MOVED = (
+    3.0  # of its deviations: a larger move of a parameter is stated; of those of its prior: a smaller one is credible
+)
 APART = 0.02  # of its declared value by which it moved then
-LOST = 0.9  # part of a reading that is left, from which the model is told not to follow it
-LARGER = 1.05  # times the record's own peak, from which that of an experiment is told
+LOST = 0.9  # part of a reading that is left, from which the model is said not to follow it
+LARGER = 1.05  # times the record's own peak, from which that of an experiment is stated
 CHECK = "check units, columns and signs of the record against the model"
 NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured input is the rate of which"
 
@@ -32,10 +34,10 @@ def sentence(found: Discovery) -> str:
     """Say what was found, in a few sentences without a full stop at the end."""
     if found.verdict == "none":
         first = f"Nothing is missing: with the parameters adjusted within their prior uncertainty, {left(found)}"
-        told = [first, moved(found)]
+        sentences = [first, moved(found)]
     elif found.verdict == "parameter":
         first = f"No effect is missing, but a parameter is off: {cause(found, found.effects[-1])}"
-        told = [first, gap(found), moved(found)]
+        sentences = [first, gap(found), moved(found)]
     elif found.verdict == "unknown":
         known = [cause(found, one) for one in offered(found)]
         do = "does" if len(known) == 1 else "do"
@@ -43,19 +45,19 @@ def sentence(found: Discovery) -> str:
         first = "The model misses an effect that is not in the dictionary"
         if found.is_hidden:
             first = "The record shows no missing effect, but the validation record does: run discover on that one"
-        told = [first, hardly(found), near, gap(found) if found.is_hidden else look(found)]
+        sentences = [first, hardly(found), near, gap(found) if found.is_hidden else look(found)]
     elif is_open(found):
         before = [cause(found, one) for one in found.effects[:-1]]
         known = [f"{listed(before, '; ')} {'is' if len(before) == 1 else 'are'} missing"] if before else []
         first = ", and ".join([*known, alternatives(alike(found))])
         first = f"{capital(first)} is missing, and this record cannot tell which"
-        told = [first, hardly(found), gap(found), moved(found), capital(experiment(found))]
+        sentences = [first, hardly(found), gap(found), moved(found), capital(experiment(found))]
     else:
         what = listed([cause(found, one) for one in found.effects], "; ")
         pause = "," if ", " in what else ""
         first = f"{capital(what)}{pause} {'is' if len(found.effects) == 1 else 'are'} missing"
-        told = [first, hardly(found), gap(found), moved(found)]
-    return ". ".join(filter(None, [*told, measured(found)]))
+        sentences = [first, hardly(found), gap(found), moved(found)]
+    return ". ".join(filter(None, [*sentences, measured(found)]))
 
 
 def measured(found: Discovery) -> str:
@@ -85,8 +87,8 @@ def alike(found: Discovery) -> list[str]:
 
 def probability(found: Discovery, named: Named) -> float:
     """Return the probability of a cause, with that of alternatives that are the same."""
-    told = spoken(found, named.name, named.on)
-    return named.probability + sum(p for name, on, p in named.alternatives if spoken(found, name, on) == told)
+    label = spoken(found, named.name, named.on)
+    return named.probability + sum(p for name, on, p in named.alternatives if spoken(found, name, on) == label)
 
 
 def offered(found: Discovery) -> list[Named]:
@@ -115,20 +117,20 @@ def hardly(found: Discovery) -> str:
 def adjusted(found: Discovery) -> dict[str, tuple[float, float, bool]]:
     """Return the parameters that moved beside the causes: value, declared value, and whether the prior allows it."""
     off = {one.name for one in found.effects if one.name not in found.twin.dictionary}
-    belief, theta = found.evidence.prior, found.explanation.hypothesis.theta
-    told = {}
+    prior, theta = found.problem.prior, found.explanation.hypothesis.theta
+    moves = {}
     for name, value, std, start, wide in zip(
-        found.rig.names, theta, found.deviations, found.rig.start, belief.deviation, strict=False
+        found.rig.names, theta, found.deviations, found.rig.start, prior.deviation, strict=False
     ):
         by = abs(float(value - start))
         if name not in off and by > MOVED * std and by > APART * abs(start):
-            told[name] = float(value), float(start), by <= MOVED * float(wide)
-    return told
+            moves[name] = float(value), float(start), by <= MOVED * float(wide)
+    return moves
 
 
 def moved(found: Discovery) -> str:
     """Say which parameters moved far beside the causes; '' if none did."""
-    told, known = [], found.twin.base.parameters
+    sentences, known = [], found.twin.base.parameters
     for is_believed, how in ((True, "within"), (False, "beyond")):
         those = [
             f"{name} = {quantity(value, known[name].unit, 4)}, {beyond(value, start)}"
@@ -137,9 +139,9 @@ def moved(found: Discovery) -> str:
         ]
         if those:
             every = {1: f"{how} its prior uncertainty", 2: f"both {how} their prior uncertainty"}
-            told.append(f"{'; '.join(those)}, {every.get(len(those), f'all {how} their prior uncertainty')}")
+            sentences.append(f"{'; '.join(those)}, {every.get(len(those), f'all {how} their prior uncertainty')}")
     far = any(not held and not 0.5 < value / start < 2.0 for value, start, held in adjusted(found).values() if start)
-    return f"Adjusted: {'; '.join(told)}{f': {CHECK}' if far else ''}" if told else ""
+    return f"Adjusted: {'; '.join(sentences)}{f': {CHECK}' if far else ''}" if sentences else ""
 
 
 def beyond(value: float, declared: float) -> str:
@@ -164,12 +166,13 @@ def experiment(found: Discovery) -> str:
         name: f"{name} up to {quantity(peak, latent_force.command_unit(found, name))}"
         for name, peak in coming.peaks.items()
     }
-    told = f"a {coming.excitation} of {listed(list(size.values()))}, {coming.pace}, would tell {one} from {other}"
+    sentence = f"a {coming.excitation} of {listed(list(size.values()))}, {coming.pace}, would tell {one} from {other}"
     times = max(peak / max(peaks[name], 1e-300) for name, peak in coming.peaks.items())
     declared = found.twin.declaration.limits.inputs
     if times < LARGER or all(name in declared for name in found.twin.actuators):
-        return told
-    return f"{told}. Its peak is {number(times, 2)} times the record's; a plant file may declare limits (limits.inputs)"
+        return sentence
+    hint = "a plant file may declare limits (limits.inputs)"
+    return f"{sentence}. Its peak is {number(times, 2)} times the record's; {hint}"
 
 
 def left(found: Discovery) -> str:
@@ -210,10 +213,10 @@ def cause(found: Discovery, named: Named) -> str:
     sure = [n for n, (value, std) in named.parameters.items() if abs(value) > SURE * std]
     for name in sure or named.parameters:
         value, std = named.parameters[name]
-        told = f"{name} = {with_deviation(value, std, units(found, named).get(name, ''))}"
+        text = f"{name} = {with_deviation(value, std, units(found, named).get(name, ''))}"
         if named.name not in found.twin.dictionary:
-            told += f", {beyond(value, float(found.rig.start[found.rig.names.index(name)]))}"
-        values.append(told)
+            text += f", {beyond(value, float(found.rig.start[found.rig.names.index(name)]))}"
+        values.append(text)
     what = spoken(found, named.name, named.on) if named.name in found.twin.dictionary else ""
     if what and found.twin.dictionary[named.name].is_inertia:
         return what.replace(" on ", f" of {values[0].removeprefix('m = ')} on ", 1)
@@ -258,14 +261,14 @@ def beside(found: Discovery) -> str:
 
 def look(found: Discovery) -> str:
     """Say what the model error looks like, or the residual beside the causes."""
-    lacking = rest(found)
-    what = "It" if lacking is found.localisation.latent else "The residual"
-    place = lacking.best
-    portrait, (unit, *_) = place.decomposition, place.units
-    of_command = max(lacking.actuators, key=lambda name: lacking.actuators[name], default="")
-    if of_command and lacking.actuators[of_command] > max(MOST, place.explained):
-        return f"{what} looks like a force: {follows_command(lacking, of_command)}"
-    return f"{what} looks like a force of {quantity(portrait.size, unit, 2)} (rms) at {place.name}: {portrayed(place)}"
+    latent = rest(found)
+    what = "It" if latent is found.localisation.latent else "The residual"
+    place = latent.best
+    force, (unit, *_) = place.decomposition, place.units
+    of_command = max(latent.actuators, key=lambda name: latent.actuators[name], default="")
+    if of_command and latent.actuators[of_command] > max(MOST, place.explained):
+        return f"{what} looks like a force: {follows_command(latent, of_command)}"
+    return f"{what} looks like a force of {quantity(force.size, unit, 2)} (rms) at {place.name}: {portrayed(place)}"
 
 
 def rest(found: Discovery) -> LatentForces:
@@ -281,32 +284,32 @@ def subject(found: Discovery) -> LatentForces:
 
 def whereabouts(found: Discovery) -> list[str]:
     """Say where the model error is, and whether the residuals are white; empty if neither says anything."""
-    seen, lacking = found.localisation, found.localisation.latent
-    told = []
+    seen, latent = found.localisation, found.localisation.latent
+    sentences = []
     if found.verdict in {"named", "ambiguous"} and found.effects[-1].name in found.twin.dictionary:
         on, side = found.effects[-1].on, found.twin.dictionary[found.effects[-1].name].where
-        if side == "element" and lacking.best.explained > MOST:
-            place = lacking.best
-            told.append(f"{capital(much(place.share))} of the model error is at {place.name}: {portrayed(place)}")
-        elif side == "actuator" and lacking.actuators.get(on, 0.0) > MOST:
-            told.append(capital(follows_command(lacking, on)))
-        elif side == "sensor" and lacking.sensors.get(on, 0.0) > MOST:
-            told.append(f"{capital(much(lacking.sensors[on]))} of the model error in {on} follows its reading")
+        if side == "element" and latent.best.explained > MOST:
+            place = latent.best
+            sentences.append(f"{capital(much(place.share))} of the model error is at {place.name}: {portrayed(place)}")
+        elif side == "actuator" and latent.actuators.get(on, 0.0) > MOST:
+            sentences.append(capital(follows_command(latent, on)))
+        elif side == "sensor" and latent.sensors.get(on, 0.0) > MOST:
+            sentences.append(f"{capital(much(latent.sensors[on]))} of the model error in {on} follows its reading")
     if found.verdict == "unknown":
-        return told
+        return sentences
     coloured = {
         name: last for name, (first, after) in seen.whiteness.items() for last in (after or first,) if not last.white
     }
     if coloured:
-        told.append(
+        sentences.append(
             f"On the validation record, the residual of {listed([f'{n} is {white(w)}' for n, w in coloured.items()])}"
         )
-    return told
+    return sentences
 
 
-def follows_command(lacking: LatentForces, name: str) -> str:
+def follows_command(latent: LatentForces, name: str) -> str:
     """Say how much of the model error follows a command."""
-    return f"{much(lacking.actuators[name])} of the model error follows the command of {name}"
+    return f"{much(latent.actuators[name])} of the model error follows the command of {name}"
 
 
 def portrayed(place: LocatedForce) -> str:
@@ -325,20 +328,20 @@ def portrayed(place: LocatedForce) -> str:
         )
         if part > NOTABLE
     ]
-    told = []
+    sentences = []
     if follows:
         (first, what), *others = follows
         said = listed([f"{first} of its energy follows {what}", *(f"{part} {what}" for part, what in others)])
-        told.append(said if parts.odd is None else f"{said}, {symmetry(parts.odd)}")
+        sentences.append(said if parts.odd is None else f"{said}, {symmetry(parts.odd)}")
     if parts.neither > NOTABLE:
-        told.append(
+        sentences.append(
             f"{much(parts.neither)} follows neither displacement nor rate: time, memory or another place matters"
         )
-    told.extend(regions(place))
+    sentences.extend(regions(place))
     if abs(place.decomposition.taken) > TAKEN:
         way = ("takes", "out of") if place.decomposition.loss > 0.0 else ("puts", "into")
-        told.append(f"it {way[0]} {power(abs(place.decomposition.loss), place.units)} {way[1]} the motion")
-    return "; ".join(told)
+        sentences.append(f"it {way[0]} {power(abs(place.decomposition.loss), place.units)} {way[1]} the motion")
+    return "; ".join(sentences)
 
 
 def symmetry(odd: float) -> str:
@@ -350,29 +353,29 @@ def symmetry(odd: float) -> str:
 
 def regions(place: LocatedForce) -> list[str]:
     """Say in which part of travel, speed and record a force has much more of its energy than there is time."""
-    told, of = [], place.decomposition.regions
+    sentences, of = [], place.decomposition.regions
     ends = [of["displacement"][name] for name in ("low", "high")]
     (energy, time), parts = np.sum(ends, axis=0), place.decomposition.parts
     if energy > MUCH * time and energy > MOST and min(part / max(spent, 1e-9) for part, spent in ends) > 1.0:
-        told.append("most of it is at the ends of the travel")
+        sentences.append("most of it is at the ends of the travel")
     else:
-        told.extend(
+        sentences.extend(
             f"{much(part)} of it is where the displacement is {name if name != 'middle' else 'in the middle'}"
             for name, (part, spent) in of["displacement"].items()
             if part > max(MUCH * spent, MOST)
         )
     if parts is not None and parts.rate < MOST:  # what follows the rate is larger where that is
-        told.extend(
+        sentences.extend(
             f"{much(part)} of it is where the motion is {name}"
             for name, (part, spent) in of["speed"].items()
             if part > MUCH * spent
         )
-    told.extend(
+    sentences.extend(
         f"{much(part)} of it is in the {name} third of the record"
         for name, (part, spent) in of["record"].items()
         if part > MUCH * spent
     )
-    return told
+    return sentences
 
 
 def white(one: Whiteness) -> str:

@@ -185,7 +185,9 @@ def verdict(made: Simulated, *, was_fitted: bool) -> str:
     chi, floor, which = made.chi, made.floor, "fitted" if was_fitted else "validation"
     more = [name for name in chi if chi[name] > _MORE * floor[name]]
     if not more:
-        told = ", ".join(f"{name} {percent(chi[name])}" for name in chi)
-        return f"In the {which} record the residual is hardly above the noise floor: {told} of the readings"
-    told = ", ".join(f"{name} {percent(chi[name])} ({percent(floor[name])})" for name in more)
-    return f"In the {which} record the residual is above the noise floor (in brackets), as part of the readings: {told}"
+        sensors = ", ".join(f"{name} {percent(chi[name])}" for name in chi)
+        return f"In the {which} record the residual is hardly above the noise floor: {sensors} of the readings"
+    sensors = ", ".join(f"{name} {percent(chi[name])} ({percent(floor[name])})" for name in more)
+    return (
+        f"In the {which} record the residual is above the noise floor (in brackets), as part of the readings: {sensors}"
+    )

@@ -27,31 +27,31 @@ AFTER: Final = COLOURS[0]
 MISSING: Final = {"element": "latent force", "actuator": "command error", "sensor": "reading error"}
 CLOUD: Final = 0.4  # opacity
 POINTS = 5000  # of a cloud
-ALSO = 0.02  # part that all takes beyond what the laws at the place take, from which that is told
+ALSO = 0.02  # part that all takes beyond what the laws at the place take, from which that is stated
 
 
-def figure(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigure:
+def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigure:
     """Draw the latent force over displacement and rate, before and after, with the laws that were found there."""
-    has_after = lacking.after is not None and bool(found.explanation.hypothesis.slots)
-    what = MISSING[lacking.where]
-    slots = laws_at(found, lacking)
-    law = along(found, lacking, slots) if slots else None
-    said = _seen(found, lacking, what, law)
-    values = [lacking.before, *([law] if law is not None else [])]
-    by, unit = scale(lacking.units[0], values)
+    has_after = latent.after is not None and bool(found.explanation.hypothesis.instances)
+    what = MISSING[latent.where]
+    instances = laws_at(found, latent)
+    law = along(found, latent, instances) if instances else None
+    said = _seen(found, latent, what, law)
+    values = [latent.before, *([law] if law is not None else [])]
+    by, unit = scale(latent.units[0], values)
     reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
-    rows_of = [(lacking.before, BEFORE, "before"), *([(lacking.after, AFTER, "after")] if has_after else [])]
-    seen = lacking.seen
+    rows_of = [(latent.before, BEFORE, "before"), *([(latent.after, AFTER, "after")] if has_after else [])]
+    seen = latent.seen
     figure, rows = panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), top(said))
     low = np.array([np.quantile(x, [0.0005, 0.9995]) for x, _ in seen])
-    step = max(1, len(lacking.x) // POINTS)
+    step = max(1, len(latent.x) // POINTS)
     for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
         assert values_of is not None  # noqa: S101  # those that are None have no row
         for axes, (x, x_unit), (left, right) in zip(row, seen, low, strict=True):
             times, name = scale(x_unit, [x])
             axes.plot(times * x[::step], by * values_of[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
             centres, means, _ = latent_force.binned(x, values_of)
-            half = 2.0 * lacking.deviations[row is not rows[0]]
+            half = 2.0 * latent.deviations[row is not rows[0]]
             axes.fill_between(times * centres, by * (means - half), by * (means + half), color=colour, alpha=0.16, lw=0)
             axes.plot(times * centres, by * means, color=colour, lw=1.8)
             if kind == "before" and law is not None:
@@ -59,9 +59,9 @@ def figure(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigu
             pad = 0.03 * (right - left)
             axes.set(xlim=(times * (left - pad), times * (right + pad)), ylim=(-reach, reach))
             axes.axhline(0.0, color=MUTED, lw=0.7)
-            label = {"element": "displacement", "actuator": "command", "sensor": "reading"}[lacking.where]
+            label = {"element": "displacement", "actuator": "command", "sensor": "reading"}[latent.where]
             if row is rows[-1]:
-                axes.set_xlabel(with_unit(label if x is lacking.x else f"rate of {label}", pretty(name)))
+                axes.set_xlabel(with_unit(label if x is latent.x else f"rate of {label}", pretty(name)))
         label = what if kind == "before" else f"remaining {what}"
         row[0].set_ylabel(with_unit(label, pretty(unit)))
         for axes in row[1:]:
@@ -70,77 +70,79 @@ def figure(found: Discovery, lacking: latent_force.LatentForce) -> CaptionedFigu
     heading(figure, said)
     handles: list[Line2D | Patch] = [line_key(f"{what}, its mean and ± 2 deviations", BEFORE)]
     if law is not None:
-        label = "law that was fitted" if len(slots) == 1 else f"sum of the {len(slots)} laws that were fitted"
+        label = "law that was fitted" if len(instances) == 1 else f"sum of the {len(instances)} laws that were fitted"
         handles.append(line_key(label, INK, 1.6))
     if has_after:
         handles.append(line_key(f"remaining {what}", AFTER))
     legend(figure, rows[0][-1], handles)
     caption = (
-        f"The {what} at {lacking.place} along the record, estimated from its readings by a Kalman smoother that adds a "
+        f"The {what} at {latent.place} along the record, estimated from its readings by a Kalman smoother that adds a "
         "random walk to the equations. No reading is differentiated; changes faster than the noise allows are smoothed "
         "out. Points are samples; the line is their mean over equal ranges."
     )
-    if lacking.where == "sensor":
-        caption = f"The residual of the reading of {lacking.place} along the record, over the simulated reading."
+    if latent.where == "sensor":
+        caption = f"The residual of the reading of {latent.place} along the record, over the simulated reading."
     return CaptionedFigure("map", f"{capital(what)} over displacement and rate", caption, figure)
 
 
-def laws_at(found: Discovery, lacking: latent_force.LatentForce) -> list[EffectInstance]:
+def laws_at(found: Discovery, latent: latent_force.LatentForce) -> list[EffectInstance]:
     """Return the causes at the place in view that are reported."""
-    told = {(one.name, one.on) for one in discovery_text.offered(found)}
+    offered = {(one.name, one.on) for one in discovery_text.offered(found)}
     return [
-        slot
-        for slot in found.explanation.hypothesis.slots
-        if slot.where == lacking.where and slot.at in {lacking.place, ""} and (slot.effect, slot.at) in told
+        instance
+        for instance in found.explanation.hypothesis.instances
+        if instance.where == latent.where
+        and instance.at in {latent.place, ""}
+        and (instance.effect, instance.at) in offered
     ]
 
 
-def along(found: Discovery, lacking: latent_force.LatentForce, slots: Sequence[EffectInstance]) -> Array:
+def along(found: Discovery, latent: latent_force.LatentForce, instances: Sequence[EffectInstance]) -> Array:
     """Return what causes at the place that is looked at give together (m,): force, command or reading."""
-    law = np.zeros_like(lacking.before)
+    law = np.zeros_like(latent.before)
     motion, names = found.smoothed.before, [place.name for place in found.rig.places]
-    for slot in slots:
-        if lacking.where == "element":
-            law += latent_force.along(found, slot, *motion.acted_on(slot.entry, names.index(lacking.place)))
+    for instance in instances:
+        if latent.where == "element":
+            law += latent_force.along(found, instance, *motion.acted_on(instance.entry, names.index(latent.place)))
         else:
-            law += latent_force.along(found, slot, lacking.x, lacking.rate) - lacking.x
+            law += latent_force.along(found, instance, latent.x, latent.rate) - latent.x
     return law
 
 
-def share(lacking: latent_force.LatentForce, law: Array | None) -> float:
+def share(latent: latent_force.LatentForce, law: Array | None) -> float:
     """Return the part of the mean square of the latent force that a law explains; without one, the whole finding."""
     if law is None:
-        assert lacking.after is not None  # noqa: S101  # asked only where something was found
-        rest = lacking.after
+        assert latent.after is not None  # noqa: S101  # asked only where something was found
+        rest = latent.after
     else:
-        rest = lacking.before - law
-    noise = lacking.deviations[0] ** 2 if lacking.where == "sensor" else 0.0
-    after, before = (max(float((v**2).mean()) - noise, 0.0) for v in (rest, lacking.before))
+        rest = latent.before - law
+    noise = latent.deviations[0] ** 2 if latent.where == "sensor" else 0.0
+    after, before = (max(float((v**2).mean()) - noise, 0.0) for v in (rest, latent.before))
     return max(1.0 - after / max(before, 1e-300), 0.0)
 
 
-def _seen(found: Discovery, lacking: latent_force.LatentForce, what: str, law: Array | None) -> str:
+def _seen(found: Discovery, latent: latent_force.LatentForce, what: str, law: Array | None) -> str:
     """Say how much the laws at the place explain there, and the whole finding if that is more."""
-    square = float((lacking.before**2).mean())
-    is_small = lacking.where == "element" and square < SEEN * lacking.deviations[0] ** 2
+    square = float((latent.before**2).mean())
+    is_small = latent.where == "element" and square < SEEN * latent.deviations[0] ** 2
     if found.verdict == "none" or (found.verdict == "parameter" and is_small):
         beside = "With the parameters that were found, the" if found.verdict == "parameter" else "The"
-        return f"{beside} record shows no {what} at {lacking.place} beyond its deviation that follows the motion"
-    if found.verdict == "unknown" or lacking.after is None or not found.effects:
+        return f"{beside} record shows no {what} at {latent.place} beyond its deviation that follows the motion"
+    if found.verdict == "unknown" or latent.after is None or not found.effects:
         return discovery_text.look(found)
-    whole = share(lacking, None)
-    of = f"of the mean square of the {what} at {lacking.place}"
+    whole = share(latent, None)
+    of = f"of the mean square of the {what} at {latent.place}"
     if law is None:
         return f"The finding explains {percent(whole, 3)} {of}"
-    slots = laws_at(found, lacking)
-    name = listed([discovery_text.spoken(found, slot.effect, slot.at) for slot in slots])
-    explains = "explains" if len(slots) == 1 else "together explain"
-    if len(slots) == len(found.explanation.hypothesis.slots) and lacking.where != "sensor":
+    instances = laws_at(found, latent)
+    name = listed([discovery_text.spoken(found, instance.effect, instance.at) for instance in instances])
+    explains = "explains" if len(instances) == 1 else "together explain"
+    if len(instances) == len(found.explanation.hypothesis.instances) and latent.where != "sensor":
         return f"{capital(name)} {explains} {percent(whole, 3)} {of}"
     # Others act here, too: parameters of a sensor's simulation, or causes at other places.
-    alone = share(lacking, law)
-    told = f"{capital(name)} {explains} {percent(alone, 3)} {of}"
-    return f"{told}; the whole finding explains {percent(whole, 3)}" if whole > alone + ALSO else told
+    alone = share(latent, law)
+    sentence = f"{capital(name)} {explains} {percent(alone, 3)} {of}"
+    return f"{sentence}; the whole finding explains {percent(whole, 3)}" if whole > alone + ALSO else sentence
 
 
 def _law(axes: Axes, x: Array, law: Array) -> None:

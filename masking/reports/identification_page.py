@@ -85,9 +85,9 @@ def save_fit(
     Raises:
         RecordError: the folder cannot be written.
     """
-    out, told = Path(folder), found.as_dict()
-    chi, floor, images = told["chi"], told["floor"], html.images(figures, out)
-    rows = [(name, number(x["value"], 7), number(x["std"], 2)) for name, x in told["parameters"].items()]
+    out, facts = Path(folder), found.as_dict()
+    chi, floor, images = facts["chi"], facts["floor"], html.images(figures, out)
+    rows = [(name, number(x["value"], 7), number(x["std"], 2)) for name, x in facts["parameters"].items()]
     each = [(name, [part.get(name) for part in (chi["train"], chi["validation"], floor)]) for name in floor]
     page = html.render(
         "fit",

@@ -266,8 +266,8 @@ def _distortion(measured: Measurement[Response]) -> CaptionedFigure:
     made = measured.found
     outputs = [name for name in made.outputs if name in made.distortions][:_MOST_OUTPUTS]
     shares = {name: made.distortions[name].shares for name in outputs}
-    told = [f"{name} {percent(s['even'])} even and {percent(s['odd'])} odd" for name, s in shares.items()]
-    sentence = f"Nonlinear distortion, as part of the response: {', '.join(told)}"
+    parts = [f"{name} {percent(s['even'])} even and {percent(s['odd'])} odd" for name, s in shares.items()]
+    sentence = f"Nonlinear distortion, as part of the response: {', '.join(parts)}"
     figure, rows = sheet([1.9] * len(outputs), top=top(sentence))
     for name, axes in zip(outputs, rows, strict=True):
         each, unit = made.distortions[name], measured.channels[f"output {name}"].unit

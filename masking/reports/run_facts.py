@@ -344,17 +344,17 @@ def _use(recording: Recording, name: str) -> InputUse:
 
 
 def _budget(recording: Recording) -> Budget | None:
-    told = _entry(recording.manifest, "budget")
-    if not told:
+    budget = _entry(recording.manifest, "budget")
+    if not budget:
         return None
-    rows = tuple(_budget_row(row) for row in told["rows"])
-    return Budget(str(told["sentence"]), _budget_row(told), rows, _budget_row(told["without_all"]))
+    rows = tuple(_budget_row(row) for row in budget["rows"])
+    return Budget(str(budget["sentence"]), _budget_row(budget), rows, _budget_row(budget["without_all"]))
 
 
-def _budget_row(told: Mapping[str, Any]) -> BudgetRow:
-    chi = {name: float(value) for name, value in told["chi"].items()}
-    words = [str(told.get(key, "")) for key in ("cause", "remedy", "note")]
-    return BudgetRow(words[0], tuple(told.get("effects", ())), chi, float(told["rms"]), *words[1:])
+def _budget_row(row: Mapping[str, Any]) -> BudgetRow:
+    chi = {name: float(value) for name, value in row["chi"].items()}
+    words = [str(row.get(key, "")) for key in ("cause", "remedy", "note")]
+    return BudgetRow(words[0], tuple(row.get("effects", ())), chi, float(row["rms"]), *words[1:])
 
 
 def _parameter(manifest: Mapping[str, Any], name: str, entry: Any) -> Parameter:  # noqa: ANN401  # JSON

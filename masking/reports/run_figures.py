@@ -35,7 +35,7 @@ from masking.reports.style import (
     with_unit,
 )
 
-_ENVELOPE_PERIODS = 60  # from this many periods on single ones cannot be told apart
+_ENVELOPE_PERIODS = 60  # from this many periods on single ones cannot be distinguished apart
 _ZOOM_PERIODS = 6
 _BAR, _WORDS, _VALUES = 0.27, 1.75, 0.98  # inches: height of a bar, room for words beside it and for its value
 _WORSE = 1.02  # of chi: from here on a run is marked as worse

@@ -57,7 +57,7 @@ def page(facts: Study, figures: Sequence[CaptionedFigure], folder: Path) -> str:
         notes.append("Parameters. Not shown: the record does not carry those of a virtual system.")
     written = [*(f"{one.name}.png" for one in figures if one.figure is not None), PAGE]
     is_scaled = any(parameter.scaled is not None for parameter in found)
-    told = facts.recording.manifest.get("declarations")
+    declarations = facts.recording.manifest.get("declarations")
     return html.render(
         "run",
         names={*facts.coordinates, *(use.name for use in facts.inputs)},
@@ -76,7 +76,7 @@ def page(facts: Study, figures: Sequence[CaptionedFigure], folder: Path) -> str:
         is_scaled=is_scaled,
         remarks=notes,
         origin=_provenance(facts, written, folder),
-        declarations=json.dumps(told, indent=2, ensure_ascii=False, default=str) if told else "",
+        declarations=json.dumps(declarations, indent=2, ensure_ascii=False, default=str) if declarations else "",
     )
 
 

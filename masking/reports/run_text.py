@@ -17,7 +17,7 @@ _SUMMARY_LINES, _WIDTH = 14, 100
 _TRUE, _ROUGH = 0.01, 0.3  # chi up to which the rig moved as, or roughly as, the virtual system
 _OWNED = frozenset({"the", "a", "an", "my", "our", "your", "his", "her", "its", "their", "this", "that"})
 _AWAY = 0.02  # of the largest initial coordinate: what homing may leave
-_MUCH = 1.1  # times its limit: from here on an input is told in multiples, below in percent
+_MUCH = 1.1  # times its limit: from here on an input is stated in multiples, below in percent
 _NEAR = 0.1  # of pi: how near to 0 or pi counts as in-phase or anti-phase
 _WITH_MODEL = frozenset({"kalman", "disturbance"})  # observers that predict what is late
 _NO_PHASE = "no fixed phase"
@@ -45,8 +45,8 @@ def warnings(recording: Recording, uses: Iterable[InputUse], chi: Mapping[str, f
 
 def missed(manifest: Mapping[str, Any]) -> str:
     """Say where homing left the rig, if that is not where it should begin; nothing where it is."""
-    told = manifest.get("start") or {}
-    wanted, reached = told.get("wanted") or {}, told.get("reached") or {}
+    start = manifest.get("start") or {}
+    wanted, reached = start.get("wanted") or {}, start.get("reached") or {}
     size = max((abs(value) for value in wanted.values()), default=0.0)
     short = [name for name, value in wanted.items() if abs(reached.get(name, value) - value) > _AWAY * size]
     if not short:
@@ -60,18 +60,18 @@ def missed(manifest: Mapping[str, Any]) -> str:
 
 def exceeded(uses: Iterable[InputUse]) -> str:
     """Say which inputs went beyond their limits; nothing where none did."""
-    told = []
+    sentences = []
     for use in uses:
         if use.is_exceeded and use.used is not None:
             peak, limit = (with_unit(value, use.unit) for value in (use.peak, use.limit or 0.0))
             over = f"{number(use.used)} times" if use.used >= _MUCH else f"{percent(use.used - 1)} above"
-            told.append(f"{use.name} needs {peak}, {over} its limit of {limit}")
-    return f"Not possible on this rig: {'; '.join(told)}." if told else ""
+            sentences.append(f"{use.name} needs {peak}, {over} its limit of {limit}")
+    return f"Not possible on this rig: {'; '.join(sentences)}." if sentences else ""
 
 
 def cut(uses: Iterable[InputUse]) -> str:
     """Say which inputs were held back by a limit, for how long; nothing where all that was demanded was applied."""
-    told = []
+    sentences = []
     for use in uses:
         if not use.is_cut:
             continue
@@ -81,24 +81,24 @@ def cut(uses: Iterable[InputUse]) -> str:
             parts.append(f"held back by its mean power{power} for {percent(use.throttled)} of the run")
         limit = with_unit(use.limit or 0.0, use.unit)
         demand = f"{percent(use.demand / use.limit)} of {limit}" if use.limit else f"{number(use.demand)} {use.unit}"
-        told.append(f"{use.name} was {' and '.join(parts)}: demanded up to {demand.rstrip()}")
-    return f"{'; '.join(told)}; the rig could not follow there." if told else ""
+        sentences.append(f"{use.name} was {' and '.join(parts)}: demanded up to {demand.rstrip()}")
+    return f"{'; '.join(sentences)}; the rig could not follow there." if sentences else ""
 
 
 def observer(facts: Study) -> str:
     """Say how the controller knew the rig's state, "" where it knew the true one."""
-    told = facts.recording.manifest.get("observer") or {}
-    kind = str(told.get("kind") or "")
+    entry = facts.recording.manifest.get("observer") or {}
+    kind = str(entry.get("kind") or "")
     if not kind or kind == "exact":
         return ""
-    delay = int(told.get("delay") or 0)
+    delay = int(entry.get("delay") or 0)
     late = f"{delay} sample{'s' * (delay != 1)} of delay" if delay else "no delay"
     if kind not in _WITH_MODEL:
         return f"{kind} of the positions, {late}{' not predicted' * bool(delay)}"
     words = f"{'Kalman filter' if kind == 'kalman' else f'{kind} observer'}"
-    if told.get("order"):
-        words += f", order {told['order']}"
-    speeds = (told.get("bandwidth") or {}).values()
+    if entry.get("order"):
+        words += f", order {entry['order']}"
+    speeds = (entry.get("bandwidth") or {}).values()
     if speeds:
         words += f", bandwidth {'/'.join(number(speed) for speed in speeds)} rad/s"
     return f"{words}, {late}{' predicted' * bool(delay)}"
@@ -150,15 +150,15 @@ def headline(facts: Study) -> list[str]:
 
 def ended(manifest: Mapping[str, Any]) -> str:
     """Say what ended a run before its duration, or that what was to end it did not; nothing where nothing was to."""
-    told = manifest.get("stop") or {}
-    if not told:
+    stop = manifest.get("stop") or {}
+    if not stop:
         return ""
-    what = f"{' and '.join(told['of'])} were {'in ' * (told['phase'] == 'anti')}{told['phase']}-phase"
-    eps = f"to {percent(told['eps'])} of the amplitude"
-    if told["met"]:
-        whole = number(told["duration"], 4)
-        return f"The run ended after {number(told['at'], 4)} of {whole} units of time, when {what} {eps}."
-    return f"The run was not ended early: {what} {eps} for {number(told['periods_needed'])} periods at no time."
+    what = f"{' and '.join(stop['of'])} were {'in ' * (stop['phase'] == 'anti')}{stop['phase']}-phase"
+    eps = f"to {percent(stop['eps'])} of the amplitude"
+    if stop["met"]:
+        whole = number(stop["duration"], 4)
+        return f"The run ended after {number(stop['at'], 4)} of {whole} units of time, when {what} {eps}."
+    return f"The run was not ended early: {what} {eps} for {number(stop['periods_needed'])} periods at no time."
 
 
 def regulation(manifest: Mapping[str, Any]) -> str:
@@ -182,8 +182,8 @@ def _phase_sentence(pair: PhasePair) -> str:
     if start == end:
         return f"{who} stayed {'in ' * (end == 'anti-phase')}{end} (from {pi(pair.start)} to {pi(pair.end)})."
     where = {"in-phase", "anti-phase"}
-    told = [s if s not in where else f"{s} ({pi(p)})" for s, p in ((start, pair.start), (end, pair.end))]
-    return f"{who} went from {told[0]} to {told[1]}."
+    ends = [s if s not in where else f"{s} ({pi(p)})" for s, p in ((start, pair.start), (end, pair.end))]
+    return f"{who} went from {ends[0]} to {ends[1]}."
 
 
 def _since(facts: Study) -> str:
@@ -275,9 +275,9 @@ def record_words(facts: Study) -> str:
 
 def ticks(manifest: Mapping[str, Any]) -> str:
     """Say how well a run on a plant kept its time, and what its motion is known from."""
-    told = manifest["rig"]
-    counts = told.get("counters") or {}
-    parts = [f"{told.get('end')}"]
+    rig = manifest["rig"]
+    counts = rig.get("counters") or {}
+    parts = [f"{rig.get('end')}"]
     parts += [f"{counts[name]} samples {name}" for name in ("late", "missed", "clamped") if counts.get(name)]
     if len(parts) == 1:
         parts.append("every sample in time")
