@@ -98,7 +98,7 @@ class Kalman:
     """State of a model, and with an order also its unknown acceleration, corrected by the readings.
 
     Args:
-        order: how the unknown acceleration (the disturbance) continues: 0 if there is none, 1 as a constant, 2 as a line.
+        order: how the unknown acceleration (the disturbance) continues: 0 for none, 1 as a constant, 2 as a line.
         bandwidth: rad/s, one or one for each coordinate; chosen by the rule of `bandwidths` where it is None.
 
     Raises:
