@@ -97,7 +97,8 @@ class Budget:
 
         def entry(row: Row) -> dict[str, Any]:
             change = 0.0 if row.rms == whole.rms else row.rms - whole.rms  # both may be infinite
-            return {**asdict(row), "worst": row.worst, "rms": row.rms, "change": change}
+            facts = {**asdict(row), "effects": [*row.effects]}
+            return {**facts, "worst": row.worst, "rms": row.rms, "change": change}
 
         return {
             "sentence": self.sentence,
