@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from masking.declaration.quantities import percent
 from masking.errors import RecordError
 from masking.records.recording import Recording
-from masking.reports import run_figures
+from masking.reports import run_figures, style
 from masking.reports.run_facts import parameters, study
 from masking.reports.run_report import limits_used, report, summary, warnings
 
@@ -499,7 +499,7 @@ def test_a_logarithmic_axis_holds_two_powers_of_ten(exponent, decades):
 
 @pytest.mark.parametrize("peak", [1.1, 0.0999, 3.0, 1e-9, 2.4e17, 5e-324])
 def test_a_constant_peak_has_two_labels(peak):
-    _, (axes,) = run_figures.sheet([2.0])
+    _, (axes,) = style.sheet([2.0])
     run_figures._log_peaks(axes, np.arange(30.0), np.full(30, peak), run_figures.INK)
     axes.figure.canvas.draw()
     low, high = axes.get_ylim()
@@ -649,13 +649,13 @@ def test_the_summary_loads_no_drawing_and_the_report_no_pyplot(tmp_path):
 @given(st.integers(1, 4000), st.integers(1, 60), st.integers(0, 2**32 - 1))
 def test_fewer_points_keep_ends_and_extremes(samples, bins, seed):
     tau, values = np.arange(float(samples)), np.random.default_rng(seed).standard_normal(samples)
-    thin_tau, thin_values = run_figures.thin(tau, values, bins)
+    thin_tau, thin_values = style.thin(tau, values, bins)
     assert thin_values.min() == values.min()
     assert thin_values.max() == values.max()
     assert (thin_tau[0], thin_tau[-1]) == (tau[0], tau[-1])
     assert np.all(np.diff(thin_tau) > 0)
     assert len(thin_tau) <= max(4 * bins, 3 * bins + 2)
-    middle, low, high = run_figures.envelope(tau, values, bins)
+    middle, low, high = style.envelope(tau, values, bins)
     assert len(middle) <= bins
     assert (low.min(), high.max()) == (values.min(), values.max())
     assert np.all(low <= high)
@@ -666,7 +666,7 @@ def test_fewer_points_keep_ends_and_extremes(samples, bins, seed):
     [("x1", "$x_{1}$"), ("theta2", r"$\theta_{2}$"), ("u", "$u$"), ("th1", r"$\mathit{th}_{1}$"), ("a$b", r"a\$b")],
 )
 def test_symbols(name, typeset):
-    assert run_figures.symbol(name) == typeset
+    assert style.symbol(name) == typeset
 
 
 def test_percentages():

@@ -7,7 +7,7 @@ import json
 import sys
 from dataclasses import asdict
 
-from masking.cli.options import Verb, add_json
+from masking.cli.options import Verb, add_json, answer
 from masking.declaration import catalogue
 
 
@@ -17,6 +17,7 @@ def say_compiling() -> None:
 
 
 def _list(chosen: argparse.Namespace) -> int:
+    """List the packaged models, plants, experiments and dictionaries of effects."""
     entries = catalogue.catalogue()
     if chosen.json:
         print(json.dumps([asdict(entry) for entry in entries], indent=2))
@@ -37,11 +38,11 @@ def _add_show(sub: argparse.ArgumentParser) -> None:
 
 
 def _show(chosen: argparse.Namespace) -> int:
+    """Show a model, a plant, an experiment or physical effects."""
     from masking.workflows.describe import show
 
     description = show(chosen.name, chosen.kind)
-    print(description.to_json() if chosen.json else description)
-    return 0
+    return answer(chosen.json, f"{description.to_json()}\n", description)
 
 
 def _add_check(sub: argparse.ArgumentParser) -> None:
@@ -51,6 +52,7 @@ def _add_check(sub: argparse.ArgumentParser) -> None:
 
 
 def _check(chosen: argparse.Namespace) -> int:
+    """Check declarations: each problem with its place, and whether an experiment fits its rig."""
     from masking.workflows.check import check
 
     results = check(*chosen.files, compiling=say_compiling)
@@ -82,6 +84,7 @@ def _add_schema(sub: argparse.ArgumentParser) -> None:
 
 
 def _schema(chosen: argparse.Namespace) -> int:
+    """Print the JSON Schema of a kind of declaration, for editors."""
     from masking.declaration.json_schema import json_schema
 
     print(json.dumps(json_schema(chosen.kind), indent=2))
@@ -89,13 +92,8 @@ def _schema(chosen: argparse.Namespace) -> int:
 
 
 VERBS = (
-    Verb("list", "list the packaged models, plants, experiments and dictionaries of effects", add_json, _list),
-    Verb("show", "show a model, a plant, an experiment or physical effects", _add_show, _show),
-    Verb(
-        "check",
-        "check declarations: each problem with its place, and whether an experiment fits its rig",
-        _add_check,
-        _check,
-    ),
-    Verb("schema", "print the JSON Schema of a kind of declaration, for editors", _add_schema, _schema),
+    Verb("list", add_json, _list),
+    Verb("show", _add_show, _show),
+    Verb("check", _add_check, _check),
+    Verb("schema", _add_schema, _schema),
 )

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from masking.cli.options import RECORD, Verb, add_json, add_of_tables, names
-from masking.cli.progress import Bar, raise_interrupts
+from masking.cli.options import NAMED, RECORD, Verb, add_json, add_of_tables, add_out, answer, prepare, settings_of_fit
+from masking.cli.progress import Bar
 from masking.workflows.choices import TOLERANCE
-
-NUMBERS = "discovery.json"
 
 
 def _add_discover(sub: argparse.ArgumentParser) -> None:
@@ -20,16 +17,16 @@ def _add_discover(sub: argparse.ArgumentParser) -> None:
     text = "its sensors and actuators (default: the outputs or coordinates of the model, and its inputs)"
     sub.add_argument("--plant", metavar="PLANT", help=text)
     _add_settings(sub)
-    sub.add_argument("--out", metavar="DIR", help="where to save (default: results/discovered)")
+    add_out(sub, "results/discovered")
     add_json(sub, after="RECORD")
 
 
 def _add_refine(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("experiment", metavar="EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
+    sub.add_argument("experiment", metavar="EXPERIMENT", help=NAMED)
     sub.add_argument("--record", metavar="RECORD", required=True, help=f"of its plant: {RECORD}")
     sub.add_argument("--plant", metavar="PLANT", help="run on another plant: a name or a YAML file")
     _add_settings(sub)
-    sub.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT_refined)")
+    add_out(sub, "results/EXPERIMENT_refined")
     add_json(sub, after="EXPERIMENT")
 
 
@@ -53,74 +50,34 @@ def _add_settings(sub: argparse.ArgumentParser) -> None:
 
 def _settings(chosen: argparse.Namespace) -> dict[str, Any]:
     """Return the fields of `DiscoverySettings`, and the plant."""
-    from masking.records import readers
-
-    return {
-        "plant": chosen.plant,
-        "validation": chosen.validate,
-        "parameters": names(chosen.parameters),
-        "tolerance": chosen.tolerance,
-        "shooting_interval": chosen.shooting_interval,
-        "hold": chosen.hold,
-        "columns": readers.mapping(chosen.map),
-        "dt": chosen.dt,
-        "effects": chosen.effects,
-    }
+    return {**settings_of_fit(chosen), "tolerance": chosen.tolerance, "effects": chosen.effects}
 
 
 def _discover(chosen: argparse.Namespace) -> int:
+    """Find the physical effect that the model of a rig lacks, from a record, and add it."""
     from masking.reports import discovery_files, discovery_page
     from masking.workflows.discover import discover
 
     out = Path(chosen.out or "results/discovered")
-    _prepare(chosen)
+    prepare(chosen.json, out)
     with Bar("reading the record") as bar:
         found = discover(chosen.record, model=chosen.model, out=out, tell=bar.tell, **_settings(chosen))
-    return _print(chosen.json, out / NUMBERS, lambda: discovery_page.summary(found, discovery_files.paths(found, out)))
+    summary = discovery_page.summary(found, discovery_files.paths(found, out))
+    return answer(chosen.json, (out / discovery_files.NUMBERS).read_text(encoding="utf-8"), summary)
 
 
 def _refine(chosen: argparse.Namespace) -> int:
+    """Find what the controller's model of an experiment lacks, and run it without and with that."""
     from masking.workflows.refine import refine
 
     out = Path(chosen.out or f"results/{Path(chosen.experiment).stem}_refined")
-    _prepare(chosen)
+    prepare(chosen.json, out)
     with Bar("reading the record") as bar:
         found = refine(chosen.experiment, record=chosen.record, out=out, tell=bar.tell, **_settings(chosen))
-    return _print(chosen.json, out / "refine.json", lambda: str(found))
-
-
-def _prepare(chosen: argparse.Namespace) -> None:
-    """Refuse a file for JSON that cannot be written, before any work, and let signals interrupt."""
-    from masking.workflows.outputs import check_folder
-
-    if chosen.json and chosen.json is not True:
-        check_folder(Path(chosen.json).parent)
-    raise_interrupts()
-
-
-def _print(wanted: str | bool, numbers: Path, summary: Callable[[], str]) -> int:
-    """Print the numbers that were written as JSON, or a summary; write them to a further file if one is named."""
-    content = numbers.read_text(encoding="utf-8")
-    if wanted is True:
-        print(content, end="")
-        return 0
-    if wanted:
-        Path(wanted).write_text(content, encoding="utf-8")
-    print(summary())
-    return 0
+    return answer(chosen.json, (out / "refine.json").read_text(encoding="utf-8"), found)
 
 
 VERBS = (
-    Verb(
-        "discover",
-        "find the physical effect that the model of a rig lacks, from a record, and add it",
-        _add_discover,
-        _discover,
-    ),
-    Verb(
-        "refine",
-        "find what the controller's model of an experiment lacks, and run it without and with that",
-        _add_refine,
-        _refine,
-    ),
+    Verb("discover", _add_discover, _discover),
+    Verb("refine", _add_refine, _refine),
 )

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from masking.cli.options import RECORD, Verb, add_json, add_of_tables, add_verb, names
+from masking.cli.options import RECORD, Verb, add_json, add_of_tables, add_out, add_verb, answer, names, settings_of_fit
 from masking.cli.progress import Bar
 from masking.workflows.choices import METHODS
 
@@ -30,39 +29,28 @@ def _add_identify(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--square-root", action="store_true", help="of the filter: carry a root of the covariance")
     sub.add_argument("--iterated", metavar="N", type=int, default=1, help="of the filter: linearise N times")
     add_of_tables(sub)
-    sub.add_argument("--out", metavar="DIR", help="where to save (default: results/identified)")
+    add_out(sub, "results/identified")
 
 
 def _identify(chosen: argparse.Namespace) -> int:
-    from masking.records import readers
+    """Fit parameters of a plant to recordings of it."""
     from masking.workflows.identify import identify
 
     out = Path(chosen.out or "results/identified")
     with Bar("fitting") as bar:
         found = identify(
             *chosen.records,
-            plant=chosen.plant,
             model=chosen.model,
-            parameters=names(chosen.parameters),
-            validation=chosen.validate,
-            shooting_interval=chosen.shooting_interval,
             method=chosen.method,
             square_root=chosen.square_root,
             iterated=chosen.iterated,
-            hold=chosen.hold,
-            columns=readers.mapping(chosen.map),
-            dt=chosen.dt,
             out=out,
             progress=bar,
+            **settings_of_fit(chosen),
         )
-    if chosen.json:
-        files = {"model": str(out / "model.yaml"), "plant": str(out / "plant.yaml"), "page": str(out / "fit.html")}
-        print(json.dumps({**found.as_dict(), **files}, indent=2))
-    else:
-        print(found)
-        print(f"written: {out / 'model.yaml'}, {out / 'plant.yaml'}")
-        print(f"page: {out / 'fit.html'}")
-    return 0
+    files = {"model": str(out / "model.yaml"), "plant": str(out / "plant.yaml"), "page": str(out / "fit.html")}
+    text = f"{found}\nwritten: {files['model']}, {files['plant']}\npage: {files['page']}"
+    return answer(chosen.json, {**found.as_dict(), **files}, text)
 
 
 _ONE: dict[str, Option] = {
@@ -110,9 +98,10 @@ _PROCEDURES: dict[str, tuple[str, dict[str, Option]]] = {
 
 
 def _add_measure(sub: argparse.ArgumentParser) -> None:
+    """Do one procedure of the identification on a record made for it."""
     procedures = sub.add_subparsers(title="procedures", metavar="PROCEDURE", required=True)
     for name, (text, options) in _PROCEDURES.items():
-        add_verb(procedures, Verb(name, text, partial(_add_procedure, name, options), _measure))
+        add_verb(procedures, Verb(name, partial(_add_procedure, name, options), _measure, text))
 
 
 def _add_procedure(name: str, options: dict[str, Option], sub: argparse.ArgumentParser) -> None:
@@ -123,7 +112,7 @@ def _add_procedure(name: str, options: dict[str, Option], sub: argparse.Argument
     for option, (metavar, kind, words) in options.items():
         flag = {"inputs": "--input", "sensors": "--sensor"}.get(option, f"--{option.replace('_', '-')}")
         sub.add_argument(flag, dest=option, metavar=metavar, type=kind, help=words)
-    sub.add_argument("--out", metavar="DIR", help=f"where to save (default: results/{name})")
+    add_out(sub, f"results/{name}")
     add_json(sub)
     sub.set_defaults(procedure=name, settings=[*options])
 
@@ -135,17 +124,14 @@ def _measure(chosen: argparse.Namespace) -> int:
     given = {name: value for name in chosen.settings if (value := getattr(chosen, name)) is not None}
     found = measure(chosen.procedure, *chosen.records, plant=chosen.plant, out=out, **given)
     page = out / f"{chosen.procedure}.html"
-    if chosen.json:
-        content = found.as_dict()
-        del content["series"]  # which the file has
-        print(json.dumps({**content, "page": str(page), "numbers": str(page.with_suffix(".json"))}, indent=2))
-    else:
-        print("\n".join([found.sentence, *(f"note: {note}" for note in found.notes)]))
-        print(f"page: {page}")
-    return 0
+    content = {**found.as_dict(), "page": str(page), "numbers": str(page.with_suffix(".json"))}
+    del content["series"]  # which the file has
+    return answer(
+        chosen.json, content, "\n".join([found.sentence, *(f"note: {n}" for n in found.notes), f"page: {page}"])
+    )
 
 
 VERBS = (
-    Verb("identify", "fit parameters of a plant to recordings of it", _add_identify, _identify),
-    Verb("measure", "do one procedure of the identification on a record made for it", _add_measure),
+    Verb("identify", _add_identify, _identify),
+    Verb("measure", _add_measure),
 )

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+from masking.cli.progress import raise_interrupts
 from masking.workflows.choices import HOLDS
 
 RECORD = "folder of a recording, or a parquet, csv, mat or h5 file; FILE@10:20 is its part from 10 s to 20 s"
+NAMED = "a YAML file, or a name that 'masking list' shows"
 
 
 @dataclass(frozen=True)
@@ -17,23 +22,31 @@ class Verb:
 
     Args:
         name: as it is typed.
-        text: its help.
         add: adds its options to its parser, or the verbs of a group; called if the verb is asked for, since it may load
             packages.
         act: does it, and returns the exit status; None for a group.
+        text: its help; by default the docstring of `act`, or of `add` for a group.
     """
 
     name: str
-    text: str
     add: Callable[[argparse.ArgumentParser], None]
     act: Callable[[argparse.Namespace], int] | None = None
+    text: str = ""
 
 
 def add_verb(
     found: argparse._SubParsersAction[argparse.ArgumentParser], verb: Verb, *, is_asked_for: bool = True
 ) -> None:
-    """Add a verb to a parser, with its options if it is asked for."""
-    sub = found.add_parser(verb.name, help=verb.text, description=f"{verb.text[0].upper()}{verb.text[1:]}.")
+    """Add a verb to a parser, with its options if it is asked for.
+
+    Args:
+        found: verbs of the parser.
+        verb: to add.
+        is_asked_for: whether the command line names it.
+    """
+    text = (verb.text or (verb.act or verb.add).__doc__ or verb.name).removesuffix(".")
+    first, more = text[0], text[1:]
+    sub = found.add_parser(verb.name, help=f"{first.lower()}{more}", description=f"{first.upper()}{more}.")
     if is_asked_for:
         verb.add(sub)
         if verb.act is not None:
@@ -49,6 +62,39 @@ def add_json(sub: argparse.ArgumentParser, *, after: str = "") -> None:
         sub.add_argument("--json", action="store_true", help="print JSON")
 
 
+def add_out(sub: argparse.ArgumentParser, default: str) -> None:
+    """Add `--out`, with what its help says of the default."""
+    sub.add_argument("--out", metavar="DIR", help=f"where to save (default: {default})")
+
+
+def answer(wanted: bool | str, content: object, text: object) -> int:
+    """Print what a verb found, and return the exit status 0.
+
+    Args:
+        wanted: value of `--json`: whether to print JSON in place of the text, or the file that it is written to.
+        content: as JSON can hold it, or JSON already.
+        text: for people.
+    """
+    numbers = content if isinstance(content, str) else f"{json.dumps(content, indent=2)}\n"
+    if wanted is True:
+        print(numbers, end="")
+        return 0
+    if wanted:
+        Path(wanted).write_text(numbers, encoding="utf-8")
+    print(text)
+    return 0
+
+
+def prepare(wanted: bool | str, out: Path) -> None:
+    """Refuse folders that cannot be written, of results and of JSON, before any work; let signals interrupt."""
+    from masking.workflows.outputs import check_folder
+
+    check_folder(out)
+    if isinstance(wanted, str):
+        check_folder(Path(wanted).parent)
+    raise_interrupts()
+
+
 def add_of_tables(sub: argparse.ArgumentParser) -> None:
     """Add the options of records that other programs wrote, and of the inputs between their samples."""
     text = (
@@ -59,6 +105,21 @@ def add_of_tables(sub: argparse.ArgumentParser) -> None:
     text = "rename columns: NAME=COLUMN, with commas; in groups of an HDF5 file V1=GROUP/COLUMN"
     sub.add_argument("--map", metavar="t=time,V1=u", default="", help=text)
     sub.add_argument("--dt", metavar="SECONDS", type=float, help="time between samples, for a record without a clock")
+
+
+def settings_of_fit(chosen: argparse.Namespace) -> dict[str, Any]:
+    """Return the settings that verbs that fit to records have in common."""
+    from masking.records import readers
+
+    return {
+        "plant": chosen.plant,
+        "validation": chosen.validate,
+        "parameters": names(chosen.parameters),
+        "shooting_interval": chosen.shooting_interval,
+        "hold": chosen.hold,
+        "columns": readers.mapping(chosen.map),
+        "dt": chosen.dt,
+    }
 
 
 def names(text: str) -> tuple[str, ...]:

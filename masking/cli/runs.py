@@ -8,17 +8,17 @@ import sys
 from pathlib import Path
 
 from masking.cli.declarations import say_compiling
-from masking.cli.options import Verb, add_json
+from masking.cli.options import NAMED, Verb, add_json, add_out, answer
 from masking.cli.progress import Bar, raise_interrupts
 from masking.errors import DeclarationError, MaskingError, Problem
 
 
 def _add_run(sub: argparse.ArgumentParser) -> None:
     add_json(sub)
-    sub.add_argument("experiment", metavar="EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
+    sub.add_argument("experiment", metavar="EXPERIMENT", help=NAMED)
     sub.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="change a virtual parameter")
     sub.add_argument("--plant", metavar="PLANT", help="run on another plant: a name or a YAML file")
-    sub.add_argument("--out", metavar="DIR", help="where to save (default: results/EXPERIMENT)")
+    add_out(sub, "results/EXPERIMENT")
     sub.add_argument(
         "--budget",
         action=argparse.BooleanOptionalAction,
@@ -33,6 +33,7 @@ def _add_report(sub: argparse.ArgumentParser) -> None:
 
 
 def _run(chosen: argparse.Namespace) -> int:
+    """Run an experiment, save its recording and write its report."""
     from masking.reports import run_report
     from masking.runs import error_budget
     from masking.runs.experiment import Experiment
@@ -55,19 +56,15 @@ def _run(chosen: argparse.Namespace) -> int:
         raise
     recording.save(out)
     written = run_report.report(recording, out)
-    if chosen.json:
-        content = {
-            "masking_error": recording.manifest["masking_error"],
-            "limits_used": run_report.limits_used(recording),
-            "warnings": run_report.warnings(recording),
-            "recording": str(out),
-            "report": str(written.path),
-        }
-        print(json.dumps(content, indent=2))
-    else:
-        print(written.summary)
-        print(f"report: {written.path}" + (f" (replaces the run of {before})" if before else ""))
-    return 0
+    content = {
+        "masking_error": recording.manifest["masking_error"],
+        "limits_used": run_report.limits_used(recording),
+        "warnings": run_report.warnings(recording),
+        "recording": str(out),
+        "report": str(written.path),
+    }
+    replaced = f" (replaces the run of {before})" if before else ""
+    return answer(chosen.json, content, f"{written.summary}\nreport: {written.path}{replaced}")
 
 
 def _created(folder: Path) -> str | None:
@@ -79,15 +76,12 @@ def _created(folder: Path) -> str | None:
 
 
 def _report(chosen: argparse.Namespace) -> int:
+    """Write the report of a recording."""
     from masking.workflows.run import report
 
     written = report(chosen.record, chosen.out)
-    if chosen.json:
-        print(json.dumps({"report": str(written.path), "figures": [str(f) for f in written.figures]}, indent=2))
-    else:
-        print(written.summary)
-        print(f"report: {written.path}")
-    return 0
+    content = {"report": str(written.path), "figures": [str(f) for f in written.figures]}
+    return answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 
 
 def _change(text: str) -> tuple[str, float]:
@@ -103,6 +97,6 @@ def _change(text: str) -> tuple[str, float]:
 
 
 VERBS = (
-    Verb("run", "run an experiment, save its recording and write its report", _add_run, _run),
-    Verb("report", "write the report of a recording", _add_report, _report),
+    Verb("run", _add_run, _run),
+    Verb("report", _add_report, _report),
 )

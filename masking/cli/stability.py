@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
-from masking.cli.options import Verb, add_json
-from masking.cli.progress import Bar, raise_interrupts
+from masking.cli.options import NAMED, Verb, add_json, add_out, answer, prepare
+from masking.cli.progress import Bar
 from masking.errors import DeclarationError, Problem
 from masking.workflows.choices import STUDIED
 
 
 def _add(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("name", metavar="MODEL_OR_EXPERIMENT", help="a YAML file, or a name that 'masking list' shows")
+    sub.add_argument("name", metavar="MODEL_OR_EXPERIMENT", help=NAMED)
     sub.add_argument("--kind", choices=STUDIED, help="which, if the name stands for both (default: the model)")
     sub.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="change a parameter of the system"
@@ -22,40 +21,24 @@ def _add(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--box", metavar="NAME=LOW:HIGH", action="append", default=[], help=text)
     text = "find the largest Lyapunov exponent of the motion from the initial state over this time: is it chaotic?"
     sub.add_argument("--exponent", metavar="TIME", type=float, help=text)
-    sub.add_argument("--out", metavar="DIR", help="where to save (default: results/NAME_stability)")
+    add_out(sub, "results/NAME_stability")
     add_json(sub, after="MODEL_OR_EXPERIMENT")
 
 
 def _stability(chosen: argparse.Namespace) -> int:
-    from masking.workflows.outputs import check_folder
+    """Find the equilibria and modes of a model or an experiment, and what its energy proves of all its motions."""
     from masking.workflows.stability import stability
 
     out = Path(chosen.out or f"results/{Path(chosen.name).stem}_stability")
-    check_folder(out)
-    if chosen.json and chosen.json is not True:
-        check_folder(Path(chosen.json).parent)
     changes = {name: numbers[0] for name, numbers in (_numbers("--set", text, 1) for text in chosen.set)}
     box = {name: (numbers[0], numbers[1]) for name, numbers in (_numbers("--box", text, 2) for text in chosen.box)}
-    raise_interrupts()
+    prepare(chosen.json, out)
     with Bar("deriving") as bar:
         found = stability(
-            chosen.name,
-            kind=chosen.kind,
-            changes=changes,
-            box=box,
-            exponent=chosen.exponent,
-            out=out,
-            tell=bar.tell,
+            chosen.name, kind=chosen.kind, changes=changes, box=box, exponent=chosen.exponent, out=out, tell=bar.tell
         )
-    content = json.dumps(found.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
-    if chosen.json is True:
-        print(content)
-        return 0
-    if chosen.json:
-        Path(chosen.json).write_text(content + "\n", encoding="utf-8")
-    print(found)
-    print(f"page: {out / 'stability.html'}")
-    return 0
+    numbers = (out / "stability.json").read_text(encoding="utf-8")
+    return answer(chosen.json, numbers, f"{found}\npage: {out / 'stability.html'}")
 
 
 def _numbers(option: str, text: str, count: int) -> tuple[str, list[float]]:
@@ -71,11 +54,4 @@ def _numbers(option: str, text: str, count: int) -> tuple[str, list[float]]:
     return name.strip(), numbers
 
 
-VERBS = (
-    Verb(
-        "stability",
-        "find the equilibria and modes of a model or an experiment, and what its energy proves of all its motions",
-        _add,
-        _stability,
-    ),
-)
+VERBS = (Verb("stability", _add, _stability),)

@@ -13,28 +13,11 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from masking.declaration.quantities import percent
+from masking.declaration.quantities import percent, quantity
 from masking.procedures.calibration_findings import HIGHEST, Calibration, Curve, Excited
-from masking.reports.figure_parts import DASHED, legend, line_key, logarithmic, note, spectral_density
-from masking.reports.style import (
-    BARE,
-    COLOURS,
-    GRID,
-    INK,
-    LIMIT,
-    MUTED,
-    NOTE,
-    RIGHT,
-    SIZE,
-    WIDTH,
-    CaptionedFigure,
-    Series,
-    panels,
-    sheet,
-    symbol,
-    thin,
-    with_unit,
-)
+from masking.reports import figure_parts as parts
+from masking.reports import style
+from masking.reports.style import COLOURS, DASHED, GRID, INK, LIMIT, MUTED, SIZE, CaptionedFigure
 from masking.reports.text import short
 
 _MOST_ROWS = len(COLOURS)
@@ -61,19 +44,19 @@ def _unseen(found: Calibration) -> CaptionedFigure:
     end = len(record) / record.rate
     part = t >= end - _SHOWN
     model = record.readings - found.residuals[best.name]
-    figure, rows = sheet([1.25] * len(names))
+    figure, rows = style.sheet([1.25] * len(names))
     for i, (name, axes) in enumerate(zip(names, rows, strict=True)):
-        axes.plot(*thin(t[part], record.readings[part, i]), color=COLOURS[i], lw=2.6, alpha=0.45)
-        axes.plot(*thin(t[part], model[part, i]), color=INK, lw=0.9, ls=DASHED)
+        axes.plot(*style.thin(t[part], record.readings[part, i]), color=COLOURS[i], lw=2.6, alpha=0.45)
+        axes.plot(*style.thin(t[part], model[part, i]), color=INK, lw=0.9, ls=DASHED)
         reach = 1.12 * float(np.abs(record.readings[part, i]).max())
         axes.set(xlim=(max(0.0, end - _SHOWN), end), ylim=(-reach, reach), ylabel=_reading(found, name))
-        note(axes, f"error {percent(best.fit.validation[name])}, noise alone {percent(found.unseen_floor[name])}")
+        parts.note(axes, f"error {percent(best.fit.validation[name])}, noise alone {percent(found.unseen_floor[name])}")
     rows[-1].set_xlabel("time (s)")
     handles = [
         Line2D([], [], color=MUTED, lw=2.6, alpha=0.6, label="measured"),
-        line_key("simulated, fitted to another record", INK, 0.9, dashed=True),
+        parts.line_key("simulated, fitted to another record", INK, 0.9, dashed=True),
     ]
-    legend(figure, None, handles)
+    parts.legend(figure, None, handles)
     span = f"the last {_SHOWN:g} s of {end:g} s" if end > _SHOWN else "all of it"
     caption = (
         f"The record that was not fitted, {span}, and its simulation. "
@@ -85,7 +68,7 @@ def _unseen(found: Calibration) -> CaptionedFigure:
 def _residuals(found: Calibration) -> CaptionedFigure:
     record, names = found.records.unseen, found.twin.sensors[:_MOST_ROWS]
     count = max(1, round(_WINDOW * record.rate))
-    figure, rows = sheet([1.45] * len(names), top=BARE)
+    figure, rows = style.sheet([1.45] * len(names), top=style.BARE)
     _narrow(rows)
     for i, (name, axes) in enumerate(zip(names, rows, strict=True)):
         noise = record.noise[i]
@@ -93,14 +76,14 @@ def _residuals(found: Calibration) -> CaptionedFigure:
         for colour, (stage, left) in zip(COLOURS, found.residuals.items(), strict=False):
             rms = _running_rms(left[:, i], count)
             t = np.linspace(0.5 * count, 0.5 * count + len(rms) - 1.0, len(rms)) / record.rate
-            axes.plot(*thin(t, rms), color=colour, lw=1.4)
+            axes.plot(*style.thin(t, rms), color=colour, lw=1.4)
             ends.append((float(np.sqrt((left[:, i] ** 2).mean())), stage, colour))
             highest = max(highest, float(rms.max()))
-        logarithmic(axes, "y", 6)
+        parts.logarithmic(axes, "y", 6)
         axes.set_ylim(_FLOOR * noise, 1.6 * highest)
         axes.axhspan(_FLOOR * noise, noise, color=_NOISE, lw=0, zorder=0)
         axes.set(xlim=(0.0, len(record) / record.rate), ylabel=f"rms residual of {_reading(found, name)}")
-        _beside(axes, [*ends, (0.67 * noise, f"noise {_si(noise, _unit(found, name))}", MUTED)])
+        _beside(axes, [*ends, (0.67 * noise, f"noise {quantity(noise, _unit(found, name), 2)}", MUTED)])
     rows[-1].set_xlabel("time (s)")
     caption = (
         f"Residual of each model on the unseen record: the rms of measured less simulated over {_WINDOW:g} s. The grey "
@@ -112,28 +95,28 @@ def _residuals(found: Calibration) -> CaptionedFigure:
 
 def _spectra(found: Calibration) -> CaptionedFigure:
     record, names = found.records.unseen, found.twin.sensors[:_MOST_ROWS]
-    figure, rows = sheet([1.6] * len(names), top=NOTE)
+    figure, rows = style.sheet([1.6] * len(names), top=style.NOTE)
     _narrow(rows)
     for i, (name, axes) in enumerate(zip(names, rows, strict=True)):
         level = float(record.noise[i] * np.sqrt(2.0 / record.rate))
-        f, whole = spectral_density(record.readings[:, i], record.rate, 1, _BINS_PER_DECADE)
+        f, whole = parts.spectral_density(record.readings[:, i], record.rate, 1, _BINS_PER_DECADE)
         axes.plot(f, whole, color=MUTED, lw=1.0, alpha=0.75)
         highest = float(whole.max())
         ends = [(float(whole[np.searchsorted(f, HIGHEST) - 1]), "measured", MUTED)]
         for colour, (stage, left) in zip(COLOURS, found.residuals.items(), strict=False):
-            f, of = spectral_density(left[:, i], record.rate, 1, _BINS_PER_DECADE)
+            f, of = parts.spectral_density(left[:, i], record.rate, 1, _BINS_PER_DECADE)
             axes.plot(f, of, color=colour, lw=1.4)
             ends.append((float(np.sqrt((of[f <= HIGHEST] ** 2).mean())), stage, colour))
         axes.axvspan(f[0], HIGHEST, color=GRID, alpha=0.45, lw=0, zorder=0)
         axes.axhline(level, color=INK, lw=0.9, ls=DASHED, zorder=3)
-        logarithmic(axes, "x", 8)
-        logarithmic(axes, "y", 6)
+        parts.logarithmic(axes, "x", 8)
+        parts.logarithmic(axes, "y", 6)
         axes.set_ylim(0.3 * level, 2.0 * highest)
-        axes.set(xlim=(f[0], f[-1]), ylabel=f"{symbol(name)} ({_unit(found, name)}/√Hz)")
+        axes.set(xlim=(f[0], f[-1]), ylabel=f"{style.symbol(name)} ({_unit(found, name)}/√Hz)")
         _beside(axes, [*ends, (level, "white noise", INK)])
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
-    note(rows[0], f"excited up to {HIGHEST:g} Hz", side="left")
+    parts.note(rows[0], f"excited up to {HIGHEST:g} Hz", side="left")
     rows[-1].set_xlabel("frequency (Hz)")
     caption = (
         "Amplitude density of the unseen record (grey line) and of the residual of each model. The dashed line is the "
@@ -146,8 +129,8 @@ def _spectra(found: Calibration) -> CaptionedFigure:
 def _springs(found: Calibration) -> CaptionedFigure:
     curves, title = found.curves[:_MOST_ROWS], "Springs"
     if not curves:
-        return CaptionedFigure("springs", title, "Not shown: every spring of the best model is straight.", None)
-    figure, rows = panels(len(curves), 1.75, (3.35, 3.6))
+        return style.absent("springs", title, "every spring of the best model is straight")
+    figure, rows = style.panels(len(curves), 1.75, (3.35, 3.6))
     for colour, curve, (left, right) in zip(COLOURS, curves, rows, strict=False):
         by, x_unit = (_MILLI, "mm") if curve.measured == "m" else (1.0, curve.measured)
         x, unit = by * curve.displacement, curve.unit.replace("**2", "²")
@@ -161,19 +144,19 @@ def _springs(found: Calibration) -> CaptionedFigure:
             axes.plot(x, curve.linear - of, color=MUTED, lw=0.9)
             axes.set(xlim=(x[0], x[-1]))
         for axes in (left, right) if curve is curves[-1] else ():
-            axes.set_xlabel(with_unit("displacement", x_unit))
-        left.set_ylabel(f"{symbol(curve.element)} ({unit})")
+            axes.set_xlabel(style.with_unit("displacement", x_unit))
+        left.set_ylabel(f"{style.symbol(curve.element)} ({unit})")
         right.set_ylabel(f"less the line ({unit})")
         inside = (curve.displacement >= curve.low) & (curve.displacement <= curve.high)
         _range(right, curve, straight, inside)
-        note(left, curve.meaning, side="left")
+        parts.note(left, curve.meaning, side="left")
     handles: list[Line2D | Patch] = [
         Patch(color=MUTED, alpha=0.4, lw=0, label="fitted, with 95 % band"),
-        line_key("the plant file said", INK, 0.9, dashed=True),
-        line_key(found.stages[0].name, MUTED, 0.9),
+        parts.line_key("the plant file said", INK, 0.9, dashed=True),
+        parts.line_key(found.stages[0].name, MUTED, 0.9),
         Patch(color=GRID, alpha=0.6, lw=0, label="displacements in the record"),
     ]
-    legend(figure, None, handles)
+    parts.legend(figure, None, handles)
     caption = (
         "Force of each spring of the best model at rest, per moving mass, over its displacement: left the whole, right "
         "less the straight line of the simplest model. The band is twice the standard deviation that follows from the "
@@ -184,21 +167,23 @@ def _springs(found: Calibration) -> CaptionedFigure:
 
 def _excitation(found: Calibration) -> CaptionedFigure:
     shown = found.excited[:_MOST_ROWS]
-    figure, rows = panels(len(shown), 1.15, (4.4, 2.6), top=0.34)
+    figure, rows = style.panels(len(shown), 1.15, (4.4, 2.6), top=0.34)
     reach = 1.25 * max(each.peak for each in shown)
     for colour, each, (left, right) in zip(COLOURS, shown, rows, strict=False):
-        left.plot(*thin(each.times, each.values), color=colour, lw=0.8)
-        left.set(xlim=(0.0, each.times[-1]), ylim=(-reach, reach), ylabel=with_unit(symbol(each.name), each.unit))
+        left.plot(*style.thin(each.times, each.values), color=colour, lw=0.8)
+        left.set(
+            xlim=(0.0, each.times[-1]), ylim=(-reach, reach), ylabel=style.with_unit(style.symbol(each.name), each.unit)
+        )
         if each.limit < reach:
             for level in (-each.limit, each.limit):
                 left.axhline(level, color=LIMIT, lw=1.1, ls=(0, (6, 2)))
-        note(left, _use(each))
+        parts.note(left, _use(each))
         at = each.amplitudes > 1e-3 * each.amplitudes.max()
         right.vlines(each.frequencies[at], 0.0, _MILLI * each.amplitudes[at], color=colour, lw=1.6)
         right.set(xlim=(0.0, 1.08 * HIGHEST), ylabel=f"amplitude (m{each.unit})")
         right.yaxis.set_major_locator(MaxNLocator(3))
         right.set_ylim(0.0, 1.25 * _MILLI * float(each.amplitudes.max()))
-        note(right, f"{len(each.lines)} lines")
+        parts.note(right, f"{len(each.lines)} lines")
     for axes, label in zip(rows[-1], ("time (s)", "frequency (Hz)"), strict=True):
         axes.set_xlabel(label)
     caption = (
@@ -216,9 +201,9 @@ def _use(each: Excited) -> str:
     return f"peak {each.peak:.3g} {each.unit}, {part} of the limit; crest factor {each.peak / each.rms:.2f}"
 
 
-def _running_rms(values: Series, count: int) -> Series:
+def _running_rms(values: style.Series, count: int) -> style.Series:
     sums = np.concatenate([[0.0], np.cumsum(values**2)])
-    found: Series = np.sqrt((sums[count:] - sums[:-count]) / count)
+    found: style.Series = np.sqrt((sums[count:] - sums[:-count]) / count)
     return found
 
 
@@ -226,7 +211,7 @@ def _narrow(rows: Sequence[Axes]) -> None:
     """Leave room for words at the right."""
     for axes in rows:
         box = axes.get_position()
-        axes.set_position((box.x0, box.y0, box.width - (_WORDS - RIGHT) / WIDTH, box.height))
+        axes.set_position((box.x0, box.y0, box.width - (_WORDS - style.RIGHT) / style.WIDTH, box.height))
 
 
 def _beside(axes: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
@@ -252,7 +237,7 @@ def _beside(axes: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
                       fontsize=SIZE - 1.5, color=colour)  # fmt: skip
 
 
-def _range(axes: Axes, curve: Curve, straight: Series, inside: NDArray[np.bool_]) -> None:
+def _range(axes: Axes, curve: Curve, straight: style.Series, inside: NDArray[np.bool_]) -> None:
     """Set the range of y by the curves where the record has been."""
     drawn = np.concatenate([(c - straight)[inside] for c in (curve.force, curve.declared, curve.linear)])
     drawn = drawn[np.isfinite(drawn)]
@@ -265,13 +250,9 @@ def _unit(found: Calibration, sensor: str) -> str:
 
 
 def _reading(found: Calibration, sensor: str) -> str:
-    return with_unit(symbol(sensor), _unit(found, sensor))
+    return style.with_unit(style.symbol(sensor), _unit(found, sensor))
 
 
 def _meanings(found: Calibration, names: Sequence[str]) -> str:
     meanings = [f"{name}: {meaning}" for name in names if (meaning := found.twin.declaration.sensors[name].meaning)]
     return f"{'; '.join(meanings)}." if meanings else ""
-
-
-def _si(value: float, unit: str) -> str:
-    return f"{_MILLI * value:.2g} m{unit}" if value < 0.1 and unit.isalpha() else f"{value:.2g} {unit}"

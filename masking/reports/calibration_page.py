@@ -7,22 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.declaration.quantities import number, percent
 from masking.declaration.units import pretty
 from masking.procedures.calibration_findings import ALIKE, NAMES, PAGE, Calibration, Stage, reached
-from masking.reports import html
+from masking.reports import calibration_figures, html
 from masking.reports.html import Tile
 from masking.reports.text import capital, listed
-
-if TYPE_CHECKING:
-    from masking.reports import calibration_figures
-else:
-    calibration_figures = lazy.load("masking.reports.calibration_figures", suppress_warning=True)
 
 _LACKS = 1.5  # times the noise: an error from here on is reported as something that the model lacks
 _MISSED = 1e-4  # of the samples of a record, from which missed ones are reported
@@ -39,23 +33,23 @@ _AUTHOR = "Rijlaarsdam"
 _LIBRARIES = ("masking", "numpy", "scipy", "numba", "sympy")
 
 
-def write(found: Calibration) -> tuple[Path, ...]:
-    """Write the page and its figures into the calibration's folder; return their paths, the page first.
+def save(found: Calibration) -> None:
+    """Write the page and its figures into the calibration's folder.
 
     Raises:
         RecordError: the folder cannot be written.
     """
     figures = calibration_figures.figures(found)
-    images = html.images(figures, found.folder)
-    rows, differing, notes = _parameters(found), _differing(found), [*found.best.fit.notes, *_pairs(found)]
-    page = html.render(
+    rows = _parameters(found)
+    html.save(
+        found.folder / PAGE,
         "calibration",
+        figures,
         names={*found.twin.sensors, *found.twin.actuators, *found.best.fit.names, *found.twin.model.coordinates},
         title=f"Calibration: {found.twin.declaration.name}",
         sentence=sentence(found),
         cautions=_cautions(found),
         tiles=_tiles(found),
-        figures=figures,
         sensors=list(found.floor),
         errors=_errors(found),
         has_document=_has_document(found),
@@ -63,16 +57,14 @@ def write(found: Calibration) -> tuple[Path, ...]:
         excited=_excited(found),
         reached=_reached(found),
         parameters=rows,
-        differing=differing,
+        differing=_differing(found),
         far=f"{_FAR:g}",
         has_marks=any(row[3].endswith("*") for row in rows),
         lumped=_lumped(found),
-        parameter_notes=notes,
+        parameter_notes=[*found.best.fit.notes, *_pairs(found)],
         remarks=[f"{one.title}. {one.caption}" for one in figures if one.figure is None],
-        origin=_provenance(found, [PAGE, *(path.name for path in images)]),
+        origin=_provenance(found, [PAGE, *(f"{one.name}.png" for one in figures if one.figure is not None)]),
     )
-    html.write({**images, found.folder / PAGE: page})
-    return (found.folder / PAGE, *images)
 
 
 def sentence(found: Calibration) -> str:

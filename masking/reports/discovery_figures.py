@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.patches import Patch
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
 from masking.declaration.quantities import percent
 from masking.declaration.units import pretty
@@ -13,35 +14,10 @@ from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
 from masking.discovery.screening import Score
 from masking.discovery.verdict import noise_threshold
-from masking.reports import discovery_text, force_map
-from masking.reports.figure_parts import (
-    DASHED,
-    heading,
-    legend,
-    line_key,
-    logarithmic,
-    marker_key,
-    noise_band,
-    noise_level,
-    shown,
-    spectral_density,
-    ticks,
-    top,
-)
-from masking.reports.force_map import AFTER, BEFORE, CLOUD, MISSING, POINTS, scale
-from masking.reports.style import (
-    COLOURS,
-    GRID,
-    INK,
-    MUTED,
-    SIZE,
-    WIDTH,
-    CaptionedFigure,
-    panels,
-    symbol,
-    thin,
-    with_unit,
-)
+from masking.reports import discovery_text, force_map, style
+from masking.reports import figure_parts as parts
+from masking.reports.force_map import AFTER, BEFORE, CLOUD, MISSING, POINTS
+from masking.reports.style import COLOURS, DASHED, GRID, INK, MUTED, SIZE, WIDTH, CaptionedFigure
 from masking.reports.text import capital, listed
 
 MOST_SENSORS = 6
@@ -64,21 +40,13 @@ def _gap(found: Discovery) -> CaptionedFigure:
     """Draw the error of each sensor before and after, in the record and in the validation record, beside the noise."""
     names = found.twin.sensors
     said = capital(discovery_text.left(found)) if found.verdict == "none" else discovery_text.gap(found)
-    figure, (row,) = panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), top(said) + 0.28)
-    gap = found.simulation_error
-    own = own_gap(found)
-    sides = (
-        ((gap.estimation[0], own, gap.estimation[1], gap.noise_floor), "record"),
-        (
-            (gap.validation[0], found.simulation_error.adjusted, gap.validation[1], gap.validation_noise_floor),
-            "validation record",
-        ),
-    )
-    every = [v for parts, _ in sides for part in parts for v in part.values() if 0.0 < v < np.inf]
+    figure, (row,) = style.panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), top=style.BELOW + 0.28, heading=said)
+    sides = errors(found)
+    every = [v for side in sides.values() for one in side for v in one.values() if 0.0 < v < np.inf]
     low, high = 100.0 * min(every) / 1.6, 100.0 * max(every) * 1.6
-    for axes, (parts, title) in zip(row, sides, strict=True):
+    for axes, (title, side) in zip(row, sides.items(), strict=True):
         for i, name in enumerate(names):
-            declared, adjusted, after, noise = (100.0 * part[name] for part in parts)
+            declared, adjusted, after, noise = (100.0 * one[name] for one in side)
             axes.plot([max(declared, adjusted), after], [i, i], color=GRID, lw=4, solid_capstyle="round", zorder=1)
             axes.plot([noise, noise], [i - 0.32, i + 0.32], color=INK, lw=1.4, zorder=5)
             axes.plot(declared, i, "o", color="white", mec=MUTED, mew=1.4, ms=6.5, zorder=2)
@@ -87,21 +55,20 @@ def _gap(found: Discovery) -> CaptionedFigure:
                 axes.plot(after, i, "o", color=AFTER, ms=7, zorder=4)
         axes.set_xscale("log")
         axes.set(xlim=(low, high), ylim=(len(names) - 0.5, -0.5))
-        _percents(axes, low, high)
-        axes.yaxis.set_major_locator(FixedLocator([float(i) for i in range(len(names))]))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: symbol(names[round(y)])))
+        parts.plain_numbers(axes.xaxis, " %")
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_yticks(range(len(names)), labels=map(style.symbol, names))
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("error relative to the reading")
         axes.set_title(title, loc="left", fontsize=SIZE, color=MUTED, pad=5)
-    heading(figure, said)
     handles = [
-        marker_key("as declared", "white", mec=MUTED, mew=1.4),
-        marker_key("adjusted parameters", BEFORE),
+        parts.marker_key("as declared", "white", mec=MUTED, mew=1.4),
+        parts.marker_key("adjusted parameters", BEFORE),
     ]
     if found.effects:
-        handles.append(marker_key("with the finding", AFTER))
-    handles.append(marker_key("noise floor", INK, "|", 11.0, mew=1.4))
-    legend(figure, row[-1], handles, above=0.28)
+        handles.append(parts.marker_key("with the finding", AFTER))
+    handles.append(parts.marker_key("noise floor", INK, "|", 11.0, mew=1.4))
+    parts.legend(figure, row[-1], handles, above=0.28)
     caption = (
         "The error of the free simulation of each sensor, chi = ||measured - simulated|| / ||measured||, with the best "
         "initial state: of the model as declared, with its parameters adjusted within their prior uncertainty, and "
@@ -117,46 +84,42 @@ def _course(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigu
     command = max(seen.actuators, key=lambda name: seen.actuators[name])
     column = found.record.acting[:, found.twin.actuators.index(command)]
     said = _coursed(found, latent, command)
-    by, unit = scale(latent.units[0], [latent.before])
-    figure, ((over, time, spectrum),) = panels(1, 1.75, (2.05, 2.7, 1.6), top(said))
+    by, unit = parts.shown(latent.units[0], latent.before)
+    figure, ((over, time, spectrum),) = style.panels(1, 1.75, (2.05, 2.7, 1.6), heading=said)
     t, step = np.arange(len(latent.before)) / found.record.rate, max(1, len(latent.before) // POINTS)
     pairs = [(latent.before, BEFORE), *([(latent.after, AFTER)] if found.effects else [])]
     drawn = [(values, colour) for values, colour in pairs if values is not None]
-    times, name = scale(latent_force.command_unit(found, command), [column])
+    times, name = parts.shown(latent_force.command_unit(found, command), column)
     for values, colour in drawn:
         over.plot(times * column[::step], by * values[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
-        time.plot(*thin(t, by * values, 500), color=colour, lw=0.7)
-        f, density = spectral_density(values, found.record.rate)
+        time.plot(*style.thin(t, by * values, 500), color=colour, lw=0.7)
+        f, density = parts.spectral_density(values, found.record.rate)
         spectrum.plot(f, density, color=colour, lw=1.2)
         if colour == BEFORE:
             strong = density > FAINT * density.max()
             spectrum.set_xlim(f[0], f[strong][-1])
             spectrum.set_ylim(0.03 * FAINT * density.max(), 2.0 * density.max())
     for axes in (over, time):
-        noise_band(axes, 2.0 * by * latent.deviations[0])
+        parts.noise_band(axes, 2.0 * by * latent.deviations[0])
     reach = 1.05 * by * max(2.0 * latent.deviations[0], *(float(np.abs(values).max()) for values, _ in drawn))
     over.set_ylim(-reach, reach)
     time.set(xlim=(0.0, t[-1]), ylim=(-reach, reach))
     time.tick_params(labelleft=False)
     time.yaxis.get_offset_text().set_visible(False)
     over.xaxis.set_major_locator(MaxNLocator(4))
-    over.set_ylabel(with_unit(what, pretty(unit)))
-    over.set_xlabel(with_unit(f"command {symbol(command)}", pretty(name)))
+    over.set_ylabel(style.with_unit(what, pretty(unit)))
+    over.set_xlabel(style.with_unit(f"command {style.symbol(command)}", pretty(name)))
     time.set_xlabel("time (s)")
-    logarithmic(spectrum)
+    parts.logarithmic(spectrum)
     spectrum.set_xlabel("frequency (Hz)")
-    spectrum.set_ylabel(with_unit("density", f"{pretty(latent.units[0])}/√Hz" if latent.units[0] else ""))
-    low, high = spectrum.get_xlim()
-    steps = (1.0, 2.0, 5.0) if high < WIDE * low else (1.0,)
-    spectrum.xaxis.set_major_locator(LogLocator(subs=steps))
-    spectrum.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-    heading(figure, said)
-    handles = [line_key(what, BEFORE)]
+    spectrum.set_ylabel(style.with_unit("density", f"{pretty(latent.units[0])}/√Hz" if latent.units[0] else ""))
+    parts.plain_numbers(spectrum.xaxis, few=WIDE)
+    handles = [parts.line_key(what, BEFORE)]
     if len(drawn) > 1:
-        handles.append(line_key(f"remaining {what}", AFTER))
+        handles.append(parts.line_key(f"remaining {what}", AFTER))
     label = "± 2 deviations" + " of the first" * (len(drawn) > 1)
-    handles.append(line_key(label, INK, 1, dashed=True))
-    legend(figure, spectrum, handles)
+    handles.append(parts.line_key(label, INK, 1, dashed=True))
+    parts.legend(figure, spectrum, handles)
     caption = (
         f"The {what} at {latent.place} over the command that it follows most, over time, and the root of its power "
         "spectral density. Effects that change with time, or have a frequency of their own, show here."
@@ -174,8 +137,8 @@ def _coursed(found: Discovery, latent: latent_force.LatentForce, command: str) -
     if place is None or not place.decomposition.regions:
         return sentence
     thirds = [energy for energy, _ in place.decomposition.regions["record"].values()]
-    parts = listed([percent(part) for part in thirds])
-    return f"{sentence}; the thirds of the record hold {parts} of the energy of the force at {latent.place}"
+    shares = listed([percent(part) for part in thirds])
+    return f"{sentence}; the thirds of the record hold {shares} of the energy of the force at {latent.place}"
 
 
 def _residual(found: Discovery) -> CaptionedFigure:
@@ -191,36 +154,35 @@ def _residual(found: Discovery) -> CaptionedFigure:
         if not more
         else f"On the validation record, the residual of {listed(more)} is above the noise floor"
     )
-    figure, rows = panels(len(names), 1.35, (4.55, 2.55), top(said))
+    figure, rows = style.panels(len(names), 1.35, (4.55, 2.55), heading=said)
     t = np.arange(len(record)) / record.rate
     pairs = [(found.adjusted, BEFORE, 0.9), *([(found.after, AFTER, 1.0)] if found.effects else [])]
     for i, (name, (time, spectrum)) in enumerate(zip(names, rows, strict=True)):
         unit = found.twin.declaration.sensors[name].unit
-        by, y_unit = shown("" if unit == "1" else unit, *(h.residuals[:, i] for h, _, _ in pairs))
+        by, y_unit = parts.shown("" if unit == "1" else unit, *(h.residuals[:, i] for h, _, _ in pairs))
         for hypothesis, colour, width in pairs:
-            time.plot(*thin(t, by * hypothesis.residuals[:, i], 500), color=colour, lw=0.6)
-            f, density = spectral_density(hypothesis.residuals[:, i], record.rate)
+            time.plot(*style.thin(t, by * hypothesis.residuals[:, i], 500), color=colour, lw=0.6)
+            f, density = parts.spectral_density(hypothesis.residuals[:, i], record.rate)
             spectrum.plot(f, density, color=colour, lw=width + 0.3)
-        noise_band(time, 1.96 * by * sigma[i])
+        parts.noise_band(time, 1.96 * by * sigma[i])
         reach = 1.05 * by * max(float(np.abs(h.residuals[:, i]).max()) for h, _, _ in pairs)
         time.set(xlim=(0.0, t[-1]), ylim=(-reach, reach))
-        time.set_ylabel(with_unit(symbol(name), y_unit))
-        ticks(time, 4)
-        logarithmic(spectrum)
+        time.set_ylabel(style.with_unit(style.symbol(name), y_unit))
+        parts.ticks(time, 4)
+        parts.logarithmic(spectrum)
         spectrum.set_xlim(f[0], f[-1])
-        level = noise_level(spectrum, sigma[i], record.rate)
+        level = parts.noise_level(spectrum, sigma[i], record.rate)
         low, high = spectrum.get_ylim()
         spectrum.set_ylim(min(low, level / 5.0), max(high, 5.0 * level))
         spectrum.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         spectrum.set_ylabel(f"{unit}/√Hz" if unit != "1" else "1/√Hz")
     rows[-1][0].set_xlabel("time (s)")
     rows[-1][1].set_xlabel("frequency (Hz)")
-    heading(figure, said)
-    handles = [line_key("adjusted parameters", BEFORE)]
+    handles = [parts.line_key("adjusted parameters", BEFORE)]
     if found.effects:
-        handles.append(line_key("with the finding", AFTER))
-    handles.append(line_key("noise: 95 % of it, and its spectrum", INK, 1, dashed=True))
-    legend(figure, rows[0][1], handles)
+        handles.append(parts.line_key("with the finding", AFTER))
+    handles.append(parts.line_key("noise: 95 % of it, and its spectrum", INK, 1, dashed=True))
+    parts.legend(figure, rows[0][1], handles)
     caption = (
         f"{record.name}: measured less simulated, over time and as the root of its power spectral density. A line "
         "above the noise is an effect that the model does not have."
@@ -236,12 +198,12 @@ def _candidates(found: Discovery) -> CaptionedFigure:
     if not rows:
         return CaptionedFigure("candidates", "Candidates", "No candidate would explain any of the residual.", None)
     names = [discovery_text.labelled(found, effect, at) for effect, at, _, _ in rows]
-    parts = [100.0 * (paid if nothing else part) for _, _, part, paid in rows]
+    shares = [100.0 * (paid if nothing else part) for _, _, part, paid in rows]
     fitted = {key for rival in found.rivals for key in rival.names}
-    near = [part for part in parts if part > NEAR * parts[0]]
+    near = [part for part in shares if part > NEAR * shares[0]]
     count = len(found.search.tried)
-    if nothing and parts[0] > 100.0:
-        many = sum(part > 100.0 for part in parts)
+    if nothing and shares[0] > 100.0:
+        many = sum(part > 100.0 for part in shares)
         said = f"The residual is noise; of {count} candidates, {many} would be worth their parameters to first order"
     elif nothing:
         said = f"None of {count} candidates would explain enough to be worth its parameters"
@@ -255,20 +217,19 @@ def _candidates(found: Discovery) -> CaptionedFigure:
             f"Of {count} candidates, {len(near)} would each explain more than {min(near):.2g} % of the residual; full "
             "fits decide between them as far as the record allows"
         )
-    figure, ((axes,),) = panels(1, 0.235 * len(rows) + 0.1, (5.6,), top(said))
+    figure, ((axes,),) = style.panels(1, 0.235 * len(rows) + 0.1, (5.6,), heading=said)
     box = axes.get_position()
     right, room = box.x0 + 0.19 + box.width, LETTER * max(map(len, names)) / WIDTH
     axes.set_position((max(box.x0, room), box.y0, right - max(box.x0, room), box.height))
     colours = [_colour((effect, at), chosen, fitted) for effect, at, _, _ in rows]
-    axes.barh(range(len(rows)), parts, height=0.66, color=colours)
-    reach = 112.0 if nothing else 1.12 * max(parts)
-    for i, part in enumerate(parts):
+    axes.barh(range(len(rows)), shares, height=0.66, color=colours)
+    reach = 112.0 if nothing else 1.12 * max(shares)
+    for i, part in enumerate(shares):
         label = f"{part:.3g} %" if part <= MOST_PAID else f"> {MOST_PAID:.0f} %"
         axes.annotate(label, (min(part, reach), i), (4, 0), textcoords="offset points", va="center",
                       fontsize=SIZE - 1.5, color=MUTED)  # fmt: skip
     axes.set(ylim=(len(rows) - 0.4, -0.6), xlim=(0.0, reach))
-    axes.yaxis.set_major_locator(FixedLocator([float(i) for i in range(len(rows))]))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: names[round(y)]))
+    axes.set_yticks(range(len(rows)), labels=names)
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
     if nothing:
@@ -276,9 +237,8 @@ def _candidates(found: Discovery) -> CaptionedFigure:
         axes.set_xlabel("gain in log-likelihood, relative to the least that counts (%)")
     else:
         axes.set_xlabel("part of the residual beyond noise that the candidate alone would explain (%)")
-    heading(figure, said)
     kinds = {AFTER: "chosen", COLOURS[4]: "fitted in full", GRID: "looked at"}
-    legend(figure, axes, [Patch(color=colour, label=text) for colour, text in kinds.items() if colour in colours])
+    parts.legend(figure, axes, [Patch(color=colour, label=text) for colour, text in kinds.items() if colour in colours])
     caption = (
         "To first order along the measured motion, less the part that the model's own parameters could explain; the "
         "best are then fitted in full, and their likelihoods decide."
@@ -306,17 +266,12 @@ def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
     ]
 
 
-def own_gap(found: Discovery) -> dict[str, float]:
-    """Return the relative error of each sensor that adjusted parameters alone leave in the record."""
-    size = (found.record.readings**2).sum(axis=0)
-    parts = np.sqrt(found.search.base.hypothesis.squares / np.maximum(size, 1e-300))
-    return dict(zip(found.twin.sensors, map(float, parts), strict=True))
-
-
-def _percents(axes: Axes, low: float, high: float) -> None:
-    """Give a logarithmic axis in percent a few round numbers."""
-    steps = (1.0, 2.0, 5.0) if high / low < 60.0 else (1.0,)
-    every = [m * 10.0**e for e in range(-6, 4) for m in steps]
-    axes.xaxis.set_major_locator(FixedLocator([v for v in every if low <= v <= high]))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g} %"))
+def errors(found: Discovery) -> dict[str, tuple[Mapping[str, float], ...]]:
+    """Return relative errors by sensor of each record: as declared, adjusted, with the finding, and the noise floor."""
+    gap, size = found.simulation_error, (found.record.readings**2).sum(axis=0)
+    own = np.sqrt(found.search.base.hypothesis.squares / np.maximum(size, 1e-300))
+    adjusted = dict(zip(found.twin.sensors, map(float, own), strict=True))
+    return {
+        "record": (gap.estimation[0], adjusted, gap.estimation[1], gap.noise_floor),
+        "validation record": (gap.validation[0], gap.adjusted, gap.validation[1], gap.validation_noise_floor),
+    }

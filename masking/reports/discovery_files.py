@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -24,9 +22,9 @@ from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.places import identifier, opened
 from masking.effects import LAG, attach
-from masking.errors import RecordError
 from masking.modelling.model import Model
 from masking.reports import discovery_text, html, model_files
+from masking.reports.style import CaptionedFigure
 from masking.rig.twin import Twin
 
 STD_DIGITS = 3  # of standard deviations
@@ -56,7 +54,6 @@ class Files:
     page: Path
     model: Path | None
     plant: Path | None
-    figures: tuple[Path, ...]
 
 
 def save(
@@ -64,7 +61,7 @@ def save(
     folder: str | Path,
     origin: Origin,
     page: str,
-    figures: Sequence[html.Picture],
+    figures: Sequence[CaptionedFigure],
     *,
     lies: Path | None = None,
 ) -> Files:
@@ -83,52 +80,39 @@ def save(
         DeclarationError: the model with its causes is not a sound one.
     """
     out = Path(folder)
-    images = html.images(figures, out)
-    files = replace(paths(found, out), figures=tuple(images))
-    contents = {files.page: page.encode(), **images}
+    files = paths(found, out)
+    contents: dict[Path, bytes | str] = {files.page: page, **html.images(figures, out)}
     if files.model is not None and files.plant is not None:
-        contents[files.model] = model_files.text(model(found, files.model.parent, origin)).encode()
-        contents[files.plant] = model_files.text(plant(found, files.model.relative_to(out), origin, out)).encode()
-    contents[files.numbers] = (
-        json.dumps(as_dict(found, lies or out, origin), indent=2, ensure_ascii=False) + "\n"
-    ).encode()
-    try:
-        out.absolute().parent.mkdir(parents=True, exist_ok=True)
-        # Beside the folder: paths from there to other files are the same.
-        made = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.absolute().parent))
-    except OSError as error:
-        raise RecordError(f"{out} cannot be written: {error.strerror or error}; name another folder") from error
-    try:
-        for path, content in contents.items():
-            there = made / path.relative_to(out)
-            there.parent.mkdir(parents=True, exist_ok=True)
-            there.write_bytes(content)
+        contents[files.model] = model_files.text(model(found, files.model.parent, origin))
+        contents[files.plant] = model_files.text(plant(found, files.model.relative_to(out), origin, out))
+    contents[files.numbers] = json.dumps(as_dict(found, lies or out, origin), indent=2, ensure_ascii=False) + "\n"
+    with html.staged(out) as made:
+        html.write({made / path.relative_to(out): content for path, content in contents.items()})
         if files.model is not None:
             Model(registry.load_model(made / files.model.relative_to(out))).validate()
             registry.check_plant_file(made / PLANT)
             Twin.load(made / PLANT).validate()
-        for path in contents:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            (made / path.relative_to(out)).replace(path)
-    except OSError as error:
-        raise RecordError(f"{out} cannot be written: {error.strerror or error}; name another folder") from error
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
     return files
 
 
 def paths(found: Discovery, out: Path) -> Files:
-    """Return where the files of a discovery lie, without its figures."""
+    """Return where the files of a discovery lie."""
     if not found.effects:
-        return Files(out / NUMBERS, out / PAGE, None, None, ())
+        return Files(out / NUMBERS, out / PAGE, None, None)
     base = found.twin.declaration.model
     stem = base if base in catalogue.names("model") else Path(base).stem
     causes = "+".join(dict.fromkeys(cause.name for cause in found.effects))
-    return Files(out / NUMBERS, out / PAGE, out / "models" / f"{Path(stem).name}+{causes}.yaml", out / PLANT, ())
+    return Files(out / NUMBERS, out / PAGE, out / "models" / f"{Path(stem).name}+{causes}.yaml", out / PLANT)
 
 
 def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
-    """Return a discovery and where its files lie, as JSON can hold it."""
+    """Return a discovery and where its files lie, as JSON can hold it.
+
+    Args:
+        found: the discovery.
+        out: folder of its files.
+        origin: of the records.
+    """
     files, facts = paths(found, out), found.as_dict()
     facts.setdefault("next_experiment", None)
     facts["model"] = None if files.model is None else str(files.model)
@@ -154,7 +138,13 @@ def refitted(found: Discovery) -> list[tuple[str, float, float]]:
 
 
 def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
-    """Return the content of a model file in a folder that extends the model by the causes in its equations."""
+    """Return the content of a model file in a folder that extends the model by the causes in its equations.
+
+    Args:
+        found: the discovery.
+        folder: of the model file.
+        origin: of the records.
+    """
     twin = found.twin
     whole = twin.base
     for instance, label in labels(found).items():
@@ -167,48 +157,55 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
     parameters: dict[str, Any] = {
         name: model_files.parameter(value, std, STD_DIGITS) for name, value, std in refitted(found)
     }
-    deviations, known = _deviations(found), _units(found)
-    for name, parameter in whole.parameters.items():
-        if name not in twin.base.parameters:
-            parameters[name] = _written(parameter, deviations.get(name, 0.0), known.get(name, ""))
-    made["parameters"] = parameters
-    new_states = {n: s for n, s in whole.states.items() if n not in twin.base.states}
-    if new_states:
-        made["states"] = {n: s.model_dump(mode="json", exclude_defaults=True) for n, s in new_states.items()}
-    for section in ("definitions", "elements"):
-        before = getattr(twin.base, section)
-        new = {n: x for n, x in getattr(whole, section).items() if n not in before}
-        if new:
-            made[section] = {
-                n: x.text if section == "definitions" else x.model_dump(mode="json", exclude_defaults=True)
-                for n, x in new.items()
-            }
-    rates = {left.text: right.text for left, right in whole.equations.items() if whole.state_of(left) in new_states}
-    if rates:
-        made["equations"] = rates
-    terms = _terms(found, whole)
-    return made | ({"terms": terms} if terms else {})
+    known = _uncertain(found)
+
+    def new(section: str) -> dict[str, Any]:
+        return {n: x for n, x in getattr(whole, section).items() if n not in getattr(twin.base, section)}
+
+    def written(section: str) -> dict[str, Any]:
+        return {n: x.model_dump(mode="json", exclude_defaults=True) for n, x in new(section).items()}
+
+    parameters |= {n: _written(x, *known.get(n, (0.0, ""))) for n, x in new("parameters").items()}
+    states = written("states")
+    sections = {
+        "parameters": parameters,
+        "states": states,
+        "definitions": {n: x.text for n, x in new("definitions").items()},
+        "elements": written("elements"),
+        "equations": {x.text: y.text for x, y in whole.equations.items() if whole.state_of(x) in states},
+        "terms": _terms(found, whole),
+    }
+    return made | {name: content for name, content in sections.items() if content or name == "parameters"}
 
 
 def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> dict[str, Any]:
-    """Return the content of a plant file in a folder, with a model and with the causes outside of its equations."""
+    """Return the content of a plant file in a folder, with a model and with the causes outside of its equations.
+
+    Args:
+        found: the discovery.
+        model_file: path of the model file from the folder.
+        origin: of the records.
+        folder: of the plant file.
+    """
     twin = found.twin
     before = twin.declaration.canonical().get("effects", {})
     first: dict[str, Any] = {}
     last: dict[str, Any] = {}
+
+    def add(target: dict[str, Any], effect: str, at: str, values: Mapping[str, float]) -> None:
+        rounded = {name: model_files.rounded(value) for name, value in values.items()}
+        label = _free(f"{effect}_{at}", {*before, *first, *last})
+        target[label] = {"effect": effect, "at": at, "parameters": rounded}
+
     for instance in found.explanation.hypothesis.instances:
         if instance.effect == laws.DELAY:
             _add_delay(found, instance, first, {*before, *first, *last})
         elif instance.where != "element":
-            values = dict(zip(instance.entry.parameters, map(model_files.rounded, instance.values), strict=True))
             # Commands pass what was found first; readings pass it last.
-            target = first if instance.where == "actuator" else last
-            name = _free(f"{instance.effect}_{instance.at}", {*before, *first, *last})
-            target[name] = {"effect": instance.effect, "at": instance.at, "parameters": values}
+            values = dict(zip(instance.entry.parameters, instance.values, strict=True))
+            add(first if instance.where == "actuator" else last, instance.effect, instance.at, values)
     for cause in found.effects[len(found.explanation.hypothesis.instances) or found.explanation.kind == "parameter" :]:
-        name = _free(f"{cause.name}_{cause.on}", {*before, *first, *last})
-        values = {n: model_files.rounded(value) for n, (value, _) in cause.parameters.items()}
-        last[name] = {"effect": cause.name, "at": cause.on, "parameters": values}
+        add(last, cause.name, cause.on, {n: value for n, (value, _) in cause.parameters.items()})
     heading = {
         "name": f"{twin.declaration.name} with {_causes(found)}",
         "model": model_file.as_posix(),
@@ -274,26 +271,18 @@ def _add_delay(found: Discovery, instance: EffectInstance, effects: dict[str, An
         effects[_free("rest_of_delay", {*taken, *effects})] = lag
 
 
-def _deviations(found: Discovery) -> dict[str, float]:
-    """Return the standard deviations of the parameters of causes in the equations, by the names they have there."""
-    every = found.deviations[len(found.rig.names) :]
-    values, used, names = {}, 0, labels(found)
+def _uncertain(found: Discovery) -> dict[str, tuple[float, str]]:
+    """Return standard deviation and unit of the parameters of causes in the equations, by the names they have there."""
+    made: dict[str, tuple[float, str]] = {}
+    known = labels(found)
+    deviations = iter(found.deviations[len(found.rig.names) :])
     for instance in found.explanation.hypothesis.instances:
-        for name in instance.names:
-            if instance in names:
-                values[f"{names[instance]}_{name}"] = float(every[used])
-            used += 1
-    return values
-
-
-def _units(found: Discovery) -> dict[str, str]:
-    """Return the units of the parameters of causes in the equations, by the names they have there, as places say."""
-    units_of: dict[str, str] = {}
-    for instance, label in labels(found).items():
-        values = dict.fromkeys(instance.entry.parameters, (0.0, 0.0))
-        units = discovery_text.plain_units(found, Named(instance.effect, instance.at, values, 1.0))
-        units_of |= {f"{label}_{name}": unit for name, unit in units.items()}
-    return units_of
+        free = {name: float(next(deviations)) for name in instance.names}
+        if instance in known:
+            values = dict.fromkeys(instance.entry.parameters, (0.0, 0.0))
+            units = discovery_text.plain_units(found, Named(instance.effect, instance.at, values, 1.0))
+            made |= {f"{known[instance]}_{name}": (free.get(name, 0.0), units[name]) for name in values}
+    return made
 
 
 def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:

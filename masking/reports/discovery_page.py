@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.declaration.quantities import number, percent, power, with_deviation
@@ -16,15 +14,11 @@ from masking.discovery.discovery import Discovery
 from masking.discovery.localisation import LatentForces
 from masking.discovery.verdict import noise_threshold, probabilities
 from masking.estimation.whiteness import DOUBTED
-from masking.reports import discovery_files, discovery_text, html
+from masking.reports import discovery_figures, discovery_files, discovery_text, html
 from masking.reports.discovery_files import Files, Origin
 from masking.reports.html import Tile
-from masking.reports.text import listed
-
-if TYPE_CHECKING:
-    from masking.reports import discovery_figures, style
-else:
-    discovery_figures = lazy.load("masking.reports.discovery_figures", suppress_warning=True)
+from masking.reports.style import CaptionedFigure
+from masking.reports.text import aligned, listed
 
 MOST_TRIED = 20
 LEAST_SURE = 0.001  # probability: less is shown as less than this
@@ -40,13 +34,20 @@ TITLES = {
 
 
 def save(found: Discovery, folder: str | Path, origin: Origin, *, lies: Path | None = None) -> Files:
-    """Draw a discovery and write all its files into a folder; see `discovery_files.save`."""
+    """Draw a discovery and write all its files into a folder; see `discovery_files.save`.
+
+    Args:
+        found: the discovery.
+        folder: where to write.
+        origin: of the records.
+        lies: the folder to which all will be moved, if that is another.
+    """
     figures = discovery_figures.figures(found)
     text = page(found, figures, origin, lies or Path(folder))
     return discovery_files.save(found, folder, origin, text, figures, lies=lies)
 
 
-def page(found: Discovery, figures: Sequence[style.CaptionedFigure], origin: Origin, folder: Path) -> str:
+def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, folder: Path) -> str:
     """Return the page of a discovery.
 
     Args:
@@ -118,13 +119,11 @@ def _causes(found: Discovery) -> Iterator[tuple[str, ...]]:
 
 def _gaps(found: Discovery) -> Iterator[tuple[str, ...]]:
     """Yield the errors of each sensor on each record."""
-    gap, share, own = found.simulation_error, latent_force.energies(found), discovery_figures.own_gap(found)
+    share, sides = latent_force.energies(found), discovery_figures.errors(found)
     for name in found.twin.sensors:
-        parts = (gap.estimation[0], own, gap.estimation[1], gap.noise_floor)
-        unseen = (gap.validation[0], found.simulation_error.adjusted, gap.validation[1], gap.validation_noise_floor)
         part_of = percent(share[name]) if sum(share.values()) else ""
-        yield name, "fitted", *(percent(part[name]) for part in parts), part_of
-        yield name, "validation", *(percent(part[name]) for part in unseen), ""
+        yield name, "fitted", *(percent(part[name]) for part in sides["record"]), part_of
+        yield name, "validation", *(percent(part[name]) for part in sides["validation record"]), ""
 
 
 def _places(latent: LatentForces) -> Iterator[tuple[str, ...]]:
@@ -237,20 +236,12 @@ def summary(found: Discovery, files: Files | None) -> str:
     if discovery_text.beside(found):
         lines.append(f"{discovery_text.beside(found)}.")
     lines += [f"{sentence}." for sentence in discovery_text.whereabouts(found)]
-    gap = found.simulation_error
-    head = ("validation error", *found.twin.sensors)
-    table = [head]
-    for what, part in (
-        ("as declared", gap.validation[0]),
-        ("adjusted parameters", found.simulation_error.adjusted),
-        ("with the finding", gap.validation[1]),
-        ("noise floor", gap.validation_noise_floor),
-    ):
-        if what == "with the finding" and not found.effects:
-            continue
-        table.append((what, *(percent(part[name]) for name in found.twin.sensors)))
-    widths = [max(len(row[i]) for row in table) for i in range(len(head))]
-    lines += ["  " + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
+    table = [("validation error", *found.twin.sensors)]
+    what = ("as declared", "adjusted parameters", "with the finding", "noise floor")
+    for label, part in zip(what, discovery_figures.errors(found)["validation record"], strict=True):
+        if found.effects or label != "with the finding":
+            table.append((label, *(percent(part[name]) for name in found.twin.sensors)))
+    lines += aligned(table)
     for one in discovery_text.offered(found):
         effect = found.twin.dictionary.get(one.name)
         if effect is not None and (effect.cause or effect.remedy):

@@ -186,7 +186,13 @@ def left(found: Discovery) -> str:
 
 
 def spoken(found: Discovery, name: str, on: str) -> str:
-    """Name a cause with its place: 'dry friction in spring1', 'an added mass on x1'."""
+    """Name a cause with its place: 'dry friction in spring1', 'an added mass on x1'.
+
+    Args:
+        found: the discovery.
+        name: of the effect, or of a parameter.
+        on: its place.
+    """
     effect = found.twin.dictionary.get(name)
     if effect is None:
         return f"another {name}"
@@ -200,7 +206,13 @@ def spoken(found: Discovery, name: str, on: str) -> str:
 
 
 def labelled(found: Discovery, name: str, on: str) -> str:
-    """Name a cause with its place as a label: 'Delay of V1'."""
+    """Name a cause with its place as a label: 'Delay of V1'.
+
+    Args:
+        found: the discovery.
+        name: of the effect, or of a parameter.
+        on: its place.
+    """
     return capital(spoken(found, name, on).removeprefix("an ").removeprefix("a "))
 
 

@@ -2,53 +2,35 @@
 
 from __future__ import annotations
 
-import re
-import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Literal
 
 import lazy_loader as lazy
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
 from masking.numerics.arrays import Array
-from masking.reports.style import INK, LEFT, MUTED, RIGHT, SIZE, WIDTH
+from masking.reports.style import DASHED, INK, MUTED, RIGHT, SIZE, WIDTH
 
 if TYPE_CHECKING:
     from scipy import signal
 else:
     signal = lazy.load("scipy.signal", suppress_warning=True)
 
-DASHED: Final = (0, (4, 3))
-BAND: Final = 0.22  # opacity
-_LINE = 90  # letters of the sentence in a line
-_LINES = 3  # of the sentence, at most
-
-
-def top(sentence: str, *, has_legend: bool = True) -> float:
-    """Return the inches above the first axes that a heading takes, and a legend below it."""
-    return 0.2 + 0.2 * len(_wrapped(sentence)) + (0.24 if has_legend else 0.04)
-
-
-def heading(figure: Figure, sentence: str) -> None:
-    """Write the finding on top of a figure."""
-    height = figure.get_size_inches()[1]
-    figure.text(LEFT / WIDTH, 1.0 - 0.12 / height, "\n".join(_wrapped(sentence)), fontsize=SIZE + 1.5, color=INK,
-                va="top", ha="left", linespacing=1.25)  # fmt: skip
-
-
-def _wrapped(sentence: str) -> list[str]:
-    kept = re.sub(
-        r"(?<=[\d±]) (?=[\w%°±])", "\N{NO-BREAK SPACE}", sentence.replace("$", r"\$")
-    )  # a number and its unit
-    return textwrap.wrap(kept, _LINE, max_lines=_LINES, placeholder=" …")
-
 
 def legend(figure: Figure, axes: Axes | None, handles: Sequence[Any], above: float = 0.04) -> None:
-    """Put a legend at the right in a row: a number of inches above axes, or at the top of the figure."""
+    """Put a legend at the right in a row: a number of inches above axes, or at the top of the figure.
+
+    Args:
+        figure: that has the axes.
+        axes: below the legend; None for the top of the figure.
+        handles: lines and markers with their labels.
+        above: distance from the axes in inches.
+    """
     if not handles:
         return
     height, x = figure.get_size_inches()[1], 1.0 - RIGHT / WIDTH
@@ -62,18 +44,40 @@ def legend(figure: Figure, axes: Axes | None, handles: Sequence[Any], above: flo
 
 
 def line_key(label: str, colour: str, width: float = 2.0, *, dashed: bool = False) -> Line2D:
-    """Return the line of a legend."""
+    """Return the line of a legend.
+
+    Args:
+        label: text of the entry.
+        colour: of the line.
+        width: of the line in points.
+        dashed: whether the line is dashed.
+    """
     return Line2D([], [], color=colour, lw=width, ls=DASHED if dashed else "-", label=label)
 
 
 def marker_key(label: str, colour: str, shape: str = "o", size: float = 6.0, **style: Any) -> Line2D:  # noqa: ANN401  # matplotlib's own
-    """Return the marker of a legend."""
+    """Return the marker of a legend.
+
+    Args:
+        label: text of the entry.
+        colour: of the marker.
+        shape: matplotlib's letter of the marker.
+        size: in points.
+        style: further properties of the marker.
+    """
     return Line2D([], [], color=colour, marker=shape, ls="", ms=size, label=label, **style)
 
 
-def note(axes: Axes, text: str, *, side: str = "right", colour: str = MUTED) -> None:
-    """Write a few words above axes, at the left or at the right."""
-    axes.set_title(text, loc="right" if side == "right" else "left", fontsize=SIZE - 1, color=colour, pad=3)
+def note(axes: Axes, text: str, *, side: Literal["left", "right"] = "right", colour: str = MUTED) -> None:
+    """Write a few words above axes, at the left or at the right.
+
+    Args:
+        axes: below the words.
+        text: the words.
+        side: 'left' or 'right'.
+        colour: of the words.
+    """
+    axes.set_title(text, loc=side, fontsize=SIZE - 1, color=colour, pad=3)
 
 
 def ticks(axes: Axes, count: int = 5) -> None:
@@ -82,12 +86,31 @@ def ticks(axes: Axes, count: int = 5) -> None:
 
 
 def logarithmic(axes: Axes, which: str = "xy", count: int = 5) -> None:
-    """Make axes logarithmic, with a few numbers."""
+    """Make axes logarithmic, with a few numbers.
+
+    Args:
+        axes: to change.
+        which: 'x', 'y' or both.
+        count: numbers on an axis, at most.
+    """
     for name in which:
         axes.set(**{f"{name}scale": "log"})
         axis = {"x": axes.xaxis, "y": axes.yaxis}[name]
         axis.set_major_locator(LogLocator(numticks=count))
         axis.set_minor_formatter(NullFormatter())
+
+
+def plain_numbers(axis: Axis, unit: str = "", few: float = 60.0) -> None:
+    """Give a logarithmic axis numbers without exponents, at 1, 2 and 5 if its ends have a ratio below `few`.
+
+    Args:
+        axis: to change.
+        unit: written behind each number.
+        few: ratio of the ends below which there are numbers between the powers of ten.
+    """
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < few * low else (1.0,)))
+    axis.set_major_formatter(StrMethodFormatter(f"{{x:g}}{unit}"))
 
 
 def noise_band(axes: Axes, level: float) -> None:
@@ -97,7 +120,13 @@ def noise_band(axes: Axes, level: float) -> None:
 
 
 def noise_level(spectrum: Axes, deviation: float, rate: float) -> float:
-    """Draw the amplitude density of white noise of a standard deviation, sampled at a rate in Hz, and return it."""
+    """Draw the amplitude density of white noise of a standard deviation, sampled at a rate in Hz, and return it.
+
+    Args:
+        spectrum: axes of the spectrum.
+        deviation: standard deviation of the noise.
+        rate: sampling rate in Hz.
+    """
     level = float(deviation * np.sqrt(2.0 / rate))
     spectrum.axhline(level, color=INK, lw=0.9, ls=DASHED, zorder=4)
     return level
@@ -106,13 +135,18 @@ def noise_level(spectrum: Axes, deviation: float, rate: float) -> float:
 def shown(unit: str, *values: Array | Sequence[float]) -> tuple[float, str]:
     """Return the factor and unit in which values are drawn: metres, volts and newtons below 0.1 in thousandths."""
     largest = max((float(np.abs(v).max()) for v in values if len(v)), default=0.0)
-    if unit in {"m", "V", "N"} and largest < 0.1:
-        return 1e3, f"m{unit}"
-    return 1.0, unit
+    is_small = largest < 0.1 and unit.partition("/")[0] in {"m", "V", "N"}
+    return (1e3, f"m{unit}") if is_small else (1.0, unit)
 
 
 def first_of(count: int, total: int, what: str = "") -> str:
-    """Say that only some are shown; "" if all are."""
+    """Say that only some are shown; "" if all are.
+
+    Args:
+        count: number that are shown.
+        total: number of all.
+        what: what is counted, in the plural.
+    """
     return f" The first {count} of {total}{what and f' {what}'} are shown." if total > count else ""
 
 

@@ -3,41 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.declaration.quantities import percent
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
+from masking.estimation.fit import Fit
 from masking.estimation.innovations import KalmanFit
 from masking.estimation.simulation import Simulated, simulate
-from masking.numerics.arrays import Array
-from masking.reports.figure_parts import (
-    BAND,
-    DASHED,
-    first_of,
-    heading,
-    legend,
-    line_key,
-    logarithmic,
-    noise_band,
-    noise_level,
-    shown,
-    spectral_density,
-    ticks,
-    top,
-)
-from masking.reports.style import COLOURS, INK, LIMIT, MUTED, SIZE, CaptionedFigure, panels, symbol, thin, with_unit
-
-if TYPE_CHECKING:
-    from scipy import signal
-
-    from masking.estimation.fit import Fit
-else:
-    signal = lazy.load("scipy.signal", suppress_warning=True)
-
+from masking.reports import figure_parts as parts
+from masking.reports import style
+from masking.reports.style import BAND, COLOURS, DASHED, INK, LIMIT, MUTED, SIZE, CaptionedFigure
 
 _WIDTHS: Final = (3.1, 1.75, 1.75)  # inches: readings, what is left of them, its spectrum
 _PERIODS = 8  # of the strongest line that are shown
@@ -50,7 +28,13 @@ _SETTLED = 0.15  # of the record: after that, a band sets the range of its axis
 
 
 def figures(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]) -> tuple[list[CaptionedFigure], str]:
-    """Return the figures of a fit and what they say; without a record whose simulation is not finite."""
+    """Return the figures of a fit and what they say; without a record whose simulation is not finite.
+
+    Args:
+        found: the fit.
+        train: records that were fitted, of which the first is drawn.
+        unseen: validation records, of which the first is drawn.
+    """
     drawn, sentence = [], "The simulation with the fitted values is not finite"
     for record, was_fitted in ((train[0], True), *((record, False) for record in unseen[:1])):
         try:
@@ -73,43 +57,42 @@ def fit(made: Simulated, *, was_fitted: bool) -> CaptionedFigure:
     """
     names = made.sensors[:_MOST_SENSORS]
     sentence = verdict(made, was_fitted=was_fitted)
-    figure, rows = panels(len(names), 1.35, _WIDTHS, top(sentence))
+    figure, rows = style.panels(len(names), 1.35, _WIDTHS, heading=sentence)
     seconds = _span(made)
     part = made.times <= seconds
     for i, (name, (motion, rest, spectrum)) in enumerate(zip(names, rows, strict=True)):
         unit = made.units[i]
         t, measured = made.times[part], made.record.readings[part, i]
-        by, y_unit = shown(unit, measured)
-        motion.plot(*thin(t, by * measured), color=COLOURS[0], lw=1.8)
-        motion.plot(*thin(t, by * made.readings[part, i]), color=INK, lw=0.9, ls=DASHED)
-        motion.set_ylabel(with_unit(symbol(name), y_unit))
+        by, y_unit = parts.shown(unit, measured)
+        motion.plot(*style.thin(t, by * measured), color=COLOURS[0], lw=1.8)
+        motion.plot(*style.thin(t, by * made.readings[part, i]), color=INK, lw=0.9, ls=DASHED)
+        motion.set_ylabel(style.with_unit(style.symbol(name), y_unit))
         left = made.residual[part, i]
-        by, y_unit = shown(unit, left)
-        rest.plot(*thin(t, by * left, 300), color=COLOURS[1], lw=0.7)
-        noise_band(rest, 1.96 * by * made.record.noise[i])
-        rest.set_ylabel(with_unit("residual", y_unit))
+        by, y_unit = parts.shown(unit, left)
+        rest.plot(*style.thin(t, by * left, 300), color=COLOURS[1], lw=0.7)
+        parts.noise_band(rest, 1.96 * by * made.record.noise[i])
+        rest.set_ylabel(style.with_unit("residual", y_unit))
         for axes in (motion, rest):
             axes.set_xlim(0.0, seconds)
             axes.margins(y=0.08)
-            ticks(axes, 4)
+            parts.ticks(axes, 4)
         for values, colour, width in (
             (made.record.readings[:, i], COLOURS[0], 1.2),
             (made.residual[:, i], COLOURS[1], 1.0),
         ):
-            f, density = spectral_density(values, made.record.rate)
+            f, density = parts.spectral_density(values, made.record.rate)
             spectrum.plot(f, density, color=colour, lw=width)
-        noise_level(spectrum, made.record.noise[i], made.record.rate)
-        logarithmic(spectrum)
+        parts.noise_level(spectrum, made.record.noise[i], made.record.rate)
+        parts.logarithmic(spectrum)
         spectrum.set_xlim(f[0], f[-1])
         spectrum.set_ylabel(f"{unit or '1'}/√Hz")
     rows[-1][0].set_xlabel("time (s)")
     rows[-1][1].set_xlabel("time (s)")
     rows[-1][2].set_xlabel("frequency (Hz)")
-    heading(figure, sentence)
-    legend(figure, rows[0][0], [
-        line_key("measured", COLOURS[0]),
-        line_key("residual", COLOURS[1], 1.4),
-        line_key("simulated; noise floor of the residual", INK, 1, dashed=True),
+    parts.legend(figure, rows[0][0], [
+        parts.line_key("measured", COLOURS[0]),
+        parts.line_key("residual", COLOURS[1], 1.4),
+        parts.line_key("simulated; noise floor of the residual", INK, 1, dashed=True),
     ])  # fmt: skip
     caption = (
         f"{made.record.name}: left, its first {seconds:.3g} s and the simulation; in the middle the residual, with "
@@ -130,45 +113,39 @@ def estimates(found: KalmanFit) -> CaptionedFigure:
     chi = max(found.chi.values())
     error = f"with an error of {percent(chi)} or less" if np.isfinite(chi) else "but the simulation is not finite"
     sentence = f"One pass of {found.times[-1]:.3g} s estimates {last}; the final values reproduce the record {error}"
-    figure, rows = panels(max(count, 1), 1.15, widths, top(sentence) + _TITLE)
+    figure, rows = style.panels(max(count, 1), 1.15, widths, style.BELOW + _TITLE, sentence)
     cells = [axes for row in rows for axes in row]
     known = found.twin.model.declaration.parameters
     for i, (name, axes) in enumerate(zip(names, cells, strict=False)):
         t, value, half = found.times, found.trajectory[:, i], 2.0 * found.deviations[:, i]
-        axes.fill_between(*_both(t, value - half, value + half), color=COLOURS[0], alpha=BAND, lw=0)
-        axes.plot(*thin(t, value), color=COLOURS[0], lw=1.2)
+        few = slice(None, None, max(1, len(t) // 1500))
+        axes.fill_between(t[few], (value - half)[few], (value + half)[few], color=COLOURS[0], alpha=BAND, lw=0)
+        axes.plot(*style.thin(t, value), color=COLOURS[0], lw=1.2)
         axes.axhline(found.values[i], color=INK, lw=0.9, ls=DASHED)
         late = t >= _SETTLED * t[-1]
         low = min(float(value.min()), float((value - half)[late].min()))
         high = max(float(value.max()), float((value + half)[late].max()))
         pad = 0.08 * (high - low) or 1.0
         axes.set(xlim=(t[0], t[-1]), ylim=(low - pad, high + pad))
-        ticks(axes, 4)
+        parts.ticks(axes, 4)
         unit = known[name].unit if name in known else ""
-        axes.set_ylabel(with_unit(symbol(name), "" if unit == "1" else unit))
+        axes.set_ylabel(style.with_unit(style.symbol(name), "" if unit == "1" else unit))
         axes.set_title(f"{found.values[i]:.5g} ± {2.0 * found.std[i]:.2g}", loc="left", fontsize=SIZE - 1,
                        color=LIMIT if not np.isfinite(found.values[i]) else MUTED, pad=2)  # fmt: skip
     for axes in cells[len(names) :]:
         axes.set_visible(False)
     for axes in cells[max(len(names) - columns, 0) : len(names)]:
         axes.set_xlabel("time (s)")
-    heading(figure, sentence)
-    legend(figure, cells[0], [
-        line_key("estimate, ± 2 standard deviations", COLOURS[0]),
-        line_key("final value", INK, 1, dashed=True),
+    parts.legend(figure, cells[0], [
+        parts.line_key("estimate, ± 2 standard deviations", COLOURS[0]),
+        parts.line_key("final value", INK, 1, dashed=True),
     ], _TITLE)  # fmt: skip
-    more = first_of(len(names), len(found.names), "parameters")
+    more = parts.first_of(len(names), len(found.names), "parameters")
     caption = (
         "The estimate of each parameter after each sample, and two standard deviations of it, which hold if the noise "
         f"is what the filter assumes; above each, the final value.{more}"
     )
     return CaptionedFigure("estimates", "Estimates over time", caption, figure)
-
-
-def _both(t: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
-    """Return fewer points of a band."""
-    step = max(1, len(t) // 1500)
-    return t[::step], low[::step], high[::step]
 
 
 def _span(made: Simulated) -> float:

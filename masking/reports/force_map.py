@@ -17,9 +17,9 @@ from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.discovery import Discovery
 from masking.discovery.force_decomposition import SEEN
 from masking.numerics.arrays import Array
-from masking.reports import discovery_text
-from masking.reports.figure_parts import heading, legend, line_key, shown, top
-from masking.reports.style import COLOURS, INK, MUTED, CaptionedFigure, panels, with_unit
+from masking.reports import discovery_text, style
+from masking.reports import figure_parts as parts
+from masking.reports.style import COLOURS, INK, MUTED, CaptionedFigure
 from masking.reports.text import capital, listed
 
 BEFORE: Final = COLOURS[1]
@@ -38,17 +38,17 @@ def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigur
     law = along(found, latent, instances) if instances else None
     said = _seen(found, latent, what, law)
     values = [latent.before, *([law] if law is not None else [])]
-    by, unit = scale(latent.units[0], values)
+    by, unit = parts.shown(latent.units[0], *values)
     reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
     rows_of = [(latent.before, BEFORE, "before"), *([(latent.after, AFTER, "after")] if has_after else [])]
     seen = latent.seen
-    figure, rows = panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), top(said))
+    figure, rows = style.panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), heading=said)
     low = np.array([np.quantile(x, [0.0005, 0.9995]) for x, _ in seen])
     step = max(1, len(latent.x) // POINTS)
     for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
         assert values_of is not None  # noqa: S101  # those that are None have no row
         for axes, (x, x_unit), (left, right) in zip(row, seen, low, strict=True):
-            times, name = scale(x_unit, [x])
+            times, name = parts.shown(x_unit, x)
             axes.plot(times * x[::step], by * values_of[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
             centres, means, _ = latent_force.binned(x, values_of)
             half = 2.0 * latent.deviations[row is not rows[0]]
@@ -61,20 +61,19 @@ def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigur
             axes.axhline(0.0, color=MUTED, lw=0.7)
             label = {"element": "displacement", "actuator": "command", "sensor": "reading"}[latent.where]
             if row is rows[-1]:
-                axes.set_xlabel(with_unit(label if x is latent.x else f"rate of {label}", pretty(name)))
+                axes.set_xlabel(style.with_unit(label if x is latent.x else f"rate of {label}", pretty(name)))
         label = what if kind == "before" else f"remaining {what}"
-        row[0].set_ylabel(with_unit(label, pretty(unit)))
+        row[0].set_ylabel(style.with_unit(label, pretty(unit)))
         for axes in row[1:]:
             axes.tick_params(labelleft=False)
             axes.yaxis.get_offset_text().set_visible(False)
-    heading(figure, said)
-    handles: list[Line2D | Patch] = [line_key(f"{what}, its mean and ± 2 deviations", BEFORE)]
+    handles: list[Line2D | Patch] = [parts.line_key(f"{what}, its mean and ± 2 deviations", BEFORE)]
     if law is not None:
         label = "law that was fitted" if len(instances) == 1 else f"sum of the {len(instances)} laws that were fitted"
-        handles.append(line_key(label, INK, 1.6))
+        handles.append(parts.line_key(label, INK, 1.6))
     if has_after:
-        handles.append(line_key(f"remaining {what}", AFTER))
-    legend(figure, rows[0][-1], handles)
+        handles.append(parts.line_key(f"remaining {what}", AFTER))
+    parts.legend(figure, rows[0][-1], handles)
     caption = (
         f"The {what} at {latent.place} along the record, estimated from its readings by a Kalman smoother that adds a "
         "random walk to the equations. No reading is differentiated; changes faster than the noise allows are smoothed "
@@ -98,7 +97,13 @@ def laws_at(found: Discovery, latent: latent_force.LatentForce) -> list[EffectIn
 
 
 def along(found: Discovery, latent: latent_force.LatentForce, instances: Sequence[EffectInstance]) -> Array:
-    """Return what causes at the place that is looked at give together (m,): force, command or reading."""
+    """Return what causes at the place that is looked at give together (m,): force, command or reading.
+
+    Args:
+        found: the discovery.
+        latent: the latent force, at the place in view.
+        instances: effect instances there.
+    """
     law = np.zeros_like(latent.before)
     motion, names = found.smoothed.before, [place.name for place in found.rig.places]
     for instance in instances:
@@ -157,13 +162,3 @@ def _law(axes: Axes, x: Array, law: Array) -> None:
         return
     step = max(1, len(x) // 6000)
     axes.plot(x[::step], law[::step], ".", color=INK, ms=1.4, alpha=0.6, mew=0, zorder=5)
-
-
-def scale(unit: str, values: Sequence[Array]) -> tuple[float, str]:
-    """Return the factor and unit in which values are drawn: metres, volts, newtons in thousandths where small."""
-    if unit in {"V", "m", "N"}:
-        return shown(unit, *(np.abs(v) for v in values))
-    largest = max(float(np.abs(v).max()) for v in values)
-    if unit.startswith(("m/", "V/", "N/")) and largest < 0.1:
-        return 1e3, f"m{unit}"
-    return 1.0, unit

@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import functools
 import importlib.metadata
+import json
 import platform
 import re
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+import tempfile
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import lazy_loader as lazy
+import jinja2
 import markupsafe
 from markupsafe import Markup
 
 from masking.errors import RecordError
+from masking.reports.text import GREEK
 
-if TYPE_CHECKING:
-    import jinja2
-else:
-    jinja2 = lazy.load("jinja2")
+if TYPE_CHECKING:  # drawing is loaded by what draws
+    from masking.reports.style import CaptionedFigure
 
-GREEK: Final = frozenset(
-    {"alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu"}
-    | {"xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}
-)
 _TEMPLATES = Path(__file__).with_name("templates")
 _SYMBOL = re.compile(r"([A-Za-z]{1,3}|" + "|".join(sorted(GREEK)) + r")(\d*|_\w+)")
 # Short words and units that may be names, too: symbols where a value follows, or where they do not stand as units.
@@ -35,18 +32,6 @@ _SHORT = frozenset({"A", "a", "an", "as", "at", "by", "in", "is", "it", "no", "o
 _UNITS = frozenset({"A", "C", "F", "H", "Hz", "J", "K", "N", "Pa", "T", "V", "W", "g", "h", "kg", "m", "min", "mm",
                     "ms", "rad", "s"})  # fmt: skip
 _WORDS = {"chi": "<var>&chi;</var>", "pi": "&pi;", "alpha": "<var>&alpha;</var>", "eps": "<var>&epsilon;</var>"}
-
-
-class Picture(Protocol):
-    """A figure as it is written: its file's name, and the content of a PNG file, None if there is nothing to draw."""
-
-    @property
-    def name(self) -> str:
-        """Return the name of its file, without the ending."""
-
-    @property
-    def png(self) -> bytes | None:
-        """Return the content of the file."""
 
 
 class Tile(NamedTuple):
@@ -58,31 +43,43 @@ class Tile(NamedTuple):
     is_wrong: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Written:
-    """The files of a report: the page, its numbers, and its figures as PNG files."""
-
-    page: Path
-    numbers: Path
-    figures: tuple[Path, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the paths as JSON can hold them."""
-        return {"page": str(self.page), "numbers": str(self.numbers), "figures": [str(f) for f in self.figures]}
-
-
-def render(template: str, names: Collection[str] = (), **facts: object) -> str:
+def render(template: str, **facts: object) -> str:
     """Return a page.
 
     Args:
         template: name of a file in `templates`, without `.html`.
-        names: of coordinates, parameters, sensors and actuators, which are typeset where they are symbols.
-        facts: what the template shows.
+        facts: what the template shows; of these `names`, of coordinates, parameters, sensors and actuators, are typeset
+            if they are symbols.
     """
-    return environment().get_template(f"{template}.html").render(names=names, **facts)
+    return environment().get_template(f"{template}.html").render(**facts)
 
 
-def images(figures: Iterable[Picture], folder: Path) -> dict[Path, bytes]:
+def save(
+    page: Path,
+    template: str,
+    figures: Sequence[CaptionedFigure],
+    numbers: Mapping[str, Any] | None = None,
+    **facts: object,
+) -> None:
+    """Write a page with its figures as PNG files beside it, and its numbers as JSON.
+
+    Args:
+        page: file of the page; its folder is made if need be.
+        template: of the page.
+        figures: those that are drawn are written.
+        numbers: written to a file of the page's name, if given.
+        facts: see `render`.
+
+    Raises:
+        RecordError: a file cannot be written.
+    """
+    contents: dict[Path, bytes | str] = {**images(figures, page.parent)}
+    if numbers is not None:
+        contents[page.with_suffix(".json")] = json.dumps(numbers, indent=2, ensure_ascii=False) + "\n"
+    write({**contents, page: render(template, figures=figures, **facts)})
+
+
+def images(figures: Iterable[CaptionedFigure], folder: Path) -> dict[Path, bytes]:
     """Return the content of the PNG file of each figure that is drawn, by its path in a folder."""
     return {folder / f"{one.name}.png": one.png for one in figures if one.png is not None}
 
@@ -94,12 +91,48 @@ def write(contents: Mapping[Path, bytes | str]) -> None:
         RecordError: a file cannot be written.
     """
     for path, content in contents.items():
-        try:
+        with writing(path.parent):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content.encode() if isinstance(content, str) else content)
-        except OSError as error:
-            why = error.strerror or error
-            raise RecordError(f"{path.parent} cannot be written: {why}; name another folder") from error
+
+
+@contextlib.contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Say of what the system refuses that a folder cannot be written.
+
+    Raises:
+        RecordError: an OSError was raised.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise RecordError(f"{folder} cannot be written: {error.strerror or error}; name another folder") from error
+
+
+@contextlib.contextmanager
+def staged(folder: Path | None) -> Iterator[Path]:
+    """Give a folder to write into, whose files are moved to another one at the end, unless an error is raised.
+
+    Args:
+        folder: to which files are moved. The other lies beside it, so that paths from both to other files are the same;
+            if None, it lies anywhere, and its files are deleted.
+
+    Raises:
+        RecordError: one of them cannot be written.
+    """
+    with writing(folder or Path(tempfile.gettempdir())):
+        there = None if folder is None else folder.resolve()
+        if there is not None:
+            there.parent.mkdir(parents=True, exist_ok=True)
+        name, beside = ("masking", None) if there is None else (f".{there.name}", there.parent)
+        with tempfile.TemporaryDirectory(prefix=f"{name}-", dir=beside, ignore_cleanup_errors=True) as made:
+            yield Path(made)
+            if there is None:
+                return
+            for path in sorted(p for p in Path(made).rglob("*") if p.is_file()):
+                target = there / path.relative_to(made)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                path.replace(target)
 
 
 def versions(*libraries: str) -> str:

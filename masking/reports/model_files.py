@@ -20,7 +20,13 @@ def rounded(value: float, digits: int = DIGITS) -> float:
 
 
 def parameter(value: float, std: float, digits: int = DIGITS) -> dict[str, float]:
-    """Return a parameter as a file has it: value, and standard deviation in a number of digits, if any."""
+    """Return a parameter as a file has it: value, and standard deviation in a number of digits, if any.
+
+    Args:
+        value: of the parameter, in its unit.
+        std: standard deviation, in the same unit; left out if 0.
+        digits: significant digits of the deviation.
+    """
     return {"value": rounded(value)} | ({"std": rounded(std, digits)} if std > 0.0 else {})
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import lazy_loader as lazy
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, MaxNLocator, StrMethodFormatter
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from masking.declaration.quantities import percent
@@ -20,29 +20,9 @@ from masking.procedures.measurement import LEVEL, Friction, Measurement
 from masking.procedures.response import Distortion
 from masking.procedures.responses import Response
 from masking.procedures.springs import SpringCurve
-from masking.reports.figure_parts import (
-    BAND,
-    DASHED,
-    first_of,
-    heading,
-    legend,
-    line_key,
-    logarithmic,
-    marker_key,
-    shown,
-    ticks,
-    top,
-)
-from masking.reports.style import (
-    COLOURS,
-    INK,
-    MUTED,
-    SIZE,
-    CaptionedFigure,
-    sheet,
-    symbol,
-    with_unit,
-)
+from masking.reports import figure_parts as parts
+from masking.reports import style
+from masking.reports.style import BAND, COLOURS, DASHED, INK, MUTED, SIZE, CaptionedFigure
 
 if TYPE_CHECKING:
     from scipy import stats
@@ -66,11 +46,11 @@ def figures(measured: Measurement[Any]) -> list[CaptionedFigure]:
 def _springs(measured: Measurement[SpringCurve]) -> list[CaptionedFigure]:
     curve, x, f = measured.found, measured.channels["displacement"], measured.channels["force"]
     grid = np.asarray(measured.series["displacement"])
-    (by, x_unit), (times, f_unit) = shown(x.unit, curve.displacement), shown(f.unit, curve.force)
-    figure, (above, below) = sheet([2.5, 1.9], top=top(measured.sentence))
+    (by, x_unit), (times, f_unit) = parts.shown(x.unit, curve.displacement), parts.shown(f.unit, curve.force)
+    figure, (above, below) = style.sheet([2.5, 1.9], heading=measured.sentence)
     line = float(curve.stiffness(0.5 * (curve.lowest + curve.highest)))
     rest = curve.force - line * curve.displacement
-    small, rest_unit = shown(f.unit, rest)
+    small, rest_unit = parts.shown(f.unit, rest)
     force, band = curve.at(grid), curve.band(grid, LEVEL)
     for way, colour in ((1.0, UP), (-1.0, DOWN)):
         chosen = np.where(curve.direction == way, 1.0, np.nan)
@@ -80,13 +60,12 @@ def _springs(measured: Measurement[SpringCurve]) -> list[CaptionedFigure]:
         axes.fill_between(by * grid, scale * (values - band), scale * (values + band), color=INK, alpha=BAND, lw=0)
         axes.plot(by * grid, scale * values, color=INK, lw=1.2, ls=DASHED)
         axes.set_xlim(by * curve.lowest, by * curve.highest)
-    above.set_ylabel(with_unit(f"force {symbol(f.name)}", f_unit))
-    below.set_ylabel(with_unit("force less a straight line", rest_unit))
-    below.set_xlabel(with_unit(f"displacement at {symbol(x.name)}", x_unit))
-    heading(figure, measured.sentence)
-    legend(figure, above, [
-        line_key("force rises", UP), line_key("force falls", DOWN),
-        line_key(f"spring, order {len(curve.coefficients) - 1}, with 95 %", INK, 1.2, dashed=True),
+    above.set_ylabel(style.with_unit(f"force {style.symbol(f.name)}", f_unit))
+    below.set_ylabel(style.with_unit("force less a straight line", rest_unit))
+    below.set_xlabel(style.with_unit(f"displacement at {style.symbol(x.name)}", x_unit))
+    parts.legend(figure, above, [
+        parts.line_key("force rises", UP), parts.line_key("force falls", DOWN),
+        parts.line_key(f"spring, order {len(curve.coefficients) - 1}, with 95 %", INK, 1.2, dashed=True),
     ])  # fmt: skip
     caption = (
         "Above: the record and the spring between its ways up and down, which friction and hysteresis hold apart. "
@@ -99,12 +78,12 @@ def _springs(measured: Measurement[SpringCurve]) -> list[CaptionedFigure]:
 def _actuators(measured: Measurement[ActuatorRatio]) -> list[CaptionedFigure]:
     found, motion = measured.found, measured.channels["motion"]
     first, second = measured.channels["first"].name, measured.channels["second"].name
-    by, unit = shown(motion.unit, np.abs(found.motion))
+    by, unit = parts.shown(motion.unit, np.abs(found.motion))
     order = np.argsort(found.gains)
     gains, fitted = found.gains[order], found.fitted[order]
     slope = np.polyfit(found.gains[found.used], found.fitted[found.used], 1)[0]
     turn = np.conj(slope) / abs(slope)  # the phase in which the motion passes zero
-    figure, (above, below) = sheet([2.1, 2.1], top=top(measured.sentence))
+    figure, (above, below) = style.sheet([2.1, 2.1], heading=measured.sentence)
     near = found.used[order]
     low, high = found.interval(LEVEL)
     for axes, seen, made in (
@@ -118,20 +97,19 @@ def _actuators(measured: Measurement[ActuatorRatio]) -> list[CaptionedFigure]:
         axes.plot(gains[near], by * made[near], color=INK, lw=1.2, ls=DASHED)
         axes.set_xlim(gains[0], gains[-1])
     above.set_ylim(bottom=0.0)
-    ticks(above)
+    parts.ticks(above)
     below.axhline(0.0, color=MUTED, lw=0.8)
-    above.set_ylabel(with_unit("amplitude of motion", unit))
-    below.set_ylabel(with_unit("part in phase", unit))
-    below.set_xlabel(f"gain: command of {symbol(second)} per command of {symbol(first)}")
+    above.set_ylabel(style.with_unit("amplitude of motion", unit))
+    below.set_ylabel(style.with_unit("part in phase", unit))
+    below.set_xlabel(f"gain: command of {style.symbol(second)} per command of {style.symbol(first)}")
     left = "right" if found.ratio > 0.5 * (gains[0] + gains[-1]) else "left"
     below.annotate(f"balance at {found.ratio:.4f}, 95 %: {low:.4f} to {high:.4f}", (found.ratio, 0.0),
                    (-8 if left == "right" else 8, 12), textcoords="offset points", ha=left, fontsize=SIZE - 0.5,
                    color=COLOURS[2])  # fmt: skip
-    heading(figure, measured.sentence)
-    legend(figure, above, [
-        marker_key("readings near the balance", UP, "o", 4),
-        marker_key("others", UP, "o", 3.2, alpha=0.35),
-        line_key("fitted", INK, 1.2, dashed=True),
+    parts.legend(figure, above, [
+        parts.marker_key("readings near the balance", UP, "o", 4),
+        parts.marker_key("others", UP, "o", 3.2, alpha=0.35),
+        parts.line_key("fitted", INK, 1.2, dashed=True),
     ])  # fmt: skip
     caption = (
         "Above: motion at the frequency of the sines against the gain of the second; it is least where the two "
@@ -143,8 +121,8 @@ def _actuators(measured: Measurement[ActuatorRatio]) -> list[CaptionedFigure]:
 
 def _friction(measured: Measurement[Friction]) -> list[CaptionedFigure]:
     shift, place = measured.found.shift, measured.found.place
-    space = top(measured.sentence, has_legend=False)
-    figure, rows = sheet([2.3] * ((shift is not None) + (place is not None)), top=space)
+    count = (shift is not None) + (place is not None)
+    figure, rows = style.sheet([2.3] * count, top=0.04, heading=measured.sentence)
     if shift is not None and place is not None:
         for axes, up in ((rows[0], 0.34), (rows[1], 0.0)):  # both have an axis of their own below
             axes.tick_params(labelbottom=True)
@@ -154,7 +132,6 @@ def _friction(measured: Measurement[Friction]) -> list[CaptionedFigure]:
         _shift(rows[0], shift, measured)
     if place is not None:
         _place(rows[-1], place, measured)
-    heading(figure, measured.sentence)
     words = []
     if shift is not None:
         words.append(
@@ -170,7 +147,7 @@ def _friction(measured: Measurement[Friction]) -> list[CaptionedFigure]:
 
 def _shift(axes: Axes, shift: EquilibriumShift, measured: Measurement[Friction]) -> None:
     unit = measured.channels["displacement"].unit
-    (by, x_unit), (times, y_unit) = shown(unit, shift.travel), shown(unit, shift.shift)
+    (by, x_unit), (times, y_unit) = parts.shown(unit, shift.travel), parts.shown(unit, shift.shift)
     grid = np.linspace(0.0, 1.05 * shift.travel.max(), 100)
     rows = np.column_stack([np.ones(len(grid)), grid])
     line = rows @ np.array([shift.constant, shift.growth])
@@ -182,14 +159,14 @@ def _shift(axes: Axes, shift: EquilibriumShift, measured: Measurement[Friction])
     axes.set_xlim(0.0, by * grid[-1])
     highest = min(float((line + half).max()), 2.0 * float(shift.shift.max()))
     axes.set_ylim(max(min(0.0, times * float((line - half).min())), -0.5 * times * highest), 1.05 * times * highest)
-    ticks(axes)
-    axes.set_xlabel(with_unit("travel to either side", x_unit))
-    axes.set_ylabel(with_unit("shift of equilibrium", y_unit))
+    parts.ticks(axes)
+    axes.set_xlabel(style.with_unit("travel to either side", x_unit))
+    axes.set_ylabel(style.with_unit("shift of equilibrium", y_unit))
 
 
 def _place(axes: Axes, place: LocatedFriction, measured: Measurement[Friction]) -> None:
     x, f = measured.channels["displacement"], measured.channels["force"]
-    (by, x_unit), (times, f_unit) = shown(x.unit, place.displacement), shown(f.unit, place.half_gap)
+    (by, x_unit), (times, f_unit) = parts.shown(x.unit, place.displacement), parts.shown(f.unit, place.half_gap)
     axes.plot(by * place.displacement, times * place.half_gap, "o", ms=3.4, mew=0, color=UP)
     axes.plot(by * place.displacement, times * place.fitted, color=INK, lw=1.2, ls=DASHED)
     if place.is_found:
@@ -203,15 +180,15 @@ def _place(axes: Axes, place: LocatedFriction, measured: Measurement[Friction]) 
             ha="right" if on_left else "left", fontsize=SIZE - 0.5, color=COLOURS[1],
         )  # fmt: skip
     axes.set_ylim(bottom=min(0.0, 1.1 * times * float(place.half_gap.min())))
-    ticks(axes)
-    axes.set_xlabel(with_unit(f"displacement at {symbol(x.name)}", x_unit))
-    axes.set_ylabel(with_unit(f"half the gap in {symbol(f.name)}", f_unit))
+    parts.ticks(axes)
+    axes.set_xlabel(style.with_unit(f"displacement at {style.symbol(x.name)}", x_unit))
+    axes.set_ylabel(style.with_unit(f"half the gap in {style.symbol(f.name)}", f_unit))
 
 
 def _response(measured: Measurement[Response]) -> list[CaptionedFigure]:
     made = measured.found
     outputs = made.outputs[:_MOST_OUTPUTS]
-    figure, rows = sheet([1.7, 0.95] * len(outputs), top=top(measured.sentence))
+    figure, rows = style.sheet([1.7, 0.95] * len(outputs), heading=measured.sentence)
     for i, (name, colour) in enumerate(zip(made.inputs, COLOURS, strict=False)):
         found = made.responses[name]
         f, radius = found.frequencies, found.radius(LEVEL)[:, :, 0]
@@ -235,15 +212,13 @@ def _response(measured: Measurement[Response]) -> list[CaptionedFigure]:
     for axes in rows[::2]:
         least, most = axes.get_ylim()
         if most < _NARROW * least:
-            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            parts.plain_numbers(axes.yaxis)
     rows[-1].set_xlabel("frequency (Hz)")
-    heading(figure, measured.sentence)
-    legend(figure, rows[0], [
-        line_key(f"to {symbol(name)}", colour)
+    parts.legend(figure, rows[0], [
+        parts.line_key(f"to {style.symbol(name)}", colour)
         for name, colour in zip(made.inputs, COLOURS, strict=False)
     ])  # fmt: skip
-    more = first_of(len(outputs), len(made.outputs), "sensors")
+    more = parts.first_of(len(outputs), len(made.outputs), "sensors")
     caption = f"Size and phase of the response of each sensor, with the band that holds them with 95 %.{more}"
     found_plates = [CaptionedFigure("response", "Frequency response", caption, figure)]
     if made.distortions:
@@ -256,8 +231,8 @@ def _response_axes(above: Axes, below: Axes, measured: Measurement[Response], ou
         c.unit for what, c in measured.channels.items() if what.startswith("input ")
     }]  # fmt: skip
     unit = f"{units[0] or '1'}/{units[1] or '1'}" if len(units) == 2 and any(units) else ""
-    logarithmic(above, "y")
-    above.set_ylabel(with_unit(f"size of {symbol(output)}", unit))
+    parts.logarithmic(above, "y")
+    above.set_ylabel(style.with_unit(f"size of {style.symbol(output)}", unit))
     below.set_ylabel("phase (°)")
     below.yaxis.set_major_locator(MaxNLocator(4, steps=[1.8, 4.5, 9]))
 
@@ -266,27 +241,26 @@ def _distortion(measured: Measurement[Response]) -> CaptionedFigure:
     made = measured.found
     outputs = [name for name in made.outputs if name in made.distortions][:_MOST_OUTPUTS]
     shares = {name: made.distortions[name].shares for name in outputs}
-    parts = [f"{name} {percent(s['even'])} even and {percent(s['odd'])} odd" for name, s in shares.items()]
-    sentence = f"Nonlinear distortion, as part of the response: {', '.join(parts)}"
-    figure, rows = sheet([1.9] * len(outputs), top=top(sentence))
+    shares_of = [f"{name} {percent(s['even'])} even and {percent(s['odd'])} odd" for name, s in shares.items()]
+    sentence = f"Nonlinear distortion, as part of the response: {', '.join(shares_of)}"
+    figure, rows = style.sheet([1.9] * len(outputs), heading=sentence)
     for name, axes in zip(outputs, rows, strict=True):
         each, unit = made.distortions[name], measured.channels[f"output {name}"].unit
-        by, unit = shown(unit, np.sqrt(each.level))
+        by, unit = parts.shown(unit, np.sqrt(each.level))
         size, noise = by * np.sqrt(each.level), by * np.sqrt(each.noise)
-        logarithmic(axes, "y", 6)
+        parts.logarithmic(axes, "y", 6)
         axes.plot(each.frequencies, np.maximum(noise, 1e-12 * size.max()), color=MUTED, lw=1.0)
         for lines, marker, colour in _kinds(each):
             axes.vlines(each.frequencies[lines], noise[lines], size[lines], color=colour, lw=0.7, alpha=0.5)
             axes.plot(each.frequencies[lines], size[lines], marker, color=colour, ms=4.2, mew=0)
         axes.set_xlim(0.0, 1.02 * each.frequencies[-1])
-        axes.set_ylabel(with_unit(f"amplitude of {symbol(name)}", unit))
+        axes.set_ylabel(style.with_unit(f"amplitude of {style.symbol(name)}", unit))
     rows[-1].set_xlabel("frequency (Hz)")
-    heading(figure, sentence)
-    legend(figure, rows[0], [
-        marker_key("excited lines", UP, "o", 4.2),
-        marker_key("even lines", DOWN, "^", 4.2),
-        marker_key("odd lines left out", COLOURS[2], "s", 4.2),
-        line_key("noise", MUTED, 1.0),
+    parts.legend(figure, rows[0], [
+        parts.marker_key("excited lines", UP, "o", 4.2),
+        parts.marker_key("even lines", DOWN, "^", 4.2),
+        parts.marker_key("odd lines left out", COLOURS[2], "s", 4.2),
+        parts.line_key("noise", MUTED, 1.0),
     ])  # fmt: skip
     caption = (
         "What the sensor has at each line: where nothing was excited, a linear rig would have noise only. Even lines "

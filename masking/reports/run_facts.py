@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
@@ -23,14 +23,13 @@ from masking.analysis.synchronisation import (
     synchronisation,
 )
 from masking.errors import MaskingError, RecordError
+from masking.numerics.arrays import Array
 from masking.records.recording import Recording
 
 if TYPE_CHECKING:
     from masking.declaration import units
 else:  # only a table of parameters with units needs it
     units = lazy.load("masking.declaration.units", suppress_warning=True)
-
-Series = NDArray[np.float64]
 
 SUM_WINDOW_PERIODS = 3
 _END = 0.05  # part of the record over which its last phase is stated
@@ -49,7 +48,7 @@ class PhasePair:
 
     first: str
     second: str
-    series: Series
+    series: Array
     start: float
     end: float
     steady_start: float
@@ -67,13 +66,13 @@ class InputUse:
     """
 
     name: str
-    series: Series
+    series: Array
     unit: str
     peak: float
     rms: float
     limit: float | None
     used: float | None
-    demanded: Series | None = None
+    demanded: Array | None = None
     saturated: float = 0.0
     throttled: float = 0.0
     power: float | None = None
@@ -97,13 +96,12 @@ class InputUse:
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """The masking error of a further run without one cause of masking error: of each coordinate, and their rms.
+    """The masking error of a further run without one cause: of each coordinate, and their rms.
 
-    `effects` were switched off, `remedy` is what helps on a rig, `note` what must be known to read the row.
+    `remedy` is what helps on a rig, `note` what must be known to read the row.
     """
 
     cause: str
-    effects: tuple[str, ...]
     chi: dict[str, float]
     rms: float
     remedy: str
@@ -153,24 +151,24 @@ class Study:
     """
 
     recording: Recording
-    tau: Series
+    tau: Array
     prefix: str
     oscillators: tuple[str, ...]
     others: tuple[str, ...]
     chi: dict[str, float]
     period: float
     pairs: tuple[PhasePair, ...]
-    sum_peak: Series | None
+    sum_peak: Array | None
     anti_phase: AntiPhase | None
     inputs: tuple[InputUse, ...]
     no_phase: str
     budget: Budget | None
 
-    def motion(self, coordinate: str) -> Series:
+    def motion(self, coordinate: str) -> Array:
         """Give the coordinate as it moved, shape (samples,)."""
         return self.recording[f"{self.prefix}.{coordinate}"]
 
-    def ideal(self, coordinate: str) -> Series | None:
+    def ideal(self, coordinate: str) -> Array | None:
         """Give the coordinate of the virtual system by itself, where it was recorded."""
         return self.recording.columns.get(f"ideal.{coordinate}")
 
@@ -267,14 +265,14 @@ def parameters(recording: Recording) -> tuple[Parameter, ...]:
     return tuple(_parameter(manifest, name, declared.get(name)) for name in names)
 
 
-def ends(tau: Series, mean_period: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def ends(tau: Array, mean_period: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Masks of the first three periods of the record and of its last twentieth (three periods if that is shorter)."""
     length = tau[-1] - tau[0]
     few = min(3 * mean_period, length / 2)
     return tau <= tau[0] + few, tau >= tau[-1] - max(few, _END * length)
 
 
-def _no_phase(manifest: Mapping[str, Any], motions: Mapping[str, Series], all_: Series, periods: list[float]) -> str:
+def _no_phase(manifest: Mapping[str, Any], motions: Mapping[str, Array], all_: Array, periods: list[float]) -> str:
     """Say why a phase difference cannot be given; "" where it can."""
     if not manifest.get("oscillators"):
         return "the record does not say which coordinates are oscillators"
@@ -290,7 +288,7 @@ def _no_phase(manifest: Mapping[str, Any], motions: Mapping[str, Series], all_: 
     return ""
 
 
-def _pairs(tau: Series, motions: Mapping[str, Series], mean_period: float) -> tuple[PhasePair, ...]:
+def _pairs(tau: Array, motions: Mapping[str, Array], mean_period: float) -> tuple[PhasePair, ...]:
     first, *rest = motions
     head, tail = ends(tau, mean_period)
     pairs = []
@@ -303,7 +301,7 @@ def _pairs(tau: Series, motions: Mapping[str, Series], mean_period: float) -> tu
 
 
 def _verdict(
-    tau: Series, motions: Mapping[str, Series], names: tuple[str, str], mean_period: float
+    tau: Array, motions: Mapping[str, Array], names: tuple[str, str], mean_period: float
 ) -> Synchronisation | None:
     rows = slice(None, None, max(1, int(mean_period / _ROWS * (len(tau) - 1) / (tau[-1] - tau[0]))))
     try:
@@ -312,7 +310,7 @@ def _verdict(
         return None
 
 
-def _anti_phase(tau: Series, motions: Mapping[str, Series]) -> AntiPhase | None:
+def _anti_phase(tau: Array, motions: Mapping[str, Array]) -> AntiPhase | None:
     if len(motions) != 2:
         return None
     a, b = motions.values()
@@ -328,33 +326,45 @@ def _use(recording: Recording, name: str) -> InputUse:
     limit = abs(float(declared["max"])) if declared.get("max") is not None else None
     peak = float(np.abs(series).max())
     unit = str(declared.get("unit") or _entry(recording.manifest, "columns", f"input.{name}").get("unit") or "")
-    used = peak / limit if limit else None
-    rms = float(np.sqrt(np.mean(series**2)))
-    found = InputUse(name, series, "" if unit == "1" else unit, peak, rms, limit, used)
     demanded, power = recording.columns.get(f"demanded.{name}"), recording.columns.get(f"power.{name}")
+    saturated = throttled = 0.0
     if demanded is not None:
         cut = np.abs(demanded - series) > _ROUNDING * max(peak, limit or 0.0)
         at_limit = np.abs(series) >= (limit or 0.0) * (1.0 - _ROUNDING)
         saturated, throttled = float(np.mean(cut & at_limit)), float(np.mean(cut & ~at_limit))
-        found = replace(found, demanded=demanded, saturated=saturated, throttled=throttled)
-    if power is None:
-        return found
     most = _entry(recording.manifest, "declarations", "plant", "limits", "power").get("value")
-    return replace(found, power=float(power.max()), most_power=None if most is None else float(most))
+    return InputUse(
+        name,
+        series,
+        "" if unit == "1" else unit,
+        peak,
+        float(np.sqrt(np.mean(series**2))),
+        limit,
+        peak / limit if limit else None,
+        demanded,
+        saturated,
+        throttled,
+        None if power is None else float(power.max()),
+        None if power is None or most is None else float(most),
+    )
 
 
 def _budget(recording: Recording) -> Budget | None:
-    budget = _entry(recording.manifest, "budget")
-    if not budget:
+    content = _entry(recording.manifest, "budget")
+    if not content:
         return None
-    rows = tuple(_budget_row(row) for row in budget["rows"])
-    return Budget(str(budget["sentence"]), _budget_row(budget), rows, _budget_row(budget["without_all"]))
-
-
-def _budget_row(row: Mapping[str, Any]) -> BudgetRow:
-    chi = {name: float(value) for name, value in row["chi"].items()}
-    words = [str(row.get(key, "")) for key in ("cause", "remedy", "note")]
-    return BudgetRow(words[0], tuple(row.get("effects", ())), chi, float(row["rms"]), *words[1:])
+    entries = (content, *content["rows"], content["without_all"])
+    whole, *rows, without_all = (
+        BudgetRow(
+            str(entry.get("cause", "")),
+            {name: float(value) for name, value in entry["chi"].items()},
+            float(entry["rms"]),
+            str(entry.get("remedy", "")),
+            str(entry.get("note", "")),
+        )
+        for entry in entries
+    )
+    return Budget(str(content["sentence"]), whole, tuple(rows), without_all)
 
 
 def _parameter(manifest: Mapping[str, Any], name: str, entry: Any) -> Parameter:  # noqa: ANN401  # JSON

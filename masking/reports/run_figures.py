@@ -9,31 +9,15 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
+from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from masking.analysis.synchronisation import principal, running_peak
 from masking.declaration.quantities import percent
-from masking.reports.figure_parts import DASHED, first_of, legend, line_key, note
+from masking.reports import figure_parts as parts
+from masking.reports import style
 from masking.reports.run_facts import SUM_WINDOW_PERIODS, Study
-from masking.reports.style import (
-    BARE,
-    BINS,
-    COLOURS,
-    INK,
-    LIMIT,
-    MUTED,
-    NOTE,
-    SIZE,
-    WIDTH,
-    CaptionedFigure,
-    Series,
-    envelope,
-    sheet,
-    symbol,
-    thin,
-    with_unit,
-)
+from masking.reports.style import COLOURS, DASHED, INK, LIMIT, MUTED, SIZE, CaptionedFigure, Series
 
 _ENVELOPE_PERIODS = 60  # from this many periods on single ones cannot be distinguished apart
 _ZOOM_PERIODS = 6
@@ -53,9 +37,9 @@ def figures(study: Study) -> list[CaptionedFigure]:
 def _displacements(study: Study) -> CaptionedFigure:
     names, title = study.oscillators[:_MOST_ROWS], "Displacements"
     if not names:
-        return CaptionedFigure("displacements", title, "Not shown: the record holds no coordinates.", None)
+        return style.absent("displacements", title, "the record holds no coordinates")
     zoom = bool(study.tau[-1] - study.tau[0] > 2.5 * _ZOOM_PERIODS * study.period)  # False for a NaN
-    figure, rows = sheet([1.15] * len(names) + [1.9] * zoom, zooms=zoom)
+    figure, rows = style.sheet([1.15] * len(names) + [1.9] * zoom, zooms=zoom)
     for name, axes, colour in zip(names, rows, COLOURS, strict=False):
         _motion(axes, study, name, colour)
     _same_range(rows[: len(names)], [study.unit(f"{study.prefix}.{name}") for name in names])
@@ -70,8 +54,8 @@ def _displacements(study: Study) -> CaptionedFigure:
             axes.set_xlim(study.tau[part][0], study.tau[part][-1])
             axes.set_title(f"{text} {_ZOOM_PERIODS} periods", loc="left", fontsize=SIZE, color=MUTED)
             _time_label(axes, study)
-    _legend(figure, study, [(symbol(name), colour) for name, colour in zip(names, COLOURS, strict=False)])
-    more = first_of(len(names), len(study.oscillators))
+    _legend(figure, study, [(style.symbol(name), colour) for name, colour in zip(names, COLOURS, strict=False)])
+    more = parts.first_of(len(names), len(study.oscillators))
     return CaptionedFigure("displacements", title, _meanings(study, names) + more + _band_words(study), figure)
 
 
@@ -81,32 +65,31 @@ def _others(study: Study) -> CaptionedFigure:
         words = study.meaning(study.others[0])
         title = words[0].upper() + words[1:]
     if not names:
-        return CaptionedFigure("others", title, "Not shown: every coordinate is among the displacements.", None)
-    figure, rows = sheet([1.5 if len(names) == 1 else 1.15] * len(names))
+        return style.absent("others", title, "every coordinate is among the displacements")
+    figure, rows = style.sheet([1.5 if len(names) == 1 else 1.15] * len(names))
     for name, axes in zip(names, rows, strict=True):
         _motion(axes, study, name, COLOURS[2])
     _time_label(rows[-1], study)
-    _legend(figure, study, [(symbol(name), COLOURS[2]) for name in names[:1]] if len(names) == 1 else [])
+    _legend(figure, study, [(style.symbol(name), COLOURS[2]) for name in names[:1]] if len(names) == 1 else [])
     return CaptionedFigure("others", title, _meanings(study, names) + _band_words(study), figure)
 
 
 def _synchronisation(study: Study) -> CaptionedFigure:
     title = "Synchronisation"
     if study.no_phase or study.sum_peak is None:
-        return CaptionedFigure("synchronisation", title, f"Not shown: {study.no_phase}.", None)
-    figure, (above, below) = sheet([1.7, 1.7], top=NOTE if len(study.pairs) > 1 else BARE)
+        return style.absent("synchronisation", title, study.no_phase)
+    figure, (above, below) = style.sheet([1.7, 1.7], top=style.NOTE if len(study.pairs) > 1 else style.BARE)
     for pair, colour in zip(study.pairs, COLOURS if len(study.pairs) > 1 else (INK,), strict=False):
-        tau, phase = thin(study.tau, principal(pair.series) / np.pi)
+        tau, phase = style.thin(study.tau, principal(pair.series) / np.pi)
         jumps = np.flatnonzero(np.abs(np.diff(phase)) > 1) + 1
-        label = f"{symbol(pair.first)} against {symbol(pair.second)}"
+        label = f"{style.symbol(pair.first)} against {style.symbol(pair.second)}"
         above.plot(np.insert(tau, jumps, np.nan), np.insert(phase, jumps, np.nan), color=colour, lw=1.2, label=label)
     for level, text in ((0.0, "in-phase"), (1.0, "anti-phase")):
         above.axhline(level, color=MUTED, lw=0.8, ls=DASHED, zorder=1)
         above.annotate(text, (0.995, level), (0, 3), ("axes fraction", "data"), "offset points", ha="right",
                        fontsize=SIZE - 1, color=MUTED)  # fmt: skip
     above.set_ylim(-0.5, 1.5)
-    above.yaxis.set_major_locator(FixedLocator([-0.5, 0.0, 0.5, 1.0, 1.5]))
-    above.set_yticklabels(["\N{MINUS SIGN}π/2", "0", "π/2", "π", "3π/2"])
+    above.set_yticks([-0.5, 0.0, 0.5, 1.0, 1.5], labels=["\N{MINUS SIGN}π/2", "0", "π/2", "π", "3π/2"])
     above.set_ylabel("phase difference (rad)")
     if len(study.pairs) > 1:
         above.legend(
@@ -119,7 +102,7 @@ def _synchronisation(study: Study) -> CaptionedFigure:
         )
     total = _sum_text(study.oscillators)
     _log_peaks(below, study.tau, study.sum_peak, INK)
-    below.set_ylabel(with_unit(f"peak |{total}|", study.unit(f"{study.prefix}.{study.oscillators[0]}")))
+    below.set_ylabel(style.with_unit(f"peak |{total}|", study.unit(f"{study.prefix}.{study.oscillators[0]}")))
     for axes in (above, below):
         _whole_record(axes, study)
     _time_label(below, study)
@@ -133,8 +116,8 @@ def _synchronisation(study: Study) -> CaptionedFigure:
 def _inputs(study: Study) -> CaptionedFigure:
     uses, title = study.inputs[:_MOST_ROWS], "Inputs against their limits"
     if not uses:
-        return CaptionedFigure("inputs", title, "Not shown: the record holds no inputs.", None)
-    figure, rows = sheet([1.15] * len(uses), top=NOTE)
+        return style.absent("inputs", title, "the record holds no inputs")
+    figure, rows = style.sheet([1.15] * len(uses), top=style.NOTE)
     hidden = []
     for use, axes in zip(uses, rows, strict=True):
         reach = [use.series]
@@ -158,14 +141,14 @@ def _inputs(study: Study) -> CaptionedFigure:
                 hidden.append(use.name)
         _symmetric(axes, reach)
         _whole_record(axes, study)
-        axes.set_ylabel(with_unit(symbol(use.name), use.unit))
-        note(axes, words, colour=LIMIT if use.is_exceeded or use.is_cut else MUTED)
+        axes.set_ylabel(style.with_unit(style.symbol(use.name), use.unit))
+        parts.note(axes, words, colour=LIMIT if use.is_exceeded or use.is_cut else MUTED)
     _time_label(rows[-1], study)
     drawn = any(use.limit is not None and use.name not in hidden for use in uses)
     lines = "Dashed red lines are the limits. " if drawn else ""
     lines += "Thin orange lines are what was demanded. " if any(use.is_cut for use in uses) else ""
     far = f"The limits of {', '.join(hidden)} lie far outside the axes." if hidden else ""
-    more = first_of(len(uses), len(study.inputs))
+    more = parts.first_of(len(uses), len(study.inputs))
     return CaptionedFigure("inputs", title, f"{lines}{far}{more}".strip() or "The inputs of the plant.", figure)
 
 
@@ -174,19 +157,15 @@ def _masking_error(study: Study) -> CaptionedFigure:
     compared = [(name, study.ideal(name)) for name in study.coordinates[:_MOST_ROWS]]
     errors = {n: np.abs(study.motion(n) - ideal) for n, ideal in compared if ideal is not None and n in study.chi}
     if not errors:
-        return CaptionedFigure(
-            "masking_error", title, "Not shown: the record holds no ideal motion to compare with.", None
-        )
+        return style.absent("masking_error", title, "the record holds no ideal motion to compare with")
     if not any(np.any(error) for error in errors.values()):
-        return CaptionedFigure(
-            "masking_error", title, "Not shown: virtual and ideal are equal in every digit recorded.", None
-        )
-    figure, (axes,) = sheet([2.2], top=NOTE)
+        return style.absent("masking_error", title, "virtual and ideal are equal in every digit recorded")
+    figure, (axes,) = style.sheet([2.2], top=style.NOTE)
     for (name, error), colour in zip(errors.items(), COLOURS, strict=False):
         peaks = running_peak(study.tau, error, study.period) if math.isfinite(study.period) else error
-        _log_peaks(axes, study.tau, peaks, colour, label=symbol(name))
+        _log_peaks(axes, study.tau, peaks, colour, label=style.symbol(name))
     axes.legend(frameon=False, fontsize=SIZE, ncols=len(errors), loc="lower right", bbox_to_anchor=(1.0, 0.995))
-    axes.set_ylabel(with_unit("|virtual \N{MINUS SIGN} ideal|", study.unit(f"virtual.{next(iter(errors))}")))
+    axes.set_ylabel(style.with_unit("|virtual \N{MINUS SIGN} ideal|", study.unit(f"virtual.{next(iter(errors))}")))
     _whole_record(axes, study)
     _time_label(axes, study)
     caption = "Distance between the masked rig and the virtual system by itself, the largest over the period before."
@@ -196,14 +175,12 @@ def _masking_error(study: Study) -> CaptionedFigure:
 def _budget(study: Study) -> CaptionedFigure:
     title, found = "What limits the masking error", study.budget
     if found is None:
-        return CaptionedFigure(
-            "budget", title, "Not shown: it was not asked for; 'masking run --budget' finds it out.", None
-        )
+        return style.absent("budget", title, "it was not asked for; 'masking run --budget' finds it out")
     rows = [*sorted(found.rows, key=lambda row: row.rms), found.without_all]
     whole = found.whole.rms
-    figure, (axes,) = sheet([_BAR * (len(rows) + 0.7)], top=NOTE)
+    figure, (axes,) = style.sheet([_BAR * (len(rows) + 0.7)], top=style.NOTE)
     box = axes.get_position()
-    axes.set_position((_WORDS / WIDTH, box.y0, 1.0 - (_WORDS + _VALUES) / WIDTH, box.height))
+    axes.set_position((_WORDS / style.WIDTH, box.y0, 1.0 - (_WORDS + _VALUES) / style.WIDTH, box.height))
     largest = max((row.rms for row in rows if math.isfinite(row.rms)), default=whole)
     most = 1.08 * min(max(largest, whole), 2.0 * whole) if math.isfinite(whole) and whole > 0.0 else 1.0
     start = min(whole, most)
@@ -220,8 +197,7 @@ def _budget(study: Study) -> CaptionedFigure:
                   ha="center", fontsize=SIZE - 1, color=MUTED)  # fmt: skip
     axes.axhline(len(rows) - 1.5, color=MUTED, lw=0.8)
     axes.set(xlim=(0.0, most), ylim=(len(rows) - 0.4, -0.6))
-    axes.yaxis.set_major_locator(FixedLocator(range(len(rows))))
-    axes.set_yticklabels([row.title for row in rows])
+    axes.set_yticks(range(len(rows)), labels=[row.title for row in rows])
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("masking error χ, rms of the coordinates")
@@ -255,7 +231,7 @@ def _motion(axes: Axes, study: Study, name: str, colour: str) -> None:
     ideal = study.ideal(name)
     _symmetric(axes, [study.motion(name)] + ([ideal] if ideal is not None else []))
     _whole_record(axes, study)
-    axes.set_ylabel(with_unit(symbol(name), study.unit(f"{study.prefix}.{name}")))
+    axes.set_ylabel(style.with_unit(style.symbol(name), study.unit(f"{study.prefix}.{name}")))
 
 
 def _trace(
@@ -263,22 +239,22 @@ def _trace(
 ) -> None:
     cycles = _cycles(study)
     if thin_line and cycles <= _ENVELOPE_PERIODS:
-        axes.plot(*thin(study.tau, series), color=colour, lw=0.9)
+        axes.plot(*style.thin(study.tau, series), color=colour, lw=0.9)
         return
     if cycles > _ENVELOPE_PERIODS:
-        bins = int(min(BINS / 2, cycles / 1.5))
-        tau, low, high = envelope(study.tau, series, bins)
+        bins = int(min(style.BINS / 2, cycles / 1.5))
+        tau, low, high = style.envelope(study.tau, series, bins)
         if not thin_line:
             axes.fill_between(tau, low, high, color=colour, alpha=0.3, lw=0)
         axes.plot(tau, low, tau, high, color=colour, lw=0.9 if thin_line else 1.3)
         if ideal is not None:
-            tau, low, high = envelope(study.tau, ideal, bins)
+            tau, low, high = style.envelope(study.tau, ideal, bins)
             axes.plot(tau, low, tau, high, color=INK, lw=0.9, ls=DASHED)
         return
     marker = "o" if len(series) <= _FEW else None
-    axes.plot(*thin(study.tau, series), color=colour, lw=1.6, marker=marker, ms=4)
+    axes.plot(*style.thin(study.tau, series), color=colour, lw=1.6, marker=marker, ms=4)
     if ideal is not None:
-        axes.plot(*thin(study.tau, ideal), color=INK, lw=0.9, ls=DASHED)
+        axes.plot(*style.thin(study.tau, ideal), color=INK, lw=0.9, ls=DASHED)
 
 
 def _cycles(study: Study) -> float:
@@ -290,15 +266,15 @@ def _band_words(study: Study) -> str:
 
 
 def _lines(axes: Axes, study: Study, name: str, colour: str, part: NDArray[np.bool_]) -> None:
-    axes.plot(*thin(study.tau[part], study.motion(name)[part]), color=colour, lw=1.6)
+    axes.plot(*style.thin(study.tau[part], study.motion(name)[part]), color=colour, lw=1.6)
     ideal = study.ideal(name)
     if ideal is not None:
-        axes.plot(*thin(study.tau[part], ideal[part]), color=INK, lw=0.9, ls=DASHED)
+        axes.plot(*style.thin(study.tau[part], ideal[part]), color=INK, lw=0.9, ls=DASHED)
 
 
 def _log_peaks(axes: Axes, tau: Series, values: Series, colour: str, label: str | None = None) -> None:
     """Draw the peak of each interval on a logarithmic axis; zeros, which it cannot show, are gaps."""
-    middle, _, peak = envelope(tau, values, BINS // 2)
+    middle, _, peak = style.envelope(tau, values, style.BINS // 2)
     axes.set_yscale("log")
     marker = "o" if len(values) <= _FEW else None
     axes.plot(middle, np.where(peak > 0, peak, np.nan), color=colour, lw=1.3, label=label, marker=marker, ms=4)
@@ -328,10 +304,10 @@ def _legend(figure: Figure, study: Study, entries: Iterable[tuple[str, str]]) ->
     entries = list(entries)
     what = ", masked rig" if study.prefix == "virtual" else ", rig"
     words, ideal = (what, "ideal: virtual system by itself") if len(entries) <= 2 else ("", "ideal")
-    handles = [line_key(text + words, colour, 2.2) for text, colour in entries]
+    handles = [parts.line_key(text + words, colour, 2.2) for text, colour in entries]
     if any(study.ideal(name) is not None for name in study.coordinates):
-        handles.append(line_key(ideal, INK, 1.1, dashed=True))
-    legend(figure, None, handles)
+        handles.append(parts.line_key(ideal, INK, 1.1, dashed=True))
+    parts.legend(figure, None, handles)
 
 
 def _symmetric(axes: Axes, all_series: Iterable[Series]) -> None:
@@ -363,7 +339,7 @@ def _time_label(axes: Axes, study: Study) -> None:
     if study.recording.manifest.get("time_scale"):
         axes.set_xlabel("virtual time τ")
     else:
-        axes.set_xlabel(with_unit("time t", study.unit("t")))
+        axes.set_xlabel(style.with_unit("time t", study.unit("t")))
 
 
 def _meanings(study: Study, names: Iterable[str]) -> str:
@@ -376,4 +352,4 @@ def _few(names: Sequence[str]) -> list[str]:
 
 
 def _sum_text(names: Sequence[str]) -> str:
-    return " + ".join(symbol(name) if name != "…" else name for name in _few(names))
+    return " + ".join(style.symbol(name) if name != "…" else name for name in _few(names))

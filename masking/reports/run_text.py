@@ -25,7 +25,13 @@ STEADY = 0.7  # length of the mean unit vector below which a phase is not locked
 
 
 def warnings(recording: Recording, uses: Iterable[InputUse], chi: Mapping[str, float]) -> list[str]:
-    """Return sentences on what limits the validity of the result; empty if all is well."""
+    """Return sentences on what limits the validity of the result; empty if all is well.
+
+    Args:
+        recording: of the run.
+        uses: how much of each input was used.
+        chi: masking error of each coordinate.
+    """
     uses, manifest = tuple(uses), recording.manifest
     found = [text for text in (exceeded(uses), cut(uses)) if text]
     rate = float(manifest.get("rate") or 0.0)

@@ -12,20 +12,9 @@ from matplotlib.ticker import MaxNLocator
 from masking.analysis.stability.basins import LABELS, Basins
 from masking.analysis.stability.study import Stability, position_words
 from masking.numerics.arrays import Array
-from masking.reports.figure_parts import legend, marker_key
-from masking.reports.style import (
-    BARE,
-    COLOURS,
-    INK,
-    LEGEND,
-    MUTED,
-    SIZE,
-    CaptionedFigure,
-    Series,
-    panels,
-    sheet,
-    symbol,
-)
+from masking.reports import figure_parts as parts
+from masking.reports import style
+from masking.reports.style import BARE, COLOURS, INK, LEGEND, MUTED, SIZE, CaptionedFigure, Series
 
 _MOST = len(COLOURS)
 _BASIN_COLOURS = ("#5b6470", "#0072B2", "#D55E00", "#E69F00", "#ffffff")
@@ -37,15 +26,15 @@ def figures(found: Stability) -> list[CaptionedFigure]:
 
 
 def _eigenvalues(found: Stability) -> CaptionedFigure:
-    figure, (axes,) = sheet([3.2], top=LEGEND)
+    figure, (axes,) = style.sheet([3.2], top=LEGEND)
     handles = []
     # Smaller ones are on top: equilibria that mirror each other have the same eigenvalues.
     for size, (point, modes), colour in zip(range(12, 0, -2), found.points[:_MOST], COLOURS, strict=False):
         axes.plot(modes.eigenvalues.real, modes.eigenvalues.imag, "o", ms=size, color=colour, mec="white", mew=0.6)
-        handles.append(marker_key(position_words(point), colour))
+        handles.append(parts.marker_key(position_words(point), colour))
     if found.loop is not None:
         axes.plot(found.loop.eigenvalues.real, found.loop.eigenvalues.imag, "x", ms=7, color=INK, mew=1.2)
-        handles.insert(0, marker_key("closed loop", INK, "x", 7.0))
+        handles.insert(0, parts.marker_key("closed loop", INK, "x", 7.0))
     axes.axvline(0.0, color=MUTED, lw=0.9)
     axes.set(xlabel="real part", ylabel="imaginary part")
     columns = 1 if len(found.coordinates) > 3 and len(handles) > 1 else 2
@@ -64,7 +53,7 @@ def _shapes(found: Stability) -> CaptionedFigure:
     shown = modes.modes[:_MOST]
     columns = min(3, len(shown))
     count = -(-len(shown) // columns)
-    figure, rows = panels(count, 1.3, [2.2] * columns, LEGEND)
+    figure, rows = style.panels(count, 1.3, [2.2] * columns, LEGEND)
     at = np.arange(len(found.coordinates))
     for axes in [axes for row in rows for axes in row][len(shown) :]:
         axes.set_visible(False)
@@ -73,13 +62,13 @@ def _shapes(found: Stability) -> CaptionedFigure:
         axes.bar(at - 0.19, shape.real, 0.36, color=COLOURS[0])
         axes.bar(at + 0.19, shape.imag, 0.36, color=COLOURS[1])
         axes.axhline(0.0, color=MUTED, lw=0.8)
-        axes.set(ylim=(-1.15, 1.15), xticks=at)
-        axes.set_xticklabels([symbol(name) for name in found.coordinates])
+        axes.set_ylim(-1.15, 1.15)
+        axes.set_xticks(at, labels=map(style.symbol, found.coordinates))
         z = mode.eigenvalue
         text = f"{z.real:+.4f}" + (f" ± {mode.frequency:.4f}i" if mode.frequency else "")
         axes.set_title(text.replace("-", "\N{MINUS SIGN}"), loc="left", fontsize=SIZE - 1, color=MUTED)
     handles = [Patch(color=COLOURS[0], label="real part"), Patch(color=COLOURS[1], label="imaginary part")]
-    legend(figure, None, handles)
+    parts.legend(figure, None, handles)
     caption = (
         f"Shapes of the modes near {position_words(point)}: complex amplitudes of the coordinates, the largest is 1. "
         "Above each is its eigenvalue."
@@ -98,7 +87,7 @@ def sweep_figure(
         curves: label, and measure (m,) with the value of the parameter that is marked, of each row.
         words: name of the figure, title and caption.
     """
-    figure, rows = sheet([1.9] * len(curves), top=BARE + 0.12)
+    figure, rows = style.sheet([1.9] * len(curves), top=BARE + 0.12)
     for axes, (label, (series, marked)), colour in zip(rows, curves.items(), COLOURS, strict=False):
         axes.plot(values, series, color=colour, lw=1.6)
         at = (marked, float(np.interp(marked, values, series)))
@@ -106,7 +95,7 @@ def sweep_figure(
         axes.annotate(f"{marked:.3g}", at, (0, 8), textcoords="offset points", fontsize=SIZE - 1)
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.set(ylabel=label, xlim=(values[0], values[-1]), ylim=(0.0, 1.08 * float(np.nanmax(series))))
-    rows[-1].set_xlabel(symbol(name))
+    rows[-1].set_xlabel(style.symbol(name))
     return CaptionedFigure(*words, figure)
 
 
@@ -117,19 +106,19 @@ def basins_figure(found: Basins, words: tuple[str, str, str]) -> CaptionedFigure
         found: the basins.
         words: name of the figure, title and caption.
     """
-    figure, (axes,) = sheet([4.6], top=LEGEND)
+    figure, (axes,) = style.sheet([4.6], top=LEGEND)
     edges = [_edges(found.first), _edges(found.second)]
     axes.pcolormesh(*edges, found.ends.T, cmap=ListedColormap(list(_BASIN_COLOURS)), vmin=-0.5, vmax=len(LABELS) - 0.5)
     axes.grid(visible=False)
     axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
-    axes.set(xlabel=f"initial {symbol(found.names[0])}", ylabel=f"initial {symbol(found.names[1])}")
+    axes.set(xlabel=f"initial {style.symbol(found.names[0])}", ylabel=f"initial {style.symbol(found.names[1])}")
     shares = found.shares()
     handles = [
         Patch(facecolor=colour, edgecolor=MUTED, label=f"{label} {100 * shares[label]:.0f} %")
         for label, colour in zip(LABELS, _BASIN_COLOURS, strict=True)
         if shares[label] > 0.0
     ]
-    legend(figure, None, handles)
+    parts.legend(figure, None, handles)
     return CaptionedFigure(*words, figure)
 
 

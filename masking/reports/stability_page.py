@@ -2,49 +2,37 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.analysis.stability.study import Stability, phase, position_words
-from masking.reports import html
-from masking.reports.html import Tile, Written
-
-if TYPE_CHECKING:
-    from masking.reports import stability_figures
-else:
-    stability_figures = lazy.load("masking.reports.stability_figures", suppress_warning=True)
-
-PAGE, NUMBERS = "stability.html", "stability.json"
+from masking.reports import html, stability_figures
+from masking.reports.html import Tile
 
 
-def save(found: Stability, folder: str | Path) -> Written:
+def save(found: Stability, folder: str | Path) -> None:
     """Write `stability.html`, `stability.json` and PNG files into a folder, made if need be.
 
     Raises:
         RecordError: the folder cannot be written.
     """
-    out, figures = Path(folder), stability_figures.figures(found)
-    images, certificate = html.images(figures, out), found.certificate
+    certificate = found.certificate
     steps = [*(certificate.invariant.steps if certificate.invariant else ()), *certificate.reasons]
-    page = html.render(
+    html.save(
+        Path(folder, "stability.html"),
         "stability",
+        stability_figures.figures(found),
+        found.as_dict(),
         names=found.coordinates,
         title=f"stability of {found.name}",
         tiles=list(_tiles(found)),
         certificate=certificate,
         steps=[*steps, *(f"Equilibrium {point}." for point in certificate.others or ())],
-        figures=figures,
         equilibria=str(found.rest) if found.rest else found.reason,
         modes=list(_modes(found)),
     )
-    numbers = json.dumps(found.as_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    html.write({**images, out / NUMBERS: numbers, out / PAGE: page})
-    return Written(out / PAGE, out / NUMBERS, tuple(images))
 
 
 def _tiles(found: Stability) -> Iterator[Tile]:

@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 from masking.declaration.quantities import percent
+
+GREEK: Final = frozenset(
+    {"alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu"}
+    | {"xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}
+)
 
 
 def listed(words: Sequence[str], between: str = ", ") -> str:
@@ -20,6 +26,12 @@ def alternatives(words: Sequence[str]) -> str:
 def capital(text: str) -> str:
     """Return a text that begins a sentence."""
     return f"{text[:1].upper()}{text[1:]}"
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the lines of a table for the terminal, its columns as wide as their widest cell."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  " + "  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
 
 
 def much(part: float) -> str:

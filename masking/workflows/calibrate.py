@@ -86,7 +86,7 @@ def calibrate(
         stages.append(Stage(candidate.name, found, candidate.parameters))
     calibration = Calibration(twin, made, tuple(stages), folder)
     fit_files.save(calibration.best.fit, folder)
-    calibration_page.write(calibration)
+    calibration_page.save(calibration)
     (folder / "calibration.json").write_text(json.dumps(calibration.as_dict(), indent=2) + "\n", encoding="utf-8")
     if progress is not None:
         progress(1.0)

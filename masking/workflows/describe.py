@@ -13,6 +13,7 @@ import lazy_loader as lazy
 from masking.declaration import catalogue, registry, schema
 from masking.effects import EFFECTS, Effect, EffectParameter, own
 from masking.modelling.model import Model, load_model
+from masking.reports.text import aligned
 from masking.runs.experiment import Experiment
 
 if TYPE_CHECKING:
@@ -200,11 +201,7 @@ def _head(declaration: schema.Declaration) -> list[str]:
 
 def _table(title: str, rows: Sequence[Sequence[str]]) -> list[str]:
     """Return a titled table with aligned columns; nothing where there are no rows."""
-    if not rows:
-        return []
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = ["  " + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return [title, *lines, ""]
+    return [title, *aligned(rows), ""] if rows else []
 
 
 def _equation(left: str | sp.Expr, right: sp.Expr) -> list[str]:

@@ -22,6 +22,7 @@ PROCEDURES: Final[dict[str, Callable[..., Measurement[Any]]]] = {
     "friction": measurement.friction,
     "response": responses.response,
 }
+_ALWAYS = frozenset({"procedure", "records", "plant", "out"})  # parameters of `measure` that are no settings
 
 
 def measure(
@@ -74,30 +75,13 @@ def measure(
         RecordError: a column or a recording is wrong, or there are too many.
         ModelError: a setting makes no sense.
     """
-    settings = {
-        "input": input,
-        "sensor": sensor,
-        "order": order,
-        "settle": settle,
-        "scale": scale,
-        "force_scale": force_scale,
-        "first": first,
-        "second": second,
-        "frequency": frequency,
-        "span": span,
-        "bins": bins,
-        "inputs": inputs,
-        "sensors": sensors,
-        "period": period,
-        "discard": discard,
-    }
+    settings = {name: value for name, value in locals().items() if name not in _ALWAYS and value is not None}
     if procedure not in PROCEDURES:
         message = f"there is no procedure '{procedure}'"
         raise DeclarationError(Problem(None, "", message, nearest(procedure, [*PROCEDURES])))
     parameters = inspect.signature(PROCEDURES[procedure]).parameters.values()
     known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
-    given = {name: value for name, value in settings.items() if value is not None}
-    for name in given.keys() - set(known):
+    for name in settings.keys() - set(known):
         raise DeclarationError(Problem(None, name, f"{procedure} has no such setting", nearest(name, known)))
     takes_one = not any(p.kind is p.VAR_POSITIONAL for p in parameters)
     if not records or (takes_one and len(records) > 1):
@@ -105,7 +89,7 @@ def measure(
     check_folder(out)
     twin = None if plant is None else Twin.load(plant)
     sources = [Source(str(record), Recording.load(Path(record)), twin) for record in records]
-    found = PROCEDURES[procedure](*sources, **given)
+    found = PROCEDURES[procedure](*sources, **settings)
     if out is not None:
         identification_page.save(found, out)
     return found

@@ -7,8 +7,6 @@ rig really does, and the masking error falls. Effects in sensors and actuators a
 from __future__ import annotations
 
 import json
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,22 +15,20 @@ from typing import Any
 import yaml
 
 from masking.declaration import registry
-from masking.discovery.discover import discover
+from masking.discovery.discover import Tell, discover
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.settings import DiscoverySettings
-from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, SingularityError
+from masking.errors import DeclarationError, IntegrationError, Problem, SingularityError
 from masking.records.recording import Recording
-from masking.reports import discovery_files, discovery_page, discovery_text, run_report
+from masking.reports import discovery_files, discovery_page, discovery_text, html, run_report
 from masking.reports.discovery_files import Files
-from masking.reports.text import capital, listed
+from masking.reports.text import aligned, capital, listed
 from masking.rig.twin import Twin
 from masking.runs.error_budget import in_full
 from masking.runs.experiment import Experiment
 from masking.workflows import inputs
 from masking.workflows.outputs import check_folder
 from masking.workflows.settings import with_fields_of
-
-Tell = Callable[[str, float], None]
 
 EXPERIMENT, NUMBERS, BEFORE, AFTER = "experiment.yaml", "refine.json", "before", "after"
 WORTH = 0.9  # of the masking error before: above it, the run is called no better
@@ -137,9 +133,8 @@ class Refinement:
         rows = [("masking error chi", *names)]
         for what, run in (("before", self.before), ("after", self.after)):
             rows.append((what, *(_chi(run.chi[name]) if run.chi else "-" for name in names)))
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = [discovery_page.summary(self.discovery, self.files), self.sentence, *self.uncompensated]
-        lines += ["  " + "  ".join(f"{c:{w}}" for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        lines += aligned(rows)
         if self.folder is not None:
             lines.append(f"experiment: {self.folder / EXPERIMENT}")
         return "\n".join(lines)
@@ -195,8 +190,7 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
         tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part),
     )
     folder = None if out is None else Path(out)
-    made = _beside(folder)
-    try:
+    with html.staged(folder) as made:
         files = discovery_page.save(found, made, given.origin, lies=folder)
         better = refined(experiment, found, files, folder or made)
         after = _run(better, lambda part: say("running with what was found", _FOUND + (1.0 - _FOUND) * part))
@@ -204,11 +198,6 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
         result = Refinement(before, after, found, better, given.origin, folder, kept)
         if folder is not None:
             _write(result, made, folder)
-            _move(made, folder)
-    except OSError as error:
-        raise RecordError(f"{out} cannot be written: {error.strerror or error}; name another folder") from error
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
     return result
 
 
@@ -266,18 +255,6 @@ def _run(experiment: Experiment, progress: Callable[[float], None]) -> Run:
         return Run(None, str(error))
 
 
-def _beside(folder: Path | None) -> Path:
-    """Make a folder beside another one, from which paths to other files are the same; anywhere where there is none."""
-    try:
-        if folder is None:
-            return Path(tempfile.mkdtemp(prefix="masking-"))
-        there = folder.resolve()
-        there.parent.mkdir(parents=True, exist_ok=True)
-        return Path(tempfile.mkdtemp(prefix=f".{there.name}-", dir=there.parent))
-    except OSError as error:
-        raise RecordError(f"{folder} cannot be written: {error.strerror or error}; name another folder") from error
-
-
 def _write(result: Refinement, made: Path, folder: Path) -> None:
     """Write the runs with their reports, the experiment and the numbers into a folder that will be moved to another."""
     for name, run in ((BEFORE, result.before), (AFTER, result.after)):
@@ -302,13 +279,6 @@ def _experiment(result: Refinement, folder: Path) -> dict[str, Any]:
         made["controller"]["model"] = registry.name_from(assembly.believed_model, folder)
     source = filter(None, (made.get("source"), result.origin.source(result.discovery).replace("discover", "refine", 1)))
     return {"name": made.pop("name"), "source": "; ".join(source), **made}
-
-
-def _move(made: Path, folder: Path) -> None:
-    for path in sorted(p for p in made.rglob("*") if p.is_file()):
-        there = folder / path.relative_to(made)
-        there.parent.mkdir(parents=True, exist_ok=True)
-        path.replace(there)
 
 
 def _chi(chi: float) -> str:

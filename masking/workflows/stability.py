@@ -12,7 +12,7 @@ from masking.analysis.stability.lyapunov import largest_exponent
 from masking.analysis.stability.study import LoopModes, Stability, loop_modes, study
 from masking.declaration import catalogue
 from masking.errors import DeclarationError, Problem
-from masking.modelling.model import Model, load_model
+from masking.modelling.model import load_model
 from masking.reports import stability_page
 from masking.runs.experiment import Experiment
 from masking.runs.offline import rig_state
@@ -59,24 +59,16 @@ def stability(
         model = model.dimensionless() if model.declaration.scales else model
     else:
         model = experiment.virtual
-    found = _with_exponent(study(model, box), model, exponent, tell)
+    found, say = study(model, box), tell or (lambda text, part: None)
+    if exponent is not None:
+        motion = largest_exponent(model, exponent, progress=lambda part: say("following the motion", part))
+        found = replace(found, exponent=motion)
     if experiment is not None and found.rest is not None and found.rest.points:
-        if tell is not None:
-            tell("compiling the closed loop", 0.5)
+        say("compiling the closed loop", 0.5)
         found = replace(found, loop=_loop(experiment, found))
     if out is not None:
         stability_page.save(found, out)
     return found
-
-
-def _with_exponent(
-    found: Stability, model: Model, duration: float | None, tell: Callable[[str, float], None] | None
-) -> Stability:
-    """Return what was found with the largest Lyapunov exponent, where a time is given."""
-    if duration is None:
-        return found
-    progress = None if tell is None else lambda part: tell("following the motion", part)
-    return replace(found, exponent=largest_exponent(model, duration, progress=progress))
 
 
 def _loop(experiment: Experiment, found: Stability) -> LoopModes:
