@@ -164,8 +164,9 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) ->
             coming = next_experiment(problem, first.hypothesis, second.hypothesis, names_of, _limits(rig.twin))
     causes = (*effects, *(cause for cause, _ in rounded))
     return Discovery(
-        answer, causes, errors, rest, rig.twin, chosen, rivals, tempering, found, problem, validation, before, after,
-        adjusted, coming,
+        verdict=answer, twin=rig.twin, problem=problem, explanation=chosen, search=found, effects=causes,
+        simulation_error=errors, unexplained=rest, rivals=rivals, tempering=tempering, validation=validation,
+        before=before, after=after, adjusted=adjusted, next_experiment=coming,
     )  # fmt: skip
 
 

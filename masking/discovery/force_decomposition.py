@@ -57,14 +57,7 @@ class Parts:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the parts as JSON can hold them."""
-        return {
-            "displacement": self.displacement,
-            "rate": self.rate,
-            "both": self.both,
-            "neither": self.neither,
-            "odd": self.odd,
-            "even": None if self.odd is None else 1.0 - self.odd,
-        }
+        return {**vars(self), "even": None if self.odd is None else 1.0 - self.odd}
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from functools import cached_property
 
 import numpy as np
 
@@ -83,40 +83,38 @@ class Smoothed:
     error: Array
 
 
-class Explained(Protocol):
-    """What latent forces are found of: a record with its explanation, as a `Discovery` holds them."""
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Explained:
+    """A record with its explanation: what latent forces are found of.
 
-    @property
-    def verdict(self) -> Verdict:
-        """Return the verdict."""
+    Args:
+        verdict: `none`, `parameter`, `named`, `ambiguous` or `unknown`.
+        twin: the rig as its model declares it.
+        problem: the record that was explained.
+        explanation: the one that was chosen.
+        search: the whole search.
+    """
 
-    @property
-    def twin(self) -> Twin:
-        """Return the rig as its model declares it."""
+    verdict: Verdict
+    twin: Twin
+    problem: EstimationProblem
+    explanation: Explanation
+    search: SearchResult
 
     @property
     def rig(self) -> AugmentedModel:
-        """Return its augmented model."""
+        """Return the rig with its places open."""
+        return self.problem.rig
 
     @property
     def record(self) -> Data:
-        """Return the estimation record."""
+        """Return the record that was explained."""
+        return self.problem.record
 
-    @property
-    def problem(self) -> EstimationProblem:
-        """Return the estimation problem."""
-
-    @property
-    def explanation(self) -> Explanation:
-        """Return the explanation that was chosen."""
-
-    @property
-    def search(self) -> SearchResult:
-        """Return the result of the search."""
-
-    @property
+    @cached_property
     def smoothed(self) -> Smoothed:
-        """Return the latent forces along the record."""
+        """Return the latent forces along the record, before and after the causes."""
+        return smoothed(self)
 
 
 def force_at(found: Explained, most: str) -> LatentForce:

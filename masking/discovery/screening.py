@@ -8,7 +8,7 @@ Source: Frisch and Waugh (1933), Econometrica 1(4), for regression with some col
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping, Sequence
+from collections.abc import Iterator, MutableMapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -143,15 +143,8 @@ class Screen:
             features.append(_thinned(made, self.thin))
             at.append(columns)
         found: list[Array] = []
-        first = 0
-        while first < len(instances):
-            last, many = first, 0
-            while last < len(instances) and many + features[last].shape[1] <= MOST_COLUMNS:
-                many += features[last].shape[1]
-                last += 1
-            part = slice(first, last)
+        for part in _chunks([table.shape[1] for table in features]):
             found += self._at_sensors([instance.where for instance in instances[part]], features[part], at[part])
-            first = last
         for i, instance in enumerate(instances):
             if instance.effect == laws.DELAY:  # the columns of each actuator: values, then slopes
                 halves = np.split(found[i], 2, axis=2)
@@ -243,17 +236,10 @@ class Screen:
 
     def _settle(self, jobs: Sequence[tuple[Candidate, EffectInstance]], found: dict[int, Score]) -> None:
         """Score instances of candidates, and keep the best of each."""
-        chunks: list[list[tuple[Candidate, EffectInstance]]] = [[]]
-        many = 0
-        for candidate, instance in jobs:
-            columns = len(self.rig.twin.actuators) if candidate.effect == laws.DELAY else max(1, len(candidate.factors))
-            if many + columns > MOST_COLUMNS:
-                chunks.append([])
-                many = 0
-            chunks[-1].append((candidate, instance))
-            many += columns
+        channels = len(self.rig.twin.actuators)
+        sizes = [channels if one.effect == laws.DELAY else max(1, len(one.factors)) for one, _ in jobs]
         with ThreadPoolExecutor(2) as pool:
-            for scores in pool.map(self._scored, filter(None, chunks)):
+            for scores in pool.map(self._scored, [jobs[part] for part in _chunks(sizes)]):
                 for score in scores:
                     before = found.get(id(score.candidate))
                     if before is None or score.gain > before.gain:
@@ -425,6 +411,18 @@ def _apart(columns: Array, others: Array, rank: float) -> tuple[Array, Array]:
     size = np.linalg.norm(left, axis=0)
     independent = size > RANK * np.linalg.norm(columns, axis=0)
     return basis, np.where(independent, left / np.where(independent, size, 1.0), 0.0)
+
+
+def _chunks(sizes: Sequence[int]) -> Iterator[slice]:
+    """Give slices of items that have at most `MOST_COLUMNS` columns together."""
+    first = total = 0
+    for i, size in enumerate(sizes):
+        if total + size > MOST_COLUMNS and i > first:
+            yield slice(first, i)
+            first, total = i, 0
+        total += size
+    if sizes:
+        yield slice(first, len(sizes))
 
 
 def _has_shape(candidate: Candidate) -> bool:
