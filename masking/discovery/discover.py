@@ -6,7 +6,7 @@ and 16; the terms are physical effects with parameters and states of their own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.prior import prior_of, train_validation_split
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
-from masking.discovery.search import Search, SearchResult
+from masking.discovery.search import Search, SearchResult, Tell
 from masking.discovery.settings import DiscoverySettings
 from masking.discovery.verdict import Scored
 from masking.effects import ROUNDING
@@ -33,8 +33,6 @@ from masking.estimation.data import Data
 from masking.estimation.simulation import relative
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
-
-Tell = Callable[[str, float], None]
 
 
 def discover(

@@ -122,7 +122,13 @@ def decompose(
 
 
 def followed(x: Array, force: Array, cycle: int | None = None) -> float:
-    """Return the mean square of that part of a force (m,) that is a function of x (m,); `cycle` as for `decompose`."""
+    """Return the mean square of the part of a force that is a function of x.
+
+    Args:
+        x: displacement or command (m,).
+        force: (m,).
+        cycle: as for `decompose`.
+    """
     every, stretches = _thinned(x, cycle)
     x, force = x[every], force[every]
     rows, bend = _curve(x, _knots(x))

@@ -132,7 +132,13 @@ def force_at(found: Explained, most: str) -> LatentForce:
 
 
 def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Array]:
-    """Return centres, means of a force and numbers of samples (b,) of bins of x."""
+    """Return centres, means of a force and numbers of samples (b,) of bins of x.
+
+    Args:
+        x: displacement or rate (m,).
+        force: at the same time (m,).
+        bins: of the range of x; those with few samples are left out.
+    """
     low, high = np.quantile(x, [0.002, 0.998])
     edges = np.linspace(low, high if high > low else low + 1.0, bins + 1)
     at = np.clip(np.searchsorted(edges, x) - 1, 0, bins - 1)
@@ -184,7 +190,14 @@ def _sensor(found: Explained, name: str) -> LatentForce:
 
 
 def along(found: Explained, instance: EffectInstance, x: Array, rate: Array) -> Array:
-    """Return what an effect gives along a motion of its place (m,)."""
+    """Return the force or value of an effect along a motion of its place (m,).
+
+    Args:
+        found: the discovery.
+        instance: the effect with its values.
+        x: displacement, command or reading that it acts on (m,).
+        rate: of it (m,).
+    """
     if instance.effect == laws.DELAY:
         t = np.arange(len(x)) / found.record.rate
         return np.asarray(np.interp(t - instance.values[0], t, x))
@@ -198,7 +211,7 @@ def smoothed(found: Explained) -> Smoothed:
         return Smoothed(found.search.motion, None, base.residuals)
     record, problem = found.record, found.problem
     try:
-        if problem.interval:  # readings without causes would jump from window to window
+        if problem.interval:  # readings without causes would jump between shooting intervals
             before = smooth(problem, chosen.theta, chosen.start)
             return Smoothed(before, _without(found, before), base.residuals)
         without = problem.equations(chosen.theta, chosen.start).simulated

@@ -89,7 +89,7 @@ class Screen:
         rig, record, prior, sigma = problem.rig, problem.record, problem.prior, problem.sigma
         self.thin, self.every = thinning(problem)
         self.blocks = len(record) // self.every
-        self.begin = problem.begin // self.thin if problem.interval else len(record)
+        self.interval_samples = problem.interval_samples // self.thin if problem.interval else len(record)
         self._states = _thinned(motion.states, self.thin)
         self._commands = _thinned(record.acting, self.thin)
         self.scale = np.sqrt(self.every) / sigma
@@ -100,7 +100,7 @@ class Screen:
         columns = self._spread(np.ones((coarse, len(wanted))), wanted.astype(np.float64))
         of_parameters = np.einsum("bsm,mk->bsk", columns, basis[wanted])
         free = np.array(rig.twin.free, dtype=np.int64)
-        start = self._of_windows(self._spread(np.zeros((coarse, len(free))), np.zeros(len(free)), free))
+        start = self._of_intervals(self._spread(np.zeros((coarse, len(free))), np.zeros(len(free)), free))
         values, slopes = self._found(found)
         own = self._rows(np.concatenate([of_parameters, start, slopes], axis=2))
         prior_rows = np.zeros((k, own.shape[1]))
@@ -119,10 +119,10 @@ class Screen:
         self.left = self._out(self._whole_left)
         self.total = float(self.left @ self.left)
 
-    def _of_windows(self, columns: Array) -> Array:
-        """Return columns (blocks, sensors, c) for each window, zero outside of it (blocks, sensors, windows * c)."""
-        window = np.arange(self.blocks) * self.every // (self.begin * self.thin)
-        apart = np.equal.outer(window, np.unique(window)).astype(float)
+    def _of_intervals(self, columns: Array) -> Array:
+        """Return columns (blocks, sensors, c) for each shooting interval, zero outside (blocks, sensors, w * c)."""
+        interval = np.arange(self.blocks) * self.every // (self.interval_samples * self.thin)
+        apart = np.equal.outer(interval, np.unique(interval)).astype(float)
         found: Array = np.einsum("bsc,bw->bswc", columns, apart).reshape(*columns.shape[:2], -1)
         return found
 
@@ -166,7 +166,7 @@ class Screen:
         return found
 
     def around(self, instance: EffectInstance) -> tuple[Array, Array]:
-        """Return parameters of the rig (k,) and initial states (windows, states) that go best with an effect."""
+        """Return parameters of the rig (k,) and initial states (w, states) that go best with an effect."""
         (table,) = self._effects([instance])
         left = self._whole_left.copy()
         rows = self._rows(table[:, :, :1])[:, 0]
@@ -380,7 +380,7 @@ class Screen:
         p, _ = rig.basis(self.base.theta)
         every = self.every // self.thin
         rig.kernels.respond(
-            self.blocks * every, self.thin / record.rate, every, self.begin, at.astype(np.int64),
+            self.blocks * every, self.thin / record.rate, every, self.interval_samples, at.astype(np.int64),
             np.full(many, -1) if initial is None else initial, self._states, self._commands, p,
             np.ascontiguousarray(features), found,
         )  # fmt: skip

@@ -23,10 +23,10 @@ from masking.numerics.arrays import Array
 
 
 def interval(problem: EstimationProblem, seconds: float | None) -> int:
-    """Return the samples of a window, in whole blocks of the screening: as asked, or as the model needs; 0 for none.
+    """Return the samples of a shooting interval, in whole blocks of a screen: as asked, or as needed; 0 for none.
 
     Raises:
-        RecordError: the windows asked for are too short.
+        RecordError: the interval that is asked for is too short.
     """
     rate, count, rules = problem.record.rate, len(problem.record), problem.rules
     if seconds is None:

@@ -73,7 +73,7 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     Args:
         problem: the record and the rig.
         theta: its parameters (k,).
-        start: its first state, of each window the first (windows, states).
+        start: initial states of the shooting intervals (w, states).
 
     Raises:
         IntegrationError: the readings do not tell all coordinates, or the motion is no longer finite.
