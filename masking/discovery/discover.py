@@ -85,7 +85,7 @@ def discover(
 
 
 def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
-    """Return the errors that are left where held commands were measured; None where they are no smaller."""
+    """Return the errors with first-order hold of commands; None if they are no smaller."""
     if found.record.hold != "zero-order" or not found.twin.actuators:
         return None
     problem, known = found.problem, found.explanation.hypothesis
@@ -136,7 +136,7 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) ->
         before, after = fitting.validated(validation, declared), fitting.validated(validation, chosen.hypothesis)
     tempering = problem.tempering(chosen.hypothesis.residuals)
     excess, left = (verdict.excess_cost(one.cost, size) for one in (found.base, chosen))
-    rest = left / excess if excess > 0.0 else 0.0
+    unexplained = left / excess if excess > 0.0 else 0.0
     errors = SimulationError(
         (_chi(problem, declared), _chi(problem, chosen.hypothesis)),
         (_chi(validation, before), _chi(validation, after)),
@@ -145,7 +145,7 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) ->
         _chi(validation, adjusted),
     )
     scored = [_scored(rival, problem, tempering) for rival in rivals]
-    decision = verdict.decide(scored, rest, size, rules, composite=are_composite(chosen.names, rig, rules))
+    decision = verdict.decide(scored, unexplained, size, rules, composite=are_composite(chosen.names, rig, rules))
     effects, rounded = _causes(rig, rivals, tempering, scored, rules), _rounded(problem, chosen.hypothesis)
     answer = verdict.revised(
         decision,
@@ -163,7 +163,7 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) ->
     causes = (*effects, *(cause for cause, _ in rounded))
     return Discovery(
         verdict=answer, twin=rig.twin, problem=problem, explanation=chosen, search=found, effects=causes,
-        simulation_error=errors, unexplained=rest, rivals=rivals, tempering=tempering, validation=validation,
+        simulation_error=errors, unexplained=unexplained, rivals=rivals, tempering=tempering, validation=validation,
         before=before, after=after, adjusted=adjusted, next_experiment=coming,
     )  # fmt: skip
 

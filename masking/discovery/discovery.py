@@ -58,7 +58,7 @@ class SimulationError:
         return at_noise_floor(self.validation[1].values(), self.validation_noise_floor.values(), readings, rules)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the gap as JSON can hold it."""
+        """Return the errors as JSON can hold it."""
         return {
             "estimation": {"before": self.estimation[0], "after": self.estimation[1]},
             "validation": {"before": self.validation[0], "after": self.validation[1]},

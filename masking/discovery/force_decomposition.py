@@ -150,8 +150,8 @@ def _parts(x: Array, rate: Array, force: Array, energy: float, stretches: Indice
     mean = float(alone[:, 1].mean())  # a constant gives back what it takes
     each = np.array([(force * (alone[:, 0] + mean)).mean(), (force * (alone[:, 1] - mean)).mean()]).clip(0.0)
     explained = _explained(force, alone.sum(axis=1))
-    rest = force - alone.sum(axis=1) if explained else force
-    both = _explained(rest, _held_out(*_surface(x, rate), rest, stretches)[:, 0])
+    residual = force - alone.sum(axis=1) if explained else force
+    both = _explained(residual, _held_out(*_surface(x, rate), residual, stretches)[:, 0])
     found = np.array([*(explained * each / (float(each.sum()) or 1.0)), both]) / energy
     found /= max(1.0, float(found.sum()))
     neither = max(0.0, 1.0 - float(found.sum()))

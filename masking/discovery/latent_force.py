@@ -24,7 +24,7 @@ from masking.discovery.explanation import Explanation
 from masking.discovery.places import is_of_one
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.search import SearchResult
-from masking.discovery.smoothing import Motion, smooth
+from masking.discovery.smoothing import Motion, slopes, smooth
 from masking.discovery.verdict import Verdict
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
@@ -253,12 +253,8 @@ def projected(motion: Motion, by: Array) -> tuple[Array, float]:
 def directions(found: Explained, column: int) -> Array:
     """Return what a unit in a column of the equations is as forces on each degree (degrees,)."""
     rig, theta = found.rig, found.explanation.hypothesis.theta
-    n, count = len(rig.twin.state_names), len(rig.coordinates)
-    p, _ = rig.basis(theta)
-    y, u = rig.rest, np.zeros(len(rig.twin.actuators))
-    jy, jp, dy = np.zeros((n, n)), np.zeros((n, rig.affected)), np.zeros(n)
-    rig.kernels.slopes(0.0, y, u, p, dy, jy, jp)
-    moved = np.vstack([jp[count:], rig.direct(theta)]) if rig.twin.is_fed else jp[count:]
+    moved = slopes(rig, theta)[1][len(rig.coordinates) :]
+    moved = np.vstack([moved, rig.direct(theta)]) if rig.twin.is_fed else moved
     ports = moved[:, [rig.columns[1][i] for i in rig.degree_places]]
     return np.asarray(np.linalg.lstsq(ports, moved[:, column], rcond=None)[0])
 

@@ -18,7 +18,7 @@ from masking.numerics.arrays import Array
 
 @dataclass(frozen=True)
 class EstimationProblem:
-    """A record and the rig that it is held against.
+    """A record and the rig that is fitted to it.
 
     Args:
         rig: the rig.

@@ -309,7 +309,7 @@ class Search:
         return other.score(tempering) < best.score(tempering) - self.rules.indifferent
 
     def _reduced(self, best: Explanation) -> Explanation:
-        """Leave out each cause in turn: where the rest is as good without it, it goes."""
+        """Leave out each cause in turn: if the others do as well without it, it goes."""
         if len(best.names) < 2:
             return best
         tempering = self.problem.tempering(best.hypothesis.residuals)
