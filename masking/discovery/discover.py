@@ -18,7 +18,7 @@ from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.composites import are_composite
 from masking.discovery.discovery import Discovery, Named, SimulationError
 from masking.discovery.explanation import Explanation
-from masking.discovery.fitting import Hypothesis
+from masking.discovery.fitting import Hypothesis, by_instance
 from masking.discovery.next_experiment import next_experiment
 from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.prior import prior_of, train_validation_split
@@ -260,13 +260,11 @@ def _estimates(rig: AugmentedModel, explanation: Explanation, tempering: float) 
         ((name, _),) = explanation.names
         i = rig.names.index(name)
         return [{name: (float(hypothesis.theta[i]), float(deviations[i]))}]
-    found, used = [], len(rig.names)
-    for instance in hypothesis.instances:
-        own = deviations[used : used + len(instance.free)]
-        values = (float(instance.values[i]) for i in instance.free)
-        found.append(dict(zip(instance.names, zip(values, map(float, own), strict=True), strict=True)))
-        used += len(instance.free)
-    return found
+    parts = zip(hypothesis.instances, by_instance(hypothesis.instances, deviations[len(rig.names) :]), strict=True)
+    return [
+        {name: (float(x), float(std)) for name, x, std in zip(one.names, one.estimated, stds, strict=True)}
+        for one, stds in parts
+    ]
 
 
 def _causes(

@@ -6,7 +6,6 @@ is estimated. Source: as `masking.estimation.least_squares`.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -65,6 +64,11 @@ class Hypothesis:
 def estimated(instances: Sequence[EffectInstance]) -> Array:
     """Return the values of the estimated parameters of effect instances, one after the other (f,)."""
     return np.array([value for instance in instances for value in instance.estimated])
+
+
+def by_instance(instances: Sequence[EffectInstance], values: Array) -> list[Array]:
+    """Return values of the estimated parameters of all effect instances (f,) as those of each."""
+    return np.split(values, np.cumsum([len(instance.free) for instance in instances], dtype=int))[:-1]
 
 
 def fit(
@@ -229,11 +233,9 @@ class _LeastSquares:
             is_hopeless=is_hopeless,
         )  # fmt: skip
         theta, added, _, start = self.parts(made.x)
-        left, found, shared = iter(added), made.at.found, self.edges[1]
-        values = [
-            instance.with_values(instance.free, itertools.islice(left, len(instance.free)))
-            for instance in self.instances
-        ]
+        found, shared = made.at.found, self.edges[1]
+        parts = zip(self.instances, by_instance(self.instances, added), strict=True)
+        values = [instance.with_values(instance.free, part) for instance, part in parts]
         return Hypothesis(
             tuple(values), theta, start, made.at.cost, found.squares,
             made.at.equations.covariance()[:shared, :shared], self.problem.record.readings - found.simulated,
