@@ -5,8 +5,7 @@ import pytest
 from scipy import signal
 
 from masking.errors import ModelError, RecordError
-from masking.procedures import response
-from masking.procedures.response import frequency_response, nonlinear_distortion, zippered_response
+from masking.procedures.response import frequency_response, nonlinear_distortion, spectra, zippered_response
 
 RATE, LENGTH = 100.0, 200
 PERIOD = LENGTH / RATE
@@ -51,7 +50,7 @@ def orthogonal(seeds, periods):
 def test_the_response_of_two_inputs_is_the_closed_form():
     u = orthogonal([1, 2], 12)
     y = np.array([answer(each) for each in u])
-    found = frequency_response(u, y, period=PERIOD, rate=RATE, discard=8)
+    found = frequency_response(spectra(u, y, period=PERIOD, rate=RATE, discard=8))
     np.testing.assert_array_equal(found.harmonics, LINES)
     np.testing.assert_allclose(found.frequencies, LINES / PERIOD)
     np.testing.assert_allclose(found.response, truth(LINES), rtol=0, atol=1e-6 * np.abs(truth(LINES)).max())
@@ -62,7 +61,7 @@ def test_the_response_of_two_inputs_is_the_closed_form():
 
 def test_zippered_lines_give_each_column_in_one_experiment():
     u = np.column_stack([multisine(LINES[::2], 5, periods=12), multisine(LINES[1::2], 6, periods=12)])
-    first, second = zippered_response(u, answer(u), period=PERIOD, rate=RATE, discard=9)
+    first, second = zippered_response(spectra(u, answer(u), period=PERIOD, rate=RATE, discard=9))
     np.testing.assert_array_equal(first.harmonics, LINES[::2])
     np.testing.assert_array_equal(second.harmonics, LINES[1::2])
     for column, found in enumerate((first, second)):
@@ -73,7 +72,7 @@ def test_zippered_lines_give_each_column_in_one_experiment():
 def test_spectra_are_of_peak_amplitudes():
     t = np.arange(3 * LENGTH) / RATE
     u = 0.3 + 0.7 * np.cos(2 * np.pi * 5 / PERIOD * t + 0.4)
-    found = response.spectra(u, u, period=PERIOD, rate=RATE, discard=0)
+    found = spectra(u, u, period=PERIOD, rate=RATE, discard=0)
     expected = np.zeros(LENGTH // 2 + 1, dtype=complex)
     expected[0], expected[5] = 0.3, 0.7 * np.exp(0.4j)
     np.testing.assert_allclose(found.inputs[0, :, :, 0], np.tile(expected, (3, 1)), atol=1e-14)
@@ -91,7 +90,7 @@ def test_intervals_hold_the_true_response_as_often_as_they_say(realisations, per
         common = 0.05 * generator.standard_normal(u.shape)
         noisy_u = u + common
         noisy_y = y + 0.5 * common + 0.1 * generator.standard_normal(y.shape)
-        found = frequency_response(noisy_u, noisy_y, period=PERIOD, rate=RATE, harmonics=LINES)
+        found = frequency_response(spectra(noisy_u, noisy_y, period=PERIOD, rate=RATE), LINES)
         error = np.abs(found.response[:, 0, 0] - response_at()[LINES])
         inside += [np.sum(error <= found.radius(level)[:, 0, 0]) for level in (0.95, 0.5)]
         count += len(LINES)
@@ -112,7 +111,7 @@ def test_the_noise_of_two_inputs_is_what_repeats_show():
     shape = np.array([[0.1, 0.0], [0.05, 0.2]])
     found = [
         frequency_response(
-            u, u @ gains.T + generator.standard_normal(u.shape) @ shape.T, period=PERIOD, rate=RATE, harmonics=LINES
+            spectra(u, u @ gains.T + generator.standard_normal(u.shape) @ shape.T, period=PERIOD, rate=RATE), LINES
         )
         for _ in range(200)
     ]
@@ -141,7 +140,7 @@ def convolved(amplitudes, power):
 @pytest.mark.parametrize(("square", "cube"), [(0.02, 0.0), (0.0, 0.01), (0.03, 0.004)])
 def test_even_and_odd_distortion_are_those_of_square_and_cube(square, cube):
     u = multisine(ODD, 2, periods=4)
-    found = nonlinear_distortion(u, u + square * u**2 + cube * u**3, period=PERIOD, rate=RATE)
+    found = nonlinear_distortion(spectra(u, u + square * u**2 + cube * u**3, period=PERIOD, rate=RATE))
     amplitudes = np.zeros(LENGTH // 2 + 1, dtype=complex)
     amplitudes[:] = 2.0 / LENGTH * np.fft.rfft(u[:LENGTH])
     lines = found.harmonics
@@ -161,7 +160,7 @@ def test_noise_is_told_from_distortion():
     u = np.array([multisine(ODD, s, periods=21) for s in range(40)])
     noise = 0.2
     y = u + 0.03 * u**2 + noise * generator.standard_normal(u.shape)
-    found = nonlinear_distortion(u[:, :, None], y[:, :, None], period=PERIOD, rate=RATE)
+    found = nonlinear_distortion(spectra(u[:, :, None], y[:, :, None], period=PERIOD, rate=RATE))
     expected = 4 * noise**2 / (LENGTH * 20)
     np.testing.assert_allclose(found.noise, expected, rtol=6 / np.sqrt(40 * 19))
     np.testing.assert_allclose(found.level[found.odd], expected, rtol=6 / np.sqrt(40))
@@ -172,7 +171,7 @@ def test_what_the_input_itself_has_at_detection_lines_is_no_distortion():
     """An actuator's own square, measured as input, goes through a linear rig: no distortion of the rig."""
     u = multisine(ODD, 2)
     u = np.tile(u + 0.05 * u**2, 4)
-    found = nonlinear_distortion(u, 3.0 * u, period=PERIOD, rate=RATE, harmonics=ODD)
+    found = nonlinear_distortion(spectra(u, 3.0 * u, period=PERIOD, rate=RATE), ODD)
     assert found.shares["even"] < 1e-12
 
 
@@ -183,7 +182,7 @@ def test_the_best_linear_approximation_of_a_cube():
     """
     cube, amplitude, realisations = 0.01, 0.7, 400
     u = np.array([multisine(ODD, s, amplitude=amplitude, periods=3) for s in range(realisations)])[:, :, None]
-    found = frequency_response(u, u + cube * u**3, period=PERIOD, rate=RATE)
+    found = frequency_response(spectra(u, u + cube * u**3, period=PERIOD, rate=RATE))
     expected = 1.0 + cube * amplitude**2 * (1.5 * len(ODD) - 0.75)
     error = np.abs(found.response[:, 0, 0] - expected)
     assert np.mean(error <= found.radius(0.99)[:, 0, 0]) > 0.9
@@ -195,10 +194,11 @@ def test_the_best_linear_approximation_of_a_cube():
 # Refusals.
 
 
-def refused(error, function=frequency_response, *, u=None, y=None, **settings):
+def refused(error, function=frequency_response, *, u=None, y=None, harmonics=(), **settings):
     u = multisine(LINES, 1, periods=4) if u is None else u
     with pytest.raises(error) as caught:
-        function(u, u if y is None else y, **{"period": PERIOD, "rate": RATE, **settings})
+        found = spectra(u, u if y is None else y, **{"period": PERIOD, "rate": RATE, **settings})
+        function(found, *([harmonics] if harmonics else []))
     return str(caught.value)
 
 
@@ -229,7 +229,7 @@ def test_settings_that_make_no_sense_are_refused():
     assert "no list of whole numbers" in refused(ModelError, harmonics=[1.5])
     u = multisine(LINES, 1, periods=4)
     with pytest.raises(ModelError, match="the level is 1; give a probability"):
-        frequency_response(u, u, period=PERIOD, rate=RATE).radius(1.0)
+        frequency_response(spectra(u, u, period=PERIOD, rate=RATE)).radius(1.0)
 
 
 def test_inputs_that_cannot_be_told_apart_are_refused():

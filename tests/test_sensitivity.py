@@ -6,6 +6,7 @@ from scipy import linalg, signal
 
 from masking.declaration import schema
 from masking.errors import IntegrationError, ModelError
+from masking.estimation.data import Data
 from masking.estimation.sensitivity import Sensitivity
 from masking.rig.twin import Twin
 from masking.workflows import inputs
@@ -166,7 +167,8 @@ def test_normal_equations_are_those_of_differences(which, hold, request):
     start = found.twin.rest(np.array([1e-3, -5e-4, 2e-4]))
     settings = {"rate": RATE, "substeps": 2, "hold": hold}
     readings = found.simulate(theta * 1.02, start, u, **settings)
-    told = found.normal_equations(found.basis(theta), start, u, readings, weights, **settings)
+    record = Data("made up", RATE, u, readings, hold=hold)
+    told = found.normal_equations(found.basis(theta), start, record, weights, 2)
     jacobian = by_differences(found, theta, start, u, hold)
     residuals = readings - found.simulate(theta, start, u, **settings)
     matrix = np.einsum("mok,o,mol->kl", jacobian, weights, jacobian)
@@ -202,4 +204,4 @@ def test_a_motion_that_is_not_finite_is_refused(linear):
     with pytest.raises(IntegrationError, match="no longer finite"):
         linear.simulate(linear.start(), np.zeros(6), u, rate=1.0, substeps=1)
     with pytest.raises(IntegrationError, match="no longer finite"):
-        linear.normal_equations(linear.basis(linear.start()), np.zeros(6), u, u, weights, rate=1.0, substeps=1)
+        linear.normal_equations(linear.basis(linear.start()), np.zeros(6), Data("slow", 1.0, u, u), weights, 1)

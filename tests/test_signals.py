@@ -244,7 +244,7 @@ def test_a_search_ends_in_time_and_never_makes_worse():
 
 
 def test_samples_of_a_multisine_over_whole_periods():
-    made = signals.multisine(flat(10, period=2.0), rate=100.0, periods=3, channel="V1", limits={"V1": 10.0})
+    made = signals.multisine(flat(10, period=2.0), rate=100.0, periods=3, channel="V1").within({"V1": 10.0})
     assert (len(made), made.duration, made.channels, made.units) == (600, 6.0, ("V1",), ("V",))
     np.testing.assert_allclose(made["V1"][:200], made["V1"][400:], atol=1e-11)
     spectrum = np.abs(np.fft.rfft(made["V1"])) / 300
@@ -307,7 +307,7 @@ def test_chirps_are_those_of_scipy(first, last):
 def test_a_limit_is_never_passed_and_never_cut():
     asked = {"frequency": 1.0, "duration": 10.0, "rate": 100.0, "channels": ("V3", "V1")}
     with pytest.raises(ModelError) as caught:
-        signals.opposed_sines(0.3, **asked, limits={"V3": 0.42, "V1": 0.42})
+        signals.opposed_sines(0.3, **asked).within({"V3": 0.42, "V1": 0.42})
     assert str(caught.value) == (
         "opposed_sines: V1 passes its limit of 0.42 V first at t = 7.22 s (sample 722) and reaches 0.585 V at "
         "t = 9.75 s; scale the signal by 0.71794 or less, or change the limit"
@@ -329,7 +329,7 @@ def test_a_limit_is_never_passed_and_never_cut():
 )
 def test_limits_are_complete(limits, message):
     with pytest.raises(ModelError) as caught:
-        signals.ramp(0.3, rate=10.0, channel="V1", limits=limits)
+        signals.ramp(0.3, rate=10.0, channel="V1").within(limits)
     assert str(caught.value) == message
 
 

@@ -10,7 +10,7 @@ from masking.estimation.data import Data
 from masking.estimation.fit import fit
 from masking.estimation.sensitivity import Sensitivity
 from masking.estimation.simulation import simulate
-from masking.estimation.stepwise import Step, fit_in_steps
+from masking.estimation.stepwise import fit_in_steps
 from masking.rig.twin import Twin
 
 RATE = 100.0
@@ -84,7 +84,7 @@ def test_a_single_oscillator_then_the_coupling_from_free_motion(twin, begun, rec
 def test_the_last_fit_is_of_all_parameters_together(twin, begun, records):
     """Free motion tells all three; what the joint fit finds is what a fit from the truth finds."""
     free, told = records[1], []
-    found = fit_in_steps(begun, [Step((free,), ("k",)), Step((free,), FREE)], progress=told.append)
+    found = fit_in_steps(begun, [((free,), ("k",)), ((free,), FREE)], progress=told.append)
     assert found.joint.names == ("k", "w1", "z1")
     direct = fit(twin, free, found.joint.names)
     assert (np.abs(found.joint.values - direct.values) < 0.05 * direct.std).all()

@@ -13,10 +13,15 @@ def masking_error(measured: NDArray[np.float64], ideal: NDArray[np.float64]) -> 
 
         chi = ||measured - ideal|| / ||ideal||          (2-norm over the samples)
 
-    measured: the coordinate as it moved, shape (samples,), any unit; ideal: the same coordinate of the virtual system
-    integrated by itself, same shape and unit. Dimensionless; 0 is perfect. Where `ideal` never leaves zero, chi is 0 if
-    `measured` does not either, else infinite.
+    Dimensionless; 0 is perfect. If `ideal` never leaves zero, chi is 0 if `measured` does not either, else infinite.
     Source: (4.12), with the ideal motion as the reference.
+
+    Args:
+        measured: the coordinate as it moved (samples,), any unit.
+        ideal: the same coordinate of the virtual system integrated by itself (samples,), same unit.
+
+    Raises:
+        ValueError: the shapes differ.
     """
     measured, ideal = np.asarray(measured, np.float64), np.asarray(ideal, np.float64)
     if measured.shape != ideal.shape or measured.ndim != 1:

@@ -134,7 +134,11 @@ class Data:
         return cls.of(readers.read(path, columns, dt, needed), twin, str(path), hold)
 
     def check(self, twin: Twin) -> None:
-        """Refuse a record without information about a plant."""
+        """Refuse a record without information about a plant.
+
+        Raises:
+            RecordError: a column is not finite, or nothing moves.
+        """
         for names, table in ((twin.actuators, self.commands), (twin.sensors, self.readings)):
             for column, values in zip(names, table.T, strict=True):
                 wrong = np.flatnonzero(~np.isfinite(values))

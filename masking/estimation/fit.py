@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -36,48 +36,19 @@ COARSE = 30.0  # s of the first record that the fit of a longer one begins with
 FEWEST = 5  # samples of each sensor for each unknown
 
 
-class Estimate(Protocol):
-    """Parameters found by any method."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of the parameters."""
-
-    @property
-    def values(self) -> Array:
-        """Return the values (k,)."""
-
-    @property
-    def std(self) -> Array:
-        """Return the standard deviations (k,)."""
-
-    @property
-    def chi(self) -> dict[str, float]:
-        """Return the relative error by sensor."""
-
-    @property
-    def validation(self) -> dict[str, float]:
-        """Return the relative error by sensor on validation records."""
-
-    @property
-    def floor(self) -> dict[str, float]:
-        """Return the relative error that the noise alone makes, by sensor."""
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Parameters that reproduce records, and how well they are known.
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """Parameters of a twin that were found from records, by any method.
 
     Args:
         twin: the plant with these parameters.
         names: of the parameters.
         values: in the units in which they are declared (k,).
         covariance: of the values (k, k).
-        sigma: standard deviation of the residual of each sensor (sensors,).
-        chi: relative error of each sensor in the records together, by name.
-        floor: chi that the noise of the record alone makes, by name.
-        validation: chi in records that were not fitted, by name; empty if there are none.
-        rounds: of the method.
+        chi: relative error (4.12) of each sensor in the records together, simulated with the values from the best
+            initial states, by name; not a number if that motion is not finite.
+        floor: chi that the noise of the records alone makes, by name.
+        validation: chi in records that were not used, by name; empty if there are none.
         notes: what must be known to trust the values.
     """
 
@@ -85,44 +56,69 @@ class Fit:
     names: tuple[str, ...]
     values: Array
     covariance: Array
-    sigma: Array
     chi: dict[str, float]
     floor: dict[str, float]
     validation: dict[str, float] = field(default_factory=dict)
-    rounds: int = 0
     notes: tuple[str, ...] = ()
 
     @property
     def std(self) -> Array:
         """Return the standard deviation of each value (k,)."""
-        found: Array = np.sqrt(np.diag(self.covariance))
-        return found
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def intervals(self) -> Array:
         """Return the 95 % confidence intervals (k, 2)."""
         half = Z_975 * self.std
-        found: Array = np.array([self.values - half, self.values + half]).T
-        return found
+        return np.array([self.values - half, self.values + half]).T
 
     @property
     def correlation(self) -> Array:
         """Return the correlation of the values (k, k)."""
         std = np.maximum(self.std, 1e-300)
-        found: Array = self.covariance / np.outer(std, std)
-        return found
+        return np.asarray(self.covariance / np.outer(std, std))
+
+    def parameters(self) -> dict[str, Any]:
+        """Return values and deviations as JSON can hold them."""
+        pairs = zip(self.names, self.values, self.std, strict=True)
+        return {name: {"value": float(value), "std": float(std)} for name, value, std in pairs}
+
+    def lines(self) -> list[str]:
+        """Return a line for each parameter, with half its 95 % interval, and one for the errors."""
+        width = max(map(len, self.names), default=0)
+        rows = [
+            f"  {name:{width}}  {value:<12.6g} +- {Z_975 * std:.2g}"
+            for name, value, std in zip(self.names, self.values, self.std, strict=True)
+        ]
+        text = [f"chi {_each(self.chi)}"]
+        if self.validation:
+            text.append(f"on unseen data {_each(self.validation)}")
+        return [*rows, "; ".join([*text, f"the noise alone {_each(self.floor)}"])]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit(Estimate):
+    """Parameters that reproduce records.
+
+    Args:
+        sigma: standard deviation of the residual of each sensor (sensors,).
+        rounds: of the method.
+    """
+
+    sigma: Array
+    rounds: int
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fit as JSON can hold it."""
         return {
-            "parameters": parameters(self),
+            "parameters": self.parameters(),
             "chi": {"train": self.chi, "validation": self.validation},
             "floor": self.floor,
             "notes": list(self.notes),
         }
 
     def __str__(self) -> str:
-        return "\n".join([*lines(self), *self.notes])
+        return "\n".join([*self.lines(), *self.notes])
 
 
 def fit(
@@ -152,15 +148,14 @@ def fit(
         RecordError: the records are too short for the number of parameters.
         IntegrationError: the motion is not finite with the values to begin from; a shorter shooting interval may help.
     """
-    records, unseen = _several(records), _several(validation)
+    records, unseen = several(records), several(validation)
     sensitivity = Sensitivity(twin, tuple(names), tuple(shared))
     theta = sensitivity.start()
-    stages = (
-        [[window for record in records for window in record.windows(shooting_interval)]] if shooting_interval else []
-    )
-    if not shooting_interval and records and len(records[0]) > 2 * COARSE * records[0].rate:
-        stages.append([records[0].first(COARSE)])
-    stages.append(list(records))
+    stages = [list(records)]
+    if shooting_interval:
+        stages.insert(0, [window for record in records for window in record.windows(shooting_interval)])
+    elif records and len(records[0]) > 2 * COARSE * records[0].rate:
+        stages.insert(0, [records[0].first(COARSE)])
     done = [0.0]
 
     def tell(part: float) -> None:
@@ -203,12 +198,19 @@ def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ..
     return tuple(name for name in names if name in kept)
 
 
-def _several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
+def several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
+    """Return one record, or a sequence of them, as a tuple."""
     return (records,) if isinstance(records, Data) else tuple(records)
 
 
 def part_of(tell: Progress, number: int, count: int) -> Progress:
-    """Return the progress of one of several parts as that of all of them."""
+    """Return the progress of one of several parts as that of all of them.
+
+    Args:
+        tell: called with the part done of all.
+        number: of this part, from 0.
+        count: of parts.
+    """
     return lambda part: tell((number + part) / count)
 
 
@@ -228,7 +230,6 @@ class _Problem:
                 "fewer parameters"
             )
         self.substeps = [sensitivity.twin.substeps(piece.rate) for piece in pieces]
-        self.acting = [piece.acting for piece in pieces]
         self.starts = [first_start(sensitivity, piece) for piece in pieces]
         noise = np.array([piece.noise for piece in pieces])
         declared = np.array([sensitivity.twin.noise().get(name, 0.0) for name in sensitivity.twin.sensors])
@@ -247,14 +248,10 @@ class _Problem:
         squares, weights = np.zeros(len(self.sigma)), self.sigma**-2
         basis = self.sensitivity.basis(theta)
         moving = np.split(x[k:], len(self.pieces))
-        for piece, acting, start, begun, substeps in zip(
-            self.pieces, self.acting, self.starts, moving, self.substeps, strict=True
-        ):
+        for piece, start, begun, substeps in zip(self.pieces, self.starts, moving, self.substeps, strict=True):
             y = start.copy()
             y[self.free] = begun
-            found = self.sensitivity.normal_equations(
-                basis, y, acting, piece.readings, weights, rate=piece.rate, substeps=substeps, hold=piece.hold
-            )
+            found = self.sensitivity.normal_equations(basis, y, piece, weights, substeps)
             matrix += found.matrix[:k, :k]
             gradient += found.gradient[:k]
             blocks.append((found.matrix[np.ix_(at, at)], found.matrix[at, :k], found.gradient[at]))
@@ -299,7 +296,10 @@ class _Problem:
         ]
         twin = self.sensitivity.twin_at(theta)
         chi, floor = relative(twin.sensors, self.pieces, at.found), noise_alone(twin.sensors, self.pieces)
-        return Fit(twin, names, theta, covariance, self.sigma, chi, floor, {}, self.rounds, tuple(notes))
+        return Fit(
+            twin=twin, names=names, values=theta, covariance=covariance, sigma=self.sigma, chi=chi, floor=floor,
+            rounds=self.rounds, notes=tuple(notes),
+        )  # fmt: skip
 
 
 def _flat(names: tuple[str, ...], direction: Array) -> str:
@@ -309,25 +309,6 @@ def _flat(names: tuple[str, ...], direction: Array) -> str:
         return f"these records do not determine {strong[0]}; excite what it belongs to, or leave it out"
     listed = f"{', '.join(strong[:-1])} and {strong[-1]}"
     return f"{listed} cannot be distinguished from these records; fix one of them, or give records that excite each"
-
-
-def parameters(found: Estimate) -> dict[str, Any]:
-    """Return values and deviations as JSON can hold them."""
-    pairs = zip(found.names, found.values, found.std, strict=True)
-    return {name: {"value": float(value), "std": float(std)} for name, value, std in pairs}
-
-
-def lines(found: Estimate) -> list[str]:
-    """Return a line for each parameter, with half its 95 % interval, and one for the errors."""
-    width = max(map(len, found.names), default=0)
-    rows = [
-        f"  {name:{width}}  {value:<12.6g} +- {Z_975 * std:.2g}"
-        for name, value, std in zip(found.names, found.values, found.std, strict=True)
-    ]
-    text = [f"chi {_each(found.chi)}"]
-    if found.validation:
-        text.append(f"on unseen data {_each(found.validation)}")
-    return [*rows, "; ".join([*text, f"the noise alone {_each(found.floor)}"])]
 
 
 def _each(errors: Mapping[str, float]) -> str:

@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
+from scipy import special
 
-from masking.estimation import fit
-from masking.estimation.whiteness import ljung_box
+from masking.estimation.fit import Estimate
+from masking.estimation.whiteness import autocorrelation, ljung_box
 from masking.numerics.arrays import Array
-from masking.rig.twin import Twin
-
-if TYPE_CHECKING:
-    from scipy import stats
-else:
-    stats = lazy.load("scipy.stats", suppress_warning=True)
 
 LAGS = 20  # of the autocorrelation of the innovations
 
 
-@dataclass(frozen=True)
-class KalmanFit:
-    """Parameters that a filter found, how sure it is of them, and whether its assumptions hold.
+@dataclass(frozen=True, kw_only=True)
+class KalmanFit(Estimate):
+    """Final values of parameters that a filter found, how sure it is of them, and whether its assumptions hold.
+
+    The covariance is that of the values if the noise is as assumed by the filter.
 
     Args:
-        twin: the plant with the final values.
-        names: of the parameters.
-        values: final values, in the units in which they are declared (k,).
-        covariance: of the values, if the noise is as assumed by the filter (k, k).
         times: of the samples, s (m,).
         trajectory: values after each sample (m, k).
         deviations: standard deviations after each sample (m, k).
@@ -37,17 +29,8 @@ class KalmanFit:
         innovations: readings less what was expected of them, in their units (m, sensors).
         normalised: innovations made independent with deviation 1, if the filter's assumptions hold (m, sensors).
         final: covariance of state and parameters after the last sample (states + k, states + k).
-        chi: relative error (4.12) of each sensor, simulated with the final values from the best initial state, by name;
-            not a number where that motion is not finite.
-        floor: chi that the noise of the record alone makes, by name.
-        notes: what must be known to trust the values.
-        validation: relative error of each sensor in a record that was not filtered, by name; empty where there is none.
     """
 
-    twin: Twin
-    names: tuple[str, ...]
-    values: Array
-    covariance: Array
     times: Array
     trajectory: Array
     deviations: Array
@@ -55,15 +38,6 @@ class KalmanFit:
     innovations: Array
     normalised: Array
     final: Array
-    chi: dict[str, float]
-    floor: dict[str, float]
-    notes: tuple[str, ...] = ()
-    validation: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def std(self) -> Array:
-        """Return the standard deviation of each final value (k,), if the noise is as assumed by the filter."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def nis(self) -> Array:
@@ -78,7 +52,7 @@ class KalmanFit:
     def consistency(self) -> tuple[float, float, float]:
         """Return the mean of the normalised innovation squared, and the 95 % interval that it should be in."""
         m, sensors = self.normalised.shape
-        low, high = stats.chi2.ppf([0.025, 0.975], m * sensors) / m
+        low, high = 2.0 * special.gammaincinv(0.5 * m * sensors, [0.025, 0.975]) / m
         return float(self.nis.mean()), float(low), float(high)
 
     @property
@@ -87,9 +61,8 @@ class KalmanFit:
 
         About 1 / sqrt(m) and no more where innovations are white. The mean is not taken off: it should be 0.
         """
-        e = self.normalised
-        power = np.maximum((e**2).sum(axis=0), 1e-300)
-        return np.array([(e[lag:] * e[:-lag]).sum(axis=0) / power for lag in range(1, min(LAGS, len(e) - 1) + 1)])
+        lags = min(LAGS, len(self.normalised) - 1)
+        return np.column_stack([autocorrelation(e, lags) for e in self.normalised.T])
 
     @property
     def whiteness(self) -> dict[str, float]:
@@ -102,7 +75,7 @@ class KalmanFit:
         mean, low, high = self.consistency
         train = {name: value if np.isfinite(value) else None for name, value in self.chi.items()}
         return {
-            "parameters": fit.parameters(self),
+            "parameters": self.parameters(),
             "chi": {"train": train, "validation": self.validation},
             "floor": self.floor,
             "nis": {"mean": mean, "low": low, "high": high},
@@ -113,4 +86,4 @@ class KalmanFit:
     def __str__(self) -> str:
         mean, low, high = self.consistency
         text = f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}"
-        return "\n".join([*fit.lines(self), text, *self.notes])
+        return "\n".join([*self.lines(), text, *self.notes])

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
@@ -36,12 +35,9 @@ from masking.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE
 from masking.rig.twin import Twin
 
 if TYPE_CHECKING:
-    from scipy import stats
-
     from masking.numerics import kalman
 else:
     kalman = lazy.load("masking.numerics.kalman", suppress_warning=True)
-    stats = lazy.load("scipy.stats", suppress_warning=True)
 
 Progress = Callable[[float], None]
 Variances = float | Sequence[float] | Array
@@ -118,7 +114,7 @@ def extended_kalman(
         raise ModelError(
             f"{twin.base.name} has no coordinates, whose motion the filter follows; take the method least-squares"
         )
-    sensing = _Filter(twin, tuple(names), iterated=iterated)
+    sensing = Sensitivity(twin, tuple(names))
     scales, moving = _Scales.of(sensing), 2 * len(twin.model.coordinates)
     none = np.zeros(sensing.states - moving)
     r = _variances("measurement", measurement, len(twin.sensors)) * scales.readings**2
@@ -133,7 +129,9 @@ def extended_kalman(
     if y.shape != (sensing.states,) or not np.isfinite(y).all():
         names_of_states = ", ".join(twin.state_names)
         raise ModelError(f"start must be {sensing.states} finite numbers, {names_of_states}; got shape {y.shape}")
-    run = _Run(sensing, record, scales, r, np.concatenate([q, none]), square_root)
+    filters = _filters(sensing, iterated)
+    kernel = filters.filter_root if square_root else filters.filter_full
+    run = _Run(sensing, record, scales, r, np.concatenate([q, none]), kernel, square_root)
     theta, covariance = run.filter(y.copy(), sensing.start(), p0, progress)
     found = run.result(theta, covariance, p0)
     return replace(found, validation=validated(sensing, theta, validation, 1.0 / r)) if validation else found
@@ -208,69 +206,47 @@ class _Scales:
         return time if unit == "s" else 1.0
 
 
-@dataclass(frozen=True)
-class _Filter(Sensitivity):
-    """A twin with the parameters that may change, and the compiled filters for it.
+def _filters(sensing: Sensitivity, iterated: int) -> Kernels:
+    """Return the compiled filters; from the cache on disk if they have been made before."""
 
-    Args:
-        twin: the rig.
-        names: of the parameters.
-        iterated: times that the readings of a sample are made linear.
-    """
-
-    iterated: int = 1
-
-    @cached_property
-    def filters(self) -> Kernels:
-        """Return the compiled filters; from the cache on disk where they have been made before."""
-        made_from = {
-            "kalman": self.twin.structure(),
-            "affected": list(self.affected),
-            "count": len(self.names),
-            "updates": self.iterated,
-        }
-        return Kernels(store.load(store.key(made_from), self._build_filters))
-
-    def _build_filters(self) -> Module:
-        module, sizes, size = self._build(), self.sizes, self.states + len(self.names)
+    def build() -> Module:
+        module, sizes, size = sensing.module(), sensing.sizes, sensing.states + len(sensing.names)
         rows = 3 * sizes.sensors + size + 11 + 2 * sizes.states + sizes.moving_rows
-        work = rows, max(3 * sizes.states, size, *self._widths)
+        work = rows, max(3 * sizes.states, size, *sensing.widths)
         for name, factory in (("full", kalman.full_extended_filter), ("root", kalman.root_extended_filter)):
-            given = "slopes", "sensed", sizes, self.affected, self.iterated
+            given = "slopes", "sensed", sizes, sensing.affected, iterated
             module.add_factory(f"filter_{name}", factory, *given, work=work)
         return module
 
-    @cached_property
-    def is_affine(self) -> bool:
-        """Tell whether the twin depends on the parameters through sums and constant factors only."""
-        theta = self.start()
-        low, high = self.bounds()
-        farther = np.clip(1.05 * theta + 0.01 * (theta == 0.0), low, high)
-        here, there = ((self.basis(at)[1])[self._acting] for at in (theta, farther))
-        return bool(np.allclose(here, there, rtol=AFFINE, atol=AFFINE * float(np.abs(here).max(initial=0.0))))
+    return Kernels(store.load(store.key({"kalman": sensing.identity(), "updates": iterated}), build))
 
-    @property
-    def _acting(self) -> list[int]:
-        """Return the rows of `affected` that are no parameters of effects that are off."""
-        off = {
-            f"{effect.label}_{name}"
-            for effect in self.twin.effects
-            if not effect.enabled and effect.entry.where == "element"
-            for name in effect.entry.parameters
-        }
-        idle = {i for i, name in enumerate(self.twin.model.parameters) if name in off}
-        return [row for row, index in enumerate(self.affected) if index not in idle]
+
+def _is_affine(sensing: Sensitivity) -> bool:
+    """Tell whether the twin depends on the parameters through sums and constant factors only."""
+    twin, theta = sensing.twin, sensing.start()
+    farther = np.clip(1.05 * theta + 0.01 * (theta == 0.0), *sensing.bounds())
+    off = {
+        f"{effect.label}_{name}"
+        for effect in twin.effects
+        if not effect.enabled and effect.entry.where == "element"
+        for name in effect.entry.parameters
+    }
+    idle = {i for i, name in enumerate(twin.model.parameters) if name in off}
+    acting = [row for row, index in enumerate(sensing.affected) if index not in idle]
+    here, there = (sensing.basis(at)[1][acting] for at in (theta, farther))
+    return bool(np.allclose(here, there, rtol=AFFINE, atol=AFFINE * float(np.abs(here).max(initial=0.0))))
 
 
 @dataclass
 class _Run:
     """A pass over a record: `r` (sensors,) and `q` (states,) per second are variances in the twin's own units."""
 
-    sensing: _Filter
+    sensing: Sensitivity
     record: Data
     scales: _Scales
     r: Array
     q: Array
+    kernel: Callable[..., tuple[int, int]]
     square_root: bool
 
     def __post_init__(self) -> None:
@@ -278,10 +254,19 @@ class _Run:
         self.states, self.estimates, self.noises = np.empty((m, n)), np.empty((m, 2 * k)), np.empty((m, 2 * sensors))
 
     def filter(self, y: Array, theta: Array, p0: Array, progress: Progress | None) -> tuple[Array, Array]:
-        """Return the parameters (k,), and the covariance of state and parameters; writes their course."""
+        """Return the parameters (k,), and the covariance of state and parameters; writes their course.
+
+        Args:
+            y: initial state (states,).
+            theta: initial parameters (k,), in declared units.
+            p0: variances of both (states + k,).
+            progress: called with the part done.
+
+        Raises:
+            IntegrationError: the estimate diverged, or the covariance lost its sign.
+        """
         sensing, record, m = self.sensing, self.record, len(self.record)
-        kernel = sensing.filters.filter_root if self.square_root else sensing.filters.filter_full
-        matrix = np.diag(np.sqrt(p0) if self.square_root else p0)
+        matrix, is_affine = np.diag(np.sqrt(p0) if self.square_root else p0), _is_affine(sensing)
         low, high = (
             bound + sign * (INSIDE * self.scales.parameters + 4e-6 * np.where(np.isfinite(bound), np.abs(bound), 0.0))
             for sign, bound in zip((1.0, -1.0), sensing.bounds(), strict=True)
@@ -294,12 +279,12 @@ class _Run:
         at = 0
         for piece in range(1, PIECES + 1):
             end = m * piece // PIECES
-            if not sensing.is_affine:
+            if not is_affine:
                 p, basis = self._basis(theta)
             while at < end:
                 moved = MOVED * np.maximum(np.abs(theta), 0.1 * self.scales.parameters)
-                table = np.array([low, high, np.full_like(theta, np.inf) if sensing.is_affine else moved])
-                status, at = kernel(
+                table = np.array([low, high, np.full_like(theta, np.inf) if is_affine else moved])
+                status, at = self.kernel(
                     at, end - at, 1.0 / record.rate, substeps, is_linear, y, theta, p, basis, spans(basis), matrix,
                     derivatives, acting, readings, self.r, self.q, table, self.states, self.estimates, self.noises,
                 )  # fmt: skip
@@ -325,17 +310,26 @@ class _Run:
         return f"the filter diverged {when}: its estimate is no longer finite; {lower}, or begin closer"
 
     def result(self, theta: Array, covariance: Array, p0: Array) -> KalmanFit:
-        """Return the fit."""
+        """Return the fit.
+
+        Args:
+            theta: final parameters (k,), in declared units.
+            covariance: of state and parameters.
+            p0: their initial variances (states + k,).
+        """
         sensing, record, n, k = self.sensing, self.record, self.sensing.states, len(self.sensing.names)
         sensors = sensing.twin.sensors
-        near = nearest(sensing, theta, record, 1.0 / self.r)
-        squares = np.full(len(sensors), np.nan) if near is None else near[1].squares
+        try:
+            squares = nearest(sensing, theta, record, 1.0 / self.r)[1].squares
+        except IntegrationError:
+            squares = np.full(len(sensors), np.nan)
         found = KalmanFit(
-            sensing.twin_at(theta),
-            sensing.names, theta, covariance[n:, n:], np.arange(len(record)) / record.rate,
-            self.estimates[:, :k].copy(), self.estimates[:, k:].copy(), self.states,
-            self.noises[:, : len(sensors)].copy(), self.noises[:, len(sensors) :].copy(), covariance,
-            relative(sensors, [record], squares), noise_alone(sensors, [record]),
+            twin=sensing.twin_at(theta), names=sensing.names, values=theta, covariance=covariance[n:, n:],
+            chi=relative(sensors, [record], squares), floor=noise_alone(sensors, [record]),
+            times=np.arange(len(record)) / record.rate, trajectory=self.estimates[:, :k].copy(),
+            deviations=self.estimates[:, k:].copy(), states=self.states,
+            innovations=self.noises[:, : len(sensors)].copy(), normalised=self.noises[:, len(sensors) :].copy(),
+            final=covariance,
         )  # fmt: skip
         return replace(found, notes=tuple(self._notes(found, p0[n:])))
 

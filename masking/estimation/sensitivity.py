@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 import numpy as np
@@ -23,7 +23,7 @@ from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.codegen.tangent import jacobian
 from masking.errors import IntegrationError, ModelError, nearest
-from masking.estimation.data import is_first_order
+from masking.estimation.data import Data, is_first_order
 from masking.numerics.arrays import Array, IntMatrix
 from masking.numerics.rig_sizes import RigSizes
 from masking.records.hold import Hold
@@ -138,25 +138,23 @@ class Sensitivity:
     @cached_property
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
-        made_from = {
-            "sensitivity": self.twin.structure(),
-            "affected": list(self.affected),
-            "count": len(self._compiled),
-        }
-        key = store.key(made_from)
-        return Kernels(store.load(key, self._build))
+        return Kernels(store.load(store.key({"sensitivity": self.identity()}), self.module))
 
-    def _build(self) -> Module:
-        module = Module(
-            f"{self.twin.declaration.name}, with derivatives", {"kind": "sensitivity", **self.twin.state_kinds}
-        )
+    def identity(self) -> list[Any]:
+        """Return what the compiled functions depend on."""
+        return [self.twin.structure(), list(self.affected), len(self._compiled)]
+
+    def module(self) -> Module:
+        """Return the source of the compiled functions."""
+        name = self.twin.declaration.name
+        module = Module(f"{name}, with derivatives", {"kind": "sensitivity", **self.twin.state_kinds})
         lowered = LoweredTwin(self.twin)
         add_slopes(module, lowered, self.affected)
         self.twin.add_to(module)
         sizes = self.sizes
-        work = sizes.work_rows, max(self.states + len(self._compiled), *self._widths)
+        work = sizes.work_rows, max(self.states + len(self._compiled), *self.widths)
         parts = "sense_under", "twin_derivative"
-        module.add_factory("simulate", variational.simulation, *parts, sizes, work=(sizes.work_rows, max(self._widths)))
+        module.add_factory("simulate", variational.simulation, *parts, sizes, work=(sizes.work_rows, max(self.widths)))
         module.add_factory("normal", variational.twin_normal_equations, "slopes", "sensed", sizes, work=work)
         return module
 
@@ -167,7 +165,8 @@ class Sensitivity:
         return RigSizes(self.states, moving, len(self.affected), sensors, tuple(range(self.states)))
 
     @property
-    def _widths(self) -> tuple[int, ...]:
+    def widths(self) -> tuple[int, ...]:
+        """Return the lengths of state, affected entries, readings and commands."""
         return self.states, len(self.affected), len(self.twin.sensors), len(self.twin.actuators)
 
     def simulate(
@@ -210,47 +209,29 @@ class Sensitivity:
         return read, jy
 
     def normal_equations(
-        self,
-        basis: tuple[Array, Array],
-        start: Array,
-        commands: Array,
-        readings: Array,
-        weights: Array,
-        *,
-        rate: float,
-        substeps: int,
-        hold: Hold = "zero-order",
+        self, basis: tuple[Array, Array], start: Array, record: Data, weights: Array, substeps: int
     ) -> NormalEquations:
         """Return the normal equations at values of the parameters and of the initial state.
 
         Args:
             basis: what `basis` returns for values of the parameters.
             start: the twin's state (states,) at the first sample.
-            commands: of the actuators at each sample (m, actuators).
-            readings: of the sensors (m, sensors).
+            record: commands, which are constant after the last sample, and readings.
             weights: of squared residuals of each sensor (sensors,): 1 / variance.
-            rate: samples per second.
             substeps: integration steps between samples.
-            hold: of the commands between samples; after the last they are constant.
 
         Raises:
             IntegrationError: the motion is no longer finite.
-            ModelError: `hold` is not known.
         """
-        p, columns = basis
-        k = len(self.names)
-        size = k + self.states
-        matrix, gradient, squares = np.zeros((size, size)), np.zeros(size), np.zeros(len(self.twin.sensors))
-        y, simulated, derivatives = (
-            np.empty(self.states),
-            np.empty((len(commands), len(squares))),
-            np.zeros((self.states, size)),
-        )
+        (p, columns), count, states = basis, len(record), self.states
+        size = len(self.names) + states
+        matrix, gradient, squares = np.zeros((size, size)), np.zeros(size), np.zeros(len(weights))
+        y, simulated, derivatives = np.empty(states), np.empty((count, len(squares))), np.zeros((states, size))
         status = self.kernels.normal(
-            len(commands), 1.0 / rate, substeps, is_first_order(hold), np.array([start], dtype=float), y,
-            derivatives, p, columns, spans(columns),
-            np.ascontiguousarray(commands, dtype=float), np.ascontiguousarray(readings, dtype=float),
-            np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares, simulated,
+            count, 1.0 / record.rate, substeps, is_first_order(record.hold), np.array([start], dtype=float), y,
+            derivatives, p, columns, spans(columns), np.ascontiguousarray(record.acting, dtype=float),
+            np.ascontiguousarray(record.readings, dtype=float), np.ascontiguousarray(weights, dtype=float), matrix,
+            gradient, squares, simulated,
         )  # fmt: skip
         if status:
             raise IntegrationError("the simulated motion is no longer finite")

@@ -58,7 +58,13 @@ class Simulated:
 
 
 def relative(sensors: Sequence[str], records: Sequence[Data], squares: Array) -> dict[str, float]:
-    """Return the root of sums of squares (sensors,) in parts of the readings' in records, by name."""
+    """Return the relative error (4.12) of each sensor, by name.
+
+    Args:
+        sensors: their names.
+        records: whose readings are the reference.
+        squares: sums of squared errors over these records (sensors,).
+    """
     whole = np.sum([np.sum(record.readings**2, axis=0) for record in records], axis=0)
     return dict(zip(sensors, map(float, np.sqrt(squares / np.maximum(whole, 1e-300))), strict=True))
 
@@ -82,10 +88,7 @@ def validated(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weight
     """
     squares = np.zeros(len(weights))
     for record in unseen:
-        found = nearest(sensing, theta, record, weights)
-        if found is None:
-            raise IntegrationError(f"the simulated motion is no longer finite in {record.name}")
-        squares += found[1].squares
+        squares += nearest(sensing, theta, record, weights)[1].squares
     return relative(sensing.twin.sensors, unseen, squares)
 
 
@@ -103,33 +106,32 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = ()) -> Simulated:
     sensing = Sensitivity(twin, (), tuple(shared))
     size = np.maximum(np.abs(record.readings).max(axis=0), 1e-300)
     weights = np.maximum(record.noise, 1e-12 * size) ** -2.0
-    found = nearest(sensing, sensing.start(), record, weights)
-    if found is None:
-        raise IntegrationError(f"the simulated motion is no longer finite in {record.name}")
+    _, found = nearest(sensing, sensing.start(), record, weights)
     plant = twin.declaration.sensors
     units = tuple("" if plant[name].unit == "1" else plant[name].unit for name in twin.sensors)
-    return Simulated(record, twin.sensors, units, found[1].simulated)
+    return Simulated(record, twin.sensors, units, found.simulated)
 
 
-def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) -> tuple[Array, NormalEquations] | None:
+def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) -> tuple[Array, NormalEquations]:
     """Return the initial state (states,) from which a record is reproduced best, and what is simulated from there.
 
-    Internal states of effects begin at rest. None where the motion is not finite.
+    Internal states of effects begin at rest.
 
     Args:
         sensing: the twin.
         theta: values of its parameters (k,), in declared units.
         record: commands and readings.
         weights: of squared residuals of each sensor (sensors,).
+
+    Raises:
+        IntegrationError: the motion is not finite.
     """
     free, first, basis = np.array(sensing.twin.free, dtype=int), first_start(sensing, record), sensing.basis(theta)
-    substeps, at, acting = sensing.twin.substeps(record.rate), len(theta) + free, record.acting
+    substeps, at = sensing.twin.substeps(record.rate), len(theta) + free
 
     def linearised(x: Array) -> Linearised[Dense, NormalEquations]:
         first[free] = x
-        made = sensing.normal_equations(
-            basis, first, acting, record.readings, weights, rate=record.rate, substeps=substeps, hold=record.hold
-        )
+        made = sensing.normal_equations(basis, first, record, weights, substeps)
         return Linearised(float(weights @ made.squares), Dense(made.matrix[np.ix_(at, at)], made.gradient[at]), made)
 
     try:
@@ -137,7 +139,7 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
             linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost
         )
     except IntegrationError:
-        return None
+        raise IntegrationError(f"the simulated motion is no longer finite in {record.name}") from None
     first[free] = found.x
     return first, found.at.found
 

@@ -14,23 +14,10 @@ from dataclasses import dataclass
 
 from masking.errors import ModelError, RecordError
 from masking.estimation.data import Data
-from masking.estimation.fit import Fit, fit, part_of
+from masking.estimation.fit import Fit, fit, part_of, several
 from masking.rig.twin import Twin
 
 Progress = Callable[[float], None]
-
-
-@dataclass(frozen=True)
-class Step:
-    """Parameters that are found together, from records.
-
-    Args:
-        records: one or several.
-        names: of the parameters that are free, as `Twin.parameter_names` has them.
-    """
-
-    records: tuple[Data, ...]
-    names: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -53,7 +40,7 @@ class SteppedFit:
 
 def fit_in_steps(
     twin: Twin,
-    steps: Sequence[Step | tuple[Data | Sequence[Data], Sequence[str]]],
+    steps: Sequence[tuple[Data | Sequence[Data], Sequence[str]]],
     *,
     validation: Data | Sequence[Data] = (),
     joint: bool = True,
@@ -77,33 +64,29 @@ def fit_in_steps(
         RecordError: a step has no record, or records are too short; says in which step.
         IntegrationError: the motion is not finite with the values to begin from.
     """
-    wanted = [step if isinstance(step, Step) else _step(*step) for step in steps]
+    wanted = [(several(records), tuple(names)) for records, names in steps]
     if not wanted:
         raise ModelError("there is no step; give pairs of records and names, such as [(record, ['w1', 'z1'])]")
-    for number, step in enumerate(wanted, start=1):
-        if not step.names:
+    for number, (records, free) in enumerate(wanted, start=1):
+        if not free:
             raise ModelError(f"step {number} has no parameter; give the names of those that are free in it")
-        if not step.records:
-            raise RecordError(f"step {number}, {', '.join(step.names)}, has no record; give at least one")
+        if not records:
+            raise RecordError(f"step {number}, {', '.join(free)}, has no record; give at least one")
     together = joint and len(wanted) > 1
-    names = tuple(dict.fromkeys(name for step in wanted for name in step.names))
+    names = tuple(dict.fromkeys(name for _, free in wanted for name in free))
     tell: Progress = progress or (lambda part: None)
     count, found, unseen = len(wanted) + together, list[Fit](), validation
-    for number, step in enumerate(wanted):
+    for number, (records, free) in enumerate(wanted):
         last = not together and number == len(wanted) - 1
         begin = found[-1].twin if found else twin
         try:
-            made = fit(begin, step.records, step.names, validation=unseen if last else (), shared=names,
+            made = fit(begin, records, free, validation=unseen if last else (), shared=names,
                        progress=part_of(tell, number, count))  # fmt: skip
         except RecordError as error:
-            raise RecordError(f"step {number + 1}, {', '.join(step.names)}: {error}") from None
+            raise RecordError(f"step {number + 1}, {', '.join(free)}: {error}") from None
         found.append(made)
     if not together:
         return SteppedFit(tuple(found), found[-1])
-    records = tuple({id(record): record for step in wanted for record in step.records}.values())
+    records = tuple({id(record): record for each, _ in wanted for record in each}.values())
     whole = fit(found[-1].twin, records, names, validation=unseen, progress=part_of(tell, count - 1, count))
     return SteppedFit(tuple(found), whole)
-
-
-def _step(records: Data | Sequence[Data], names: Sequence[str]) -> Step:
-    return Step((records,) if isinstance(records, Data) else tuple(records), tuple(names))

@@ -10,18 +10,13 @@ correlations by Fourier transforms.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from masking.numerics.arrays import Array
-
-if TYPE_CHECKING:
-    from scipy import special
-else:
-    special = lazy.load("scipy.special", suppress_warning=True)
 
 SECONDS = 0.1  # over which samples are held against each other
 FEWEST, MOST = 10, 200  # lags

@@ -7,22 +7,15 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike, NDArray
+from scipy import special
 
 from masking.errors import ModelError, RecordError
 from masking.numerics.arrays import Array
 from masking.procedures.columns import columns
-
-if TYPE_CHECKING:
-    from scipy import stats
-else:
-    stats = lazy.load("scipy.stats", suppress_warning=True)
-
 
 # Harmonics of the drive that are distinguished from it in each reading, the drive first.
 HARMONICS = (1, 2, 3)
@@ -64,7 +57,7 @@ class ActuatorRatio:
         """
         if not 0.0 < level < 1.0:
             raise ModelError(f"the level is {level:g}; give a probability between 0 and 1, such as 0.95")
-        half = float(stats.t.ppf(0.5 + level / 2.0, self.freedom)) * self.deviation
+        half = float(special.stdtrit(self.freedom, 0.5 + level / 2.0)) * self.deviation
         return self.ratio - half, self.ratio + half
 
 

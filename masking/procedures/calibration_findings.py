@@ -32,7 +32,6 @@ class Records:
     """Records of a rig under multisines.
 
     Args:
-        small: the first record.
         fit: the record to fit.
         unseen: the validation record.
         size: part of the largest command that the last two reach.
@@ -40,7 +39,6 @@ class Records:
         missed: samples of each record that were missed, by its name.
     """
 
-    small: Data
     fit: Data
     unseen: Data
     size: float

@@ -22,7 +22,11 @@ COVERED = 0.85
 
 
 def columns(**values: ArrayLike) -> tuple[Array, ...]:
-    """Return finite columns of one length, the first of which is a clock in equal steps."""
+    """Return finite columns of one length, the first of which is a clock in equal steps.
+
+    Raises:
+        RecordError: they are not such columns, are too short, or one is constant.
+    """
     found = {}
     for name, value in values.items():
         try:
@@ -98,7 +102,11 @@ def directions(force: Array) -> Array:
 
 
 def refuse_one_way(x: Array, direction: Array) -> None:
-    """Refuse a record whose ways up and down do not both cover the travel."""
+    """Refuse a record whose ways up and down do not both cover the travel.
+
+    Raises:
+        RecordError: they do not.
+    """
     edges = np.linspace(x.min(), x.max(), 51)
     covered = [np.histogram(x[direction == sign], edges)[0] > 0 for sign in (1.0, -1.0)]
     part = float(np.mean(covered[0] & covered[1]))

@@ -6,23 +6,16 @@ Source: Rijlaarsdam (2008), appendix C.6.2.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike
+from scipy import optimize
 
 from masking.errors import ModelError, RecordError
 from masking.numerics.arrays import Array
 from masking.procedures.columns import TURNED, columns, directions, part_of, refuse_one_way, turns
 from masking.procedures.springs import SLIDING, elements, thinned
-
-if TYPE_CHECKING:
-    from scipy import optimize
-else:
-    optimize = lazy.load("scipy.optimize", suppress_warning=True)
-
 
 # A record is averaged in time to at most this many points before its gap is taken.
 THINNED = 20000
@@ -41,7 +34,6 @@ class EquilibriumShift:
     Args:
         travel: theta of each tooth (teeth,).
         shift: delta, between its two passages of zero force (teeth,).
-        amplitude: largest force of each tooth (teeth,).
         constant: delta of the shortest travel, extrapolated to none.
         growth: delta per travel.
         covariance: of (constant, growth) (2, 2).
@@ -50,7 +42,6 @@ class EquilibriumShift:
 
     travel: Array
     shift: Array
-    amplitude: Array
     constant: float
     growth: float
     covariance: Array
@@ -137,20 +128,19 @@ def shift_of_equilibrium(times: ArrayLike, displacement: ArrayLike, force: Array
                 f"the force does not pass zero between the samples {first} and {last} (counted from 0); let each tooth "
                 "go to both sides and come back to zero"
             )
-        rows.append((0.5 * abs(x[first] - x[second]), abs(back[0] - again[0]), amplitude, 0.5 * (back[1] + again[1])))
+        rows.append((0.5 * abs(x[first] - x[second]), abs(back[0] - again[0]), 0.5 * (back[1] + again[1])))
     if len(rows) < 3 or max(r[0] for r in rows) < 2.0 * min(r[0] for r in rows):
         raise RecordError(
             f"{len(rows)} saw-teeth were found; at least 3 are needed whose travels differ by a factor of two: let the "
             "force go to both sides with growing amplitude"
         )
-    travel, shift, amplitude_of, compliance = (np.array(column) for column in zip(*rows, strict=True))
+    travel, shift, compliance = (np.array(column) for column in zip(*rows, strict=True))
     design = np.column_stack([np.ones(len(travel)), travel])
     found, *_ = np.linalg.lstsq(design, shift, rcond=None)
     power = float(np.sum((shift - design @ found) ** 2)) / (len(shift) - 2)
     covariance = power * np.linalg.inv(design.T @ design)
-    return EquilibriumShift(
-        travel, shift, amplitude_of, float(found[0]), float(found[1]), covariance, float(1.0 / np.median(compliance))
-    )
+    stiffness = float(1.0 / np.median(compliance))
+    return EquilibriumShift(travel, shift, float(found[0]), float(found[1]), covariance, stiffness)
 
 
 def locate_friction(times: ArrayLike, displacement: ArrayLike, force: ArrayLike, *, bins: int = 100) -> LocatedFriction:

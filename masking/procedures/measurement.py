@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-import lazy_loader as lazy
 import numpy as np
+from scipy import special
 
 from masking.declaration.quantities import percent
 from masking.errors import ModelError, RecordError
@@ -22,11 +22,6 @@ from masking.procedures.channels import Channel, Source
 from masking.procedures.columns import columns
 from masking.procedures.friction import EquilibriumShift, LocatedFriction, locate_friction, shift_of_equilibrium
 from masking.procedures.springs import SpringCurve, spring_curve
-
-if TYPE_CHECKING:
-    from scipy import stats
-else:
-    stats = lazy.load("scipy.stats", suppress_warning=True)
 
 FoundT = TypeVar("FoundT")
 
@@ -147,7 +142,7 @@ def springs(
         Row("highest", "largest displacement", curve.highest, None, x.unit),
         Row("residual", "force that is not explained, rms", curve.residual, None, force.unit),
     ]
-    half = float(stats.t.ppf(0.5 + LEVEL / 2.0, curve.freedom)) * sure
+    half = float(special.stdtrit(curve.freedom, 0.5 + LEVEL / 2.0)) * sure
     sentence = (
         f"The spring of {x.name} has a stiffness of {with_error(stiffness, half, slope)} at {with_unit(at, x.unit)}; "
         f"friction and hysteresis hold {with_unit(curve.half_gap, force.unit)} against the motion"
@@ -209,11 +204,9 @@ def actuators(
         Row("readings", "readings near the balance, which the ratio rests on", float(found.used.sum())),
     )
     half = 0.5 * (high - low)
-    sentence = (
-        f"{swept.name} balances {constant.name} at a gain of {with_error(found.ratio, half)}: "
-        + (f"it is {percent(found.ratio - 1.0)} weaker" if found.ratio > 1.0 else "")
-        + (f"it is {percent(1.0 / found.ratio - 1.0)} stronger" if found.ratio <= 1.0 else "")
-    )
+    weaker = found.ratio > 1.0
+    much = f"{percent(found.ratio - 1.0)} weaker" if weaker else f"{percent(1.0 / found.ratio - 1.0)} stronger"
+    sentence = f"{swept.name} balances {constant.name} at a gain of {with_error(found.ratio, half)}: it is {much}"
     series = {"gain": found.gains, "motion": np.abs(found.motion), "fitted": np.abs(found.fitted)}
     return Measurement(
         "actuators", (source.name,), {"first": constant, "second": swept, "motion": motion}, found, sentence, rows,
@@ -267,14 +260,18 @@ def friction(
     _, force, x = pairs[0]
     notes += refused if shift is None else []
     notes += [PLAIN] if sources[0].twin is None else []
-    rows = [*_shift_rows(shift, force, x), *_place_rows(place, force, x)]
+    rows: list[Row] = []
+    texts: list[str] = []
     series: dict[str, Array] = {}
     if shift is not None:
+        rows += _shift_rows(shift, force, x)
+        texts.append(_shift_text(shift, x.unit))
         series |= {"travel": shift.travel, "shift": shift.shift}
     if place is not None:
+        rows += _place_rows(place, force, x)
+        texts.append(_place_text(place, force, x))
         series |= {"displacement": place.displacement, "half_gap": place.half_gap, "fitted": place.fitted}
-    texts = [_shift_text(shift, x.unit), _place_text(place, force, x)]
-    sentence = "; ".join(text for text in texts if text)
+    sentence = "; ".join(texts)
     names = tuple(source.name for source in sources)
     return Measurement(
         "friction", names, {"force": pushed, "displacement": moved}, Friction(shift, place),
@@ -290,9 +287,7 @@ def _refuse_fast(source: Source, force: Channel, x: Channel) -> None:
         raise RecordError(f"{source.name}: {error}") from None
 
 
-def _shift_rows(shift: EquilibriumShift | None, force: Channel, x: Channel) -> list[Row]:
-    if shift is None:
-        return []
+def _shift_rows(shift: EquilibriumShift, force: Channel, x: Channel) -> list[Row]:
     constant, growth = np.sqrt(np.diag(shift.covariance))
     return [
         Row("constant", "shift of the equilibrium that any travel makes", shift.constant, float(constant), x.unit),
@@ -305,9 +300,7 @@ def _shift_rows(shift: EquilibriumShift | None, force: Channel, x: Channel) -> l
     ]  # fmt: skip
 
 
-def _place_rows(place: LocatedFriction | None, force: Channel, x: Channel) -> list[Row]:
-    if place is None:
-        return []
+def _place_rows(place: LocatedFriction, force: Channel, x: Channel) -> list[Row]:
     rows = [
         Row("is_found", "1 where a friction element is found, 0 where there is none", float(place.is_found)),
         Row("level", "friction elsewhere", place.level, None, force.unit),
@@ -323,17 +316,13 @@ def _place_rows(place: LocatedFriction | None, force: Channel, x: Channel) -> li
     return rows
 
 
-def _shift_text(shift: EquilibriumShift | None, unit: str) -> str:
-    if shift is None:
-        return ""
+def _shift_text(shift: EquilibriumShift, unit: str) -> str:
     far = int(np.argmax(shift.travel))
     moved, travel = with_unit(shift.shift[far], unit), with_unit(shift.travel[far], unit)
     return f"the equilibrium shifts by {moved} after a travel of {travel}"
 
 
-def _place_text(place: LocatedFriction | None, force: Channel, x: Channel) -> str:
-    if place is None:
-        return ""
+def _place_text(place: LocatedFriction, force: Channel, x: Channel) -> str:
     if not place.is_found:
         ends = f"{with_unit(place.displacement[0], x.unit)} and {with_unit(place.displacement[-1], x.unit)}"
         return f"no friction element engages between {ends}"
@@ -405,7 +394,13 @@ def _gain(name: str, times: Array, a: Array, b: Array, frequency: float) -> Arra
 
 
 def with_error(value: float, half: float, unit: str = "") -> str:
-    """Write a value with the half width of its interval to the same decimals, such as 1.078 ± 0.002 V."""
+    """Write a value with the half width of its interval to the same decimals, such as 1.078 ± 0.002 V.
+
+    Args:
+        value: in `unit`.
+        half: half the width; not written if it is not positive and finite.
+        unit: of both.
+    """
     if not (np.isfinite(half) and half > 0.0):
         return with_unit(value, unit)
     digits = int(np.floor(np.log10(half)))

@@ -12,20 +12,14 @@ one channel. Spectra are those of peak amplitudes: A cos(2 pi f t + phi) gives A
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import special
 
 from masking.errors import ModelError, RecordError
 from masking.numerics.arrays import Array, Complex
-
-if TYPE_CHECKING:
-    from scipy import stats
-else:
-    stats = lazy.load("scipy.stats", suppress_warning=True)
 
 Indices = NDArray[np.int64]
 
@@ -125,7 +119,7 @@ class FrequencyResponse:
             ModelError: the level is not between 0 and 1.
         """
         freedom = self.freedom if self.total is None else self.realisations - 1
-        factor = float(stats.f.ppf(probability(level), 2, 2 * freedom))
+        factor = float(special.fdtri(2, 2 * freedom, probability(level)))
         return np.asarray(np.sqrt(self.variance * factor))
 
 
@@ -229,15 +223,7 @@ def spectra(inputs: ArrayLike, outputs: ArrayLike, *, period: float, rate: float
     return Spectra(float(rate), length, *found)
 
 
-def frequency_response(
-    inputs: ArrayLike,
-    outputs: ArrayLike,
-    *,
-    period: float,
-    rate: float,
-    discard: int = 1,
-    harmonics: Sequence[int] | None = None,
-) -> FrequencyResponse:
+def frequency_response(found: Spectra, harmonics: Sequence[int] | Indices | None = None) -> FrequencyResponse:
     """Estimate the frequency response from whole periods, with its variance over periods and realisations.
 
         G_r = Y_r U_r^-1,   Y_r (outputs, inputs), U_r (inputs, inputs) of the means over periods,   G = mean_r G_r
@@ -251,123 +237,14 @@ def frequency_response(
     Source: Pintelon and Schoukens (2012), sections 2.7 (periodic excitation, several inputs) and 4.3 (realisations).
 
     Args:
-        inputs: (experiments, samples, inputs).
-        outputs: (experiments, samples, outputs).
-        period: of the excitation, s.
-        rate: samples per second.
-        discard: periods at the start that are left out.
+        found: the spectra of a record.
         harmonics: lines to look at, multiples of 1 / period; None for those that are excited.
 
     Raises:
-        RecordError: the record cannot be used; see `spectra`, or the inputs cannot be distinguished at a line.
-        ModelError: a setting makes no sense.
-    """
-    found = spectra(inputs, outputs, period=period, rate=rate, discard=discard)
-    return response_of(found, lines_of(found, harmonics))
-
-
-def zippered_response(
-    inputs: ArrayLike, outputs: ArrayLike, *, period: float, rate: float, discard: int = 1
-) -> tuple[FrequencyResponse, ...]:
-    """Estimate the response to each input from experiments in which each line is excited by one input only.
-
-    Every experiment is a realisation. Source: Pintelon and Schoukens (2012), section 2.7 (zippered multisines).
-
-    Args:
-        inputs: (experiments, samples, inputs).
-        outputs: (experiments, samples, outputs).
-        period: of the excitation, s.
-        rate: samples per second.
-        discard: periods at the start that are left out.
-
-    Returns:
-        For each input the response (lines, outputs, 1) at its own lines.
-
-    Raises:
-        RecordError: the record cannot be used, or two inputs share a line.
-        ModelError: a setting makes no sense.
-    """
-    found = spectra(inputs, outputs, period=period, rate=rate, discard=discard)
-    moved = found.moved()
-    shared = np.flatnonzero(moved.sum(axis=1) > 1)
-    if len(shared):
-        who = " and ".join(str(i) for i in np.flatnonzero(moved[shared[0]]))
-        raise RecordError(
-            f"the inputs {who} share the harmonic {shared[0]}, {shared[0] * found.base:.6g} Hz; give each line to one "
-            "input, or as many experiments as inputs to frequency_response"
-        )
-    return tuple(
-        response_of(
-            Spectra(found.rate, found.length, found.inputs[..., [i]], found.outputs), np.flatnonzero(moved[:, i])
-        )
-        for i in range(moved.shape[1])
-    )
-
-
-def nonlinear_distortion(
-    inputs: ArrayLike,
-    outputs: ArrayLike,
-    *,
-    period: float,
-    rate: float,
-    discard: int = 1,
-    harmonics: Sequence[int] | None = None,
-) -> Distortion:
-    """Split what an odd multisine makes into best linear approximation, even and odd distortion, and noise.
-
-    An odd nonlinearity answers odd lines with odd lines only, an even one with even lines only. What the output has at
-    the odd lines that were left out shows the odd distortion, at even lines the even one, and the differences between
-    periods the noise. What the input itself has there is taken off through the response of the neighbouring lines.
-    Source: Pintelon and Schoukens (2012), section 4.3.2 (robust and fast method).
-
-    Args:
-        inputs: (realisations, samples, 1).
-        outputs: (realisations, samples, 1).
-        period: of the excitation, s.
-        rate: samples per second.
-        discard: periods at the start that are left out.
-        harmonics: excited lines; None for those that have 1 % of the largest amplitude or more.
-
-    Raises:
-        RecordError: the record cannot be used, an even line is excited, or no odd line was left out.
-        ModelError: a setting makes no sense, or there are several inputs or outputs.
-    """
-    found = spectra(inputs, outputs, period=period, rate=rate, discard=discard)
-    if found.inputs.shape[3] != 1 or found.outputs.shape[3] != 1:
-        raise ModelError(
-            f"{found.inputs.shape[3]} inputs and {found.outputs.shape[3]} outputs; distortion is determined for one "
-            "input and one output at a time: select a column of each"
-        )
-    excited = lines_of(found, harmonics)
-    wrong = excited[excited % 2 == 0]
-    if len(wrong):
-        raise RecordError(
-            f"the even harmonic {wrong[0]} is excited, {wrong[0] * found.base:.6g} Hz; even distortion shows only "
-            "where even lines are left out: excite odd harmonics only"
-        )
-    lines = np.arange(1, excited.max() + 1)
-    is_excited = np.isin(lines, excited)
-    if not ((lines % 2 == 1) & ~is_excited).any():
-        raise RecordError(
-            f"every odd harmonic up to {excited.max()} is excited, so that odd distortion cannot be distinguished from "
-            "the response; leave out some, such as one at random of every three"
-        )
-    response = response_of(found, excited)
-    near = np.interp(lines, excited, response.response[:, 0, 0].real) + 1j * np.interp(
-        lines, excited, response.response[:, 0, 0].imag
-    )
-    rest = found.outputs[:, :, lines, 0] - np.where(is_excited, 0.0, near) * found.inputs[:, :, lines, 0]
-    level = np.mean(np.abs(rest.mean(axis=1)) ** 2, axis=0)
-    noise = np.mean(_variance(rest), axis=0) / found.periods
-    return Distortion(lines, lines * found.base, is_excited, level, noise, response)
-
-
-def response_of(found: Spectra, lines: Indices) -> FrequencyResponse:
-    """Return the response at harmonics (lines,) of spectra; see `frequency_response`.
-
-    Raises:
         RecordError: there are too few experiments for the inputs, or these cannot be distinguished at a line.
+        ModelError: a harmonic is not between 1 and half the samples of a period, or appears twice.
     """
+    lines = _lines(found, harmonics)
     u, y = found.inputs[:, :, lines], found.outputs[:, :, lines]
     count, periods, inputs = len(u), found.periods, u.shape[3]
     if count % inputs:
@@ -393,12 +270,71 @@ def response_of(found: Spectra, lines: Indices) -> FrequencyResponse:
     return FrequencyResponse(lines, np.asarray(lines * found.base), response, noise, total, periods, groups, freedom)
 
 
-def lines_of(found: Spectra, harmonics: Sequence[int] | None) -> Indices:
-    """Return the harmonics (lines,) to look at: those that are given, or excited.
+def zippered_response(found: Spectra) -> tuple[FrequencyResponse, ...]:
+    """Estimate the response to each input (lines, outputs, 1) from lines that are excited by one input only.
+
+    Every experiment is a realisation. Source: Pintelon and Schoukens (2012), section 2.7 (zippered multisines).
 
     Raises:
-        ModelError: a harmonic is not between 1 and half the samples of a period, or appears twice.
+        RecordError: two inputs share a line.
     """
+    moved = found.moved()
+    shared = np.flatnonzero(moved.sum(axis=1) > 1)
+    if len(shared):
+        who = " and ".join(str(i) for i in np.flatnonzero(moved[shared[0]]))
+        raise RecordError(
+            f"the inputs {who} share the harmonic {shared[0]}, {shared[0] * found.base:.6g} Hz; give each line to one "
+            "input, or as many experiments as inputs to frequency_response"
+        )
+    alone = (replace(found, inputs=found.inputs[..., [i]]) for i in range(moved.shape[1]))
+    return tuple(frequency_response(each, np.flatnonzero(line)) for each, line in zip(alone, moved.T, strict=True))
+
+
+def nonlinear_distortion(found: Spectra, harmonics: Sequence[int] | Indices | None = None) -> Distortion:
+    """Split what an odd multisine makes into best linear approximation, even and odd distortion, and noise.
+
+    An odd nonlinearity answers odd lines with odd lines only, an even one with even lines only. What the output has at
+    the odd lines that were left out shows the odd distortion, at even lines the even one, and the differences between
+    periods the noise. What the input itself has there is taken off through the response of the neighbouring lines.
+    Source: Pintelon and Schoukens (2012), section 4.3.2 (robust and fast method).
+
+    Args:
+        found: the spectra of a record of one input and one output, each experiment a realisation.
+        harmonics: excited lines; None for those that have 1 % of the largest amplitude or more.
+
+    Raises:
+        RecordError: an even line is excited, or no odd line was left out.
+        ModelError: a harmonic makes no sense, or there are several inputs or outputs.
+    """
+    if found.inputs.shape[3] != 1 or found.outputs.shape[3] != 1:
+        raise ModelError(
+            f"{found.inputs.shape[3]} inputs and {found.outputs.shape[3]} outputs; distortion is determined for one "
+            "input and one output at a time: select a column of each"
+        )
+    excited = _lines(found, harmonics)
+    wrong = excited[excited % 2 == 0]
+    if len(wrong):
+        raise RecordError(
+            f"the even harmonic {wrong[0]} is excited, {wrong[0] * found.base:.6g} Hz; even distortion shows only "
+            "where even lines are left out: excite odd harmonics only"
+        )
+    lines = np.arange(1, excited.max() + 1)
+    is_excited = np.isin(lines, excited)
+    if not ((lines % 2 == 1) & ~is_excited).any():
+        raise RecordError(
+            f"every odd harmonic up to {excited.max()} is excited, so that odd distortion cannot be distinguished from "
+            "the response; leave out some, such as one at random of every three"
+        )
+    response = frequency_response(found, excited)
+    near = np.interp(lines, excited, response.response[:, 0, 0])
+    rest = found.outputs[:, :, lines, 0] - np.where(is_excited, 0.0, near) * found.inputs[:, :, lines, 0]
+    level = np.mean(np.abs(rest.mean(axis=1)) ** 2, axis=0)
+    noise = np.mean(_variance(rest), axis=0) / found.periods
+    return Distortion(lines, lines * found.base, is_excited, level, noise, response)
+
+
+def _lines(found: Spectra, harmonics: Sequence[int] | Indices | None) -> Indices:
+    """Return the harmonics (lines,) to look at: those that are given, or excited."""
     if harmonics is None:
         return found.excited
     lines = np.asarray(harmonics)
@@ -414,7 +350,11 @@ def lines_of(found: Spectra, harmonics: Sequence[int] | None) -> Indices:
 
 
 def probability(level: float) -> float:
-    """Return a probability; refuse what is not between 0 and 1."""
+    """Return a probability.
+
+    Raises:
+        ModelError: it is not between 0 and 1.
+    """
     if not 0.0 < level < 1.0:
         raise ModelError(f"the level is {level:g}; give a probability between 0 and 1, such as 0.95")
     return float(level)

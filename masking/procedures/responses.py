@@ -8,7 +8,7 @@ Source: Pintelon and Schoukens, System Identification: A Frequency Domain Approa
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from masking.procedures.measurement import LEVEL, Measurement, Row
 from masking.procedures.response import (
     Distortion,
     FrequencyResponse,
+    Spectra,
     frequency_response,
     nonlinear_distortion,
     spectra,
@@ -86,14 +87,13 @@ def response(
     if kept < shortest:
         notes.append(f"the last {(shortest - kept) / rate:.4g} s, no whole period, are left out")
     u, y = (np.array([table[i][:kept] for table in tables]) for i in (0, 1))
-    found = _responses([c.name for c in driving], u, y, period=period, rate=rate, discard=discard)
+    whole = spectra(u, y, period=period, rate=rate, discard=discard)
+    found = _responses([c.name for c in driving], whole)
     distortions: dict[str, Distortion] = {}
     if len(driving) == 1:
         for i, channel in enumerate(reading):
             try:
-                distortions[channel.name] = nonlinear_distortion(
-                    u, y[:, :, [i]], period=period, rate=rate, discard=discard
-                )
+                distortions[channel.name] = nonlinear_distortion(replace(whole, outputs=whole.outputs[..., [i]]))
             except RecordError as error:
                 notes.append(f"distortion is not determined: {error}")
                 break
@@ -112,20 +112,15 @@ def response(
     )  # fmt: skip
 
 
-def _responses(
-    names: Sequence[str], u: Array, y: Array, *, period: float, rate: float, discard: int
-) -> dict[str, FrequencyResponse]:
+def _responses(names: Sequence[str], found: Spectra) -> dict[str, FrequencyResponse]:
     """Return the response to each input (lines, outputs, 1)."""
-    if len(names) > 1:
-        moved = spectra(u, y, period=period, rate=rate, discard=discard).moved()
-        if not (moved.sum(axis=1) > 1).any():
-            each = zippered_response(u, y, period=period, rate=rate, discard=discard)
-            return dict(zip(names, each, strict=True))
-    whole = frequency_response(u, y, period=period, rate=rate, discard=discard)
+    if len(names) > 1 and not (found.moved().sum(axis=1) > 1).any():
+        return dict(zip(names, zippered_response(found), strict=True))
+    whole = frequency_response(found)
     return {
-        name: FrequencyResponse(
-            whole.harmonics, whole.frequencies, whole.response[:, :, [i]], whole.noise[:, :, [i]],
-            None if whole.total is None else whole.total[:, :, [i]], whole.periods, whole.realisations, whole.freedom,
+        name: replace(
+            whole, response=whole.response[:, :, [i]], noise=whole.noise[:, :, [i]],
+            total=None if whole.total is None else whole.total[:, :, [i]],
         )
         for i, name in enumerate(names)
     }  # fmt: skip

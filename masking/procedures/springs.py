@@ -6,23 +6,15 @@ Source: Rijlaarsdam (2008), section 4.2.3 and Table B.4.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike
+from scipy import optimize, special
 
 from masking.errors import ModelError, RecordError
 from masking.numerics.arrays import Array
 from masking.procedures.columns import LEAST_SAMPLES, columns, directions, refuse_one_way
-
-if TYPE_CHECKING:
-    from scipy import optimize, stats
-else:
-    optimize = lazy.load("scipy.optimize", suppress_warning=True)
-    stats = lazy.load("scipy.stats", suppress_warning=True)
-
 
 # A record is averaged in time to at most this many points before a curve is fitted.
 POINTS = 3000
@@ -56,8 +48,6 @@ class SpringCurve:
         friction: force against the motion that is there as soon as it turns; viscous forces at the speed of the ramp
             are part of it.
         hysteresis: force against the motion that builds up after it turned.
-        sliding: displacements at which elements of the hysteresis slide (k,).
-        shares: force of each of these elements (k,).
         residual: root mean square of the force that is not explained.
         freedom: degrees of freedom of the covariance.
         displacement: averaged record (points,).
@@ -73,8 +63,6 @@ class SpringCurve:
     highest: float
     friction: float
     hysteresis: float
-    sliding: Array
-    shares: Array
     residual: float
     freedom: int
     displacement: Array
@@ -113,7 +101,7 @@ class SpringCurve:
         x = np.asarray(displacement, dtype=np.float64) / self.scale
         rows = polynomial.polyvander(x, len(self.coefficients) - 1)
         deviation = np.sqrt(np.maximum(np.einsum("...i,ij,...j", rows, self.covariance, rows), 0.0))
-        factor = float(stats.t.ppf(0.5 + level / 2.0, self.freedom))
+        factor = float(special.stdtrit(self.freedom, 0.5 + level / 2.0))
         return np.asarray(factor * self.force_scale * deviation)
 
 
@@ -187,8 +175,6 @@ def spring_curve(
         highest=highest,
         friction=float(weights[order + 1]),
         hysteresis=float(weights[order + 2 :].sum()),
-        sliding=radii,
-        shares=weights[order + 2 :],
         residual=float(np.sqrt(np.mean(rest**2))),
         freedom=freedom,
         displacement=x,

@@ -14,14 +14,27 @@ from masking.numerics.arrays import Array
 
 
 def real(what: str, value: object) -> float:
-    """Return a finite number; refuse anything else."""
+    """Return a finite number.
+
+    Raises:
+        ModelError: it is none.
+    """
     if isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value):
         return float(value)
     raise ModelError(f"{what} is {value!r}; give a finite number")
 
 
 def positive(what: str, value: object, unit: str = "") -> float:
-    """Return a positive, finite number; refuse anything else."""
+    """Return a positive, finite number.
+
+    Args:
+        what: its name in the message.
+        value: the number.
+        unit: of it.
+
+    Raises:
+        ModelError: it is none.
+    """
     found = real(what, value)
     if found > 0.0:
         return found
@@ -29,19 +42,31 @@ def positive(what: str, value: object, unit: str = "") -> float:
 
 
 def count(what: str, value: object, least: int = 1) -> int:
-    """Return a whole number that is at least `least`; refuse anything else."""
+    """Return a whole number.
+
+    Args:
+        what: its name in the message.
+        value: the number.
+        least: that is allowed.
+
+    Raises:
+        ModelError: it is none, or less.
+    """
     if isinstance(value, numbers.Integral) and not isinstance(value, bool) and int(value) >= least:
         return int(value)
     raise ModelError(f"{what} is {value!r}; give a whole number of at least {least}")
 
 
 def row(what: str, values: ArrayLike, length: int | None = None) -> Array:
-    """Return finite numbers as a read-only array (length,), one number repeated; refuse anything else.
+    """Return finite numbers as a read-only array (length,), one number repeated.
 
     Args:
         what: name of the numbers, in the plural.
         values: one number, or a sequence of them.
         length: how many there must be; None for any number of at least one.
+
+    Raises:
+        ModelError: they are no such numbers.
     """
     try:
         found = np.array(values, dtype=np.float64)
@@ -62,7 +87,16 @@ def row(what: str, values: ArrayLike, length: int | None = None) -> Array:
 
 
 def below_nyquist(what: str, frequency: float, rate: float) -> None:
-    """Refuse a frequency that the rate cannot hold."""
+    """Refuse a frequency that the rate cannot hold.
+
+    Args:
+        what: its name in the message.
+        frequency: Hz.
+        rate: Hz.
+
+    Raises:
+        ModelError: the frequency is not below half the rate.
+    """
     if frequency >= rate / 2:
         raise ModelError(
             f"{what} {frequency:.6g} Hz is not below half the rate {rate:g} Hz; take a rate above "
@@ -71,7 +105,17 @@ def below_nyquist(what: str, frequency: float, rate: float) -> None:
 
 
 def samples(what: str, seconds: float, rate: float, least: int) -> int:
-    """Return how many samples a part of a signal lasts; refuse fewer than `least`."""
+    """Return how many samples a part of a signal lasts.
+
+    Args:
+        what: its name in the message.
+        seconds: s.
+        rate: Hz.
+        least: samples that are needed.
+
+    Raises:
+        ModelError: there are fewer.
+    """
     found = round(seconds * rate)
     if found < least:
         raise ModelError(
@@ -82,7 +126,11 @@ def samples(what: str, seconds: float, rate: float, least: int) -> int:
 
 
 def names(what: str, values: Sequence[str]) -> tuple[str, ...]:
-    """Return different texts, not empty and without brackets, which hold units in a csv; refuse anything else."""
+    """Return different texts, not empty and without brackets, which hold units in a csv.
+
+    Raises:
+        ModelError: they are no such texts.
+    """
     found = (values,) if isinstance(values, str) else tuple(values)
     for name in found:
         if not isinstance(name, str) or not name or name != name.strip() or set(name) & set("[]\r\n"):

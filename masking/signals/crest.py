@@ -22,20 +22,13 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
 
-import lazy_loader as lazy
 import numpy as np
+from scipy import fft, linalg
 
 from masking.numerics.arrays import Array, Complex
 from masking.signals.arguments import count, positive
 from masking.signals.lines import TURN, Multisine, check_size, crest_factor, periodic, schroeder_phases, wave
-
-if TYPE_CHECKING:
-    from scipy import fft, linalg
-else:
-    fft = lazy.load("scipy.fft", suppress_warning=True)
-    linalg = lazy.load("scipy.linalg", suppress_warning=True)
 
 Progress = Callable[[float], object]
 
@@ -58,23 +51,8 @@ WORK, MOST_STARTS = 1_600_000, 400
 MOST_VALUES = 20_000_000  # samples times lines of a record without a period, kept as complex numbers: 320 MB
 
 
-class _Lines(Protocol):
-    """Where a multisine is looked at, and the means over it that the norm needs."""
-
-    size: int
-
-    def values(self, amplitudes: Complex) -> Array:
-        """Return Re sum_k c_k exp(i w_k t) at the samples (size,)."""
-
-    def means(self, weights: Array) -> Complex:
-        """Return the means of weights exp(i w_k t) (lines,)."""
-
-    def products(self, weights: Array) -> tuple[Complex, Complex]:
-        """Return the means of weights exp(i (w_k - w_l) t) and of weights exp(i (w_k + w_l) t) (lines, lines)."""
-
-
 class _Period:
-    """One period of harmonics, by FFT."""
+    """One period of harmonics, by FFT: a multisine there, and the means over it that the norm needs."""
 
     def __init__(self, harmonics: tuple[int, ...]) -> None:
         self.harmonics = harmonics
@@ -83,12 +61,15 @@ class _Period:
         self._at, self._sums, self._differences = h, h[:, None] + h, h[:, None] - h
 
     def values(self, amplitudes: Complex) -> Array:
+        """Return Re sum_k c_k exp(i w_k t) at the samples (size,)."""
         return wave(self.harmonics, amplitudes, self.size)
 
     def means(self, weights: Array) -> Complex:
+        """Return the means of weights exp(i w_k t) (lines,)."""
         return np.asarray(self._spectrum(weights)[self._at], dtype=np.complex128)
 
     def products(self, weights: Array) -> tuple[Complex, Complex]:
+        """Return the means of weights exp(i (w_k - w_l) t) and of weights exp(i (w_k + w_l) t) (lines, lines)."""
         spectrum = self._spectrum(weights)
         differences = spectrum[np.abs(self._differences)]
         return np.where(self._differences < 0, differences.conj(), differences), spectrum[self._sums]
@@ -135,18 +116,26 @@ class Norm:
         power: p.
     """
 
-    lines: _Lines
+    lines: _Period | _Record
     amplitudes: Array
     power: int
 
     @classmethod
     def of(cls, signal: Multisine, power: int, duration: float | None = None) -> Norm:
-        """Return the norm over one period of a multisine, or over the record from 0 to `duration` s."""
+        """Return the norm of a multisine.
+
+        Args:
+            signal: whose amplitudes count.
+            power: p.
+            duration: over the record from 0 to this time, s; over one period if it is None.
+        """
         return cls(_lines(signal, duration), signal.amplitudes, power)
 
     def __call__(self, phases: Array) -> float:
         """Return log ||v||_2p for phases in rad (lines,)."""
-        return self._log(self.lines.values(self.amplitudes * np.exp(1j * phases)))
+        v = self.lines.values(self.amplitudes * np.exp(1j * phases))
+        peak = float(np.abs(v).max())
+        return math.log(peak) + math.log(float(np.mean((v / peak) ** (2 * self.power)))) / (2 * self.power)
 
     def derivatives(self, phases: Array) -> tuple[float, Array, Array]:
         """Return log ||v||_2p, its gradient (lines,), and the Hessian of mean(v^2p) / (2p mean(v^2p)) (lines, lines).
@@ -166,10 +155,6 @@ class Norm:
         curvature = 0.5 * np.real(np.outer(c, c.conj()) * differences - np.outer(c, c) * sums)
         hessian = (2 * self.power - 1) * curvature - np.diag(towards.real)
         return math.log(peak) + math.log(total) / (2 * self.power), -towards.imag / total, hessian / total
-
-    def _log(self, v: Array) -> float:
-        peak = float(np.abs(v).max())
-        return math.log(peak) + math.log(float(np.mean((v / peak) ** (2 * self.power)))) / (2 * self.power)
 
 
 def minimise_crest(
@@ -229,7 +214,7 @@ def minimise_crest(
     return best
 
 
-def _lines(signal: Multisine, duration: float | None) -> _Lines:
+def _lines(signal: Multisine, duration: float | None) -> _Period | _Record:
     if duration is None:
         return _Period(periodic(signal))
     return _Record(signal.frequencies, positive("duration", duration, "s"))

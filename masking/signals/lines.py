@@ -6,20 +6,14 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import fft
 
 from masking.errors import ModelError
 from masking.numerics.arrays import Array
 from masking.signals.arguments import positive, real, row
-
-if TYPE_CHECKING:
-    from scipy import fft
-else:
-    fft = lazy.load("scipy.fft", suppress_warning=True)
 
 TURN = 2.0 * math.pi
 # Samples for each period of the highest line where a peak is looked for. The curvature of a multisine is at most
@@ -148,10 +142,8 @@ class Multisine:
             if self.frequencies.max() > HIGHEST_HARMONIC * lowest:
                 return None
             ratios = [Fraction(f / lowest).limit_denominator(LARGEST_DENOMINATOR) for f in self.frequencies]
-            if any(
-                abs(float(r) - f / lowest) > RATIO_ERROR * float(r)
-                for r, f in zip(ratios, self.frequencies, strict=True)
-            ):
+            exact = np.array(list(map(float, ratios)))
+            if (np.abs(exact - self.frequencies / lowest) > RATIO_ERROR * exact).any():
                 return None
             common = math.lcm(*(ratio.denominator for ratio in ratios))
             found = [int(ratio * common) for ratio in ratios]
@@ -240,14 +232,24 @@ class Multisine:
 
 
 def wave(harmonics: tuple[int, ...], amplitudes: np.ndarray, size: int) -> Array:
-    """Return `size` samples of one period of Re sum_k c_k exp(i h_k theta), for complex amplitudes c_k (lines,)."""
+    """Return samples of one period of Re sum_k c_k exp(i h_k theta) (size,).
+
+    Args:
+        harmonics: h_k (lines,).
+        amplitudes: c_k, complex (lines,).
+        size: of the period, in samples.
+    """
     spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
     spectrum[list(harmonics)] = 0.5 * size * amplitudes
     return np.asarray(fft.irfft(spectrum, size), dtype=np.float64)
 
 
 def periodic(signal: Multisine) -> tuple[int, ...]:
-    """Return the harmonics of a multisine; refuse one whose lines have no common period."""
+    """Return the harmonics of a multisine.
+
+    Raises:
+        ModelError: its lines have no common period.
+    """
     if signal.harmonics is None:
         raise ModelError(
             f"the lines have no common period with harmonics up to {HIGHEST_HARMONIC}; give the duration of the "
@@ -257,7 +259,17 @@ def periodic(signal: Multisine) -> tuple[int, ...]:
 
 
 def check_size(samples: int, lines: int, duration: float, most: int = MOST_POINTS) -> None:
-    """Refuse a record that is too long to be looked at."""
+    """Refuse a record that is too long to be looked at.
+
+    Args:
+        samples: of the record.
+        lines: of the multisine.
+        duration: of the record, s.
+        most: samples times lines that are allowed.
+
+    Raises:
+        ModelError: there are more.
+    """
     if samples * lines > most:
         raise ModelError(
             f"a record of {duration:g} s with {lines} lines takes {samples * lines:.3g} values, at most {most:.3g} are "

@@ -1,14 +1,12 @@
 """The excitations with which a rig is identified; each function gives the samples of one signal.
 
-All of them take the rate in Hz, the name of the channel and its unit, and `limits`, the largest absolute value for each
-channel: a signal that passes one is refused, never cut off (see `Excitation.within`).
+All of them take the rate in Hz, the name of the channel and its unit. `Excitation.within` refuses a signal that passes
+the limit of a channel.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +28,6 @@ def multisine(
     duration: float | None = None,
     channel: str = "u",
     unit: str = "V",
-    limits: Mapping[str, float] | None = None,
 ) -> Excitation:
     """Return samples of a multisine over whole periods, or over a duration.
 
@@ -42,11 +39,10 @@ def multisine(
         duration: s.
         channel: name of the channel.
         unit: of the channel.
-        limits: for each channel, in its unit; none where it is None.
 
     Raises:
-        ModelError: a line is not below half the rate, a period is no whole number of samples, both or none of
-            `periods` and `duration` are given, or a limit is passed.
+        ModelError: a line is not below half the rate, a period is no whole number of samples, or both or none of
+            `periods` and `duration` are given.
     """
     rate = positive("rate", rate, "Hz")
     below_nyquist("the highest line,", float(signal.frequencies.max()), rate)
@@ -63,9 +59,7 @@ def multisine(
         "period": signal.period,
         "periods": periods,
     }
-    return _made(
-        "multisine", rate, signal.sample(np.arange(size) / rate), channels=channel, unit=unit, limits=limits, meta=meta
-    )
+    return Excitation("multisine", rate, signal.sample(np.arange(size) / rate)[:, None], (channel,), (unit,), meta)
 
 
 def steps(
@@ -76,7 +70,6 @@ def steps(
     rate: float,
     channel: str = "u",
     unit: str = "V",
-    limits: Mapping[str, float] | None = None,
 ) -> Excitation:
     """Return steps of growing amplitude, to either side of zero and back.
 
@@ -91,17 +84,16 @@ def steps(
         rate: Hz.
         channel: name of the channel.
         unit: of the channel.
-        limits: for each channel, in its unit; none where it is None.
 
     Raises:
-        ModelError: a number is not above 0, a step is too short for the rate, or a limit is passed.
+        ModelError: a number is not above 0 or a step is too short for the rate.
     """
     amplitude, rate = positive("amplitude", amplitude, unit), positive("rate", rate, "Hz")
     held = samples("a step", positive("hold", hold, "s"), rate, LEAST_SAMPLES)
     sizes = amplitude * np.arange(1, count("number", number) + 1) / number
     levels = np.concatenate([[0.0], *([a, 0.0, -a, 0.0] for a in sizes)])
     meta = {"amplitude": amplitude, "number": number, "hold": hold}
-    return _made("steps", rate, np.repeat(levels, held), channels=channel, unit=unit, limits=limits, meta=meta)
+    return Excitation("steps", rate, np.repeat(levels, held)[:, None], (channel,), (unit,), meta)
 
 
 def ramp(
@@ -111,7 +103,6 @@ def ramp(
     rate: float,
     channel: str = "u",
     unit: str = "V",
-    limits: Mapping[str, float] | None = None,
 ) -> Excitation:
     """Return a slow ramp from zero up to the amplitude, down to its negative, and up to zero.
 
@@ -124,23 +115,15 @@ def ramp(
         rate: Hz.
         channel: name of the channel.
         unit: of the channel.
-        limits: for each channel, in its unit; none where it is None.
 
     Raises:
-        ModelError: a number is not above 0, the ramp is too short for the rate, or a limit is passed.
+        ModelError: a number is not above 0 or the ramp is too short for the rate.
     """
     amplitude, rate = positive("amplitude", amplitude, unit), positive("rate", rate, "Hz")
     size = samples("a ramp", positive("duration", duration, "s"), rate, LEAST_SAMPLES)
     values = amplitude * _triangle(np.arange(size) / (rate * duration))
-    return _made(
-        "ramp",
-        rate,
-        values,
-        channels=channel,
-        unit=unit,
-        limits=limits,
-        meta={"amplitude": amplitude, "duration": duration},
-    )
+    meta = {"amplitude": amplitude, "duration": duration}
+    return Excitation("ramp", rate, values[:, None], (channel,), (unit,), meta)
 
 
 def sawtooth(
@@ -151,7 +134,6 @@ def sawtooth(
     rate: float,
     channel: str = "u",
     unit: str = "V",
-    limits: Mapping[str, float] | None = None,
 ) -> Excitation:
     """Return saw-teeth of growing amplitude: n periods of a triangle, of amplitudes A/n, 2A/n, ..., A.
 
@@ -165,10 +147,9 @@ def sawtooth(
         rate: Hz.
         channel: name of the channel.
         unit: of the channel.
-        limits: for each channel, in its unit; none where it is None.
 
     Raises:
-        ModelError: a number is not above 0, a period is too short for the rate, or a limit is passed.
+        ModelError: a number is not above 0 or a period is too short for the rate.
     """
     amplitude, rate = positive("amplitude", amplitude, unit), positive("rate", rate, "Hz")
     number, period = count("number", number), positive("period", period, "s")
@@ -176,7 +157,7 @@ def sawtooth(
     turns = np.arange(round(number * period * rate)) / (rate * period)
     sizes = amplitude * np.minimum(np.floor(turns) + 1.0, number) / number
     meta = {"amplitude": amplitude, "number": number, "period": period}
-    return _made("sawtooth", rate, sizes * _triangle(turns), channels=channel, unit=unit, limits=limits, meta=meta)
+    return Excitation("sawtooth", rate, (sizes * _triangle(turns))[:, None], (channel,), (unit,), meta)
 
 
 def opposed_sines(
@@ -189,7 +170,6 @@ def opposed_sines(
     gain: tuple[float, float] = (0.0, 2.0),
     wired_opposed: bool = False,
     unit: str = "V",
-    limits: Mapping[str, float] | None = None,
 ) -> Excitation:
     """Return a sine on one channel, and on another the same in anti-phase with a gain that is swept.
 
@@ -208,10 +188,9 @@ def opposed_sines(
         wired_opposed: the second actuator pushes the other way by itself, as those of the oscillators do on the beam in
             (4.3): then v_b = +g v_a, so that the two forces are opposed all the same.
         unit: of both channels.
-        limits: for each channel, in its unit; none where it is None.
 
     Raises:
-        ModelError: a number is not above 0 or not finite, the rate or the duration is too small, or a limit is passed.
+        ModelError: a number is not above 0 or not finite, or the rate or the duration is too small.
     """
     amplitude, rate = positive("amplitude", amplitude, unit), positive("rate", rate, "Hz")
     frequency, duration = positive("frequency", frequency, "Hz"), positive("duration", duration, "s")
@@ -227,9 +206,7 @@ def opposed_sines(
     swept = first + (last - first) * times / duration
     other = swept * sine if wired_opposed else -swept * sine
     meta = {"amplitude": amplitude, "frequency": frequency, "gain": [first, last], "wired_opposed": wired_opposed}
-    return _made(
-        "opposed_sines", rate, np.column_stack([sine, other]), channels=channels, unit=unit, limits=limits, meta=meta
-    )
+    return Excitation("opposed_sines", rate, np.column_stack([sine, other]), channels, (unit, unit), meta)
 
 
 def linear_chirp(
@@ -241,7 +218,6 @@ def linear_chirp(
     rate: float,
     channel: str = "u",
     unit: str = "V",
-    limits: Mapping[str, float] | None = None,
 ) -> Excitation:
     """Return a sine whose frequency goes from the first to the last in a straight line.
 
@@ -255,16 +231,15 @@ def linear_chirp(
         rate: Hz, above twice the higher frequency.
         channel: name of the channel.
         unit: of the channel.
-        limits: for each channel, in its unit; none where it is None.
 
     Raises:
-        ModelError: a number is not above 0, the rate is too low, or a limit is passed.
+        ModelError: a number is not above 0, or the rate is too low.
     """
     times = _sweep_times(first, last, duration, rate)
     turns = first * times + (last - first) * times**2 / (2.0 * duration)
     values = positive("amplitude", amplitude, unit) * np.sin(TURN * turns)
     meta = {"amplitude": amplitude, "first": first, "last": last, "duration": duration}
-    return _made("linear_chirp", rate, values, channels=channel, unit=unit, limits=limits, meta=meta)
+    return Excitation("linear_chirp", rate, values[:, None], (channel,), (unit,), meta)
 
 
 def logarithmic_chirp(
@@ -276,7 +251,6 @@ def logarithmic_chirp(
     rate: float,
     channel: str = "u",
     unit: str = "V",
-    limits: Mapping[str, float] | None = None,
 ) -> Excitation:
     """Return a sine whose frequency is multiplied by the same factor in equal times.
 
@@ -290,17 +264,16 @@ def logarithmic_chirp(
         rate: Hz, above twice the higher frequency.
         channel: name of the channel.
         unit: of the channel.
-        limits: for each channel, in its unit; none where it is None.
 
     Raises:
-        ModelError: a number is not above 0, the rate is too low, or a limit is passed.
+        ModelError: a number is not above 0, or the rate is too low.
     """
     times = _sweep_times(first, last, duration, rate)
     ratio = math.log(last / first)
     turns = first * (times if ratio == 0.0 else duration / ratio * np.expm1(ratio * times / duration))
     values = positive("amplitude", amplitude, unit) * np.sin(TURN * turns)
     meta = {"amplitude": amplitude, "first": first, "last": last, "duration": duration}
-    return _made("logarithmic_chirp", rate, values, channels=channel, unit=unit, limits=limits, meta=meta)
+    return Excitation("logarithmic_chirp", rate, values[:, None], (channel,), (unit,), meta)
 
 
 def _whole_period(signal: Multisine, rate: float) -> int:
@@ -330,19 +303,3 @@ def _triangle(turns: Array) -> Array:
     """Return a triangle of period 1 and amplitude 1 that rises from zero at 0."""
     part = np.mod(turns + 0.25, 1.0)
     return 1.0 - np.abs(4.0 * part - 2.0)
-
-
-def _made(
-    name: str,
-    rate: float,
-    values: Array,
-    *,
-    channels: str | tuple[str, ...],
-    unit: str,
-    limits: Mapping[str, float] | None,
-    meta: Mapping[str, Any],
-) -> Excitation:
-    named = (channels,) if isinstance(channels, str) else channels
-    columns = values if values.ndim == 2 else values[:, None]
-    made = Excitation(name, rate, columns, named, (unit,) * len(named), meta)
-    return made if limits is None else made.within(limits)

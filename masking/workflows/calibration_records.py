@@ -93,8 +93,8 @@ def make(
             size = _larger(twin, made[0])
             say(f"up to {size:.0%} of the largest command")
         progress((number + 1) / len(NAMES))
-    small, fit, unseen = made
-    return Records(small, fit, unseen, size, limits, missed)
+    _, fit, unseen = made
+    return Records(fit, unseen, size, limits, missed)
 
 
 def _settings(plant: Plant, limits: Array, *, seconds: float, seed: int, size: float, twin: Twin) -> dict[str, Any]:

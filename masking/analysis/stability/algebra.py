@@ -9,17 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
+import sympy as sp
 
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.errors import ModelError
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 _MOST_ROUNDS = 40
 _MOST_ANGLES = 24  # sin(n x) is a polynomial in sin x and cos x up to this n
@@ -186,13 +180,7 @@ def radical(expression: sp.Expr, given: Hypotheses) -> sp.Expr:
     if numerator == 0:
         return sp.Integer(0)
     _, factors = sp.factor_list(numerator)
-    kept = []
-    for factor, _ in factors:
-        plain = factor.xreplace(back)
-        if given.sign(plain) is not None:
-            continue
-        kept.append(plain)
-    product = sp.Mul(*kept)
+    product = sp.Mul(*(f for factor, _ in factors if given.sign(f := factor.xreplace(back)) is None))
     for what in back.values():
         if what.func == sp.cos:
             product = _without_square(product, what, sp.sin(what.args[0]))

@@ -10,19 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
+import sympy as sp
 
 from masking.analysis.stability.algebra import normal
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.motion import Motion
 from masking.errors import ModelError
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 
 @dataclass(frozen=True)
@@ -79,6 +73,11 @@ def squares(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], given: Hypotheses) 
     """Return x^T matrix x as a sum of squares with positive coefficients; None where it is not seen to be one.
 
     By completing squares, one symbol after the other: matrix = L D L^T, with D > 0 or left out where it is 0.
+
+    Args:
+        matrix: symmetric (n, n).
+        symbols: x (n,).
+        given: hypotheses, which get those that the signs of D need.
     """
     rest, found = matrix.applyfunc(normal), []
     for i in range(rest.rows):
@@ -94,24 +93,23 @@ def squares(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], given: Hypotheses) 
     return tuple(found)
 
 
-def _unbounded(potential: sp.Expr, motion: Motion) -> str:  # noqa: PLR0911  # one reason each
+def _unbounded(potential: sp.Expr, motion: Motion) -> str:
     """Return why a potential may not grow in every direction that is no angle; '' where it does."""
     lines = [q for q in motion.q if q not in motion.circles]
     given, forms, remainder = motion.given, [], sp.Integer(0)
     for term in sp.Add.make_args(sp.expand_mul(potential)):
-        if not term.free_symbols & {*lines} or _is_bounded(term, motion.q):
-            if not _is_bounded(term, motion.q):
-                return f"the term {term} of the energy is not bounded"
+        if _is_bounded(term, motion.q):
             continue
+        if not term.free_symbols & {*lines}:
+            return f"the term {term} of the energy is not bounded"
         form = _even_power(term, lines, given)
         if form is not None:
             forms.append((form, _power_of(term, lines)))
         else:
             remainder += term
     remainder = sp.expand(remainder)
-    if not remainder.is_polynomial(*lines) or (remainder.free_symbols & {*motion.circles}):
-        return f"the part {remainder} of the potential is not seen to grow"
-    if remainder != 0 and sp.Poly(remainder, *lines).total_degree() > 2:
+    is_polynomial = remainder.is_polynomial(*lines) and not remainder.free_symbols & {*motion.circles}
+    if not is_polynomial or (remainder != 0 and sp.Poly(remainder, *lines).total_degree() > 2):
         return f"the part {remainder} of the potential is not seen to grow"
     steep = [form for form, power in forms if power > 2]
     if _rank_is_full(steep, lines, given):  # of fourth order or more in every direction: they outgrow all squares

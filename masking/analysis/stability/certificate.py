@@ -7,10 +7,10 @@ set, and the equilibria in it, make the conclusion. Theorems 5.1, 7.1, 8.1 and 9
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass
+from typing import Any
 
-import lazy_loader as lazy
+import sympy as sp
 
 from masking.analysis.stability.algebra import normal, radical
 from masking.analysis.stability.boundedness import Boundedness, boundedness, is_positive_definite
@@ -21,11 +21,6 @@ from masking.analysis.stability.lasalle import Family, InvariantSet, invariant_s
 from masking.analysis.stability.motion import Motion
 from masking.errors import ModelError
 from masking.modelling.model import Model
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 _MOST_POINTS = 64
 _CLOSE = 1e-10  # of the largest coordinate: nearer to a relation than this, an equilibrium belongs to a family
@@ -53,6 +48,8 @@ class Certificate:
 
     Args:
         name: of the model.
+        status: of the conclusion.
+        conclusion: what every motion does, as far as it is shown.
         energy: V, in symbols of the hypotheses; None where none is declared.
         hypotheses: that inputs are 0, and what is assumed of the parameters, which holds for the declared values; the
             proof holds wherever they do.
@@ -60,21 +57,19 @@ class Certificate:
         boundedness: whether every set {V <= c} is compact.
         invariant: the largest invariant set in V' = 0; None where it was not looked for.
         others: equilibria outside of the families of that set; None where they could not be found.
-        status: of the conclusion.
-        conclusion: what every motion does, as far as it is shown.
         reasons: what is missing for more, or must be known to read the conclusion.
     """
 
     name: str
-    energy: sp.Expr | None
-    hypotheses: tuple[str, ...]
-    dissipation: Dissipation | None
-    boundedness: Boundedness | None
-    invariant: InvariantSet | None
-    others: tuple[RestPoint, ...] | None
     status: Status
     conclusion: str
-    reasons: tuple[str, ...] = field(default_factory=tuple)
+    energy: sp.Expr | None = None
+    hypotheses: tuple[str, ...] = ()
+    dissipation: Dissipation | None = None
+    boundedness: Boundedness | None = None
+    invariant: InvariantSet | None = None
+    others: tuple[RestPoint, ...] | None = None
+    reasons: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         lines = [f"{self.status}: {self.conclusion}"]
@@ -98,33 +93,21 @@ class Certificate:
             "conclusion": self.conclusion,
             "hypotheses": list(self.hypotheses),
             "energy": None if self.energy is None else str(self.energy),
-            "dissipation": None
-            if d is None
-            else {
+            "dissipation": d
+            and {
+                **vars(d),
                 "rate": str(d.rate),
-                "status": d.status,
-                "method": d.method,
                 "squares": [{"coefficient": str(s.coefficient), "form": str(s.form)} for s in d.squares],
-                "box": d.box,
-                "counterexample": d.counterexample,
-                "growth": d.growth,
             },
-            "boundedness": None
-            if self.boundedness is None
-            else {"is_shown": self.boundedness.is_shown, "text": self.boundedness.text},
-            "invariant_set": None
-            if i is None
-            else {
+            "boundedness": self.boundedness and asdict(self.boundedness),
+            "invariant_set": i
+            and {
                 "is_found": i.is_found,
                 "families": [[str(r) for r in family.relations] for family in i.families],
                 "equilibria": i.equilibria,
                 "steps": list(i.steps),
             },
-            "other_equilibria": None
-            if self.others is None
-            else [
-                {"position": p.position, "stability": p.stability, "is_unstable": p.is_unstable} for p in self.others
-            ],
+            "other_equilibria": None if self.others is None else [asdict(point) for point in self.others],
             "reasons": list(self.reasons),
         }
 
@@ -141,25 +124,26 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
         motion = Motion(model, given)
         lost = dissipation(motion, box)
     except ModelError as error:
-        return Certificate(model.name, None, (), None, None, None, None, "open", f"not shown: {error}")
+        return Certificate(model.name, "open", f"not shown: {error}")
     if lost.status == "refuted":
         where = ", ".join(f"{n} = {x:g}" for n, x in (lost.counterexample or {}).items())
         text = (
             f"the energy can grow: V' >= {lost.growth:.3g} > 0 at {where}, at the declared values; it certifies nothing"
         )
-        return Certificate(model.name, motion.energy, _values(given), lost, None, None, None, "refuted", text)
+        return Certificate(model.name, "refuted", text, motion.energy, _values(given), lost)
     if lost.status != "proved":
         text = "whether the energy can grow is not shown"
-        return Certificate(model.name, motion.energy, given.texts, lost, None, None, None, lost.status, text)
+        return Certificate(model.name, lost.status, text, motion.energy, given.texts, lost)
     bounded = boundedness(motion)
+    found, others, reasons = None, None, tuple[str, ...]()
     if lost.box is not None or not lost.squares:
-        text, reasons = _without_set(lost, bounded)
-        return Certificate(model.name, motion.energy, given.texts, lost, bounded, None, None, "proved", text, reasons)
-    found = invariant_set(motion, [square.form.as_base_exp()[0] for square in lost.squares])
-    others, reasons = _others(motion, found)
-    text, further = _conclusion(bounded, found, others)
+        text, further = _without_set(lost, bounded)
+    else:
+        found = invariant_set(motion, [square.form.as_base_exp()[0] for square in lost.squares])
+        others, reasons = _others(motion, found)
+        text, further = _conclusion(bounded, found, others)
     return Certificate(
-        model.name, motion.energy, given.texts, lost, bounded, found, others, "proved", text, (*reasons, *further)
+        model.name, "proved", text, motion.energy, given.texts, lost, bounded, found, others, (*reasons, *further)
     )
 
 

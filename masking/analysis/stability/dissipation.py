@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-import lazy_loader as lazy
 import numpy as np
+import sympy as sp
 
 from masking.analysis.stability.algebra import is_zero, normal
 from masking.analysis.stability.boundedness import Square, squares
-from masking.analysis.stability.equilibria import Box, check_box
+from masking.analysis.stability.equilibria import Box, check_box, halves
 from masking.analysis.stability.growth import SAMPLES, Growth
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.modes import state_matrix
@@ -24,11 +24,6 @@ from masking.analysis.stability.motion import Motion
 from masking.codegen.graph import Graph
 from masking.errors import ModelError
 from masking.numerics.arrays import Array
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 Status = Literal["proved", "refuted", "supported numerically", "open"]
 
@@ -209,32 +204,24 @@ class _Hessian:
         self.at, self.values = [symbols[x] for x in state], {n: Interval.of(x) for n, x in values.items()}
         self.entries = [self.graph.lower(x, symbols) for x in sp.hessian(rate, used)]
 
-    def edge(self, low: Array, high: Array) -> Array:
+    def edge(self, boxes: Interval) -> Array:
         """Return what no eigenvalue is above, for each box (m, states) and row (m, n)."""
-        given = self.values | {node: Interval.of(low[:, i], high[:, i]) for i, node in enumerate(self.at)}
-        entries, m, n = enclose(self.graph, self.entries, given), len(low), self.n
-        a = np.stack([np.broadcast_to(x.low, m) for x in entries], 1).reshape(m, n, n)
-        b = np.stack([np.broadcast_to(x.high, m) for x in entries], 1).reshape(m, n, n)
+        given = self.values | {node: boxes[:, i] for i, node in enumerate(self.at)}
+        m, n = len(boxes.low), self.n
+        entries = Interval.stacked(enclose(self.graph, self.entries, given), m)
         # Gershgorin: every eigenvalue is at most the diagonal plus what stands beside it.
-        beside = np.maximum(np.abs(a), np.abs(b))
+        beside = np.maximum(np.abs(entries.low), np.abs(entries.high)).reshape(m, n, n)
         beside[:, range(n), range(n)] = 0.0
-        found: Array = b[:, range(n), range(n)] + beside.sum(axis=2) * (1.0 + 1e-12)
-        return found
+        return np.asarray(entries.high[:, :: n + 1] + beside.sum(axis=2) * (1.0 + 1e-12))
 
     def is_negative(self, lowest: Array, highest: Array) -> bool:
         """Tell whether it is negative semidefinite all over a box."""
-        low, high = lowest[None], highest[None]
+        boxes = Interval(lowest[None], highest[None])
         for _ in range(_ROUNDS):
-            bad = ~np.all(self.edge(low, high) <= 1e-300, axis=1)
-            low, high = low[bad], high[bad]
-            if not len(low):
+            boxes = boxes[~np.all(self.edge(boxes) <= 1e-300, axis=1)]
+            if not len(boxes.low):
                 return True
-            if 2 * len(low) > _MOST_BOXES:
+            if 2 * len(boxes.low) > _MOST_BOXES:
                 return False
-            axis = np.argmax((high - low) / (highest - lowest), axis=1)
-            rows = np.arange(len(low))
-            middle = 0.5 * (low[rows, axis] + high[rows, axis])
-            first, second = high.copy(), low.copy()
-            first[rows, axis], second[rows, axis] = middle, middle
-            low, high = np.concatenate([low, second]), np.concatenate([first, high])
+            boxes = halves(boxes, np.argmax(boxes.width / (highest - lowest), axis=1))
         return False

@@ -12,10 +12,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
+import sympy as sp
 
 from masking.analysis.stability.algebra import is_zero
 from masking.analysis.stability.intervals import Interval, enclose
@@ -26,11 +25,6 @@ from masking.errors import ModelError, nearest
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array, Complex
 
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
-
 Box = Mapping[str, tuple[float, float]]
 
 UNDECIDED = "not decided by its eigenvalues"
@@ -38,6 +32,7 @@ SMALLEST = 1e-7  # part of a side of the box, below which a box is not cut
 MOST_BOXES = 400_000
 _FURTHER = 10.0  # times the largest declared initial value, the box where nothing else is known
 _MOST_REFINED = 200
+_OFF_MIDDLE = 0.4871  # part of a side at which a box is cut: symmetric models have equilibria in the middle
 _MARGIN = 0.0137  # of a turn, so that an equilibrium is not on the edge of a box of angles
 
 
@@ -87,24 +82,20 @@ class Equilibria:
     undecided: Array
 
     def __str__(self) -> str:
-        where = (
-            ""
-            if self.is_global
-            else " in the box " + ", ".join(f"{n} in [{a:.4g}, {b:.4g}]" for n, (a, b) in self.box.items())
-        )
+        count, sides = len(self.points), ", ".join(f"{n} in [{a:.4g}, {b:.4g}]" for n, (a, b) in self.box.items())
+        where = "" if self.is_global else f" in the box {sides}"
         if self.is_complete:
-            found = (
-                f"{len(self.points)} equilibri{'um' if len(self.points) == 1 else 'a'}{where}, and no other (proved)"
-            )
-        else:
-            found = (
-                f"{len(self.points)} isolated equilibria{where}; in {len(self.undecided)} small boxes it is not decided"
-            )
-        return found
+            return f"{count} equilibri{'um' if count == 1 else 'a'}{where}, and no other (proved)"
+        return f"{count} isolated equilibria{where}; in {len(self.undecided)} small boxes it is not decided"
 
 
 def check_box(model: Model, box: Box, *, with_velocities: bool = True) -> None:
     """Refuse a box of what the model does not have, or without an inside.
+
+    Args:
+        model: whose coordinates are bounded.
+        box: least and largest values by name.
+        with_velocities: whether velocities (`x1'`) may be bounded, too.
 
     Raises:
         ModelError: a name is no coordinate or, with velocities, no velocity (`x1'`); or a least value is not below the
@@ -148,20 +139,17 @@ class _Rest:
         still = dict.fromkeys((*e.symbols.v, *e.symbols.u), 0)
         self.force = [f.subs(still) for f in e.force]
         self.graph = Graph()
-        symbols = {q: self.graph.symbol(f"q_{q.name}", varying=True) for q in self.q}
-        symbols |= {p: self.graph.symbol(f"p_{p.name}", varying=False) for p in e.symbols.p}
-        self.at: list[Node] = [symbols[q] for q in self.q]
-        self.nodes = [self.graph.lower(f, symbols) for f in self.force]
+        self.symbols = {q: self.graph.symbol(f"q_{q.name}", varying=True) for q in self.q}
+        self.at: list[Node] = list(self.symbols.values())
+        self.symbols |= {p: self.graph.symbol(f"p_{p.name}", varying=False) for p in e.symbols.p}
+        self.nodes = [self.graph.lower(f, self.symbols) for f in self.force]
         self.slopes = [x for row in derivatives(self.graph, self.nodes, self.at) for x in row]
-        self.values = {symbols[p]: Interval.of(x) for p, x in zip(e.symbols.p, model.values(), strict=True)}
+        self.values = {self.symbols[p]: Interval.of(x) for p, x in zip(e.symbols.p, model.values(), strict=True)}
 
     def enclose(self, nodes: list[Node], boxes: Interval) -> Interval:
         """Return enclosures (m, len(nodes)) over boxes (m, n)."""
         given = self.values | {node: boxes[:, i] for i, node in enumerate(self.at)}
-        found = enclose(self.graph, nodes, given)
-        m = len(boxes.low)
-        low = np.stack([np.broadcast_to(x.low, m) for x in found], axis=1)
-        return Interval(low, np.stack([np.broadcast_to(x.high, m) for x in found], axis=1))
+        return Interval.stacked(enclose(self.graph, nodes, given), len(boxes.low))
 
     @cached_property
     def angles(self) -> list[bool]:
@@ -190,11 +178,9 @@ class _Rest:
             rest.append(sp.expand(left))
         if not lines or np.linalg.matrix_rank(slopes) < len(lines):
             return {}
-        symbols = dict(zip(self.q, self.at, strict=True))
-        symbols |= dict(zip(self.model.equations.symbols.p, self.values, strict=True))
         given = self.values | dict.fromkeys(self.at, Interval.of(-np.inf, np.inf))
         try:
-            nodes = [self.graph.lower(r, symbols) for r in rest]
+            nodes = [self.graph.lower(r, self.symbols) for r in rest]
             ranges = enclose(self.graph, nodes, given)
         except ModelError:
             return {}
@@ -210,7 +196,8 @@ class _Rest:
         names = [q.name for q in self.q]
         check_box(self.model, given, with_velocities=False)
         box, known = {}, self.bound()
-        state = self.model.initial_state(dict.fromkeys((n for n in names if self._undeclared(n)), 0.0))
+        declared = self.model.declaration.coordinates
+        state = self.model.initial_state({n: 0.0 for n in names if declared[n].initial is None})
         wide = _FURTHER * float(np.max(np.abs(state[: len(names)]), initial=0.0)) or 1.0
         turn = (-np.pi * (1.0 - _MARGIN), np.pi * (1.0 + _MARGIN))
         for name, is_angle in zip(names, self.angles, strict=True):
@@ -220,9 +207,6 @@ class _Rest:
         roots, undecided = self._cut(sides)
         points = tuple(self._point(low, high) for low, high in roots)
         return Equilibria(points, box, not len(undecided), is_global, undecided)
-
-    def _undeclared(self, name: str) -> bool:
-        return self.model.declaration.coordinates[name].initial is None
 
     def _cut(self, whole: Interval) -> tuple[list[tuple[Array, Array]], Array]:
         sides = whole.width[0]
@@ -244,7 +228,7 @@ class _Rest:
             if np.any(small):
                 undecided.append(np.stack([pending.low[small], pending.high[small]], axis=2))
                 pending, parts = pending[~small], parts[~small]
-            pending = _halves(pending, np.argmax(parts, axis=1)) if len(pending.low) else pending
+            pending = halves(pending, np.argmax(parts, axis=1), _OFF_MIDDLE) if len(pending.low) else pending
         unproved = np.concatenate(undecided) if undecided else np.empty((0, len(sides), 2))
         kept = [not any(np.all((b[:, 0] >= low) & (b[:, 1] <= high)) for low, high in roots) for b in unproved]
         return self._distinct(roots), unproved[kept] if len(unproved) else unproved
@@ -297,7 +281,7 @@ class _Rest:
                     entry = entry - y[:, i, p] * j[:, p, k]
                 total = total + entry * spread[:, k]
             columns.append(total)
-        return Interval(np.stack([c.low for c in columns], 1), np.stack([c.high for c in columns], 1)), is_regular
+        return Interval.stacked(columns, m), is_regular
 
     def _distinct(self, roots: list[tuple[Array, Array]]) -> list[tuple[Array, Array]]:
         """Return each root once, in a box as small as Krawczyk's operator makes it; angles in (-pi, pi]."""
@@ -310,12 +294,9 @@ class _Rest:
                 if np.all(new.width >= 0.99 * box.width):
                     break
                 box = new
-            if not any(self._same(box, a, b) for a, b in found):
+            if not any(np.all((box.low[0] <= b) & (a <= box.high[0])) for a, b in found):
                 found.append((box.low[0], box.high[0]))
         return sorted(found, key=lambda root: tuple(np.round(root[0] + root[1], 9)))
-
-    def _same(self, box: Interval, low: Array, high: Array) -> bool:
-        return bool(np.all((box.low[0] <= high) & (low <= box.high[0])))
 
     def _point(self, low: Array, high: Array) -> Equilibrium:
         position = {q.name: float(x) for q, x in zip(self.q, 0.5 * (low + high), strict=True)}
@@ -331,20 +312,24 @@ class _Rest:
         j = self.enclose(self.slopes, Interval(low[None], high[None]))
         stiffness = [[-j[0, i * n + k] for k in range(n)] for i in range(n)]
         e = self.model.equations
-        symbols = dict(zip(self.q, self.at, strict=True))
-        symbols |= dict(zip(e.symbols.p, self.values, strict=True))
-        if e.mass.free_symbols - symbols.keys():
+        if e.mass.free_symbols - self.symbols.keys():
             return False
         given = self.values | {node: Interval.of(low[i], high[i]) for i, node in enumerate(self.at)}
-        entries = enclose(self.graph, [self.graph.lower(x, symbols) for x in e.mass], given)
+        entries = enclose(self.graph, [self.graph.lower(x, self.symbols) for x in e.mass], given)
         mass = [entries[i * n : (i + 1) * n] for i in range(n)]
         return bool(_determinant(stiffness).high < 0.0 < _determinant(mass).low)
 
 
-def _halves(boxes: Interval, axis: Array) -> Interval:
-    """Cut each box in two along its axis, a little off the middle, where symmetric models have their equilibria."""
+def halves(boxes: Interval, axis: Array, part: float = 0.5) -> Interval:
+    """Cut each box (m, n) in two along its axis.
+
+    Args:
+        boxes: (m, n).
+        axis: of each box (m,).
+        part: of its side at which it is cut.
+    """
     rows = np.arange(len(boxes.low))
-    at = boxes.low[rows, axis] + 0.4871 * boxes.width[rows, axis]
+    at = boxes.low[rows, axis] + part * boxes.width[rows, axis]
     first, second = boxes.high.copy(), boxes.low.copy()
     first[rows, axis], second[rows, axis] = at, at
     return Interval(np.concatenate([boxes.low, second]), np.concatenate([first, boxes.high]))

@@ -7,10 +7,10 @@ enclosure, such as `max` or `heaviside`, by exact arithmetic: the state and the 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
+import sympy as sp
 
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.motion import Motion
@@ -18,11 +18,6 @@ from masking.codegen.graph import Graph, Node
 from masking.codegen.printers import needed
 from masking.errors import ModelError
 from masking.numerics.arrays import Array
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 SAMPLES = 20_000
 _MOST_CONFIRMED = 20  # of the states where the expression is largest
@@ -111,33 +106,21 @@ def _evaluated(graph: Graph, nodes: list[Node], given: Mapping[Node, Any]) -> li
     return [found[node] for node in nodes]
 
 
-_RULES: dict[str, Callable[..., Any]] = {
+_SAME_NAME = ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "abs", "sign", "floor", "where")
+_RULES: dict[str, Callable[..., Any]] = {name: getattr(np, name) for name in _SAME_NAME} | {
     "neg": np.negative,
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
     "div": np.divide,
-    "sqrt": np.sqrt,
     "pow": np.power,
-    "exp": np.exp,
-    "log": np.log,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
     "asin": np.arcsin,
     "acos": np.arccos,
     "atan": np.arctan,
     "atan2": np.arctan2,
-    "sinh": np.sinh,
-    "cosh": np.cosh,
-    "tanh": np.tanh,
-    "abs": np.abs,
-    "sign": np.sign,
-    "floor": np.floor,
     "min": np.minimum,
     "max": np.maximum,
     "lt": np.less,
     "le": np.less_equal,
-    "where": np.where,
     "heaviside": lambda x: np.heaviside(x, 0.5),
 }

@@ -9,20 +9,14 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
+import sympy as sp
 
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.codegen.graph import Graph
 from masking.errors import ModelError
 from masking.modelling.model import Model
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 _DISTINCT = 1e-20  # a number that is no fraction is distinguished from 0 by 30 digits
 
@@ -196,24 +190,18 @@ class Hypotheses:
 
     def _enclosed(self, factor: sp.Expr, known: dict[sp.Expr, Interval], strictly: bool) -> int | None:
         """Return the sign of an enclosure over all coordinates and velocities."""
-        graph, given, symbols = Graph(), {}, {}
-        for symbol in factor.free_symbols:
-            symbols[symbol] = graph.symbol(str(symbol), varying=True)
-            given[symbols[symbol]] = known.get(symbol, Interval.of(-np.inf, np.inf))
+        graph = Graph()
+        symbols = {symbol: graph.symbol(str(symbol), varying=True) for symbol in factor.free_symbols}
+        given = {node: known.get(symbol, Interval.of(-np.inf, np.inf)) for symbol, node in symbols.items()}
         try:
             (found,) = enclose(graph, [graph.lower(factor, symbols)], given)
         except ModelError:
             return None
         slack = 0.0 if strictly else 1e-300  # of outward rounding at 0
-        if found.low > -slack:
-            if strictly:
-                self._suppose_bounds(factor, known)
-            return 1
-        if found.high < slack:
-            if strictly:
-                self._suppose_bounds(factor, known)
-            return -1
-        return None
+        sign = 1 if found.low > -slack else -1 if found.high < slack else None
+        if sign is not None and strictly:
+            self._suppose_bounds(factor, known)
+        return sign
 
     def _suppose_bounds(self, factor: sp.Expr, known: dict[sp.Expr, Interval]) -> None:
         """Tell of the declared bounds that a sign rests on."""

@@ -37,6 +37,12 @@ class Interval:
         a = np.asarray(low, dtype=float)
         return cls(a, a if high is None else np.asarray(high, dtype=float))
 
+    @classmethod
+    def stacked(cls, columns: Sequence[Interval], rows: int) -> Interval:
+        """Return intervals (rows, columns) of columns (rows,) or single ones."""
+        ends = zip(*((np.broadcast_to(x.low, rows), np.broadcast_to(x.high, rows)) for x in columns), strict=True)
+        return cls(*(np.stack(end, axis=1) for end in ends))
+
     @property
     def width(self) -> Array:
         """Return high - low."""

@@ -17,21 +17,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
+import sympy as sp
+from sympy.simplify.fu import TR9
 
 from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants
 from masking.analysis.stability.hypotheses import Hypotheses, factors
 from masking.analysis.stability.motion import Motion
 from masking.errors import ModelError
-
-if TYPE_CHECKING:
-    import sympy as sp
-    from sympy.simplify import fu
-else:
-    sp = lazy.load("sympy")
-    fu = lazy.load("sympy.simplify.fu", suppress_warning=True)
 
 _MOST_RULES = 3  # applications of the first rule, one after the other
 
@@ -93,7 +86,7 @@ def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> Invar
     inverse = motion.mass.inv()
     lower = (inverse * motion.force.jacobian(state)).applyfunc(normal)
     a = sp.Matrix.vstack(sp.Matrix.hstack(sp.zeros(n), sp.eye(n)), lower)
-    rows, fresh = list[sp.Matrix](), [_gradient(f, state) for f in forms]
+    rows, fresh = list[sp.Matrix](), [sp.Matrix([[sp.diff(form, x) for x in state]]) for form in forms]
     pivots, determinant = list[int](), sp.Integer(1)
     while fresh:
         row = fresh.pop(0)
@@ -113,7 +106,8 @@ def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> Invar
     for factor, _ in factors(normal(determinant)):
         if motion.given.sign(factor) is None:
             motion.given.suppose(f"{factor} != 0")
-    relations = tuple(_relation(row, state) for _, row in sorted(zip(pivots, rows, strict=True), key=lambda x: x[0]))
+    ordered = sorted(zip(pivots, rows, strict=True), key=lambda x: x[0])
+    relations = tuple(sum((row[j] * x for j, x in enumerate(state)), sp.Integer(0)) for _, row in ordered)
     family = Family(relations)
     if len(relations) == 2 * n:
         end = "Along a motion of this linear model that stays there, everything is 0: it is the equilibrium."
@@ -122,23 +116,12 @@ def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> Invar
     return InvariantSet(True, (family,), steps=(start, end))
 
 
-def _relation(row: sp.Matrix, state: Sequence[sp.Symbol]) -> sp.Expr:
-    return sum((row[j] * x for j, x in enumerate(state)), sp.Integer(0))
-
-
-def _gradient(form: sp.Expr, state: Sequence[sp.Symbol]) -> sp.Matrix:
-    return sp.Matrix([[sp.diff(form, x) for x in state]])
-
-
 def _pivot(row: sp.Matrix, given: Hypotheses) -> int | None:
     """Return the last entry of a row that is not 0 at declared values, one with a sign first; None where all are 0."""
     order = [j for j in reversed(range(row.cols)) if row[j] != 0]
-    for j in order:
-        if given.sign(row[j]) in {1, -1}:
-            return j
-    for j in order:
-        if given.at_values(row[j]) != 0:
-            return j
+    for is_nonzero in (lambda x: given.sign(x) in {1, -1}, lambda x: given.at_values(x) != 0):
+        if (found := next((j for j in order if is_nonzero(row[j])), None)) is not None:
+            return found
     for j in order:
         given.suppose(f"{sp.factor(row[j])} = 0")
     return None
@@ -201,7 +184,11 @@ class _Elimination:
 
     @cached_property
     def reduced(self) -> tuple[dict[sp.Symbol, sp.Expr], tuple[sp.Expr, ...]]:
-        """Return the accelerations of what moves, by velocity symbol, and the equations that are left over."""
+        """Return the accelerations of what moves, by velocity symbol, and the equations that are left over.
+
+        Raises:
+            ModelError: the equations do not give these accelerations.
+        """
         q, v, n = self.motion.q, self.motion.v, len(self.motion.q)
         zeros = [sp.Integer(0)] * len(self.frozen[0])
         tied = self._tied(q, self.constants) | self._tied(v, zeros)
@@ -266,7 +253,7 @@ class _Elimination:
             if found is None:
                 break
             relation, constants = found
-        solved = {c: self.known[q] for q, c in self._single_constants() if q in self.known}
+        solved = self._known_constants()
         left = [normal(x.subs(solved)) for x in left]
         relation = normal(relation.subs(solved))
         if _is_affine(relation, (r1, r2)) and not self.given.is_nonzero(sp.diff(relation, r2)):
@@ -279,6 +266,9 @@ class _Elimination:
         for i, value in zip(self.frozen[0], self._frozen_values(), strict=True):
             if value.is_Symbol:
                 yield self.motion.q[i], value
+
+    def _known_constants(self) -> dict[sp.Symbol, sp.Expr]:
+        return {c: self.known[q] for q, c in self._single_constants() if q in self.known}
 
     def _constant_derivative(
         self, relation: sp.Expr, pair: tuple[sp.Symbol, sp.Symbol], constants: list[sp.Symbol]
@@ -309,12 +299,10 @@ class _Elimination:
         solved = solve_constants([constant], constants, self.given)
         if solved.values is None:
             raise _OpenError(f"{constant} = 0 cannot be")
-        if constant == 0 and any(
-            total.has(r) and not _only_in_waves(total, r) for r in pair if r in self.motion.circles
-        ):
+        unbounded = any(total.has(r) and not _only_in_waves(total, r) for r in pair if r in self.motion.circles)
+        if constant == 0 and unbounded:
             return None
         words = ", ".join(f"{c} = {x}" for c, x in solved.values.items()) or "nothing new"
-        unbounded = any(total.has(r) and not _only_in_waves(total, r) for r in pair if r in self.motion.circles)
         what = f"the second derivative of {total} is {normal(-constant)}, constant, and its first derivative is bounded"
         self.steps.append(f"Hence {what}: the constant is 0, so {words}.")
         for q, c in self._single_constants():
@@ -335,7 +323,7 @@ class _Elimination:
         on_it = {r2: tied, velocity[r2]: slope * velocity[r1]}
         accelerations = self.reduced[0]
         second = accelerations[velocity[r2]] - slope * accelerations[velocity[r1]]
-        known = {c: self.known[q] for q, c in self._single_constants() if q in self.known}
+        known = self._known_constants()
         equations = [normal(x.subs(on_it).subs(known)) for x in (second, *left)]
         unknown = [
             c for c in dict.fromkeys([*tied.free_symbols & {self.bound}, *constants, *self.constants]) if c not in known
@@ -347,9 +335,8 @@ class _Elimination:
         self, equations: Sequence[sp.Expr], r: sp.Symbol, unknown: Sequence[sp.Symbol], tied: dict[sp.Symbol, sp.Expr]
     ) -> None:
         """Apply the second rule: each expression of r vanishes for all r, or r is constant."""
-        velocities = {*self.motion.v}
         for equation in equations:
-            if equation.free_symbols & velocities:
+            if equation.free_symbols & {*self.motion.v}:
                 raise _OpenError(f"{equation} = 0 holds velocities, too")
         conditions = [c for equation in equations for c in coefficients(equation, (r,)).values()]
         if not conditions:
@@ -368,7 +355,7 @@ class _Elimination:
         if solved.values is None:
             self.steps.append("That cannot be: only equilibria are left.")
             return
-        values = solved.values | {c: self.known[q] for q, c in self._single_constants() if q in self.known}
+        values = solved.values | self._known_constants()
         if conditions:
             words = ", ".join(f"{c} = {x}" for c, x in solved.values.items())
             self.steps.append(f"It holds for {words}." if words else "It holds.")
@@ -412,7 +399,7 @@ def _linear_relations(relation: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, k: sp.Sym
         if relation.has(k):
             return [sp.expand(-relation.subs(r2, 0) / by)]
         return [k - normal(sp.diff(relation, r1) / by) * r1]
-    product = fu.TR9(relation)
+    product = TR9(relation)
     found: list[sp.Expr] = []
     for factor in sp.Mul.make_args(sp.factor_terms(product)):
         if not factor.free_symbols & {r1, r2}:

@@ -5,20 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
+import sympy as sp
 
 from masking.analysis.stability.algebra import is_zero, normal
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.codegen.graph import Graph, Node
 from masking.errors import ModelError
 from masking.modelling.model import Model
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 
 @dataclass(frozen=True)

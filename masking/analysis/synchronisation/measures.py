@@ -42,10 +42,19 @@ def phase_difference(t: Series, a: Series, b: Series) -> Series:
 
         phi = arg(A conj(B)),    A = a + i H[a],    B = b + i H[b],    H the Hilbert transform
 
-    t: time, shape (samples,), strictly increasing; a, b: oscillations about any constant, same shape, any unit.
-    Returns radians, shape (samples,); the first value lies in (-pi, pi]. A record of fewer than three periods is a
-    `RecordError`. Both ends are continued by a sinusoid fitted to the last two periods there, so that the ends of the
-    record are as true as its middle. Source: section 5.3, Fig. 5.1 (b).
+    Both ends are continued by a sinusoid fitted to the last two periods there, so that the phase is as accurate at the
+    ends of the record as in its middle. Source: section 5.3, Fig. 5.1 (b).
+
+    Args:
+        t: time (samples,), strictly increasing, any unit.
+        a: one oscillation about any constant (samples,), any unit.
+        b: the other, likewise.
+
+    Returns:
+        rad (samples,); the first value lies in (-pi, pi].
+
+    Raises:
+        RecordError: the record holds fewer than three periods.
     """
     grid = np.linspace(t[0], t[-1], len(t))
     if np.allclose(grid, t, rtol=0.0, atol=1e-6 * (t[-1] - t[0]) / max(len(t) - 1, 1)):
@@ -83,14 +92,25 @@ def period(t: Series, a: Series) -> float:
 def peak_sum(t: Series, a: Series, b: Series, window: float) -> Series:
     """Largest |a + b| over the `window` of time before each sample, that sample included.
 
-    t: time, shape (samples,), strictly increasing; a, b: same shape and unit; window: unit of `t`. Shape (samples,).
     Source: section 5.1, the remark on definition 5.3: anti-phase with equal amplitudes is |a + b| <= eps.
+
+    Args:
+        t: time (samples,), strictly increasing.
+        a: one oscillation (samples,).
+        b: the other, same unit.
+        window: unit of `t`.
     """
     return running_peak(t, np.abs(a + b), window)
 
 
 def running_peak(t: Series, a: Series, window: float) -> Series:
-    """Largest value of `a` over the `window` of time before each sample, that sample included; shape (samples,)."""
+    """Largest value of a series over the `window` of time before each sample, that sample included (samples,).
+
+    Args:
+        t: time (samples,), strictly increasing.
+        a: the series (samples,).
+        window: unit of `t`.
+    """
     last = np.arange(len(t))
     first = np.searchsorted(t, t - window, side="left")
     level = np.frexp(last - first + 1)[1] - 1  # the largest power of two that fits into the window
@@ -108,9 +128,16 @@ def anti_phase(t: Series, a: Series, b: Series, fraction: float = 0.2) -> AntiPh
 
         g(t) = a(t) - alpha b(t + T/2),    alpha = argmin ||g||,    eps = max |g|
 
-    t: time, shape (samples,), strictly increasing; a, b: oscillations about zero, same shape and unit. T is the mean
-    period of the larger of the two; `proportion` finds alpha. A part with fewer than three periods is a `RecordError`.
-    Source: (5.3).
+    T is the mean period of the larger of the two; `proportion` finds alpha. Source: (5.3).
+
+    Args:
+        t: time (samples,), strictly increasing.
+        a: one oscillation about zero (samples,).
+        b: the other, same unit.
+        fraction: of the record, its end that is looked at.
+
+    Raises:
+        RecordError: that part holds fewer than three periods.
     """
     part = t >= t[-1] - fraction * (t[-1] - t[0])
     t, a, b = t[part], a[part], b[part]
@@ -131,9 +158,17 @@ def proportion(t: Series, a: Series, b: Series, shift: float, period: float) -> 
     For periodic motions that is argmin ||g||. Noise in b would make that too small, by its share of the power of b;
     z has the same motion and another noise (an instrumental variable).
 
-    t: time, shape (samples,), strictly increasing; a, b: same shape and unit; shift, period: unit of `t`. Returns
-    alpha, NaN where b is at rest, and g, shape (samples,), NaN where b(t + shift) lies outside the record.
     Source: (5.3), where the shift is T/2; Soderstrom and Stoica, System Identification (1989), chapter 8.
+
+    Args:
+        t: time (samples,), strictly increasing.
+        a: one oscillation (samples,).
+        b: the other, same unit.
+        shift: of b, unit of `t`.
+        period: T, unit of `t`.
+
+    Returns:
+        alpha, NaN if b is at rest, and g (samples,), NaN if b(t + shift) lies outside the record.
     """
     at = t + shift
     inside = (at <= t[-1]) & (at >= t[0])
@@ -150,8 +185,13 @@ def proportion(t: Series, a: Series, b: Series, shift: float, period: float) -> 
 def synchronisation_time(t: Series, g: Series, eps: float) -> float:
     """Return the first time after which |g| stays below eps; NaN where it does not.
 
-    t: time, shape (samples,), increasing; g: what vanishes in synchronisation, such as the sum of two oscillators in
-    anti-phase, same shape, NaN where it is not known; eps: unit of `g`. Source: definition 8.1, (8.12).
+    Source: definition 8.1, (8.12).
+
+    Args:
+        t: time (samples,), increasing.
+        g: what vanishes in synchronisation, such as the sum of two oscillators in anti-phase (samples,), NaN where it
+            is not known.
+        eps: unit of `g`.
     """
     known = np.isfinite(g)
     t, g = t[known], np.abs(g[known])
@@ -165,7 +205,13 @@ def synchronisation_time(t: Series, g: Series, eps: float) -> float:
 
 
 def interpolate(t: Series, a: Series, at: Series) -> Series:
-    """Value of a smooth series between its samples: the polynomial through the six nearest samples, on any grid."""
+    """Value of a smooth series between its samples: the polynomial through the six nearest samples, on any grid.
+
+    Args:
+        t: time (samples,), strictly increasing.
+        a: the series (samples,).
+        at: times at which it is wanted (m,).
+    """
     nodes = min(_NODES, len(t))
     start = np.clip(np.searchsorted(t, at) - nodes // 2, 0, len(t) - nodes)
     abscissae = [t[start + k] for k in range(nodes)]
@@ -212,7 +258,10 @@ def analytic_signal(a: Series) -> NDArray[np.complex128]:
 
         A = a + i H[a],    H the Hilbert transform
 
-    a: evenly sampled oscillation of at least three periods (else `RecordError`), shape (samples,), any unit.
+    a: evenly sampled oscillation, shape (samples,), any unit.
+
+    Raises:
+        RecordError: it has fewer than three periods.
     """
     a = about_drift(a)
     cycles = _cycles(a)

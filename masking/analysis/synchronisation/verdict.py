@@ -157,7 +157,7 @@ def synchronisation(
     for ratio in _ratios(t, phases, tail):
         found = _lock(t, phases, tail, ratio)
         if found is not None:
-            return _told(t[tail], ends, found, nothing, _Record(t, signals, tail, eps))
+            return _described(t[tail], ends, found, nothing, _Record(t, signals, tail, eps))
     if is_quiet:
         return death
     beat = _beat(t, signals)
@@ -249,7 +249,7 @@ def _line(t: Series, phase: Series) -> tuple[float, float]:
     return slope, float(np.std(phase - slope * centred))
 
 
-def _told(
+def _described(
     t: Series, ends: tuple[Series, Series], lock: _Lock, nothing: Synchronisation, record: _Record
 ) -> Synchronisation:
     """Return what a lock is: its phase, alpha, eps and the time from which on it holds.
