@@ -10,11 +10,11 @@ import pytest
 from masking.declaration import catalogue, registry
 from masking.declaration.checks import check_model
 from masking.declaration.cross_checks import check_experiment, check_size, count_columns, recorded_rows
-from masking.declaration.dimensions import check_dimensions, check_scales, conversion, describe, dimension_of
+from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.json_schema import json_schema
 from masking.declaration.schema import KINDS, ExperimentDeclaration, ModelDeclaration
 from masking.declaration.strict_yaml import load, loads
-from masking.declaration.units import factor_of
+from masking.declaration.units import conversion, describe, dimension_of, factor_of
 from masking.errors import DeclarationError, Place, Problem
 from masking.modelling.scales import Units
 
@@ -289,7 +289,7 @@ def test_cyclic_extends(folder):
 
 def test_names_of_the_registry(folder, monkeypatch):
     monkeypatch.setattr(catalogue, "folder", lambda kind: folder)
-    assert registry.names("model") == ["pair", "rig", "run"]
+    assert catalogue.names("model") == ["pair", "rig", "run"]
     assert registry.load_model("pair").name == "Pair"
     assert problems(registry.load_model, "piar") == [": there is no model 'piar'; did you mean 'pair'?"]
 
@@ -424,7 +424,7 @@ def test_scales_of_a_dimensionless_model_give_no_time_a_unit(folder):
     assert check_dimensions(registry.load_model(write(folder, "scaled.yaml", text))) == []
 
 
-@pytest.mark.parametrize("name", registry.names("model"))
+@pytest.mark.parametrize("name", catalogue.names("model"))
 def test_packaged_models_are_sound(name):
     model = registry.load_model(name)
     assert check_dimensions(model) == []
@@ -442,8 +442,10 @@ def test_units_and_conversion():
     assert factor_of("mm") == pytest.approx(1e-3, rel=1e-15)
     assert factor_of("km/h") == pytest.approx(1 / 3.6, rel=1e-15)
     scales = {"length": "mm", "time": "s", "mass": "kg", "voltage": "V"}
-    assert conversion("N/m", scales) == (1.0, {"length": 0, "time": -2, "mass": 1, "voltage": 0})
-    assert conversion("mm/s", {"length": "m", "rate": "Hz"}) == (pytest.approx(1e-3), {"length": 1, "rate": 1})
+    assert conversion("N/m", scales) == (1.0, {"length": 0, "time": -2, "mass": 1, "voltage": 0}, "N/m")
+    assert conversion("mm/s", {"length": "m", "rate": "Hz"}) == (
+        pytest.approx(1e-3), {"length": 1, "rate": 1}, "m/s",
+    )  # fmt: skip
     assert conversion("m", {"area": "m**2"}).exponents == {"area": 0.5}
     with pytest.raises(DeclarationError) as caught:
         conversion("N/m", {"length": "m", "time": "s"})
@@ -529,12 +531,12 @@ def test_what_a_sensor_measures_and_the_model_of_a_plant_have_units_too(folder):
     assert found == "7:11: equations.m*q2'': adds kg*m**2/s**3/A to kg*m/s**2"
 
 
-@pytest.mark.parametrize("name", registry.names("plant"))
+@pytest.mark.parametrize("name", catalogue.names("plant"))
 def test_packaged_plants_are_sound(name):
     registry.check_plant_file(name)
 
 
-@pytest.mark.parametrize("name", registry.names("experiment"))
+@pytest.mark.parametrize("name", catalogue.names("experiment"))
 def test_packaged_experiments_are_sound(name):
     assembly = registry.assemble(registry.load_experiment(name))
     assert registry.check_units(assembly) == []

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from masking.declaration import registry
+from masking.declaration import catalogue, registry
 from masking.runs.experiment import Experiment
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -24,7 +24,7 @@ def test_experiment_runs(path):
 
 
 def test_each_experiment_is_found_by_its_name():
-    assert set(registry.names("experiment")) == {path.stem for path in EXAMPLES.glob("*.yaml")}
+    assert set(catalogue.names("experiment")) == {path.stem for path in EXAMPLES.glob("*.yaml")}
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)

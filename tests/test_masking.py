@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from masking.analysis.masking_error import masking_error
-from masking.declaration import registry
+from masking.declaration import catalogue, registry
 from masking.declaration.schema import ObserverSettings, Transform
 from masking.errors import ActuationError, ModelError, SingularityError
 from masking.runs.experiment import Experiment
@@ -57,7 +57,7 @@ DRIVEN = {"discs_driven": "discs_eccentric", "duffing_driven": "duffing", "setup
 ALONE = {"setup_oscillator"}  # one coordinate: no system of the rig's three
 VIRTUAL = [
     name
-    for name in registry.names("model")
+    for name in catalogue.names("model")
     if all(c.initial is not None for c in registry.load_model(name).coordinates.values())
     and name not in {*ANOTHER_FORM, *DRIVEN, *ALONE}
 ]
@@ -292,7 +292,7 @@ def test_input_is_cancellation_plus_drive(identical, state):
 
 def without(name, *inputs):
     """The text of a packaged model without some inputs and their gains."""
-    text = (registry.folder("model") / f"{name}.yaml").read_text()
+    text = (catalogue.folder("model") / f"{name}.yaml").read_text()
     for number in (name[1:] for name in inputs):
         text = re.sub(rf"\n  [uc]{number}: .*", "", text).replace(f" + c{number}*u{number}", "")
     return text

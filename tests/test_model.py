@@ -5,7 +5,7 @@ import pytest
 import scipy.integrate
 import sympy as sp
 
-from masking.declaration import registry
+from masking.declaration import catalogue, registry
 from masking.errors import ModelError
 from masking.modelling.model import Model
 
@@ -108,7 +108,7 @@ LOSSES = {
 
 
 def test_every_energy_of_the_registry_is_checked():
-    with_energy = {name for name in registry.names("model") if load(name).equations.energy is not None}
+    with_energy = {name for name in catalogue.names("model") if load(name).equations.energy is not None}
     assert with_energy == LOSSES.keys()
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from masking.control.observer import Differences, Disturbance, Kalman, Plan, bandwidths
+from masking.control.observer import Differences, Kalman, Plan
 from masking.declaration import registry, schema
 from masking.errors import DeclarationError, ModelError
 from masking.runs.experiment import Experiment
@@ -96,7 +96,7 @@ def test_gain_is_that_of_a_riccati_recursion_and_of_python_control(order):
         steady = covariance @ reading.T @ np.linalg.inv(reading @ covariance @ reading.T + measured)
         rest = np.eye(len(step)) - steady @ reading
         covariance = step @ (rest @ covariance @ rest.T + steady @ measured @ steady.T) @ step.T + noise
-    observer = Disturbance(order, tuple(bandwidth)) if order else Kalman(tuple(bandwidth))
+    observer = Kalman(order, tuple(bandwidth))
     found = observer.gain(given, offset=0) / unit[:, None]
     scale = np.abs(steady).max()
     np.testing.assert_allclose(found, steady, rtol=0, atol=1e-8 * scale)
@@ -105,7 +105,7 @@ def test_gain_is_that_of_a_riccati_recursion_and_of_python_control(order):
 
 
 def test_internal_states_are_not_corrected():
-    found, without = Disturbance(1).gain(plan(), offset=2), Disturbance(1).gain(plan(), offset=0)
+    found, without = Kalman(1).gain(plan(), offset=2), Kalman(1).gain(plan(), offset=0)
     np.testing.assert_array_equal(found[6:8], 0.0)
     np.testing.assert_array_equal(np.delete(found, [6, 7], axis=0), without)
 
@@ -133,7 +133,7 @@ def test_gain_far_below_the_rate_is_exact(order, rate):
     The gain times the rate is then made of the coefficients of Butterworth's polynomial, w^k / h^-1 each.
     """
     bandwidth = 10.0
-    gain = (Disturbance(order, bandwidth) if order else Kalman(bandwidth)).gain(chain(order, 1.0 / rate), 0)[:, 0]
+    gain = Kalman(order, bandwidth).gain(chain(order, 1.0 / rate), 0)[:, 0]
     poles = bandwidth * signal.buttap(2 + order)[1]
     expected = np.poly(poles).real[1:] / rate
     np.testing.assert_allclose(gain, expected, rtol=3.0 * bandwidth / rate)
@@ -143,7 +143,7 @@ def test_gain_far_below_the_rate_is_exact(order, rate):
 def test_poles_lie_on_a_circle_of_the_bandwidth_in_butterworths_pattern(order):
     bandwidth, period = 20.0, 5e-4
     given = chain(order, period)
-    gain = (Disturbance(order, bandwidth) if order else Kalman(bandwidth)).gain(given, 0)
+    gain = Kalman(order, bandwidth).gain(given, 0)
     size = 2 + order
     step = np.array(
         [[period ** (j - i) / math.factorial(max(j - i, 0)) * (j >= i) for j in range(size)] for i in range(size)]
@@ -157,9 +157,9 @@ def test_poles_lie_on_a_circle_of_the_bandwidth_in_butterworths_pattern(order):
 
 @pytest.mark.parametrize(("delay", "period"), [(0, 1e-3), (1, 1e-3), (3, 1e-3), (1, 2.5e-4)])
 def test_quiet_sensors_are_followed_as_fast_as_sampling_allows(delay, period):
-    found = Disturbance(2).bandwidths(plan(noise=1e-12, period=period, delay=delay))
+    found = Kalman(2).bandwidths(plan(noise=1e-12, period=period, delay=delay))
     np.testing.assert_allclose(found, 0.7 / (period * (1 + delay)))
-    np.testing.assert_array_equal(found, Disturbance(2).bandwidths(plan(noise=0.0, period=period, delay=delay)))
+    np.testing.assert_array_equal(found, Kalman(2).bandwidths(plan(noise=0.0, period=period, delay=delay)))
 
 
 def command_noise(given, order, chosen, *, samples=40_000):
@@ -169,7 +169,7 @@ def command_noise(given, order, chosen, *, samples=40_000):
     disturbance where it will be half a sample after the delay.
     """
     step, _, reading, unit = discrete(order, chosen, given)
-    gain = Disturbance(order, tuple(chosen)).gain(given, 0) / unit[:, None]
+    gain = Kalman(order, tuple(chosen)).gain(given, 0) / unit[:, None]
     generator = np.random.default_rng(1)
     readings = generator.normal(0.0, given.noise, (samples, 3))
     poles, modes = np.linalg.eig((np.eye(len(step)) - gain @ reading) @ step)  # z_k = (1 - K C) F z_(k-1) + K noise_k
@@ -187,7 +187,7 @@ def command_noise(given, order, chosen, *, samples=40_000):
 @pytest.mark.parametrize("level", [1e-4, 1e-3])
 def test_the_noise_of_a_command_is_two_percent_at_most(order, level):
     given = plan(noise=level)
-    chosen = Disturbance(order).bandwidths(given)
+    chosen = Kalman(order).bandwidths(given)
     noise = command_noise(given, order, chosen)
     assert noise.max() <= 0.02 * 1.1, noise
     lowered = chosen < given.fastest * (1 - 1e-9)
@@ -202,8 +202,8 @@ def test_the_noise_of_a_command_is_two_percent_at_most(order, level):
 def test_smaller_limits_make_a_slower_observer():
     """The noise of a d that is followed with bandwidth w grows as w^(5/2), so that half the limit takes w / 1.32."""
     given = plan(noise=1e-3)
-    found = Disturbance(2).bandwidths(given)
-    halved = Disturbance(2).bandwidths(replace(given, command=2.0 * given.command))
+    found = Kalman(2).bandwidths(given)
+    halved = Kalman(2).bandwidths(replace(given, command=2.0 * given.command))
     assert (found < given.fastest).all()
     np.testing.assert_allclose(found / halved, 2**0.4, rtol=0.1)
 
@@ -215,13 +215,13 @@ def test_limits_of_the_plant_file_enter(linear_rig):
     plant = instruments.plant.model_copy(update={"limits": limits.model_copy(update={"inputs": smaller})})
     given = replace(instruments, plant=plant).plan(1000.0, 1e-3)
     np.testing.assert_allclose(given.command, 2.0 * plan().command, rtol=1e-9, atol=1e-12)
-    assert (Disturbance().bandwidths(given) < Disturbance().bandwidths(instruments.plan(1000.0, 1e-3))).all()
+    assert (Kalman(2).bandwidths(given) < Kalman(2).bandwidths(instruments.plan(1000.0, 1e-3))).all()
 
 
 def test_a_chosen_bandwidth_overrides_the_rule():
     noisy = plan(noise=1.0)
-    np.testing.assert_array_equal(Disturbance(2, 300.0).bandwidths(noisy), [300.0] * 3)
-    np.testing.assert_array_equal(Kalman((100.0, 50.0, 25.0)).bandwidths(noisy), [100.0, 50.0, 25.0])
+    np.testing.assert_array_equal(Kalman(2, 300.0).bandwidths(noisy), [300.0] * 3)
+    np.testing.assert_array_equal(Kalman(0, (100.0, 50.0, 25.0)).bandwidths(noisy), [100.0, 50.0, 25.0])
 
 
 # Refusals, each with its mend.
@@ -233,21 +233,21 @@ def test_a_bandwidth_faster_than_sampling_is_refused():
         r"at most 500 rad/s; lower it, or raise controller\.rate"
     )
     with pytest.raises(ModelError, match=message):
-        Disturbance(2, 501.0).bandwidths(plan())
-    assert Disturbance(2, 500.0).bandwidths(plan()).max() == 500.0
+        Kalman(2, 501.0).bandwidths(plan())
+    assert Kalman(2, 500.0).bandwidths(plan()).max() == 500.0
 
 
 def test_noise_that_leaves_no_bandwidth_is_refused():
     message = r"too noisy for an observer: .* 2% of an actuator at any bandwidth; check the noise and the limits of the"
     for level in (1.0, 1e9):
         with pytest.raises(ModelError, match=message):
-            bandwidths(plan(noise=level), 2, None)
+            Kalman(2).bandwidths(plan(noise=level))
 
 
-@pytest.mark.parametrize("order", [0, 3])
+@pytest.mark.parametrize("order", [-1, 3])
 def test_an_order_that_is_none_is_refused(order):
-    with pytest.raises(ModelError, match=rf"observer\.order {order}: allowed are 1 \(a constant .*\) and 2 \(a line\)"):
-        Disturbance(order)
+    with pytest.raises(ModelError, match=rf"observer\.order {order}: allowed are 0, 1 \(a .*\) and 2 \(a line\)"):
+        Kalman(order)
 
 
 PLANT = {

@@ -521,7 +521,7 @@ def test_a_controller_that_is_told_to_stop_leaves_the_rig_at_zero_and_keeps_its_
     cut = cut_short(tmp_path, 1.8, number)
     own, found = cut.own, Recording.load(cut.saved)
     assert cut.status == 1
-    assert cut.err == "masking: the run was interrupted; the record ends there\n"
+    assert cut.err == "masking: interrupted: SIGINT, SIGTERM or SIGHUP came; the record ends there\n"
     assert json.loads(cut.out)["rig"]["end"] == found.manifest["rig"]["end"] == "interrupted"
     # The plant hears of it within 100 ms, and is at zero from then on.
     assert cut.passed - 1.0 < own["wall"][-1] < cut.passed + 0.1

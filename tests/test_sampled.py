@@ -10,13 +10,15 @@ from pathlib import Path
 import hypothesis
 import numpy as np
 import pytest
+import sympy as sp
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import linalg
 from scipy.integrate import solve_ivp
 
-from masking.control.sampled import SampledLoop
-from masking.declaration import registry, schema
+from masking.control.sampled import SampledController, SampledLoop
+from masking.declaration import catalogue, registry, schema
 from masking.errors import ModelError, SingularityError
 from masking.numerics import sampled_loop as sampling
 from masking.numerics.sizes import Sizes
@@ -356,6 +358,18 @@ def test_compiled_loop_is_that_of_python():
     )  # fmt: skip
     for ours, theirs in pairs:
         np.testing.assert_allclose(ours[before:], theirs, rtol=1e-12, atol=1e-13 * np.abs(theirs).max())
+
+
+@pytest.mark.parametrize("plant", ["linear_rig", "tue_rig"])
+def test_the_compiled_step_gets_the_declared_allocation_and_its_inverse(plant):
+    written = yaml.safe_load((catalogue.folder("plant") / f"{plant}.yaml").read_text())
+    rows = sp.Matrix([sp.sympify(written["allocation"][name]) for name in ("u1", "u2", "u3")])
+    declared = np.array(rows.jacobian(sp.symbols(["V1", "V2", "V3"])), dtype=float)
+    found = experiment(plant=plant)
+    sampled = SampledController(found.controller, found.instruments, found.observer, 1000.0, None, 0.0, np.zeros(3))
+    inverse, matrix = sampled.values()[-18:].reshape(2, 3, 3)
+    np.testing.assert_allclose(inverse, np.linalg.inv(declared), atol=1e-12)
+    np.testing.assert_allclose(matrix, declared, atol=1e-12)
 
 
 def test_commands_that_are_not_finite_are_refused():

@@ -72,7 +72,7 @@ def _serve(chosen: argparse.Namespace) -> int:
 
 def _run(chosen: argparse.Namespace) -> int:
     from masking.reports import run_report
-    from masking.runs import hardware, realtime, stopping
+    from masking.runs import hardware, stopping
     from masking.runs.experiment import Experiment
     from masking.workflows.outputs import check_folder
 
@@ -100,9 +100,9 @@ def _run(chosen: argparse.Namespace) -> int:
         recording = hardware.run(made, plant, lockstep=chosen.lockstep, progress=bar, keep=keep)
     keep(recording)
     end = recording.manifest["rig"]["end"]
-    is_planned = end in {realtime.FINISHED, stopping.SYNCHRONISED}
+    is_planned = end in {stopping.FINISHED, stopping.SYNCHRONISED}
     if not is_planned:
-        print(f"masking: the run was {end}; the record ends there", file=sys.stderr)
+        print(f"masking: {end}: {stopping.REASONS[end]}; the record ends there", file=sys.stderr)
     return int(not is_planned)
 
 

@@ -47,7 +47,11 @@ class Graph:
         return self._node(("symbol", name), varying)
 
     def number(self, value: float) -> Node:
-        """Return the node of a finite constant."""
+        """Return the node of a finite constant.
+
+        Raises:
+            ModelError: it is not finite.
+        """
         if not math.isfinite(value):
             raise ModelError(f"the equations contain the constant {value}; constants must be finite")
         return self._node(("number", float(value)), False)
@@ -176,7 +180,6 @@ class _Lowering:
             sp.Mul: self._product,
             sp.Pow: self._power,
             sp.cot: lambda e: graph.div(graph.number(1.0), graph.apply("tan", self.node(e.args[0]))),
-            sp.exp: lambda e: self._call("exp", e),
             sp.ceiling: lambda e: graph.apply("neg", graph.apply("floor", self.node(-e.args[0]))),
             sp.Min: lambda e: self._fold("min", e.args),
             sp.Max: lambda e: self._fold("max", e.args),
@@ -188,10 +191,8 @@ class _Lowering:
             sp.StrictGreaterThan: lambda e: graph.apply("lt", self.node(e.args[1]), self.node(e.args[0])),
             sp.GreaterThan: lambda e: graph.apply("le", self.node(e.args[1]), self.node(e.args[0])),
         }
-        for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "log"):
-            self.table[getattr(sp, name)] = partial(self._call, name)
-        for name in ("sign", "floor"):
-            self.table[getattr(sp, name)] = partial(self._call, name)
+        names = ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "log")
+        self.table |= {getattr(sp, name): partial(self._call, name) for name in (*names, "sign", "floor")}
 
     def node(self, expression: sp.Expr) -> Node:
         known = self.known.get(expression)

@@ -124,7 +124,18 @@ class Kernels:
         return Trajectory(times, out, tuple(self.meta["coordinates"]), steps, tuple(self.meta.get("states", ())))
 
     def stop(self, status: int, time: float, state: Sequence[float] | Array, mend: str = "") -> None:
-        """Raise the error that a kernel's status stands for; `mend` says what to do about a singular matrix."""
+        """Raise the error that a kernel's status stands for.
+
+        Args:
+            status: one of `masking.numerics.stop_codes`.
+            time: at which it stopped.
+            state: at that time.
+            mend: what to do about a singular matrix.
+
+        Raises:
+            SingularityError: a matrix became singular.
+            IntegrationError: the kernel could not go on for another reason.
+        """
         names = self.meta["coordinates"]
         internal = self.meta.get("states", ())
         at = dict(zip([*names, *(f"{n}'" for n in names), *internal], map(float, state), strict=True))

@@ -32,24 +32,13 @@ else:
     numba = lazy.load("numba")
 
 # How an argument of each type goes through the C interface: an array as its address and its shape.
-_VECTOR, _MATRIX = (ctypes.c_void_p, ctypes.c_int64), (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
-C_TYPES: dict[str, tuple[Any, ...]] = {
-    "float": (ctypes.c_double,),
-    "int": (ctypes.c_int64,),
-    "Vector": _VECTOR,
-    "Matrix": _MATRIX,
-    "IntVector": _VECTOR,
-    "IntMatrix": _MATRIX,
-}
-NUMBA_TYPES = {
-    "float": "f8",
-    "int": "i8",
-    "Vector": "CPointer(f8), i8",
-    "Matrix": "CPointer(f8), i8, i8",
-    "IntVector": "CPointer(i8), i8",
-    "IntMatrix": "CPointer(i8), i8, i8",
-}
 DIMENSIONS = {"Vector": 1, "Matrix": 2, "IntVector": 1, "IntMatrix": 2}
+C_TYPES: dict[str, tuple[Any, ...]] = {"float": (ctypes.c_double,), "int": (ctypes.c_int64,)}
+C_TYPES |= {kind: (ctypes.c_void_p, *(ctypes.c_int64,) * axes) for kind, axes in DIMENSIONS.items()}
+NUMBA_TYPES = {"float": "f8", "int": "i8"}
+NUMBA_TYPES |= {
+    kind: f"CPointer({'i8' if kind.startswith('Int') else 'f8'})" + axes * ", i8" for kind, axes in DIMENSIONS.items()
+}
 ENTRY = "masking_entry"
 RESULTS = 4  # room for the results of a function
 
@@ -149,7 +138,13 @@ class NativeFunction:
 
 
 def interface(name: str, arguments: Mapping[str, str], results: Sequence[str]) -> str:
-    """Return the source of a function's C interface: pointers and sizes in, results through a pointer."""
+    """Return the source of a function's C interface: pointers and sizes in, results through a pointer.
+
+    Args:
+        name: of the function.
+        arguments: their types by their names.
+        results: their types.
+    """
     parameters, passed = [], []
     for argument, kind in arguments.items():
         axes = [f"{argument}_{axis}" for axis in range(DIMENSIONS.get(kind, 0))]

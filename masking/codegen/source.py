@@ -111,7 +111,17 @@ class Module:
         loads: Mapping[str, str],
         order: int,
     ) -> None:
-        """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` of order k of state i."""
+        """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` of order k of state i.
+
+        Args:
+            graph: the graph that holds all nodes.
+            states: symbols of the states.
+            derivatives: of the states.
+            time: symbol of the time.
+            health: node of the returned determinant.
+            loads: how each symbol is read.
+            order: highest k.
+        """
         body = [f"y{i}_0 = y[{i}]" for i in range(len(states))]
         body += _loads(graph, [*derivatives, health], loads)
         body += coefficients(graph, states, derivatives, time, order)

@@ -106,14 +106,12 @@ class _Series:
             "div": self._div,
             "pow": self._pow,
             "sqrt": self._sqrt,
-            "exp": lambda n, k, a: self._integral(k, [(a, n)]),
+            "exp": lambda n, k, a: self._integral(k, a, n),
             "log": self._log,
-            "sin": lambda n, k, a: self._integral(k, [(a, self.companion[n])]),
-            "cos": lambda n, k, a: "-" + self._integral(k, [(a, self.companion[n])]),
-            "sinh": lambda n, k, a: self._integral(k, [(a, self.companion[n])]),
-            "cosh": lambda n, k, a: self._integral(k, [(a, self.companion[n])]),
-            "tan": lambda n, k, a: self._integral(k, [(a, self.companion[n])]),
-            "tanh": lambda n, k, a: self._integral(k, [(a, self.companion[n])]),
+            **dict.fromkeys(
+                ("sin", "sinh", "cosh", "tan", "tanh"), lambda n, k, a: self._integral(k, a, self.companion[n])
+            ),
+            "cos": lambda n, k, a: "-" + self._integral(k, a, self.companion[n]),
             "atan": self._inverse,
             "asin": self._inverse,
             "acos": lambda n, k, a: self._inverse(n, k, a, sign="-"),
@@ -204,9 +202,9 @@ class _Series:
             return lines
         if name in {"sin", "cos"}:
             sign = "-" if name == "sin" else ""
-            lines.append(f"b{node}_{k} = {sign}{self._integral(k, [(a, node)])}")
+            lines.append(f"b{node}_{k} = {sign}{self._integral(k, a, node)}")
         elif name in {"sinh", "cosh"}:
-            lines.append(f"b{node}_{k} = {self._integral(k, [(a, node)])}")
+            lines.append(f"b{node}_{k} = {self._integral(k, a, node)}")
         elif name in {"tan", "tanh"}:
             sign = "" if name == "tan" else "-"
             lines.append(f"b{node}_{k} = {sign}({self._square(node, k)})")
@@ -263,14 +261,13 @@ class _Series:
         inner = f" - ({self._sum_of(terms)}) * {1.0 / k!r}" if terms else ""
         return f"({sign}{self.at(a, k)}{inner}) / b{node}_0"
 
-    def _integral(self, k: int, pairs: list[tuple[Node, Node | str]]) -> str:
+    def _integral(self, k: int, a: Node, b: Node | str) -> str:
         """Return the text of (1/k) sum_(0<i<=k) i a_i b_(k-i), the k-th coefficient of the integral of a' b."""
         terms = []
-        for a, b in pairs:
-            for i in range(1, k + 1):
-                if self.at(a, i) != "0.0":
-                    weight = "" if i == 1 else f"{float(i)!r} * "
-                    terms.append(f"{weight}{self.at(a, i)} * {self.at(b, k - i)}")
+        for i in range(1, k + 1):
+            if self.at(a, i) != "0.0":
+                weight = "" if i == 1 else f"{float(i)!r} * "
+                terms.append(f"{weight}{self.at(a, i)} * {self.at(b, k - i)}")
         return f"({self._sum_of(terms)}) * {1.0 / k!r}"
 
     def _product(self, a: Node, b: Node, indices: range, k: int) -> str:

@@ -56,7 +56,11 @@ class Transform:
 
     @cached_property
     def expressions(self) -> sp.ImmutableMatrix:
-        """Return eta = T(q) as a column (k, 1) in the rig's coordinate symbols."""
+        """Return eta = T(q) as a column (k, 1) in the rig's coordinate symbols.
+
+        Raises:
+            ModelError: the identity has another number of coordinates than the rig.
+        """
         q = self.rig.equations.symbols.q
         matrix, expressions = self.declaration.matrix, self.declaration.expressions
         if matrix is None and expressions is None:
@@ -94,7 +98,14 @@ class Transform:
         return sp.ImmutableMatrix(rows)
 
     def lower(self, graph: Graph, q: Sequence[Node], v: Sequence[Node], p: Sequence[Node]) -> MappedCoordinates:
-        """Lower eta, its rate, J and (dJ/dt) v for given nodes of rig coordinates, velocities and parameters."""
+        """Lower eta, its rate, J and (dJ/dt) v for given nodes of rig coordinates, velocities and parameters.
+
+        Args:
+            graph: the graph to add to.
+            q: coordinates of the rig (n,).
+            v: velocities (n,).
+            p: parameters of the transform.
+        """
         s = self.rig.equations.symbols
         known = dict(zip((*s.q, *s.v, *self.parameter_symbols), (*q, *v, *p), strict=True))
         jacobian = [[graph.lower(e, known) for e in row] for row in self.jacobian.tolist()]
@@ -143,7 +154,19 @@ class DesiredDynamics:
         *,
         regulation: Sequence[Node] = (),
     ) -> list[Node]:
-        """Lower eta'' = F(tau, eta, eta'), with the virtual system's inputs at zero, and its regulation."""
+        """Lower eta'' = F(tau, eta, eta'), with the virtual system's inputs at zero, and its regulation.
+
+        Args:
+            graph: the graph to add to.
+            time: virtual time.
+            eta: virtual coordinates (k,).
+            rate: their rates (k,).
+            p: parameters of the virtual system.
+            regulation: as `values` gives it.
+
+        Raises:
+            ModelError: an energy is to be held, and the virtual system has none.
+        """
         s = self.virtual.equations.symbols
         u = [graph.number(0.0)] * len(s.u)
         known = dict(zip((s.t, *s.q, *s.v, *s.u, *s.p), (time, *eta, *rate, *u, *p), strict=True))
@@ -184,6 +207,13 @@ class Cancellation:
     ) -> tuple[list[Node], list[list[Node]], Node]:
         """Lower a0 (n,), B (n, k) and the determinant of the mass matrix; `v` holds the internal states at its end.
 
+        Args:
+            graph: the graph to add to.
+            time: s.
+            q: coordinates (n,).
+            v: velocities and internal states.
+            p: parameters of the model.
+
         Raises:
             ModelError: an acceleration is not affine in the inputs.
         """
@@ -206,6 +236,12 @@ def decouple(
 
     Solves W u = r for r = `cancel` and r = `drive`; where there are more inputs than coordinates, u is the
     solution of least norm, u = W^T (W W^T)^-1 r.
+
+    Args:
+        graph: the graph to add to.
+        matrix: W (k, inputs).
+        cancel: r of the first (k,).
+        drive: r of the second (k,).
     """
     right = [[c, d] for c, d in zip(cancel, drive, strict=True)]
     inputs = len(matrix[0])
@@ -260,5 +296,11 @@ def check_actuation(model: Model, transform: Transform) -> None:
 
 
 def dot(graph: Graph, a: Sequence[Node], b: Sequence[Node]) -> Node:
-    """Return the node of the scalar product of two rows of nodes."""
+    """Return the node of the scalar product of two rows of nodes.
+
+    Args:
+        graph: the graph to add to.
+        a: a row.
+        b: another, of the same length.
+    """
     return graph.total([graph.mul(x, y) for x, y in zip(a, b, strict=True)])

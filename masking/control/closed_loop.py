@@ -15,7 +15,7 @@ from masking.codegen.graph import Graph, Node
 from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.control.blocks import check_actuation
-from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols
+from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols, check_same_rig
 from masking.errors import ModelError
 from masking.modelling.lowering import LoweredEquations
 from masking.modelling.model import Model
@@ -71,13 +71,7 @@ class ClosedLoop:
 
     def __post_init__(self) -> None:
         assumed = self.controller.model
-        for what in ("coordinates", "inputs"):
-            ours, theirs = getattr(assumed, what), getattr(self.plant, what)
-            if ours != theirs:
-                raise ModelError(
-                    f"the controller's model {assumed.name} has the {what} {', '.join(ours)}, the plant "
-                    f"{self.plant.name} has {', '.join(theirs)}; both must have the same, in the same order"
-                )
+        check_same_rig(assumed, self.plant)
         unknown = [name for name in assumed.declaration.states if name not in self.plant.declaration.states]
         if unknown:
             raise ModelError(

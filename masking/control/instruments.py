@@ -136,7 +136,7 @@ class Instruments:
         model, n = self.model, len(self.model.coordinates)
         p, kernels = model.values(), model.kernels
         size, inputs = 2 * n + len(model.declaration.states), len(model.inputs)
-        lengths = self.lengths
+        lengths = model.lengths
 
         def slope(y: Array, u: Array) -> Array:
             out = np.empty(size)
@@ -157,7 +157,7 @@ class Instruments:
     def _sensing(self) -> Array:
         """Return the readings per unit of [q, v] (sensors, 2 n) at rest."""
         names = [*self.model.coordinates, *(f"{c}'" for c in self.model.coordinates)]
-        steps = _STEP * np.concatenate([self.lengths, self.lengths])
+        steps = _STEP * np.tile(self.model.lengths, 2)
         found = np.empty((len(self.sensors), len(names)))
         values = self.model.parameter_values() | dict.fromkeys(names, 0.0)
         for k, (sensor, gain) in enumerate(zip(self.plant.sensors.values(), self.gains(), strict=True)):
@@ -166,12 +166,6 @@ class Instruments:
                 down = sensor.measures.evaluate(values | {name: -step})
                 found[k, i] = gain * (up - down) / (2.0 * step)
         return found
-
-    @property
-    def lengths(self) -> Array:
-        """Return a size of each coordinate, in SI units (n,): that of the model's scales, else 1."""
-        units = [c.unit for c in self.model.declaration.coordinates.values()]
-        return np.array([self.model.units.size(unit, self.model.overrides) for unit in units])
 
     def positions(self, readings: Array) -> Array:
         """Return the coordinates (n,) at which a rig at rest would give readings (sensors,), by Newton's method."""

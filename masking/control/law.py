@@ -20,6 +20,7 @@ import numpy as np
 from masking.codegen.graph import Graph, Node
 from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot
 from masking.declaration import schema
+from masking.errors import ModelError
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 
@@ -52,10 +53,8 @@ class Controller:
     @cached_property
     def lengths(self) -> Array:
         """Return the size in SI units of one unit of each rig coordinate as the transform sees it (n,)."""
-        units = [c.unit for c in self.model.declaration.coordinates.values()]
-        if not (self.virtual.is_dimensionless or self.virtual.units.is_plain):
-            return np.ones(len(units))
-        return np.array([self.model.units.size(unit, self.model.overrides) for unit in units])
+        has_scales = self.virtual.is_dimensionless or self.virtual.units.is_plain
+        return self.model.lengths if has_scales else np.ones(len(self.model.coordinates))
 
     def values(self) -> Array:
         """Return the parameter array of the control law: model, virtual system, transform, lengths, time scale."""
@@ -72,6 +71,21 @@ class Controller:
             "transform_parameters": list(self.transform.parameters),
             "regulation": self.regulation and [self.regulation.energy is not None, self.regulation.phase],
         }
+
+
+def check_same_rig(assumed: Model, plant: Model) -> None:
+    """Refuse a controller's model whose coordinates and inputs are not those of the plant.
+
+    Raises:
+        ModelError: names both.
+    """
+    for what in ("coordinates", "inputs"):
+        ours, theirs = getattr(assumed, what), getattr(plant, what)
+        if ours != theirs:
+            raise ModelError(
+                f"the controller's model {assumed.name} has the {what} {', '.join(ours)}, the plant {plant.name} has "
+                f"{', '.join(theirs)}; both must have the same, in the same order"
+            )
 
 
 @dataclass(frozen=True)
@@ -168,7 +182,14 @@ class Homing:
     time: Node
 
     def lower(self, graph: Graph, rig: RigSymbols, jacobian: list[list[Node]], wanted: list[Node]) -> list[Node]:
-        """Return the wanted virtual accelerations, replaced before the release by those of homing."""
+        """Return the wanted virtual accelerations, replaced before the release by those of homing.
+
+        Args:
+            graph: the graph to add to.
+            rig: nodes of time and rig state.
+            jacobian: J (k, n).
+            wanted: virtual accelerations after the release (k,).
+        """
         number, mul = graph.number, graph.mul
         one = number(1.0)
         moving = mul(number(MOVING_PART), self.time)

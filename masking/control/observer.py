@@ -1,9 +1,9 @@
 """Observers: how a sampled controller knows the rig's state from its sensors.
 
-Three siblings: `Differences` of the positions, the thesis' way; `Kalman`, which follows a model; `Disturbance`, which
-follows a model and estimates beside the state the accelerations that the model lacks.
+Two siblings: `Differences` of the positions, the way of the thesis, and `Kalman`, which follows a model. With an order
+it is a disturbance observer, which estimates beside the state the accelerations that the model lacks.
 
-The gain of the last two is that of the steady Kalman filter of the model, linearised at rest, in which the last
+The gain of the latter is that of the steady Kalman filter of the model, linearised at rest, in which the last
 derivative that is estimated (the velocity, or that of the disturbance) is driven by white noise. A coordinate that is
 measured with variance R, and whose k-th derivative is driven by white noise of density Q, is followed with the
 bandwidth w = (Q / R)^(1 / 2k): the filter's poles lie on a circle of this radius. So a bandwidth is chosen, and Q
@@ -95,103 +95,72 @@ class Differences:
 
 @dataclass(frozen=True)
 class Kalman:
-    """State of a model corrected by what the sensors tell; order 0 of `Disturbance`.
+    """State of a model, and with an order also its unknown acceleration, corrected by the readings.
 
     Args:
+        order: how the unknown acceleration (the disturbance) continues: 0 for none, 1 as a constant, 2 as a line.
         bandwidth: rad/s, one or one for each coordinate; chosen by the rule of `bandwidths` where it is None.
+
+    Raises:
+        ModelError: there is no such order.
     """
 
-    bandwidth: float | tuple[float, ...] | None = None
-    order = 0
-
-    def gain(self, plan: Plan, offset: int) -> Array:
-        """Return the correction of the estimate per unit of reading; see `gain`."""
-        return gain(plan, self.order, self.bandwidths(plan), offset)
-
-    def bandwidths(self, plan: Plan) -> Array:
-        """Return the bandwidth for each coordinate; see `bandwidths`."""
-        return bandwidths(plan, self.order, self.bandwidth)
-
-
-@dataclass(frozen=True)
-class Disturbance:
-    """State of a model and what it lacks, both corrected by what the sensors tell.
-
-    Args:
-        order: how a disturbance is expected to go on: 1 as a constant, 2 as a straight line.
-        bandwidth: rad/s, one or one for each coordinate; chosen by the rule of `bandwidths` where it is None.
-    """
-
-    order: int = 2
+    order: int = 0
     bandwidth: float | tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        if self.order not in {1, 2}:
-            raise ModelError(f"observer.order {self.order}: allowed are 1 (a constant disturbance) and 2 (a line)")
+        if self.order not in {0, 1, 2}:
+            raise ModelError(f"observer.order {self.order}: allowed are 0, 1 (a constant disturbance) and 2 (a line)")
 
     def gain(self, plan: Plan, offset: int) -> Array:
-        """Return the correction of the estimate per unit of reading; see `gain`."""
-        return gain(plan, self.order, self.bandwidths(plan), offset)
+        """Return the steady Kalman gain: correction of [q, v, s, d, ...] per unit of reading.
+
+        Args:
+            plan: what the observer is for.
+            offset: number of internal states s, which are not corrected.
+
+        Returns:
+            (2 n + offset + order n, sensors).
+        """
+        found = _steady(plan, self.order, self.bandwidths(plan))
+        steady = found.gain * found.unit[:, None] / found.deviation
+        n = plan.coordinates
+        return np.concatenate([steady[: 2 * n], np.zeros((offset, steady.shape[1])), steady[2 * n :]])
 
     def bandwidths(self, plan: Plan) -> Array:
-        """Return the bandwidth for each coordinate; see `bandwidths`."""
-        return bandwidths(plan, self.order, self.bandwidth)
+        """Return the bandwidth for each coordinate, rad/s (n,).
 
+        The rule: as fast as the sampling allows, 0.7 rate / (1 + delay), so that the phase that is lost at the
+        bandwidth stays within 40 degrees; then lower, coordinate by coordinate, until the noise of the readings makes
+        no more noise in a command than 2 % of its largest value. A chosen bandwidth overrides the rule.
 
-Observer = Differences | Kalman | Disturbance
-
-
-def bandwidths(plan: Plan, order: int, chosen: float | tuple[float, ...] | None) -> Array:
-    """Return the bandwidth for each coordinate, rad/s (n,).
-
-    The rule: as fast as the sampling allows, 0.7 rate / (1 + delay), so that the phase that is lost at the
-    bandwidth stays within 40 degrees; then lower, coordinate by coordinate, until the noise of the readings makes no
-    more noise in a command than 2 % of its largest value. A chosen bandwidth overrides the rule.
-
-    Raises:
-        ModelError: the chosen bandwidth is faster than the sampling allows.
-    """
-    fastest = plan.fastest
-    if chosen is not None:
-        refused = REFUSED_PART / plan.late
-        fast = float(np.max(chosen))
-        if fast > refused:
-            raise ModelError(
-                f"observer.bandwidth {fast:g} rad/s is faster than the sampling allows: at {1.0 / plan.period:g} Hz "
-                f"and {plan.delay} sample{'s' * (plan.delay != 1)} of delay it is at most {refused:g} rad/s; lower it, "
-                "or raise controller.rate"
-            )
-        return np.broadcast_to(np.asarray(chosen, dtype=float), (plan.coordinates,)).copy()
-    found = np.full(plan.coordinates, fastest)
-    if not plan.noise.any():
-        return found
-    while found.min() > SLOWEST * fastest:
-        noisy = _command_noise(plan, order, found).max(axis=0) > NOISE_PART
-        if not noisy.any():
+        Raises:
+            ModelError: the chosen bandwidth is faster than the sampling allows, or the noise is too large for any.
+        """
+        if self.bandwidth is not None:
+            refused, fast = REFUSED_PART / plan.late, float(np.max(self.bandwidth))
+            if fast > refused:
+                raise ModelError(
+                    f"observer.bandwidth {fast:g} rad/s is faster than the sampling allows: at {1.0 / plan.period:g} "
+                    f"Hz and {plan.delay} sample{'s' * (plan.delay != 1)} of delay it is at most {refused:g} rad/s; "
+                    "lower it, or raise controller.rate"
+                )
+            return np.broadcast_to(np.asarray(self.bandwidth, dtype=float), (plan.coordinates,)).copy()
+        found = np.full(plan.coordinates, plan.fastest)
+        if not plan.noise.any():
             return found
-        found = np.where(noisy, LOWERED * found, found)
-    raise ModelError(
-        "the sensors are too noisy for an observer: their noise alone would use "
-        f"{NOISE_PART:.0%} of an actuator at any bandwidth; check the noise and the limits of the plant"
-    )
+        while found.min() > SLOWEST * plan.fastest:
+            noisy = _command_noise(plan, self.order, found).max(axis=0) > NOISE_PART
+            if not noisy.any():
+                return found
+            found = np.where(noisy, LOWERED * found, found)
+        raise ModelError(
+            "the sensors are too noisy for an observer: their noise alone would use "
+            f"{NOISE_PART:.0%} of an actuator at any bandwidth; check the noise and the limits of the plant"
+        )
 
 
-def gain(plan: Plan, order: int, bandwidth: Array, offset: int) -> Array:
-    """Return the steady Kalman gain: correction of [q, v, s, d, ...] per unit of reading.
-
-    Args:
-        plan: what the observer is for.
-        order: derivatives of the disturbance that are estimated.
-        bandwidth: for each coordinate, rad/s (n,).
-        offset: number of internal states s, which are not corrected.
-
-    Returns:
-        (2 n + offset + order n, sensors).
-    """
-    found = _steady(plan, order, bandwidth)
-    steady = found.gain * found.unit[:, None] / found.deviation
-    n = plan.coordinates
-    return np.concatenate([steady[: 2 * n], np.zeros((offset, steady.shape[1])), steady[2 * n :]])
+Observer = Differences | Kalman
 
 
 @dataclass(frozen=True)

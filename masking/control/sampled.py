@@ -20,7 +20,7 @@ from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.control.blocks import check_actuation
 from masking.control.instruments import Instruments
-from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols
+from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols, check_same_rig
 from masking.control.observer import Differences, Observer
 from masking.errors import ModelError
 from masking.modelling.lowering import LoweredEquations
@@ -62,13 +62,13 @@ class SampledController:
         """Return the sizes that the compiled step is made for."""
         model = self.controller.model
         n = len(model.coordinates)
-        return Sizes(
-            n,
-            2 * n + len(model.declaration.states),
-            len(model.inputs),
-            len(self.instruments.actuators),
-            self.observer.order,
-        )
+        actuators = len(self.instruments.actuators)
+        return Sizes(n, 2 * n + len(model.states), len(model.inputs), actuators, self.observer.order)
+
+    @property
+    def start(self) -> Array:
+        """Return the coordinates (n,) at which a simulated rig starts: before homing, 0."""
+        return np.zeros(len(self.end)) if self.homing else self.end
 
     @property
     def delay(self) -> int:
@@ -99,12 +99,8 @@ class SampledController:
 
     def values(self, start: Array | None = None) -> Array:
         """Return the parameter array; `start` are the coordinates (n,) from which homing begins."""
-        parts = [
-            self.controller.values(),
-            self.instruments.gains(),
-            self.instruments.allocation_inverse.ravel(),
-            self.instruments.allocation.ravel(),
-        ]
+        known = self.instruments
+        parts = [self.controller.values(), known.gains(), known.allocation_inverse.ravel(), known.allocation.ravel()]
         if self.homing:
             parts += [self.end if start is None else start, self.end, np.array([self.homing])]
         return np.concatenate(parts)
@@ -166,9 +162,7 @@ class SampledController:
         estimate = np.concatenate([q, np.zeros(n), internal, np.zeros(sizes.order * n)])
         p, inputs = self.values(q), np.empty(sizes.inputs)
         self.kernels.still(-self.homing, estimate[: sizes.states].copy(), p, inputs)
-        if not self.has_model:
-            inputs[:] = 0.0
-        if self.homing:  # the rig is where it is without power
+        if self.homing or not self.has_model:  # before homing, the rig is where it is without power
             inputs[:] = 0.0
         largest = self.limits[:, LARGEST]
         command = np.clip(self.instruments.allocation_inverse @ inputs, -largest, largest)
@@ -255,7 +249,11 @@ class _Lowered:
         controller, instruments = sampled.controller, sampled.instruments
         equations = controller.model.equations
         self.graph, self.loads = Graph(), dict[str, str]()
-        n, channels, inputs = len(equations.coordinates), len(instruments.actuators), len(controller.model.inputs)
+        n, channels, inputs = (
+            len(equations.coordinates),
+            len(instruments.actuators),
+            len(controller.model.inputs),
+        )
         self._count = n
         time = self._read("t", "t", varying=True)
         y = {name: self._array(name, "y", len(symbols), first, varying=True) for name, symbols, first in (
@@ -339,13 +337,7 @@ class SampledLoop:
     twin: Twin
 
     def __post_init__(self) -> None:
-        ours, theirs = self.sampled.controller.model, self.twin.model
-        for what in ("coordinates", "inputs"):
-            if getattr(ours, what) != getattr(theirs, what):
-                raise ModelError(
-                    f"the controller's model {ours.name} has the {what} {', '.join(getattr(ours, what))}, the plant "
-                    f"{theirs.name} has {', '.join(getattr(theirs, what))}; both must have the same, in the same order"
-                )
+        check_same_rig(self.sampled.controller.model, self.twin.model)
 
     @cached_property
     def kernels(self) -> Kernels:

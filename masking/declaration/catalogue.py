@@ -24,42 +24,14 @@ _ARTICLE = {
     None: "a declaration",
 }
 OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
-    "experiment": frozenset(
-        [
-            "plant",
-            "virtual",
-            "transform",
-            "controller",
-            "initial",
-            "duration",
-            "time_scale",
-            "record",
-            "stop",
-            "tolerance",
-            "seed",
-        ]
-    ),
-    "plant": frozenset(["kind", "model", "sensors", "actuators", "limits", "allocation", "own_effects"]),
-    "model": frozenset(
-        [
-            "extends",
-            "coordinates",
-            "states",
-            "inputs",
-            "definitions",
-            "equations",
-            "lagrangian",
-            "dissipation",
-            "forces",
-            "terms",
-            "outputs",
-            "energy",
-            "scales",
-            "oscillators",
-            "elements",
-        ]
-    ),
-    "dictionary": frozenset(["dictionary"]),
+    kind: frozenset(keys.split())
+    for kind, keys in {
+        "experiment": "plant virtual transform controller initial duration time_scale record stop tolerance seed",
+        "plant": "kind model sensors actuators limits allocation own_effects",
+        "model": "extends coordinates states inputs definitions equations lagrangian dissipation forces terms outputs "
+        "energy scales oscillators elements",
+        "dictionary": "dictionary",
+    }.items()
 }
 _NAMED_BY = {("plant", "experiment"): "plant", ("model", "experiment"): "virtual", ("model", "plant"): "model"}
 
@@ -111,7 +83,13 @@ def names(kind: str) -> list[str]:
 def find(kind: str | None, name_or_path: str | Path, reference: Reference = NOWHERE) -> Path:
     """Give the file of a name in the registry, or of a path: one that ends in .yaml or contains a slash.
 
-    With None as kind the name may be that of a model, a plant, an experiment or a dictionary, in this order.
+    Args:
+        kind: of `KINDS`; None for any: the first in their order that has the name.
+        name_or_path: as it was written.
+        reference: where.
+
+    Raises:
+        DeclarationError: there is none, or it is of another kind.
     """
     text = str(name_or_path)
     for some in [kind] if kind else _FOLDERS:
@@ -150,7 +128,15 @@ def kind_of_keys(keys: Collection[str]) -> str | None:
 
 
 def wrong_kind(kind: str, found: str, shown: str, reference: Reference, node: Node | None = None) -> Problem:
-    """Say that a file, whose content may be given, is of another kind than is needed."""
+    """Say that a file, whose content may be given, is of another kind than is needed.
+
+    Args:
+        kind: that is needed.
+        found: its kind.
+        shown: its name.
+        reference: where that was written.
+        node: the content of the file.
+    """
     needed = f"{_ARTICLE[kind]} is needed here"
     entry = node.value.get(_NAMED_BY.get((kind, found), "")) if node and isinstance(node.value, dict) else None
     if kind == "experiment" and found in {"plant", "model"}:

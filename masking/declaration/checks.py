@@ -5,34 +5,20 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from graphlib import CycleError, TopologicalSorter
 
 from masking.declaration.couplings import driven_outputs, motions
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ModelDeclaration
 from masking.errors import DeclarationError, Problem, nearest
 
-_COHERENT = {
-    "m",
-    "kg",
-    "s",
-    "A",
-    "K",
-    "mol",
-    "cd",
-    "rad",
-    "Hz",
-    "N",
-    "J",
-    "W",
-    "V",
-    "C",
-    "F",
-    "H",
-    "T",
-    "Pa",
-    "Wb",
-    "ohm",
-}
+_COHERENT = frozenset(
+    ["m", "kg", "s", "A", "K", "mol", "cd", "rad", "Hz", "N", "J", "W", "V", "C", "F", "H", "T", "Pa", "Wb", "ohm"]
+)
+# The parts of an entry of each section that may be expressions.
+_FORMULAS = {
+    "parameters": ["value"], "outputs": ["expression"], "scales": ["value"], "elements": ["displacement", "rate"],
+}  # fmt: skip
 
 
 def velocities(names: Iterable[str]) -> list[str]:
@@ -60,41 +46,25 @@ def equation_of(model: ModelDeclaration, coordinate: str) -> Expression | None:
 
 def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
     """Yield every expression of a model with its path, the left-hand sides of equations included."""
-    for name, parameter in model.parameters.items():
-        if isinstance(parameter.value, Expression):
-            yield f"parameters.{name}.value", parameter.value
-    for name, expression in model.definitions.items():
-        yield f"definitions.{name}", expression
-    for left, right in model.equations.items():
-        yield f"equations.{left}", left
-        yield f"equations.{left}", right
-    for path in ("lagrangian", "dissipation", "energy"):
-        expression = getattr(model, path)
-        if expression is not None:
-            yield path, expression
-    for name, expression in model.forces.items():
-        yield f"forces.{name}", expression
-    for name, output in model.outputs.items():
-        yield f"outputs.{name}.expression", output.expression
-    for name, scale in model.scales.items():
-        if isinstance(scale.value, Expression):
-            yield f"scales.{name}.value", scale.value
-    yield from _formulas_of_elements(model)
-
-
-def _formulas_of_elements(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
-    for name, element in model.elements.items():
-        for part in ("displacement", "rate"):
-            if getattr(element, part) is not None:
-                yield f"elements.{name}.{part}", getattr(element, part)
-        for coordinate, factor in element.acts.items():
-            yield f"elements.{name}.acts.{coordinate}", factor
+    found = {p: getattr(model, p) for p in ("lagrangian", "dissipation", "energy")}
+    found |= {
+        f"{section}.{name}": x for section in ("definitions", "forces") for name, x in getattr(model, section).items()
+    }
+    for section, parts in _FORMULAS.items():
+        for name, entry in getattr(model, section).items():
+            found |= {f"{section}.{name}.{part}": getattr(entry, part) for part in parts}
+    found |= {f"elements.{e}.acts.{name}": x for e, entry in model.elements.items() for name, x in entry.acts.items()}
+    yield from ((path, x) for path, x in found.items() if isinstance(x, Expression))
+    yield from ((f"equations.{left}", side) for left, right in model.equations.items() for side in (left, right))
 
 
 def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[str] = ()) -> list[Problem]:
     """List everything that is wrong with a model; of one that is not whole, only names and symbols.
 
-    `lost` are names that stand in a section whose key is not known, and pass for anything.
+    Args:
+        model: that was read.
+        whole: whether the schema refused nothing of it.
+        lost: names in a section whose key is not known, which pass for anything.
     """
     problems = [*_names(model, lost), *_symbols(model, lost)]
     if whole:
@@ -109,7 +79,15 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
 
 
 def problem_at(declaration: Declaration, path: str, message: str, mend: str = "", at_key: bool = False) -> Problem:
-    """Describe what is wrong with one value of a declaration, or with its key."""
+    """Describe what is wrong with one value of a declaration, or with its key.
+
+    Args:
+        declaration: that was read.
+        path: of the value.
+        message: what is wrong.
+        mend: what to do about it.
+        at_key: whether it is at the key.
+    """
     place = declaration.key_place(path) if at_key else declaration.place(path)
     return Problem(place, path, message, mend)
 
@@ -134,8 +112,8 @@ def _names(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
     taken = {*model.coordinates, *model.states, *model.outputs}
     for element, name in ((e, name) for e, entry in model.elements.items() for name in entry.acts):
         if name not in taken and name not in lost:
-            others = [*(["a state"] if model.states else []), *(["an output"] if model.outputs else [])]
-            path, message = f"elements.{element}.acts.{name}", f"'{name}' is not {_any_of(['a coordinate', *others])}"
+            kinds = ["a coordinate", *["a state"] * bool(model.states), *["an output"] * bool(model.outputs)]
+            path, message = f"elements.{element}.acts.{name}", f"'{name}' is not {_joined(kinds, 'or')}"
             yield problem_at(model, path, message, nearest(name, taken), at_key=True)
     for name in driven_outputs(model):
         if name in owner:
@@ -180,7 +158,14 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
 def check_symbols(
     expression: Expression, allowed: Collection[str], coordinates: Collection[str], known: Collection[str] = ()
 ) -> Iterator[Problem]:
-    """Yield a problem for each symbol that is not allowed: derivative of no coordinate, not for here, or unknown."""
+    """Yield a problem for each symbol that is not allowed: derivative of no coordinate, not for here, or unknown.
+
+    Args:
+        expression: in which they stand.
+        allowed: symbols.
+        coordinates: names that have derivatives.
+        known: symbols that are allowed elsewhere.
+    """
     for problem, symbol in zip(expression.check_symbols(allowed), expression.unknown(allowed), strict=True):
         name = symbol.rstrip("'")
         if symbol != name and name not in coordinates and (name in allowed or name in known):
@@ -263,7 +248,7 @@ def _elements(model: ModelDeclaration) -> Iterator[Problem]:
             if moved is not None and not moved.names & moving:
                 kinds = [k for k, n in (("a state", model.states), ("an input", model.inputs)) if n]
                 kinds = ["a coordinate", *(kinds if not model.coordinates else ())]
-                path, message = f"elements.{name}.{part}", f"a {part} must contain {_any_of(kinds)}"
+                path, message = f"elements.{name}.{part}", f"a {part} must contain {_joined(kinds, 'or')}"
                 yield problem_at(model, path, message, "write the difference of two, such as x1 - x3")
         if not element.acts:
             path, message = f"elements.{name}.acts", "an element acts on at least one coordinate"
@@ -274,7 +259,13 @@ def _elements(model: ModelDeclaration) -> Iterator[Problem]:
 
 
 def no_equation(model: ModelDeclaration, coordinate: str, path: str) -> Problem:
-    """Describe that no equation of motion is a coordinate's own, so that a force cannot act on it."""
+    """Describe that no equation of motion is a coordinate's own, so that a force cannot act on it.
+
+    Args:
+        model: with the equations.
+        coordinate: on which a force is to act.
+        path: where that is written.
+    """
     message = f"no equation has {coordinate}'' and no other acceleration on its left side"
     mend = f"a force on {coordinate} acts in such an equation, as {coordinate}'': ..., or in those of a lagrangian"
     return problem_at(model, path, message, mend, at_key=True)
@@ -313,7 +304,7 @@ def _determined(model: ModelDeclaration, present: Sequence[Collection[str]]) -> 
     """Check that each equation can give an acceleration of its own: a matching of equations with accelerations."""
     owner: dict[str, int] = {}
     crowds = [crowd for equation in range(len(present)) if (crowd := _matched(equation, present, owner))]
-    never = _listed([f"{name}''" for name in model.coordinates if name not in owner])
+    never = _joined([f"{name}''" for name in model.coordinates if name not in owner], "and")
     lefts = list(model.motion)
     for crowd in crowds:
         equations = sorted(crowd)
@@ -321,9 +312,9 @@ def _determined(model: ModelDeclaration, present: Sequence[Collection[str]]) -> 
         places = [model.key_place(f"equations.{lefts[i].text}") for i in equations]
         if names:
             often = "twice" if len(equations) == 2 else f"by {len(equations)} equations"
-            lines = _listed([str(place.line) for place in places if place])
+            lines = _joined([str(place.line) for place in places if place], "and")
             where = f" (lines {lines})" if lines else ""
-            message = f"the equations determine {_listed(names)} {often}{where} and {never} never"
+            message = f"the equations determine {_joined(names, 'and')} {often}{where} and {never} never"
             mend = f"one of these must contain {never}"
         else:
             message, mend = f"the equation contains no acceleration, and none determines {never}", f"write {never}: ..."
@@ -351,12 +342,8 @@ def _matched(equation: int, present: Sequence[Collection[str]], owner: dict[str,
     return crowd
 
 
-def _any_of(words: Sequence[str]) -> str:
-    return " or ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
-
-
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+def _joined(words: Sequence[str], last: str) -> str:
+    return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def _unused(model: ModelDeclaration) -> Iterator[Problem]:
@@ -370,25 +357,18 @@ def _unused(model: ModelDeclaration) -> Iterator[Problem]:
 
 
 def _cycles(model: ModelDeclaration, section: str, expressions: Mapping[str, Expression]) -> Iterator[Problem]:
-    """Yield one problem for each cycle of names, at the first of them."""
-    done: set[str] = set()
-    for start in expressions:
-        chain: list[str] = []
-        pending = [(start, iter(sorted(expressions[start].names & expressions.keys())))] if start not in done else []
-        chain += [start] if pending else []
-        while pending:
-            name, following = pending[-1]
-            step = next(following, None)
-            if step is None:
-                done.add(name)
-                pending.pop()
-                chain.pop()
-            elif step in chain:
-                loop = [*chain[chain.index(step) :], step]
-                yield problem_at(model, f"{section}.{step}", f"defined by itself: {' -> '.join(loop)}", at_key=True)
-            elif step not in done:
-                pending.append((step, iter(sorted(expressions[step].names & expressions.keys()))))
-                chain.append(step)
+    """Yield one problem for each cycle of names that share none, at the first of them."""
+    uses = {name: sorted(expression.names & expressions.keys()) for name, expression in expressions.items()}
+    while True:
+        try:
+            return TopologicalSorter(uses).prepare()
+        except CycleError as error:
+            loop = error.args[1][:0:-1]  # graphlib names what is used before what uses it
+        first = min(loop, key=[*uses].index)
+        turned = [*loop[loop.index(first) :], *loop[: loop.index(first)]]
+        message = f"defined by itself: {' -> '.join([*turned, first])}"
+        yield problem_at(model, f"{section}.{first}", message, at_key=True)
+        uses = {name: used for name, used in uses.items() if name not in loop}
 
 
 def parameter_values(model: ModelDeclaration, overrides: Mapping[str, float]) -> tuple[dict[str, float], list[Problem]]:
@@ -415,7 +395,8 @@ def parameter_values(model: ModelDeclaration, overrides: Mapping[str, float]) ->
     is_coherent = all(_is_coherent(parameter.unit) for parameter in model.parameters.values())
     for name, parameter in model.parameters.items():
         if name in values and (is_coherent or name not in formulas):
-            problems += _outside(model, name, values[name], *parameter.bounds)
+            shown = f"{name} = {values[name]:.12g}" + ("" if parameter.unit == "1" else f" {parameter.unit}")
+            problems += bounded(model, f"parameters.{name}", shown, values[name], parameter.bounds)
     return {name: values[name] for name in model.parameters if name in values}, problems
 
 
@@ -424,18 +405,25 @@ def _is_coherent(unit: str) -> bool:
     return set(re.findall(r"[A-Za-z]+", unit)) <= _COHERENT
 
 
-def _outside(
-    model: ModelDeclaration, name: str, value: float, low: float | None, high: float | None
+def bounded(
+    declaration: Declaration, path: str, shown: str, value: float | None, bounds: tuple[float | None, float | None]
 ) -> Iterator[Problem]:
-    path, unit = f"parameters.{name}.value", model.parameters[name].unit
-    shown = f"{name} = {value:.12g}" + ("" if unit == "1" else f" {unit}")
-    if not math.isfinite(value):
-        yield problem_at(model, path, f"{shown} is not finite")
+    """Check the bounds of a parameter, and that its value lies within them.
+
+    Args:
+        declaration: that holds the parameter.
+        path: of the parameter.
+        shown: the value in words, such as "w = 2 rad/s".
+        value: None if it has none.
+        bounds: the lower and the upper one; None for none.
+    """
+    low, high = bounds
+    if value is not None and not math.isfinite(value):
+        yield problem_at(declaration, f"{path}.value", f"{shown} is not finite")
     elif low is not None and high is not None and low > high:
-        yield problem_at(
-            model, f"parameters.{name}.bounds", f"the lower bound {low:g} is above the upper bound {high:g}"
-        )
-    elif low is not None and value < low:
-        yield problem_at(model, path, f"{shown} is below its lower bound {low:g}")
-    elif high is not None and value > high:
-        yield problem_at(model, path, f"{shown} is above its upper bound {high:g}")
+        message = f"the lower bound {low:g} is above the upper bound {high:g}"
+        yield problem_at(declaration, f"{path}.bounds", message)
+    elif value is not None and low is not None and value < low:
+        yield problem_at(declaration, f"{path}.value", f"{shown} is below its lower bound {low:g}")
+    elif value is not None and high is not None and value > high:
+        yield problem_at(declaration, f"{path}.value", f"{shown} is above its upper bound {high:g}")

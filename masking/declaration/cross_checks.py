@@ -71,7 +71,12 @@ def check_experiment(
 ) -> list[Problem]:
     """List what does not fit where an experiment, its plant and its models meet.
 
-    `believed_model` is the model that `controller.model` names, if it names one.
+    Args:
+        experiment: what is checked.
+        plant: that it names.
+        plant_model: that the plant names.
+        virtual_model: what the rig is to move as.
+        believed_model: that `controller.model` names, if it names one.
     """
     problems = check_plant(plant, plant_model)
     problems += _overrides(experiment, "parameters", experiment.parameters, virtual_model)
@@ -113,7 +118,13 @@ def count_columns(rig: ModelDeclaration, virtual: ModelDeclaration) -> int:
 
 
 def check_size(experiment: ExperimentDeclaration, rows: float, columns: int) -> list[Problem]:
-    """Refuse a duration whose recording, of 8 bytes a number, would be larger than 2 GiB."""
+    """Refuse a duration whose recording, of 8 bytes a number, would be larger than 2 GiB.
+
+    Args:
+        experiment: what is recorded.
+        rows: of the recording.
+        columns: of the recording.
+    """
     size = rows * columns * 8.0
     if size <= LARGEST_RECORDING:
         return []

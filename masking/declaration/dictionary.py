@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
 
-from masking.declaration.checks import problem_at
+from masking.declaration.checks import bounded, problem_at
 from masking.declaration.dimensions import dimension_in, unit_problem
 from masking.declaration.expression import Expression
 from masking.declaration.operations import Step
-from masking.declaration.schema import DictionaryDeclaration, OwnEffect, OwnParameter
+from masking.declaration.schema import DictionaryDeclaration, OwnEffect
 from masking.declaration.units import NONE, Dimension, describe, dimension_of
 from masking.errors import DeclarationError, Problem
 
@@ -44,7 +44,10 @@ _UNITS = {
 def check_dictionary(declaration: DictionaryDeclaration, whole: bool, lost: Collection[str]) -> list[Problem]:
     """List everything that is wrong with a dictionary; of one that is not whole, only names and symbols.
 
-    `lost` is not needed: a dictionary has one section.
+    Args:
+        declaration: that was read.
+        whole: whether the schema refused nothing of it.
+        lost: not needed: a dictionary has one section.
     """
     problems: list[Problem] = []
     if not declaration.dictionary:
@@ -174,7 +177,8 @@ class _Checker:
             yield self._problem(f"{section}.{name}", message, mend, at_key=True)
         for name, parameter in effect.parameters.items():
             path = f"parameters.{name}"
-            yield from self._bounded(path, parameter)
+            shown = f"{parameter.value or 0.0:g}"
+            yield from bounded(self.declaration, f"{self.path}.{path}", shown, parameter.value, parameter.bounds)
             if name in used - {*found} and parameter.value is None and not parameter.tried:
                 message = f"'{name}' is no factor of what the effect does"
                 mend = "give values that a discovery begins from, such as 'tried: [0.1, 0.3, 1]', or a 'value' to hold"
@@ -183,17 +187,6 @@ class _Checker:
         if starts > MOST_STARTS:
             message, mend = f"{starts} combinations of values to try are too many", f"try at most {MOST_STARTS}"
             yield self._problem("parameters", message, mend, at_key=True)
-
-    def _bounded(self, path: str, parameter: OwnParameter) -> Iterator[Problem]:
-        low, high = parameter.bounds
-        if low is not None and high is not None and low > high:
-            message = f"the lower bound {low:g} is above the upper bound {high:g}"
-            yield self._problem(f"{path}.bounds", message)
-        elif parameter.value is not None:
-            if low is not None and parameter.value < low:
-                yield self._problem(f"{path}.value", f"{parameter.value:g} is below its lower bound {low:g}")
-            if high is not None and parameter.value > high:
-                yield self._problem(f"{path}.value", f"{parameter.value:g} is above its upper bound {high:g}")
 
     def units(self) -> Iterator[Problem]:
         """Check that units are made of those of the place, and that the expressions have the dimensions they should."""

@@ -17,22 +17,8 @@ from masking.declaration.couplings import driven_outputs
 from masking.declaration.expression import Expression
 from masking.declaration.operations import COMPARISONS, Step
 from masking.declaration.schema import Declaration, Element, ModelDeclaration
-from masking.declaration.units import NONE, TIME, Conversion, Dimension, conversion, describe, dimension_of
+from masking.declaration.units import NONE, TIME, Dimension, conversion, describe, dimension_of
 from masking.errors import DeclarationError, Problem
-
-__all__ = [
-    "Conversion",
-    "Dimension",
-    "check_dimensions",
-    "check_scales",
-    "conversion",
-    "describe",
-    "dimension_in",
-    "dimension_of",
-    "displacement_dimension",
-    "force_dimensions",
-    "symbol_dimensions",
-]
 
 _SECTIONS = ("coordinates", "states", "inputs", "parameters", "outputs", "elements", "scales")
 _USUAL = {  # the scales that are proposed, in this order
@@ -127,7 +113,13 @@ def displacement_dimension(element: Element, symbols: Mapping[str, Dimension | N
 
 
 def unit_problem(declaration: Declaration, path: str, error: DeclarationError) -> Problem:
-    """Describe a unit that is none, at its place in a declaration."""
+    """Describe a unit that is none, at its place in a declaration.
+
+    Args:
+        declaration: that was read.
+        path: of the unit.
+        error: what reading the unit raised.
+    """
     problem = error.problems[0]
     return Problem(declaration.place(path), path, problem.message, problem.mend, problem.excerpt)
 

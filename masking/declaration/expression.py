@@ -80,7 +80,13 @@ class Expression:
         return self.place and Place(self.place.file, self.place.line, self.place.column + index)
 
     def problem(self, span: Step | tuple[int, int], message: str, mend: str = "") -> Problem:
-        """Describe what is wrong with one part of the text, with the source line and a caret below it."""
+        """Describe what is wrong with one part of the text, with the source line and a caret below it.
+
+        Args:
+            span: the step, or first and last index in the text.
+            message: what is wrong.
+            mend: what to do about it.
+        """
         start, end = (span.start, span.end) if isinstance(span, Step) else span
         window = max(0, start - 60)
         shown = re.sub(r"[^ -~\u00a0-\U0010ffff]", " ", self.text[window : window + 120])
@@ -123,7 +129,11 @@ class Expression:
         return [self._unknown(self.first(symbol), allowed) for symbol in self.unknown(allowed)]
 
     def evaluate(self, values: Mapping[str, float]) -> float:
-        """Compute the value with floats; `values` are given by symbol, primes included."""
+        """Compute the value with floats; `values` are given by symbol, primes included.
+
+        Raises:
+            DeclarationError: a symbol has no value, or the result is not finite.
+        """
         result = self.walk(_Floats(self, values))
         if isinstance(result, Problem):
             raise DeclarationError(result)

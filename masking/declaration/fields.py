@@ -73,7 +73,7 @@ def refuse(message: str, mend: str = "") -> PydanticCustomError:
     return PydanticCustomError("masking", "{message}", {"message": message, "mend": mend})
 
 
-def read_text(value: object) -> str:
+def _read_text(value: object) -> str:
     """Read a text; a number is taken as written."""
     if isinstance(value, str):
         return str(value)
@@ -82,37 +82,37 @@ def read_text(value: object) -> str:
     raise refuse(f"must be a text, not {_shown(value)}")
 
 
-def read_number(value: object) -> float:
+def _read_number(value: object) -> float:
     """Read a finite number."""
     if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
         return float(value)
     raise refuse(f"must be a finite number, not {_shown(value)}")
 
 
-def read_positive(value: object) -> float:
+def _read_positive(value: object) -> float:
     """Read a number above zero."""
-    number = read_number(value)
+    number = _read_number(value)
     if number > 0.0:
         return number
     raise refuse(f"must be greater than 0, not {number:g}")
 
 
-def read_truth(value: object) -> bool:
+def _read_truth(value: object) -> bool:
     """Read true or false."""
     if isinstance(value, bool):
         return value
     raise refuse(f"must be true or false, not {_shown(value)}")
 
 
-def read_integer(value: object) -> int:
+def _read_integer(value: object) -> int:
     """Read an integer that is not negative."""
-    number = read_number(value)
+    number = _read_number(value)
     if number < 0 or number != int(number):
         raise refuse(f"must be an integer of at least 0, not {number:g}")
     return int(number)
 
 
-def read_expression(value: object) -> Expression:
+def _read_expression(value: object) -> Expression:
     """Read an expression, keeping the place of a scalar that has one."""
     if isinstance(value, Expression):
         return value
@@ -128,15 +128,15 @@ def read_expression(value: object) -> Expression:
         raise PydanticCustomError("expression", "{message}", {"message": problem.message, "problem": problem}) from None
 
 
-def read_value(value: object) -> float | Expression:
+def _read_value(value: object) -> float | Expression:
     """Read a number or an expression."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return read_number(value) if is_number else read_expression(value)
+    return _read_number(value) if is_number else _read_expression(value)
 
 
-def read_name(value: object) -> str:
+def _read_name(value: object) -> str:
     """Read a name that is free to use: of a coordinate, an input, a parameter, a definition or an output."""
-    name = read_text(value)
+    name = _read_text(value)
     if not re.match(NAME_PATTERN, name):
         raise refuse(
             f"'{name}' is not a name", "a name is made of ASCII letters, digits and _, and starts with a letter"
@@ -147,7 +147,7 @@ def read_name(value: object) -> str:
     return name
 
 
-def read_rate(value: object) -> float:
+def _read_rate(value: object) -> float:
     """Read a sampling rate such as '1 kHz' or '1 ms' into Hz."""
     match = _RATE.fullmatch(value) if isinstance(value, str) else None
     try:
@@ -166,9 +166,9 @@ def read_rate(value: object) -> float:
     return number * _HERTZ[match["unit"]] if match["unit"] in _HERTZ else 1.0 / (number * _SECONDS[match["unit"]])
 
 
-def read_controller_rate(value: object) -> float | None:
+def _read_controller_rate(value: object) -> float | None:
     """Read 'continuous' as None, or a rate in Hz."""
-    return None if value is None or value == "continuous" else read_rate(value)
+    return None if value is None or value == "continuous" else _read_rate(value)
 
 
 def _written(value: float | Expression) -> float | str:
@@ -177,23 +177,23 @@ def _written(value: float | Expression) -> float | str:
 
 _TEXT_OR_NUMBER = WithJsonSchema({"type": ["string", "number"]})
 
-TextField = Annotated[str, PlainValidator(read_text), WithJsonSchema({"type": "string"})]
-Number = Annotated[float, PlainValidator(read_number), WithJsonSchema({"type": "number"})]
-Positive = Annotated[float, PlainValidator(read_positive), WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]
-Truth = Annotated[bool, PlainValidator(read_truth), WithJsonSchema({"type": "boolean"})]
-Natural = Annotated[int, PlainValidator(read_integer), WithJsonSchema({"type": "integer", "minimum": 0})]
-Name = Annotated[str, PlainValidator(read_name), WithJsonSchema({"type": "string", "pattern": NAME_PATTERN})]
-Formula = Annotated[Expression, PlainValidator(read_expression), PlainSerializer(_written), _TEXT_OR_NUMBER]
-Value = Annotated[float | Expression, PlainValidator(read_value), PlainSerializer(_written), _TEXT_OR_NUMBER]
+TextField = Annotated[str, PlainValidator(_read_text), WithJsonSchema({"type": "string"})]
+Number = Annotated[float, PlainValidator(_read_number), WithJsonSchema({"type": "number"})]
+Positive = Annotated[float, PlainValidator(_read_positive), WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]
+Truth = Annotated[bool, PlainValidator(_read_truth), WithJsonSchema({"type": "boolean"})]
+Natural = Annotated[int, PlainValidator(_read_integer), WithJsonSchema({"type": "integer", "minimum": 0})]
+Name = Annotated[str, PlainValidator(_read_name), WithJsonSchema({"type": "string", "pattern": NAME_PATTERN})]
+Formula = Annotated[Expression, PlainValidator(_read_expression), PlainSerializer(_written), _TEXT_OR_NUMBER]
+Value = Annotated[float | Expression, PlainValidator(_read_value), PlainSerializer(_written), _TEXT_OR_NUMBER]
 Rate = Annotated[
     float,
-    PlainValidator(read_rate),
+    PlainValidator(_read_rate),
     PlainSerializer(lambda hertz: f"{hertz!r} Hz"),
     WithJsonSchema({"type": "string", "examples": ["1 kHz", "1 ms"]}),
 ]
 ControllerRate = Annotated[
     float | None,
-    PlainValidator(read_controller_rate),
+    PlainValidator(_read_controller_rate),
     PlainSerializer(lambda hertz: "continuous" if hertz is None else f"{hertz!r} Hz"),
     WithJsonSchema({"type": "string", "examples": ["continuous", "1 kHz"]}),
 ]

@@ -40,7 +40,13 @@ def percent(part: float, digits: int = 2) -> str:
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
-    """Write a value with a unit, which gets a prefix if it is one that takes them: 32 kN."""
+    """Write a value with a unit, which gets a prefix if it is one that takes them: 32 kN.
+
+    Args:
+        value: in the unit.
+        unit: as declared.
+        digits: of the value.
+    """
     scale = 3 * math.floor(math.log10(abs(float(f"{value:.{digits}g}"))) / 3.0) if value else 0
     if unit in _PREFIXED and scale in _PREFIXES:
         return f"{number(value / 10.0**scale, digits)} {_PREFIXES[scale]}{unit}"
@@ -59,7 +65,13 @@ def power(value: float, units: Sequence[str]) -> str:
 
 
 def with_deviation(value: float, std: float, unit: str) -> str:
-    """Write a value and its standard deviation, which has two digits, with a unit: 5.47 ± 0.12 mm/s²."""
+    """Write a value and its standard deviation, which has two digits, with a unit: 5.47 ± 0.12 mm/s².
+
+    Args:
+        value: in the unit.
+        std: its standard deviation; not finite or 0 if it is not known.
+        unit: as it is shown.
+    """
     if not (std > 0.0 and math.isfinite(std)):
         return f"{number(value, 5)} {unit}".rstrip()
     size = max(abs(value), std)

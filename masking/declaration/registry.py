@@ -10,16 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from masking.declaration import strict_yaml
-from masking.declaration.catalogue import (
-    NOWHERE,
-    Reference,
-    find,
-    folder,
-    kind_of,
-    kind_of_keys,
-    names,
-    wrong_kind,
-)
+from masking.declaration.catalogue import NOWHERE, Reference, find, folder, kind_of_keys, wrong_kind
 from masking.declaration.checks import check_model
 from masking.declaration.cross_checks import check_experiment, check_plant
 from masking.declaration.dictionary import check_dictionary
@@ -33,40 +24,14 @@ from masking.declaration.schema import (
     ModelDeclaration,
     PlantDeclaration,
 )
-from masking.declaration.strict_yaml import Node
-from masking.declaration.validate import Places, in_order, plain_mapping, read
+from masking.declaration.strict_yaml import Node, Places
+from masking.declaration.validate import in_order, plain_mapping, read
 from masking.errors import DeclarationError, Place, Problem, nearest
-
-__all__ = [
-    "NOWHERE",
-    "Assembly",
-    "Reference",
-    "assemble",
-    "changed_experiment",
-    "check_plant_file",
-    "check_units",
-    "find",
-    "folder",
-    "kind_of",
-    "load_dictionary",
-    "load_experiment",
-    "load_model",
-    "load_plant",
-    "name_from",
-    "names",
-    "refer",
-    "with_dictionary",
-]
 
 D = TypeVar("D", bound=Declaration)
 
-_SHORT = {
-    "coordinates": "meaning",
-    "states": "meaning",
-    "inputs": "meaning",
-    "parameters": "value",
-    "outputs": "expression",
-}
+_SHORT = dict.fromkeys(("coordinates", "states", "inputs"), "meaning")
+_SHORT |= {"parameters": "value", "outputs": "expression"}
 _MERGED = {*_SHORT, "definitions", "equations", "forces", "scales", "elements"}
 
 
@@ -82,7 +47,11 @@ class Assembly:
 
 
 def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> ModelDeclaration:
-    """Load a model with everything it extends, merged into one declaration whose places point into the right files."""
+    """Load a model with everything it extends, merged into one declaration whose places point into the right files.
+
+    Raises:
+        DeclarationError: lists every problem with its place.
+    """
     chain: list[tuple[Path, Node, dict[str, Any]]] = []
     files: dict[str, str] = {}
     refused: list[Problem] = []
@@ -131,7 +100,13 @@ def load_dictionary(name_or_path: str | Path, reference: Reference = NOWHERE) ->
 def with_dictionary(
     plant: PlantDeclaration, name_or_path: str | Path, reference: Reference = NOWHERE
 ) -> PlantDeclaration:
-    """Return a plant that names one more dictionary of own effects; one that it has read already is not read anew."""
+    """Return a plant that names one more dictionary of own effects; one that it has read already is not read anew.
+
+    Args:
+        plant: that was read.
+        name_or_path: of the dictionary.
+        reference: where that was written.
+    """
     file = find("dictionary", name_or_path, reference).resolve()
     if any(Path(known).resolve() == file for own in plant.dictionaries for known in own.files):
         return plant
@@ -139,7 +114,11 @@ def with_dictionary(
 
 
 def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
-    """Load a plant and check it against the model that it names, the units of both included."""
+    """Load a plant and check it against the model that it names, the units of both included.
+
+    Raises:
+        DeclarationError: lists every problem with its place.
+    """
     plant = load_plant(name_or_path)
     model = load_model(plant.model, refer(plant, "model"))
     problems = check_plant(plant, model) + check_dimensions(model) + check_scales(model)
@@ -168,13 +147,16 @@ def name_from(declaration: Declaration, start: Path | None = None) -> str:
 
 def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str, object]) -> ExperimentDeclaration:
     """Return an experiment with some sections of its file replaced, checked as if the file said so."""
-    places = Places.of(experiment, without=sections)
-    data = {**experiment.canonical(), **sections}
+    data, places = {**experiment.canonical(), **sections}, experiment._places.without(sections)
     return read(ExperimentDeclaration, data, places, experiment.files, lambda *_: [])
 
 
 def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Assembly:
-    """Load what an experiment refers to and check that it fits; `plant` replaces the experiment's own."""
+    """Load what an experiment refers to and check that it fits; `plant` replaces the experiment's own.
+
+    Raises:
+        DeclarationError: lists every problem with its place.
+    """
     rig = load_plant(plant) if plant else load_plant(experiment.plant, refer(experiment, "plant"))
     plant_model = load_model(rig.model, refer(rig, "model"))
     virtual_model = load_model(experiment.virtual, refer(experiment, "virtual"))

@@ -26,6 +26,7 @@ from masking.declaration.fields import (
     refuse,
 )
 from masking.declaration.shorthand import Short
+from masking.declaration.strict_yaml import Places
 from masking.errors import Place
 
 
@@ -344,8 +345,7 @@ class Declaration(Block):
     """A file that was read: its values, and the place of each."""
 
     kind_name: ClassVar[str]
-    _places: dict[str, Place] = PrivateAttr(default_factory=dict)
-    _keys: dict[str, Place] = PrivateAttr(default_factory=dict)
+    _places: Places = PrivateAttr(default_factory=Places)
     _files: dict[str, str] = PrivateAttr(default_factory=dict)
 
     name: TextField
@@ -359,21 +359,15 @@ class Declaration(Block):
 
     def place(self, path: str) -> Place | None:
         """Give the place of a value such as "parameters.w3.value", or of the nearest value around it."""
-        return _around(self._places, path)
+        return self._places.around(path)
 
     def key_place(self, path: str) -> Place | None:
         """Give the place of the key of a value, or of the nearest one around it."""
-        return self._keys.get(path) or self.place(path)
+        return self._places.keys.get(path) or self.place(path)
 
     def canonical(self) -> dict[str, Any]:
         """Give the declaration as JSON can hold it, defaults left out; the dict can be validated again."""
         return self.model_dump(mode="json", exclude_defaults=True)
-
-
-def _around(places: dict[str, Place], path: str) -> Place | None:
-    while path and path not in places:
-        path = path.rpartition(".")[0]
-    return places.get(path)
 
 
 class ModelDeclaration(Declaration):
@@ -385,20 +379,14 @@ class ModelDeclaration(Declaration):
     coordinates: dict[Name, Annotated[Coordinate, _MEANING]] = {}
     states: dict[Name, Annotated[State, _MEANING]] = {}
     inputs: dict[Name, Annotated[Input, _MEANING]] = {}
-    parameters: dict[
-        Name,
-        Annotated[Parameter, _VALUE],
-    ] = {}
+    parameters: dict[Name, Annotated[Parameter, _VALUE]] = {}
     definitions: dict[Name, Formula] = {}
     equations: dict[Formula, Formula] = {}
     lagrangian: Formula | None = None
     dissipation: Formula | None = None
     forces: dict[Name, Formula] = {}
     terms: dict[Formula, Formula] = {}
-    outputs: dict[
-        Name,
-        Annotated[Output, _EXPRESSION],
-    ] = {}
+    outputs: dict[Name, Annotated[Output, _EXPRESSION]] = {}
     energy: Formula | None = None
     scales: dict[TextField, Scale] = {}
     oscillators: tuple[Name, ...] | None = None
@@ -439,10 +427,7 @@ class PlantDeclaration(Declaration):
     kind: Literal["simulated"] = "simulated"
     model: TextField
     parameters: dict[Name, Number] = {}
-    sensors: dict[
-        Name,
-        Annotated[Sensor, _MEASURES],
-    ] = {}
+    sensors: dict[Name, Annotated[Sensor, _MEASURES]] = {}
     actuators: dict[Name, Annotated[Actuator, _MEANING]] = {}
     allocation: dict[Name, Formula] = {}
     limits: Limits = Limits()

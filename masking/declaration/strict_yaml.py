@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -78,13 +79,48 @@ class Node:
     pieces: tuple[tuple[int, Place], ...] = ()
 
 
+@dataclass
+class Places:
+    """The places of all keys and values of some files, by dotted path."""
+
+    values: dict[str, Place] = field(default_factory=dict)
+    keys: dict[str, Place] = field(default_factory=dict)
+
+    def without(self, sections: Collection[str]) -> Places:
+        """Return the places outside of some sections."""
+
+        def kept(places: dict[str, Place]) -> dict[str, Place]:
+            return {path: place for path, place in places.items() if path.partition(".")[0] not in sections}
+
+        return Places(kept(self.values), kept(self.keys))
+
+    def add(self, node: Node) -> None:
+        """Add a node and everything inside it; what is there already stays behind what comes later."""
+        self.values[node.path] = node.place
+        if isinstance(node.value, dict):
+            self.keys |= {child.path: node.keys[key] for key, child in node.value.items()}
+        if isinstance(node.value, dict | list):
+            for child in node.value.values() if isinstance(node.value, dict) else node.value:
+                self.add(child)
+
+    def around(self, path: str) -> Place | None:
+        """Give the place of a value, or of the nearest value around it."""
+        while path and path not in self.values:
+            path = path.rpartition(".")[0]
+        return self.values.get(path)
+
+
 def load(path: str | Path) -> Node:
     """Read a YAML file; raises `DeclarationError` with every problem found."""
     return decode(read_bytes(path), str(path))
 
 
 def read_bytes(path: str | Path) -> bytes:
-    """Read a file of bounded size."""
+    """Read a file of bounded size.
+
+    Raises:
+        DeclarationError: it is not there, cannot be read, or is too large.
+    """
     path, start = Path(path), Place(str(path), 1, 1)
     if not path.is_file():
         raise DeclarationError(Problem(start, "", "there is no such file"))
@@ -99,7 +135,16 @@ def read_bytes(path: str | Path) -> bytes:
 
 
 def decode(data: bytes, file: str, refused: list[Problem] | None = None) -> Node:
-    """Read YAML from the bytes of a file; `refused` is as in `loads`."""
+    """Read YAML from the bytes of a file.
+
+    Args:
+        data: content of the file.
+        file: its name.
+        refused: as in `loads`.
+
+    Raises:
+        DeclarationError: it is not UTF-8, or as for `loads`.
+    """
     try:
         return loads(data.decode("utf-8"), file, refused)
     except UnicodeDecodeError as error:
@@ -109,10 +154,16 @@ def decode(data: bytes, file: str, refused: list[Problem] | None = None) -> Node
 
 
 def loads(text: str, file: str = "<text>", refused: list[Problem] | None = None) -> Node:
-    """Read YAML from a text; `file` names it in messages.
+    """Read YAML from a text.
 
-    A list given as `refused` takes the problems of single scalars and keys, so that the rest of the file can be checked
-    too; without one they are raised as any other.
+    Args:
+        text: YAML.
+        file: its name in messages.
+        refused: takes the problems of single scalars and keys, so that the rest of the file can be checked too; without
+            such a list they are raised as any other.
+
+    Raises:
+        DeclarationError: lists every problem with its place.
     """
     text = text.removeprefix("\ufeff")  # the byte order mark that some editors write
     if len(text) > LARGEST_FILE:

@@ -74,7 +74,11 @@ _FOREIGN: tuple[tuple[str, str, str], ...] = (  # Python that people try, what i
 
 
 def parse(text: str, refuse: Refuse) -> tuple[Step, ...]:
-    """Read the text into its postfix program; raises what `refuse` makes of the first thing outside the language."""
+    """Read the text into its postfix program; raises what `refuse` makes of the first thing outside the language.
+
+    Raises:
+        DeclarationError: made by `refuse`.
+    """
     if not text.strip():
         raise refuse(0, 1, "the expression is empty", "")
     if len(text) > LONGEST_TEXT:

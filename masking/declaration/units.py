@@ -1,5 +1,8 @@
 """Units: their dimension, their factor to SI, and how a unit is made of declared scales.
 
+`dimensions` checks those of a model's equations, `plant_units` those of a plant file, `quantities` writes values with
+them, and `masking.modelling.scales` converts a model's values.
+
 A dimension is a tuple of seven exponents over `BASES`. Units are written as expressions of unit names, such as
 `N*s/m**2`, and read by the same parser as every other expression; only bare names reach pint.
 """
@@ -9,7 +12,7 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -42,10 +45,15 @@ TIME: Dimension = tuple(Fraction(int(base == "time")) for base in BASES)
 
 
 class Conversion(NamedTuple):
-    """A unit in terms of scales: value * factor / prod(scale_si**exponent) is dimensionless."""
+    """A unit in terms of scales: value * factor / prod(scale_si**exponent) is dimensionless; `si` is its SI unit."""
 
     factor: float
     exponents: dict[str, float]
+    si: str
+
+    def scale(self, scales: Mapping[str, float]) -> float:
+        """Return the size in SI units of what the scales make of this dimension."""
+        return math.prod(float(scales[name] ** exponent) for name, exponent in self.exponents.items())
 
 
 def dimension_of(unit: str) -> Dimension:
@@ -102,18 +110,22 @@ def _product(powers: Mapping[str, Fraction]) -> str:
 def _powers(unit: str) -> dict[str, Fraction]:
     """Return the names in a unit with their powers, without looking them up."""
     expression = Expression(unit or "1", path="unit")
-    return expression.walk(_Names(expression))[0]
+    return expression.walk(_Units(expression, lambda name: (1.0, {name: Fraction(1)})))[1]
 
 
 def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
     """Resolve a unit into scales, given as name: unit.
 
-    Solves unit = prod(scale_k**e_k) dimension by dimension in rationals; raises `DeclarationError` where the scales do
-    not span the unit. Scales that are not needed get the exponent 0. Without any scales only the factor to SI is found.
+    Solves unit = prod(scale_k**e_k) dimension by dimension in rationals. Scales that are not needed get the exponent 0.
+    Without any scales only the factor to SI is found.
+
+    Raises:
+        DeclarationError: it is no unit, or the scales do not span it.
     """
     factor, wanted = _unit(unit)
+    si = unit if factor == 1.0 else describe(wanted)
     if not scales:
-        return Conversion(factor, {})
+        return Conversion(factor, {}, si)
     columns = [dimension_of(scale) for scale in scales.values()]
     exponents = _solve(columns, wanted)
     if exponents is None:
@@ -121,7 +133,7 @@ def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
         what = f"no scale for {' and '.join(absent)}" if absent else "no product of the scales"
         message = f"the unit {unit} cannot be made dimensionless: {what}"
         raise DeclarationError(Problem(None, "scales", message, f"add one under scales; there are {', '.join(scales)}"))
-    return Conversion(factor, {name: float(power) for name, power in zip(scales, exponents, strict=True)})
+    return Conversion(factor, {name: float(power) for name, power in zip(scales, exponents, strict=True)}, si)
 
 
 @functools.cache
@@ -130,7 +142,8 @@ def _registry() -> Any:  # noqa: ANN401  (pint's registry is built at run time)
 
 
 @functools.cache
-def _named(name: str) -> tuple[float, Dimension]:
+def _named(name: str) -> tuple[float, dict[str, Fraction]]:
+    """Return the factor of a unit to SI, and its powers of `BASES`."""
     registry = _registry()
     try:
         one = registry.Quantity(1.0, name).to_base_units()
@@ -138,77 +151,51 @@ def _named(name: str) -> tuple[float, Dimension]:
     except (pint.UndefinedUnitError, pint.OffsetUnitCalculusError, AttributeError, ValueError):
         raise LookupError(name) from None
     factor = float(two.magnitude - one.magnitude)  # a temperature scale with an offset counts as a difference
-    dimensionality = one.dimensionality
-    return factor, tuple(Fraction(dimensionality.get(f"[{base}]", 0)).limit_denominator(60) for base in BASES)
+    powers = {base: Fraction(one.dimensionality.get(f"[{base}]", 0)).limit_denominator(60) for base in BASES}
+    return factor, {base: power for base, power in powers.items() if power}
 
 
 @functools.cache
 def _unit(text: str) -> tuple[float, Dimension]:
     expression = Expression(text, path="unit")
-    return expression.walk(_Units(expression))[:2]
+    factor, powers, _ = expression.walk(_Units(expression, _named))
+    return factor, tuple(powers.get(base, Fraction(0)) for base in BASES)
 
 
-@dataclass(frozen=True, slots=True)
-class _Names:
-    """Reads a unit: (powers of the names in it, number if it is one)."""
-
-    expression: Expression
-
-    def number(self, step: Step) -> tuple[dict[str, Fraction], Fraction | None]:
-        return {}, Fraction(step.value)
-
-    def symbol(self, step: Step) -> tuple[dict[str, Fraction], Fraction | None]:
-        return {step.value: Fraction(1)}, None
-
-    def apply(
-        self, step: Step, args: Sequence[tuple[dict[str, Fraction], Fraction | None]]
-    ) -> tuple[dict[str, Fraction], Fraction | None]:
-        powers, number = args[0]
-        if step.operation == "negative" and number is not None:
-            return {}, -number
-        if step.operation == "**" and args[1][1] is not None:
-            return {name: power * args[1][1] for name, power in powers.items()}, None
-        if step.operation in {"*", "/"}:
-            sign = 1 if step.operation == "*" else -1
-            joined = {
-                n: powers.get(n, Fraction(0)) + sign * args[1][0].get(n, Fraction(0)) for n in {**powers, **args[1][0]}
-            }
-            ratio = None if number is None or args[1][1] is None else number * args[1][1] ** sign
-            return joined, ratio
-        raise DeclarationError(self.expression.problem(step, "a unit is a product of powers of units"))
+_Read = tuple[float, dict[str, Fraction], Fraction | None]
 
 
 @dataclass(frozen=True, slots=True)
 class _Units:
-    """Reads a unit: (factor to SI, dimension, number if it is one)."""
+    """Reads a unit: (factor, powers, number if it is one), both as `named` gives them for each name in it."""
 
     expression: Expression
+    named: Callable[[str], tuple[float, dict[str, Fraction]]]
 
-    def number(self, step: Step) -> tuple[float, Dimension, Fraction | None]:
+    def number(self, step: Step) -> _Read:
         if step.value == "pi":
             raise DeclarationError(self.expression.problem(step, "pi is not a unit"))
-        return float(step.value), NONE, Fraction(step.value)
+        return float(step.value), {}, Fraction(step.value)
 
-    def symbol(self, step: Step) -> tuple[float, Dimension, Fraction | None]:
+    def symbol(self, step: Step) -> _Read:
         try:
-            return *_named(step.value), None
+            return *self.named(step.value), None
         except LookupError:
             mend = "units are written as in N*s/m**2"
             raise DeclarationError(self.expression.problem(step, f"'{step.value}' is not a unit", mend)) from None
 
-    def apply(
-        self, step: Step, args: Sequence[tuple[float, Dimension, Fraction | None]]
-    ) -> tuple[float, Dimension, Fraction | None]:
-        factor, dimension, number = args[0]
+    def apply(self, step: Step, args: Sequence[_Read]) -> _Read:
+        (factor, powers, number), (other, others, exponent) = args[0], args[-1]
         if step.operation == "negative" and number is not None:
-            return -factor, dimension, -number
+            return -factor, powers, -number
         if step.operation in {"*", "/"}:
             sign = 1 if step.operation == "*" else -1
-            joined = tuple(a + sign * b for a, b in zip(dimension, args[1][1], strict=True))
-            ratio = None if number is None or args[1][2] is None else number * args[1][2] ** sign
-            return factor * args[1][0] ** sign, joined, ratio
-        if step.operation == "**" and args[1][2] is not None and factor > 0.0:
-            return math.pow(factor, args[1][0]), tuple(power * args[1][2] for power in dimension), None
+            joined = dict.fromkeys([*powers, *others], Fraction(0)) | powers
+            joined |= {name: joined[name] + sign * power for name, power in others.items()}
+            ratio = None if number is None or exponent is None else number * exponent**sign
+            return factor * other**sign, joined, ratio
+        if step.operation == "**" and exponent is not None and factor > 0.0:
+            return math.pow(factor, other), {name: power * exponent for name, power in powers.items()}, None
         raise DeclarationError(self.expression.problem(step, "a unit is a product of powers of units"))
 
 

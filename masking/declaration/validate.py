@@ -13,45 +13,10 @@ from pydantic_core import ErrorDetails
 
 from masking.declaration.fields import plain
 from masking.declaration.schema import Declaration
-from masking.declaration.strict_yaml import Node
-from masking.errors import DeclarationError, Place, Problem, nearest
+from masking.declaration.strict_yaml import Node, Places
+from masking.errors import DeclarationError, Problem, nearest
 
 D = TypeVar("D", bound=Declaration)
-
-
-class Places:
-    """The places of all keys and values of some files, by dotted path."""
-
-    def __init__(self) -> None:
-        self.values: dict[str, Place] = {}
-        self.keys: dict[str, Place] = {}
-
-    @classmethod
-    def of(cls, declaration: Declaration, *, without: Collection[str]) -> Places:
-        """Return the places of a declaration, without those of some of its sections."""
-        made = cls()
-        for mine, theirs in ((made.values, declaration._places), (made.keys, declaration._keys)):
-            mine.update({path: place for path, place in theirs.items() if path.partition(".")[0] not in without})
-        return made
-
-    def add(self, node: Node) -> None:
-        """Add a node and everything inside it; what is there already stays behind what comes later."""
-        self.values[node.path] = node.place
-        children: Iterable[Node] = ()
-        if isinstance(node.value, dict):
-            children = node.value.values()
-            for key, child in node.value.items():
-                self.keys[child.path] = node.keys[key]
-        elif isinstance(node.value, list):
-            children = node.value
-        for child in children:
-            self.add(child)
-
-    def around(self, path: str) -> Place | None:
-        """Give the place of a value, or of the nearest value around it."""
-        while path and path not in self.values:
-            path = path.rpartition(".")[0]
-        return self.values.get(path)
 
 
 def read(
@@ -63,10 +28,19 @@ def read(
     *,
     refused: Sequence[Problem] = (),
 ) -> D:
-    """Make a declaration of plain data; raises `DeclarationError` with every problem, of the schema and of `check`.
+    """Make a declaration of plain data.
 
-    `check` gets the declaration, whether it is whole (one that is not has lost the entries that the schema refuses) and
-    the names that are lost with sections whose keys are not known. `refused` is what the reader of YAML refused.
+    Args:
+        kind: of the declaration.
+        data: plain mappings, lists and scalars.
+        places: of the data.
+        files: that were read, with their SHA-256.
+        check: lists what is wrong beyond the schema; it gets the declaration, whether it is whole (one that is not has
+            lost the entries that the schema refuses) and the names in sections whose keys are not known.
+        refused: what the reader of YAML refused.
+
+    Raises:
+        DeclarationError: lists every problem in the order of the file.
     """
     problems: list[Problem] = []
     whole, errors = _validate(kind, data)
@@ -75,8 +49,7 @@ def read(
         problems = list(_translate(kind, errors, places))
         declaration = _validate(kind, _repaired(data, errors))[0]
     if declaration is not None:
-        declaration._places.update(places.values)
-        declaration._keys.update(places.keys)
+        declaration._places = places
         declaration._files.update(files)
         problems += check(declaration, whole is not None, _lost(data, errors))
     if declaration is None or problems or refused:
@@ -125,7 +98,11 @@ def _is_unknown_section(error: ErrorDetails) -> bool:
 
 
 def plain_mapping(node: Node) -> dict[str, Any]:
-    """Give the plain data of a whole file, named after the file if it has no name."""
+    """Give the plain data of a whole file, named after the file if it has no name.
+
+    Raises:
+        DeclarationError: the file is no mapping.
+    """
     if not isinstance(node.value, dict):
         raise DeclarationError(Problem(node.place, "", "the file is not a mapping", "write 'key: value' lines"))
     data: dict[str, Any] = plain(node)

@@ -75,13 +75,28 @@ class LoweredEquations:
         return self.graph.lower(expression, self.symbols)
 
     def loads(self, q: str, v: str, u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
-        """Return how each symbol is read: `q` and `v` are texts with `{i}` for the index into each."""
+        """Return how each symbol is read.
+
+        Args:
+            q: text of a coordinate, with `{i}` for its index.
+            v: text of a velocity, likewise.
+            u: name of the inputs.
+            p: name of the parameters.
+            offset: of the first parameter.
+        """
         s = self.equations.symbols
         parts = ((s.q, q, 0), (s.v, v, 0), (s.s, v, len(s.v)), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
         return self._read(parts)
 
     def joined(self, y: str = "y", u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
-        """Return how each symbol is read where `y` names the whole state vector [q, v, s]."""
+        """Return how each symbol is read where `y` names the whole state vector [q, v, s].
+
+        Args:
+            y: name of the state vector.
+            u: name of the inputs.
+            p: name of the parameters.
+            offset: of the first parameter.
+        """
         s, n, y = self.equations.symbols, len(self.equations.symbols.q), y + "[{i}]"
         parts = ((s.q, y, 0), (s.v, y, n), (s.s, y, 2 * n), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
         return self._read(parts)

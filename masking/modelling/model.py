@@ -21,7 +21,6 @@ from masking.codegen.kernels import Kernels, Trajectory
 from masking.codegen.source import Module
 from masking.declaration import registry, schema
 from masking.declaration.dimensions import check_dimensions, check_scales
-from masking.declaration.expression import Expression
 from masking.effects import Effect, Setting, attach
 from masking.errors import DeclarationError, ModelError
 from masking.modelling.equations import Equations
@@ -171,13 +170,10 @@ class Model:
                 kind: {n: x.unit for n, x in getattr(d, kind).items()}
                 for kind in ("coordinates", "states", "inputs", "parameters")
             },
-            "definitions": _texts(d.definitions),
+            **{kind: {n: x.text for n, x in getattr(d, kind).items()} for kind in ("definitions", "forces")},
             "equations": [[left.text, right.text] for left, right in d.equations.items()],
-            "lagrangian": _text(d.lagrangian),
-            "dissipation": _text(d.dissipation),
-            "forces": _texts(d.forces),
+            **{kind: getattr(getattr(d, kind), "text", None) for kind in ("lagrangian", "dissipation", "energy")},
             "outputs": {n: o.expression.text for n, o in d.outputs.items()},
-            "energy": _text(d.energy),
             "scales": {n: s.unit for n, s in d.scales.items()},
         }
 
@@ -210,6 +206,10 @@ class Model:
 
         Returns:
             states (m, 2 n + k), the k internal states last, and their times.
+
+        Raises:
+            ModelError: the times are none.
+            IntegrationError: the integrator could not go on.
         """
         times = np.atleast_1d(np.asarray(times, dtype=float))
         if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
@@ -246,6 +246,11 @@ class Model:
             velocities.append(given.get(f"{name}'", coordinate.initial_velocity) * size * second)
         internal = [given.get(n, z.initial) * self._size(z.unit) for n, z in self.declaration.states.items()]
         return np.array([*positions, *velocities, *internal], dtype=float)
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """Return a size of each coordinate, in SI units (n,): that of the scales, else 1."""
+        return np.array([self.units.size(c.unit, self.overrides) for c in self.declaration.coordinates.values()])
 
     def _size(self, unit: str) -> float:
         """Return the size of a declared unit in SI units, or in the declared scales."""
@@ -381,11 +386,3 @@ class Model:
         if problems:
             raise DeclarationError(problems)
         return module(self.equations)
-
-
-def _text(expression: Expression | None) -> str | None:
-    return None if expression is None else expression.text
-
-
-def _texts(expressions: Mapping[str, Expression]) -> dict[str, str]:
-    return {name: expression.text for name, expression in expressions.items()}

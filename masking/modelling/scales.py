@@ -8,41 +8,18 @@ dimension is the product of scale_k to the power e_k is divided by that product.
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from masking.declaration import schema
+from masking.declaration.checks import bounded
 from masking.declaration.expression import Expression
-from masking.declaration.units import conversion, describe, dimension_of
+from masking.declaration.units import Conversion, conversion
 from masking.errors import DeclarationError, ModelError, Problem, nearest
 
 PLAIN = "1"
 SECOND = "s"
-
-
-@dataclass(frozen=True)
-class Conversion:
-    """How one unit converts: to the SI unit of its dimension by a factor, and to the scales by their exponents."""
-
-    factor: float
-    exponents: Mapping[str, float]
-    si: str
-
-    @classmethod
-    def of(cls, unit: str, scales: Mapping[str, str]) -> Conversion:
-        """Derive the conversion of a unit; `scales` are the units of the scales.
-
-        Raises:
-            DeclarationError: the text is no unit, or the scales cannot express it.
-        """
-        factor, exponents = conversion(unit, scales)
-        return cls(factor, exponents, unit if factor == 1.0 else describe(dimension_of(unit)))
-
-    def scale(self, scales: Mapping[str, float]) -> float:
-        """Return the size in SI units of what the scales make of this dimension."""
-        return math.prod(float(scales[name] ** exponent) for name, exponent in self.exponents.items())
 
 
 @dataclass(frozen=True)
@@ -67,11 +44,11 @@ class Units:
         scales = {name: scale.unit for name, scale in declaration.scales.items()}
         found = {PLAIN: Conversion(1.0, {}, PLAIN)}
         with contextlib.suppress(DeclarationError):  # scales without a time leave it in seconds
-            found[SECOND] = Conversion.of(SECOND, scales)
+            found[SECOND] = conversion(SECOND, scales)
         for what, unit in _units(declaration).items():
             if unit not in found:
                 try:
-                    found[unit] = Conversion.of(unit, scales)
+                    found[unit] = conversion(unit, scales)
                 except DeclarationError as error:
                     raise ModelError(f"{declaration.name}: {what} [{unit}]: {error}") from None
         return cls(declaration, found)
@@ -110,7 +87,11 @@ class Units:
         }
 
     def scale_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
-        """Return the declared scales in SI units; all must be positive."""
+        """Return the declared scales in SI units; all must be positive.
+
+        Raises:
+            DeclarationError: one is not.
+        """
         values = self._si_values(overrides)
         found = {}
         for name, scale in self.declaration.scales.items():
@@ -149,7 +130,11 @@ class Units:
                     continue
                 found[name] = self._si(value, parameter.unit, found)
                 del pending[name]
-                self._check_bounds(name, found[name])
+                value = found[name] / self.conversions[parameter.unit].factor
+                unit = "" if parameter.unit == PLAIN else f" {parameter.unit}"
+                shown = f"{name} = {value:g}{unit}"
+                if problems := [*bounded(self.declaration, f"parameters.{name}", shown, value, parameter.bounds)]:
+                    raise DeclarationError(problems)
         return {name: found[name] for name in parameters}
 
     def _si(self, value: float | Expression, unit: str, values: Mapping[str, float]) -> float:
@@ -158,22 +143,6 @@ class Units:
             computed = value.evaluate(values)
             return computed if value.names else computed * self.conversions[unit].factor
         return value * self.conversions[unit].factor
-
-    def _check_bounds(self, name: str, si_value: float) -> None:
-        parameter = self.declaration.parameters[name]
-        value = si_value / self.conversions[parameter.unit].factor
-        low, high = parameter.bounds
-        unit = "" if parameter.unit == PLAIN else f" {parameter.unit}"
-        path = f"parameters.{name}"
-        if not math.isfinite(value):
-            raise DeclarationError(Problem(self.declaration.place(path), path, f"{name} = {value:g} is not finite"))
-        for bound, side, is_outside in (
-            (low, "below its lower", low is not None and value < low),
-            (high, "above its upper", high is not None and value > high),
-        ):
-            if is_outside:
-                message = f"{name} = {value:g}{unit} is {side} bound {bound:g}{unit}"
-                raise DeclarationError(Problem(self.declaration.place(path), path, message))
 
 
 def _units(declaration: schema.ModelDeclaration) -> dict[str, str]:

@@ -54,11 +54,7 @@ def _order(plant: Plant, settings: Settings, amplitude: float) -> Iterator[str]:
     yield from _must_refuse("activate while active", plant.activate)
     yield from _must_refuse("configure while active", lambda: plant.configure(settings))
     plant.deactivate()
-    for verb, call in (
-        ("activate", plant.activate),
-        ("read", plant.read),
-        ("write", lambda: plant.write(0, command)),
-    ):
+    for verb, call in (("activate", plant.activate), ("read", plant.read), ("write", lambda: plant.write(0, command))):
         yield from _must_refuse(f"{verb} after deactivate", call)
 
 
@@ -173,17 +169,8 @@ def _zero(plant: Plant, settings: Settings, amplitude: float) -> Iterator[str]:
 
 Rule = Callable[[Plant, Settings, float], Iterator[str]]
 RULES: Final[tuple[Rule, ...]] = (
-    _order,
-    _names,
-    _samples,
-    _own_samples,
-    _own_commands,
-    _shapes,
-    _finite,
-    _way_out,
-    _again,
-    _zero,
-)
+    _order, _names, _samples, _own_samples, _own_commands, _shapes, _finite, _way_out, _again, _zero,
+)  # fmt: skip
 _ZERO: Final[Array] = np.zeros(1)
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import errno
 import gc
 import math
 import os
@@ -37,9 +36,8 @@ Stop = Callable[[], bool]
 
 POLL: Final = 0.1  # seconds between looks at `stop` while nothing happens
 PRIORITY: Final = 50
-_TIMER_ABSTIME: Final = 1
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4
-_SPIN_NS: Final = 500_000  # what time.sleep may be late
+_EARLY_NS: Final = 0 if sys.platform == "linux" else 500_000  # what time.sleep may be late where it is not exact
 _LIBC: Final = ctypes.CDLL(None) if sys.platform == "linux" else None
 _UNITS = {"rate": "samples per second", "watchdog": "seconds"}
 _LARGEST = 1e6
@@ -172,7 +170,11 @@ class LifeCycle:
 
 
 def check_command(command: Array, actuators: tuple[str, ...]) -> None:
-    """Refuse a command that is not one finite number for each actuator, shape (actuators,)."""
+    """Refuse a command that is not one finite number for each actuator, shape (actuators,).
+
+    Raises:
+        CommandError: it is not.
+    """
     if np.shape(command) != (len(actuators),):
         names = ", ".join(actuators)
         message = f"the command has shape {np.shape(command)}; give ({len(actuators)},), one number for each of {names}"
@@ -217,17 +219,9 @@ class Deadlines:
         return self._start + int(self._tick * self._period)
 
 
-class _Timespec(ctypes.Structure):
-    _fields_ = (("tv_sec", ctypes.c_long), ("tv_nsec", ctypes.c_long))
-
-
 def _sleep_until(instant: int) -> None:
-    """Sleep until an instant, ns of the monotonic clock; a signal may end the sleep early."""
-    if _LIBC is not None:
-        moment = _Timespec(*divmod(instant, 1_000_000_000))
-        if _LIBC.clock_nanosleep(time.CLOCK_MONOTONIC, _TIMER_ABSTIME, ctypes.byref(moment), None) in (0, errno.EINTR):
-            return
-    time.sleep(max(0, instant - time.monotonic_ns() - _SPIN_NS) * 1e-9)
+    """Sleep until an instant, ns of the monotonic clock."""
+    time.sleep(max(0, instant - time.monotonic_ns() - _EARLY_NS) * 1e-9)
     while time.monotonic_ns() < instant:
         pass
 

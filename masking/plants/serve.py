@@ -52,7 +52,6 @@ RESERVED: Final = 10.0  # seconds that a controller may take from configure to a
 SILENT_START: Final = 10.0  # seconds of the plant's clock until the first command; the outputs are zero meanwhile
 MOST: Final = 1000  # datagrams that are looked at in one tick
 CHUNK: Final = 4096  # rows
-_LARGEST_DATAGRAM: Final = 65_535
 _FIXED: Final = ("t", "tick", "wall", "late", "fresh", "latched")
 
 
@@ -341,7 +340,7 @@ class _Server:
                 return
             wait = 0.0
             try:
-                datagram, address = self.line.recvfrom(_LARGEST_DATAGRAM)
+                datagram, address = self.line.recvfrom(wire.LARGEST_DATAGRAM)
                 yield wire.decode(datagram), address
             except WireError as error:
                 if counters is not None:
@@ -360,11 +359,11 @@ class _Server:
         kind: Kind,
         index: int = 0,
         *,
-        values: Array | None = None,
+        values: Array = wire.NO_VALUES,
         text: str = "",
     ) -> None:
         """Send a frame; one that cannot go out is dropped, as the net might."""
-        datagram = wire.encode(kind, number, index, values=np.empty(0) if values is None else values, text=text)
+        datagram = wire.encode(kind, number, index, values=values, text=text)
         with contextlib.suppress(OSError):
             self.line.sendto(datagram, address)
 

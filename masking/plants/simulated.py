@@ -71,7 +71,11 @@ class SimulatedPlant:
         return Sample(self._tick, self._readings.copy())
 
     def write(self, index: int, command: Array) -> None:
-        """Let the rig move by one sample, and this command (actuators,) act after the delay."""
+        """Let the rig move by one sample, and this command (actuators,) act after the delay.
+
+        Raises:
+            CommandError: it is not one finite number for each actuator, or nothing was read.
+        """
         self._life.need_active("write")
         check_command(command, self.actuators)
         if self._tick < 0:

@@ -9,8 +9,6 @@ import time
 from collections import Counter
 from typing import NoReturn, final
 
-import numpy as np
-
 from masking.errors import PlantLostError, PlantMismatchError, PlantRefusedError, WireError
 from masking.numerics.arrays import Array
 from masking.plants import wire
@@ -20,7 +18,6 @@ from masking.plants.wire import Frame, Kind
 TRY = 0.25  # seconds before a request is sent again
 LOCKSTEP_TIMEOUT = 5.0  # seconds; a plant in lockstep answers when it is ready
 PERIODS = 20  # samples of silence after which a plant is lost
-_LARGEST_DATAGRAM = 65_535
 
 
 @final
@@ -177,7 +174,7 @@ class UdpPlant:
         gone: ConnectionError | None = None  # the socket reports it before the plant's last words
         while self._waits(0.0 if gone else until - time.monotonic()):
             try:
-                frame = wire.decode(self._open.recv(_LARGEST_DATAGRAM))
+                frame = wire.decode(self._open.recv(wire.LARGEST_DATAGRAM))
             except WireError as error:
                 self.counters[error.cause] += 1
             except BlockingIOError:  # a datagram whose own check sum was wrong
@@ -196,8 +193,8 @@ class UdpPlant:
         """Tell whether a datagram waits to be read, or comes within a number of seconds."""
         return bool(select.select([self._open], [], [], max(0.0, wait))[0])
 
-    def _send(self, kind: Kind, index: int = 0, values: Array | None = None, *, text: str = "") -> None:
-        datagram = wire.encode(kind, self._session, index, values=np.empty(0) if values is None else values, text=text)
+    def _send(self, kind: Kind, index: int = 0, values: Array = wire.NO_VALUES, *, text: str = "") -> None:
+        datagram = wire.encode(kind, self._session, index, values=values, text=text)
         try:
             self._open.send(datagram)
         except ConnectionError as error:

@@ -36,9 +36,10 @@ from masking.plants.interface import Settings
 MAGIC: Final = b"MSKG"
 VERSION: Final = 1
 LARGEST: Final = 60_000  # bytes of a payload that a datagram can carry
+LARGEST_DATAGRAM: Final = 65_535  # bytes that are received
 _HEADER: Final = struct.Struct("<4sBBHQQQI")
 _CHECK: Final = struct.Struct("<I")
-_NO_VALUES: Final[Array] = np.empty(0)
+NO_VALUES: Final[Array] = np.empty(0)
 _U64: Final = 2**64
 
 
@@ -74,7 +75,7 @@ class Frame:
     text: str
 
 
-def encode(kind: Kind, session: int, index: int = 0, *, values: Array = _NO_VALUES, text: str = "") -> bytes:
+def encode(kind: Kind, session: int, index: int = 0, *, values: Array = NO_VALUES, text: str = "") -> bytes:
     """Write a frame, stamped with this moment.
 
     Args:
@@ -126,7 +127,7 @@ def decode(datagram: bytes) -> Frame:
             text = str(body[_HEADER.size :], "utf-8")
         except UnicodeDecodeError:
             raise WireError("malformed", "the text is not UTF-8") from None
-        return Frame(kind, session, index, sent, _NO_VALUES, text)
+        return Frame(kind, session, index, sent, NO_VALUES, text)
     values = np.frombuffer(body, "<f8", count, _HEADER.size).astype(np.float64)
     if kind is Kind.COMMAND and not np.isfinite(values).all():
         raise WireError("nonfinite", "a command is not finite")

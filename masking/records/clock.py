@@ -194,6 +194,3 @@ def _longest(t: Array, ends: list[int], name: str) -> str:
         for at, given in ((a, whole.start), (b, whole.end))
     )
     return f", such as {whole.file}{MARK}{start}:{end}"
-
-
-__all__ = ["rate"]

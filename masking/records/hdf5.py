@@ -67,6 +67,3 @@ def _is_number_of_matlab(held: h5py.Dataset) -> bool:
         return False
     known = held.attrs.get("MATLAB_class", b"double")
     return (known.decode() if isinstance(known, bytes) else str(known)) in _MATLAB
-
-
-__all__ = ["is_hdf5", "read"]

@@ -45,7 +45,13 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 def write(stream: BinaryIO, columns: Mapping[str, NDArray[np.float64]], manifest: bytes) -> None:
-    """Write equally long, contiguous float64 columns and the manifest text as one zstd-compressed parquet table."""
+    """Write equally long, contiguous float64 columns and the manifest text as one zstd-compressed parquet table.
+
+    Args:
+        stream: what is written to.
+        columns: (samples,) each.
+        manifest: JSON.
+    """
     # From buffers: pa.array() would look whether its argument is a pandas object and import pandas for that (0.4 s).
     arrays = [pa.Array.from_buffers(pa.float64(), len(c), [None, pa.py_buffer(c)]) for c in columns.values()]
     schema = pa.schema([(name, pa.float64()) for name in columns], metadata={MANIFEST_KEY: manifest})
@@ -54,7 +60,11 @@ def write(stream: BinaryIO, columns: Mapping[str, NDArray[np.float64]], manifest
 
 
 def read(path: Path) -> tuple[dict[str, NDArray[np.float64]], bytes | None]:
-    """Read every column of a parquet file as float64 (a null becomes NaN), and the manifest text if there is one."""
+    """Read every column of a parquet file as float64 (a null becomes NaN), and the manifest text if there is one.
+
+    Raises:
+        RecordError: it cannot be read, or is no table of numbers.
+    """
     try:
         with path.open("rb") as stream:
             is_parquet = stream.read(len(_MAGIC)) == _MAGIC

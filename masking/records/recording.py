@@ -92,8 +92,15 @@ class Recording:
     def array(self, prefix: str, derivative: int = 0) -> NDArray[np.float64]:
         """Stack the columns of one prefix side by side.
 
-        prefix: "rig", "virtual", "ideal" or "input"; derivative: 0 for the coordinates, 1 for their velocities.
-        Returns shape (samples, channels), channels in the order of `names(prefix)`.
+        Args:
+            prefix: "rig", "virtual", "ideal" or "input".
+            derivative: 0 for the coordinates, 1 for their velocities.
+
+        Returns:
+            (samples, channels), channels in the order of `names(prefix)`.
+
+        Raises:
+            RecordError: there are no such columns.
         """
         names = self.names(prefix)
         if not names:
@@ -103,7 +110,11 @@ class Recording:
         return np.column_stack([self[f"{prefix}.{name}{primes}"] for name in names])
 
     def save(self, folder: str | Path) -> Path:
-        """Write both files into `folder`, made if need be, and return it; after an error the folder is as it was."""
+        """Write both files into `folder`, made if need be, and return it; after an error the folder is as it was.
+
+        Raises:
+            RecordError: it cannot be written.
+        """
         folder = Path(folder)
         text = _manifest_text({"format": FORMAT, **self.manifest})
         try:
@@ -121,6 +132,9 @@ class Recording:
 
         The manifest inside the table is what counts; a `manifest.json` beside it that is absent, broken or different
         is reported in `notes`.
+
+        Raises:
+            RecordError: it is no recording of ours, or damaged.
         """
         path = Path(path)
         if path.is_dir():

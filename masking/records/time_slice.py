@@ -88,6 +88,3 @@ class Part:
                 f"{step:.9g} s between samples"
             )
         return chosen
-
-
-__all__ = ["Part"]

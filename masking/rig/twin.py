@@ -7,7 +7,7 @@ it becomes one system of ordinary differential equations with held commands, and
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -63,12 +63,18 @@ class Twin:
         base: the model that it names.
         changes: what an experiment changes of its effects, by their names.
         chosen: values of parameters of effects in sensors and actuators at one place, such as `offset_s1_e0`.
+        built: what is known of it from the twin that it was made from, by the name of the property.
     """
 
     declaration: schema.PlantDeclaration
     base: schema.ModelDeclaration
     changes: Mapping[str, schema.EffectChange] = field(default_factory=dict)
     chosen: Mapping[str, float] = field(default_factory=dict)
+    built: InitVar[Mapping[str, object] | None] = None
+
+    def __post_init__(self, built: Mapping[str, object] | None) -> None:
+        for name, value in (built or {}).items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Twin:
@@ -81,13 +87,13 @@ class Twin:
         gone = {effect.path.removeprefix("effects.") for effect in self._of("element")}
         kept = {name: use for name, use in self.declaration.effects.items() if name not in gone}
         changes = {name: change for name, change in self.changes.items() if name in kept}
-        if name_or_path is None:
-            own = {name: value for name, value in self.declaration.parameters.items() if name in self.base.parameters}
-            plant = self.declaration.model_copy(update={"effects": kept, "parameters": own})
-            return replace(self, declaration=plant, changes=changes)
-        changed = {"model": str(name_or_path), "effects": kept, "parameters": {}}
-        plant = self.declaration.model_copy(update=changed)
-        return replace(self, declaration=plant, base=registry.load_model(name_or_path), changes=changes)
+        own = {name: value for name, value in self.declaration.parameters.items() if name in self.base.parameters}
+        changed: dict[str, object] = {"effects": kept, "parameters": own}
+        base = self.base
+        if name_or_path is not None:
+            base = registry.load_model(name_or_path)
+            changed |= {"model": str(name_or_path), "parameters": {}}
+        return replace(self, declaration=self.declaration.model_copy(update=changed), base=base, changes=changes)
 
     def equation_parameters(self) -> tuple[str, ...]:
         """Return the parameters of the model that its equations hold, without those of effects.
@@ -192,9 +198,8 @@ class Twin:
     def changed(self, changes: Mapping[str, schema.EffectChange]) -> Twin:
         """Return the twin with other changes; elements whose parameters stay are not attached anew."""
         made = replace(self, changes=changes)
-        if [e.parameters for e in made._of("element")] == [e.parameters for e in self._of("element")]:
-            vars(made)["attached"] = self.attached
-        return made
+        is_same = [e.parameters for e in made._of("element")] == [e.parameters for e in self._of("element")]
+        return replace(made, built={"attached": self.attached, "effects": made.effects}) if is_same else made
 
     def unrounded(self) -> Twin:
         """Return the twin with sensors that do not round.
@@ -325,9 +330,8 @@ class Twin:
         model = {name: value for name, value in values.items() if self.parameter_names[name] is None}
         chain = {name: value for name, value in values.items() if self.parameter_names[name] is not None}
         plant = self.declaration.model_copy(update={"parameters": {**self.declaration.parameters, **model}})
-        made = replace(self, declaration=plant, chosen={**self.chosen, **chain})
-        vars(made).update(dictionary=self.dictionary, attached=self.attached, kernels=self.kernels)
-        return made
+        built = {"dictionary": self.dictionary, "attached": self.attached, "kernels": self.kernels}
+        return replace(self, declaration=plant, chosen={**self.chosen, **chain}, built=built)
 
     @property
     def _chain(self) -> list[PlacedEffect]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -93,25 +93,18 @@ class Budget:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the budget as JSON can hold it; `change` is that of the rms of chi."""
+        whole = self.whole
 
         def entry(row: Row) -> dict[str, Any]:
-            change = 0.0 if row.rms == self.whole.rms else row.rms - self.whole.rms
-            return {
-                "cause": row.cause,
-                "effects": [*row.effects],
-                "chi": dict(row.chi),
-                "worst": row.worst,
-                "rms": row.rms,
-                "change": change,
-                "remedy": row.remedy,
-                "note": row.note,
-            }
+            change = 0.0 if row.rms == whole.rms else row.rms - whole.rms  # both may be infinite
+            facts = {**asdict(row), "effects": [*row.effects]}
+            return {**facts, "worst": row.worst, "rms": row.rms, "change": change}
 
         return {
             "sentence": self.sentence,
-            "chi": dict(self.whole.chi),
-            "worst": self.whole.worst,
-            "rms": self.whole.rms,
+            "chi": dict(whole.chi),
+            "worst": whole.worst,
+            "rms": whole.rms,
             "rows": [entry(row) for row in self.rows],
             "without_all": entry(self.without_all),
         }
@@ -257,7 +250,7 @@ class _Bench:
         sampled = loop.sampled
         return run_twin(
             loop,
-            np.zeros(len(sampled.end)) if sampled.homing else sampled.end,
+            sampled.start,
             duration=experiment.declaration.duration * experiment.time_scale,
             seed=experiment.declaration.seed,
             every=experiment.every * round(sampled.rate / self.rate),

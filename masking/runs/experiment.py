@@ -7,8 +7,8 @@ import platform
 import subprocess
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from masking.control.blocks import Transform, check_actuation
 from masking.control.closed_loop import ClosedLoop
 from masking.control.instruments import Instruments
 from masking.control.law import Controller
-from masking.control.observer import Differences, Disturbance, Kalman, Observer
+from masking.control.observer import Differences, Kalman, Observer
 from masking.control.sampled import SampledController, SampledLoop
 from masking.declaration import cross_checks, registry, schema
 from masking.errors import DeclarationError, ModelError, Problem
@@ -28,8 +28,9 @@ from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
 from masking.rig.twin import PlacedEffect, Twin
-from masking.runs.offline import TwinRun, rig_state, run_continuous, run_sampled, run_twin
-from masking.runs.stopping import SYNCHRONISED, StopCondition, cut
+from masking.runs.columns import Columns
+from masking.runs.offline import Run, TwinRun, cut, rig_state, run_continuous, run_sampled, run_twin
+from masking.runs.stopping import SYNCHRONISED, StopCondition
 
 # Rows per unit of virtual time in the record of a continuous run, by default.
 ROWS_PER_UNIT = 10
@@ -138,9 +139,7 @@ class Experiment:
         settings = self.observer_settings
         if settings.kind == "differences":
             return Differences()
-        if settings.kind == "kalman":
-            return Kalman(settings.bandwidth)
-        return Disturbance(settings.order, settings.bandwidth)
+        return Kalman(0 if settings.kind == "kalman" else settings.order, settings.bandwidth)
 
     @cached_property
     def instruments(self) -> Instruments:
@@ -150,7 +149,11 @@ class Experiment:
 
     @cached_property
     def sampled(self) -> SampledController:
-        """Return the sampled controller, with the initial state to which it brings the rig."""
+        """Return the sampled controller, with the initial state to which it brings the rig.
+
+        Raises:
+            ModelError: homing is to end in an initial state that moves.
+        """
         settings = self.declaration.controller
         made = SampledController(
             self.controller,
@@ -234,74 +237,63 @@ class Experiment:
             SingularityError: the decoupling matrix became singular on the way.
             IntegrationError: the run could not go on.
         """
-        clock = time.perf_counter()
-        problems = (
-            self._check_size() if self.is_compiled else [*self._check_size(), *registry.check_units(self.assembly)]
-        )
+        stages = [time.perf_counter()]
+        problems = [*self._check_size(), *([] if self.is_compiled else registry.check_units(self.assembly))]
         if problems:
             raise DeclarationError(problems)
-        if self.has_observer:
-            return self._run_sampled(clock, progress)
-        declaration, time_scale = self.declaration, self.time_scale
-        rate = declaration.controller.rate
-        for name in ("transform", "along", "solve_runge_kutta" if rate is None else "run_sampled"):
-            getattr(self.loop.kernels, name).prepare()
-        getattr(self.virtual.kernels, f"solve_{self.virtual.kernels.meta['method']}").prepare()
-        compiled = time.perf_counter()
-        initial = self.virtual.initial_state(declaration.initial)
-        internal = [state.initial for state in self.plant.declaration.states.values()]
-        state = np.concatenate([rig_state(self.loop, initial), internal])
-        duration = declaration.duration * time_scale
-        prepared = time.perf_counter()
-        if rate is None:
-            times = np.linspace(0.0, duration, max(2, round(ROWS_PER_UNIT * declaration.duration) + 1))
-            if declaration.record:
-                times = np.arange(int(duration * declaration.record.rate * (1.0 + 1e-12)) + 1) / declaration.record.rate
-            run = run_continuous(self.loop, state, times, tolerance=declaration.tolerance, progress=progress)
-        else:
-            run = run_sampled(self.loop, state, rate=rate, duration=duration, every=self.every, progress=progress)
-        row = self.stop_condition.row(run.virtual) if self.stop_condition else None
+        self._prepare_kernels()
+        stages.append(time.perf_counter())
+        simulate = self._sampled_run() if self.has_observer else self._exact_run()
+        stages.append(time.perf_counter())
+        run, condition = simulate(progress=progress), self.stop_condition
+        row = condition.row(self._seen(run)) if condition else None
         run = run if row is None else cut(run, row + 1)
-        ran = time.perf_counter()
-        ideal = self._ideal(run.times)
-        commands = run.inputs @ self.instruments.allocation_inverse.T
-        columns = Columns(self).add_motion(run.times, run.rig, run.virtual, ideal).add_actuators("input", commands)
-        timing = {
-            "compilation": compiled - clock,
-            "preparation": prepared - compiled,
-            "run": ran - prepared,
-            "ideal": time.perf_counter() - ran,
-        }
-        return self._record(columns, timing, is_stopped=row is not None)
+        stages.append(time.perf_counter())
+        columns = self.sampled_columns(run) if isinstance(run, TwinRun) else self._exact_columns(run)
+        stages.append(time.perf_counter())
+        timing = zip(("compilation", "preparation", "run", "ideal"), np.diff(stages).tolist(), strict=True)
+        return self._record(columns, dict(timing), is_stopped=row is not None)
 
-    def _run_sampled(self, clock: float, progress: Callable[[float], None] | None) -> Recording:
-        declaration, sampled = self.declaration, self.sampled
-        self.sampled_loop.kernels.run.prepare()
-        for name in ("transform", "transforms", "still"):
-            getattr(sampled.kernels, name).prepare()
-        for name in ("sense", "twin_derivative"):
-            getattr(self.twin.kernels, name).prepare()
-        getattr(self.virtual.kernels, f"solve_{self.virtual.kernels.meta['method']}").prepare()
-        compiled = time.perf_counter()
-        start = np.zeros(len(sampled.end)) if sampled.homing else sampled.end
-        _ = sampled.gain
-        prepared = time.perf_counter()
+    def _prepare_kernels(self) -> None:
+        """Compile or load what a run calls."""
+        virtual = self.virtual.kernels
+        wanted = [(virtual, [f"solve_{virtual.meta['method']}"])]
+        if self.has_observer:
+            wanted.append((self.sampled_loop.kernels, ["run"]))
+            wanted.append((self.sampled.kernels, ["transform", "transforms", "still"]))
+            wanted.append((self.twin.kernels, ["sense", "twin_derivative"]))
+        else:
+            solve = "solve_runge_kutta" if self.declaration.controller.rate is None else "run_sampled"
+            wanted.append((self.loop.kernels, ["transform", "along", solve]))
+        for kernels, names in wanted:
+            for name in names:
+                getattr(kernels, name).prepare()
+
+    def _exact_run(self) -> Callable[..., Run]:
+        """Return the run of a controller that knows the true state, ready to be started."""
+        declaration, rate = self.declaration, self.declaration.controller.rate
+        internal = [state.initial for state in self.plant.declaration.states.values()]
+        state = np.concatenate([rig_state(self.loop, self.virtual.initial_state(declaration.initial)), internal])
         duration = declaration.duration * self.time_scale
-        run = run_twin(
-            self.sampled_loop, start, duration=duration, seed=declaration.seed, every=self.every, progress=progress
+        if rate is not None:
+            return partial(run_sampled, self.loop, state, rate=rate, duration=duration, every=self.every)
+        times = np.linspace(0.0, duration, max(2, round(ROWS_PER_UNIT * declaration.duration) + 1))
+        if declaration.record:
+            times = np.arange(int(duration * declaration.record.rate * (1.0 + 1e-12)) + 1) / declaration.record.rate
+        return partial(run_continuous, self.loop, state, times, tolerance=declaration.tolerance)
+
+    def _sampled_run(self) -> Callable[..., TwinRun]:
+        """Return the run of a controller with an observer, ready to be started."""
+        declaration, sampled = self.declaration, self.sampled
+        _ = sampled.gain
+        duration = declaration.duration * self.time_scale
+        return partial(
+            run_twin, self.sampled_loop, sampled.start, duration=duration, seed=declaration.seed, every=self.every
         )
-        # What ends it is what the controller takes for the motion, as on a rig.
-        row = self.stop_condition.row(self._virtual(run.times, run.estimates)) if self.stop_condition else None
-        run = run if row is None else cut(run, row + 1)
-        ran = time.perf_counter()
-        columns = self.sampled_columns(run)
-        timing = {
-            "compilation": compiled - clock,
-            "preparation": prepared - compiled,
-            "run": ran - prepared,
-            "ideal": time.perf_counter() - ran,
-        }
-        return self._record(columns, timing, is_stopped=row is not None)
+
+    def _seen(self, run: Run | TwinRun) -> Array:
+        """Return the virtual motion that may end a run: what the controller takes for it, as on a rig."""
+        return self._virtual(run.times, run.estimates) if isinstance(run, TwinRun) else run.virtual
 
     def _virtual(self, times: Array, states: Array) -> Array:
         """Return the virtual coordinates and velocities (m, 2 k) of the rig's states (m, .)."""
@@ -312,12 +304,20 @@ class Experiment:
     def sampled_columns(self, run: TwinRun) -> Columns:
         """Return the columns of a sampled run; where a rig's true states are not known, `states` are estimates."""
         times, states = run.times, run.states
-        columns = Columns(self).add_motion(times, states, self._virtual(times, states), self._ideal(times))
+        columns = self._columns().add_motion(times, states, self._virtual(times, states), self._ideal(times))
         columns.add_sensors(run.readings)
         columns.add_actuators("input", run.applied).add_actuators("demanded", run.demanded)
         if self.assembly.plant.limits.power is not None:
             columns.add_power(run.power)
         return columns
+
+    def _exact_columns(self, run: Run) -> Columns:
+        commands = run.inputs @ self.instruments.allocation_inverse.T
+        columns = self._columns().add_motion(run.times, run.rig, run.virtual, self._ideal(run.times))
+        return columns.add_actuators("input", commands)
+
+    def _columns(self) -> Columns:
+        return Columns(self.assembly, self.plant, self.virtual)
 
     @property
     def every(self) -> int:
@@ -424,58 +424,6 @@ class Experiment:
             "masking_error": dict(chi),
             "timing": dict(timing),
         }
-
-
-@dataclass
-class Columns:
-    """The columns of a recording, each with its unit and meaning, while they are gathered."""
-
-    experiment: Experiment
-    columns: dict[str, Array] = field(default_factory=dict)
-    units: dict[str, dict[str, str]] = field(default_factory=dict)
-
-    def add(self, name: str, values: Array, unit: str, meaning: str) -> None:
-        """Add one column (m,)."""
-        self.columns[name] = np.ascontiguousarray(values)
-        self.units[name] = {"unit": unit, "meaning": meaning}
-
-    def add_motion(self, times: Array, rig: Array, virtual: Array, ideal: Array) -> Columns:
-        """Add time, and coordinates and velocities of the rig, the virtual system and the ideal."""
-        self.add("t", times, "s", "time")
-        experiment = self.experiment
-        for prefix, model, states in (
-            ("rig", experiment.plant, rig),
-            ("virtual", experiment.virtual, virtual),
-            ("ideal", experiment.virtual, ideal),
-        ):
-            n = len(model.coordinates)
-            for i, (name, coordinate) in enumerate(model.declaration.coordinates.items()):
-                unit = "1" if model.is_dimensionless else model.units.conversions[coordinate.unit].si
-                rate = unit if model.is_dimensionless else f"{unit}/s"
-                self.add(f"{prefix}.{name}", states[:, i], unit, coordinate.meaning)
-                self.add(f"{prefix}.{name}'", states[:, n + i], rate, f"rate of {name}")
-        return self
-
-    def add_sensors(self, readings: Array) -> Columns:
-        """Add the readings (m, sensors)."""
-        for i, (name, sensor) in enumerate(self.experiment.assembly.plant.sensors.items()):
-            self.add(f"sensor.{name}", readings[:, i], sensor.unit, sensor.meaning)
-        return self
-
-    def add_actuators(self, prefix: str, commands: Array) -> Columns:
-        """Add commands (m, actuators) as `input`, what was applied, or as `demanded`, before limits."""
-        assembly = self.experiment.assembly
-        ports: Mapping[str, schema.Actuator | schema.Input] = assembly.plant.actuators or assembly.plant_model.inputs
-        for i, (name, port) in enumerate(ports.items()):
-            meaning = port.meaning if prefix == "input" else f"demanded of {name}"
-            self.add(f"{prefix}.{name}", commands[:, i], port.unit, meaning)
-        return self
-
-    def add_power(self, power: Array) -> Columns:
-        """Add the mean power of each actuator (m, actuators), W."""
-        for i, name in enumerate(self.experiment.twin.actuators):
-            self.add(f"power.{name}", power[:, i], "W", f"mean power of {name}")
-        return self
 
 
 def _commit(files: Mapping[str, str]) -> str | None:

@@ -24,7 +24,8 @@ from masking.errors import DeclarationError, IntegrationError, MaskingError, Pro
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME
 from masking.runs.experiment import Experiment
-from masking.runs.offline import INVERTIBLE, rig_state
+from masking.runs.offline import rig_state
+from masking.runs.stopping import INVERTIBLE
 
 if TYPE_CHECKING:
     from scipy import signal
@@ -42,6 +43,11 @@ BISECTED = 1e-4
 SLOWER = tuple(2.0 ** (i / 4) for i in range(1, 25))
 FASTER = tuple(2.0 ** (-i / 4) for i in range(1, 17))
 SMALLER = tuple(2.0 ** (-i / 2) for i in range(1, 17))
+
+What = Literal["time_scale", "transform", "initial"]
+LADDERS: Mapping[What, Sequence[Sequence[float]]] = {
+    "time_scale": (SLOWER, FASTER), "transform": (SMALLER,), "initial": (SMALLER,),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,7 @@ class Mend:
             those that are passed under the factor that comes nearest.
     """
 
-    what: Literal["time_scale", "transform", "initial"]
+    what: What
     factor: float | None
     shown: float | None = None
     left: tuple[Use, ...] = ()
@@ -208,24 +214,8 @@ def feasibility(experiment: Experiment) -> Feasibility:
     if all(use.fits for use in uses):
         return Feasibility(experiment.declaration.name, uses, (), notes)
 
-    def trial(make: Callable[[float], Change]) -> Callable[[float], tuple[Use, ...] | None]:
-        return lambda factor: motion.attempt(make(factor), rows)
-
-    mends = (
-        _mend("time_scale", trial(lambda s: Change(time=s)), (SLOWER, FASTER), uses),
-        _mend("transform", trial(lambda s: Change(stroke=s)), (SMALLER,), uses),
-        _mend("initial", trial(lambda s: Change(amplitude=s)), (SMALLER,), uses),
-    )
+    mends = tuple(_mend(motion, what, rows, uses) for what in LADDERS)
     return Feasibility(experiment.declaration.name, uses, mends, notes)
-
-
-@dataclass(frozen=True)
-class Change:
-    """Factors of the time scale, of the stroke that the transform uses, and of the virtual initial state."""
-
-    time: float = 1.0
-    stroke: float = 1.0
-    amplitude: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -252,27 +242,21 @@ class Motion:
         """Return the uses of the limits, the rows of the simulation that show them, and whether these were enough."""
         rows = round(ROWS_PER_UNIT * self.experiment.declaration.duration)
         rows = min(MOST_ROWS, max(FEWEST_ROWS, rows)) + 1
-        uses = self.uses(Change(), rows)
+        uses = self.uses(rows)
         while 2 * rows <= MOST_ROWS:
             before, rows = uses, 2 * rows - 1
-            uses = self.uses(Change(), rows)
+            uses = self.uses(rows)
             if all(new.needed - old.needed <= TOLERANCE * new.limit for old, new in zip(before, uses, strict=True)):
                 return uses, rows, True
         return uses, rows, False
 
-    def attempt(self, change: Change, rows: int) -> tuple[Use, ...] | None:
-        """Return the uses of the limits under a change; None where the changed motion cannot be followed."""
-        try:
-            return self.uses(change, rows)
-        except MaskingError:
-            return None
-
-    def uses(self, change: Change, rows: int) -> tuple[Use, ...]:
+    def uses(self, rows: int, what: What = "time_scale", factor: float = 1.0) -> tuple[Use, ...]:
         """Return how much of each limit the motion uses.
 
         Args:
-            change: of the experiment.
             rows: instants at which the motion is looked at.
+            what: what is changed of the experiment.
+            factor: of the change.
 
         Raises:
             SingularityError: a matrix of the control law became singular on the way.
@@ -282,44 +266,51 @@ class Motion:
         experiment, plant = self.experiment, self.experiment.assembly.plant
         instruments = experiment.instruments
         table = instruments.limits()
-        times, states, inputs = self.simulate(change, rows)
+        times, states, inputs = self.simulate(rows, what, factor)
         commands = inputs @ instruments.allocation_inverse.T
         if not (np.isfinite(commands).all() and np.isfinite(states).all()):
             raise IntegrationError("the state or the inputs are no longer finite numbers")
-        found = []
+        found, sizes = [], experiment.twin.size
         for i, name in enumerate(instruments.actuators):
-            size = experiment.twin.size(plant.limits.inputs[name].unit) / experiment.twin.size(instruments.unit(name))
             declared = plant.limits.inputs[name]
+            size = sizes(declared.unit) / sizes(instruments.unit(name))
             peak = float(np.abs(commands[:, i]).max())
             found.append(Use(name, "command", peak / size, table[i, LARGEST] / size, declared.unit))
         power = plant.limits.power
         for i, name in enumerate(instruments.actuators):
             if power is not None and table[i, HEATING] > 0.0:
-                size = experiment.twin.size(power.unit)
+                size = sizes(power.unit)
                 mean = mean_power(table[i, HEATING] * commands[:, i] ** 2, times[1] - times[0], table[i, TIME])
                 found.append(Use(name, "power", float(mean.max()) / size, table[i, POWER] / size, power.unit))
         n = len(experiment.plant.coordinates)
         names = [*experiment.plant.coordinates, *(f"{c}'" for c in experiment.plant.coordinates)]
         columns = experiment.plant.parameter_values() | dict(zip(names, states[:, : 2 * n].T, strict=True))
         for expression, limit in plant.limits.coordinates.items():
-            peak = float(np.abs(evaluate(expression, columns)).max()) / experiment.twin.size(limit.unit)
+            peak = float(np.abs(evaluate(expression, columns)).max()) / sizes(limit.unit)
             found.append(Use(expression.text, "coordinate", peak, limit.max, limit.unit))
         return tuple(found)
 
-    def simulate(self, change: Change, rows: int) -> tuple[Array, Array, Array]:
-        """Return times of the rig (rows,), its states (rows, .) in SI units and its inputs (rows, inputs)."""
+    def simulate(self, rows: int, what: What, factor: float) -> tuple[Array, Array, Array]:
+        """Return times of the rig (rows,), its states (rows, .) in SI units and its inputs (rows, inputs).
+
+        Args:
+            rows: of the simulation.
+            what: the seconds per unit of virtual time, the stroke that the transform uses, or all initial values.
+            factor: by which it is multiplied.
+        """
+        time, stroke, amplitude = (factor if what == one else 1.0 for one in LADDERS)
         experiment, loop = self.experiment, self.loop
         controller, n = loop.controller, len(loop.plant.coordinates)
-        start = change.amplitude * experiment.virtual.initial_state(experiment.declaration.initial)
-        state = rig_state(loop, start) * change.stroke
-        state[n:] /= change.time
+        start = amplitude * experiment.virtual.initial_state(experiment.declaration.initial)
+        state = rig_state(loop, start) * stroke
+        state[n:] /= time
         internal = [declared.initial for declared in loop.plant.declaration.states.values()]
-        changed = replace(controller, time_scale=controller.time_scale * change.time)
+        changed = replace(controller, time_scale=controller.time_scale * time)
         p = replace(loop, controller=changed).values()
         # The transform sees rig coordinates by these lengths, which follow three other parts of the parameter array.
         before = (controller.model.values(), controller.virtual.values(), controller.transform.parameters)
         first = sum(len(part) for part in before)
-        p[first : first + n] *= change.stroke
+        p[first : first + n] *= stroke
         times = np.linspace(0.0, experiment.declaration.duration * changed.time_scale, rows)
         found = loop.kernels.integrate(
             times,
@@ -376,23 +367,18 @@ class _Columns:
         return np.asarray(np.frompyfunc(number, len(args), 1)(*args), dtype=float)
 
 
-def _mend(
-    what: Literal["time_scale", "transform", "initial"],
-    uses: Callable[[float], tuple[Use, ...] | None],
-    ladders: Iterable[Sequence[float]],
-    unchanged: tuple[Use, ...],
-) -> Mend:
+def _mend(motion: Motion, what: What, rows: int, unchanged: tuple[Use, ...]) -> Mend:
     """Search the factor nearest to 1 that makes a motion fit, ladder by ladder."""
     tried = [unchanged]
 
     def fits(factor: float) -> bool:
-        found = uses(factor)
-        if found is None:
+        try:
+            tried.append(motion.uses(rows, what, factor))
+        except MaskingError:  # the changed motion cannot be followed
             return False
-        tried.append(found)
-        return _worst(found) <= 1.0 + 0.01 * TOLERANCE
+        return _worst(tried[-1]) <= 1.0 + 0.01 * TOLERANCE
 
-    for ladder in ladders:
+    for ladder in LADDERS[what]:
         outside = 1.0
         for factor in ladder:
             if fits(factor):

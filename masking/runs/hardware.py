@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from masking.analysis.synchronisation import Watch
 from masking.control.sampled import Memory, SampledController
@@ -22,8 +22,8 @@ from masking.records.recording import Recording
 from masking.rig.twin import Twin
 from masking.runs.experiment import Experiment
 from masking.runs.offline import TwinRun
-from masking.runs.realtime import FAILED, FINISHED, LOST, REFUSED, STOPPED, RigRun, check_channels, every, run_rig
-from masking.runs.stopping import SYNCHRONISED
+from masking.runs.realtime import RigRun, check_channels, every, run_rig
+from masking.runs.stopping import FAILED, FINISHED, LOST, REFUSED, STOPPED, SYNCHRONISED
 
 WATCHDOG = 0.02
 _MEND = "run it on that plant, or write the plant that is there into it"
@@ -87,8 +87,7 @@ def run(
     """Run an experiment on a plant, from rest through the homing phase to the end.
 
     SIGINT, SIGTERM and SIGHUP end the run in order; what there is since the release is returned. The manifest's
-    `rig.end` says why the run ended: "finished", "synchronised", "interrupted", "stopped", "plant lost", "command
-    refused" or "failed".
+    `rig.end` says why the run ended, with one of `masking.runs.stopping.REASONS`.
 
     Args:
         experiment: with a sampled controller, an observer and a homing phase.
@@ -123,9 +122,8 @@ def run(
 
     def made(ran: RigRun) -> Recording:
         reason = keeper.reason if ran.reason in {STOPPED, FINISHED} and keeper.is_over else ran.reason
-        return experiment.record_rig(
-            keeper.rows(ran, experiment.every), lockstep=lockstep, outcome=_outcome(ran, reason)
-        )
+        outcome = {"end": reason, "counters": dict(ran.counters), **({"note": ran.note} if ran.note else {})}
+        return experiment.record_rig(keeper.rows(ran, experiment.every), lockstep=lockstep, outcome=outcome)
 
     def on_end(ran: RigRun) -> None:
         if ran.reason in {LOST, REFUSED, FAILED} and keep is not None and keeper.is_released:
@@ -173,14 +171,6 @@ def _prepare(sampled: SampledController) -> None:
     _ = sampled.gain
 
 
-def _outcome(ran: RigRun, reason: str) -> dict[str, object]:
-    """Return the manifest's entries for a run on a plant, and why it ended."""
-    outcome: dict[str, object] = {"end": reason, "counters": dict(ran.counters)}
-    if ran.note:
-        outcome["note"] = ran.note
-    return outcome
-
-
 @dataclass
 class _Watched:
     """What watches a run for synchronisation.
@@ -211,7 +201,7 @@ class _Watched:
         self.watch.step(float(self._virtual[first]), float(self._virtual[second]))
 
 
-@dataclass
+@final
 class _Keeper:
     """A sampled controller with a row for each of its steps.
 
@@ -222,20 +212,11 @@ class _Keeper:
         watched: what ends the run before that.
     """
 
-    sampled: SampledController
-    before: int
-    after: int
-    watched: _Watched | None = None
-    memory: Memory | None = None
-    first: int = 0
-    row: int = 0
-    estimates: Array = field(init=False)
-    demanded: Array = field(init=False)
-    power: Array = field(init=False)
-    index: NDArray[np.int64] = field(init=False)
-
-    def __post_init__(self) -> None:
-        sizes, samples = self.sampled.sizes, self.before + self.after
+    def __init__(self, sampled: SampledController, before: int, after: int, watched: _Watched | None) -> None:
+        self.sampled, self.before, self.after, self.watched = sampled, before, after, watched
+        self.memory: Memory | None = None
+        self.first, self.row = 0, 0
+        sizes, samples = sampled.sizes, before + after
         self.estimates = np.zeros((samples, sizes.states))
         self.demanded = np.zeros((samples, sizes.actuators))
         self.power = np.zeros((samples, sizes.actuators))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, fields, replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -13,14 +13,13 @@ from masking.codegen.kernels import Kernels, steps_between
 from masking.control.closed_loop import ClosedLoop
 from masking.control.law import Controller
 from masking.control.sampled import SampledLoop
-from masking.errors import IntegrationError, ModelError
+from masking.errors import ModelError
 from masking.numerics.arrays import Array
-from masking.numerics.stop_codes import NOT_FINITE, REACHED
+from masking.runs.stopping import check_status
 
 Progress = Callable[[float], None]
 
 PIECES = 100
-INVERTIBLE = "choose a transform that is invertible, and that the actuators can follow, over the whole motion"
 
 
 @dataclass(frozen=True)
@@ -61,6 +60,14 @@ class TwinRun:
     demanded: Array
     applied: Array
     power: Array
+
+
+_AnyRun = TypeVar("_AnyRun", bound=Run | TwinRun)
+
+
+def cut(run: _AnyRun, rows: int) -> _AnyRun:
+    """Return the first rows of a run."""
+    return replace(run, **{part.name: getattr(run, part.name)[:rows] for part in fields(run)})
 
 
 def run_continuous(
@@ -121,19 +128,14 @@ def run_sampled(
     out_y, out_u = np.empty((len(rows), len(state))), np.empty((len(rows), len(loop.plant.inputs)))
     y, u, p, first = np.array(state, dtype=float), np.zeros(out_u.shape[1]), loop.values(), 0.0
     bounds = [samples * piece // PIECES for piece in range(PIECES + 1)]
+    mend = f"sampled at {rate:g} Hz, inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
     for begin, end in itertools.pairwise(bounds):
         count = end - begin
         row = -(-begin // every)
         status, done, first = loop.kernels.run_sampled(
             begin, count, 1.0 / rate, substeps, every, y, u, p, first, out_y[row:], out_u[row:]
         )
-        if status == NOT_FINITE:
-            raise IntegrationError(
-                f"the masked rig became unstable and grew without bound by t = {(begin + done) / rate:.6g} s: sampled "
-                f"at {rate:g} Hz, inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
-            )
-        if status != REACHED:
-            loop.kernels.stop(status, (begin + done) / rate, y, INVERTIBLE)
+        check_status(loop.kernels, status, (begin + done) / rate, y, mend)
         if progress is not None:
             progress((begin + count) / samples)
     found = _complete(loop, rows / rate, out_y, p)
@@ -181,6 +183,7 @@ def run_twin(
     widths = (len(y), len(memory.x), len(twin.sensors), sizes.actuators, sizes.actuators)
     out = [np.empty((len(rows), width)) for width in widths]
     bounds = [-before + (samples + before) * piece // PIECES for piece in range(PIECES + 1)]
+    mend = "lower controller.observer.bandwidth, correct controller.model, or raise controller.rate"
     for begin, end in itertools.pairwise(bounds):
         count = end - begin
         if count == 0:
@@ -192,13 +195,7 @@ def run_twin(
             begin, count, 1.0 / rate, substeps, every, y, memory.x, p, memory.p, sampled.gain, sampled.limits, queue,
             noise, first, *(table[row:] for table in out),
         )  # fmt: skip
-        if status == NOT_FINITE:
-            raise IntegrationError(
-                f"the masked rig became unstable and grew without bound by t = {(begin + done) / rate:.6g} s: lower "
-                "controller.observer.bandwidth, correct controller.model, or raise controller.rate"
-            )
-        if status != REACHED:
-            kernels.stop(status, (begin + done) / rate, y, INVERTIBLE)
+        check_status(kernels, status, (begin + done) / rate, y, mend)
         noise = noise[:0]
         if progress is not None:
             progress((end + before) / (samples + before))

@@ -9,7 +9,7 @@ import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,15 +25,9 @@ from masking.plants.interface import (
     asked_to_stop,
     undisturbed,
 )
+from masking.runs.stopping import FAILED, FINISHED, INTERRUPTED, LOST, REFUSED, STOPPED
 
 Step = Callable[[int, Array], Array]
-
-FINISHED: Final = "finished"
-STOPPED: Final = "stopped"
-INTERRUPTED: Final = "interrupted"
-LOST: Final = "plant lost"
-REFUSED: Final = "command refused"
-FAILED: Final = "failed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +43,7 @@ class RigRun:
         applied: (m, actuators), what was written after the clamp.
         late: (m,), True where samples before this one were missed, or the tick began more than a period late.
         durations: (m,), seconds that the controller's step took.
-        reason: why it ended: "finished", "stopped", "interrupted", "plant lost", "command refused" or "failed".
+        reason: why it ended, one of `masking.runs.stopping.REASONS`.
         counters: ticks that were `late` and `clamped`, periods `missed`, and what the plant counted.
         note: what the machine did not permit, such as real-time priority; empty where there is nothing to say.
     """

@@ -1,23 +1,63 @@
-"""Stopping: the condition that ends a run before its planned end, offline and on a rig alike."""
+"""Stopping: why a run stopped, in words, and the condition that ends one before its planned end.
+
+A run on a rig ends for one of `REASONS`, the `rig.end` of its manifest. A simulated one that cannot go on raises what
+`check_status` makes of its kernel's status; `masking.numerics.stop_codes` has what each status means.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any, Final, TypeVar
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 
 from masking.analysis.synchronisation import Detector, period
 from masking.analysis.synchronisation.detector import PHASES
+from masking.codegen.kernels import Kernels
 from masking.declaration.schema import Stop
-from masking.errors import ModelError
+from masking.errors import IntegrationError, ModelError
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
-from masking.runs.offline import Run, TwinRun
+from masking.numerics.stop_codes import NOT_FINITE, REACHED
 
+FINISHED: Final = "finished"
 SYNCHRONISED: Final = "synchronised"
+STOPPED: Final = "stopped"
+INTERRUPTED: Final = "interrupted"
+LOST: Final = "plant lost"
+REFUSED: Final = "command refused"
+FAILED: Final = "failed"
+REASONS: Final = {
+    FINISHED: "its planned time has passed",
+    SYNCHRONISED: "the two coordinates of its stop condition have synchronised",
+    STOPPED: "whoever started it asked it to stop",
+    INTERRUPTED: "SIGINT, SIGTERM or SIGHUP came",
+    LOST: "the plant ended the session, or did not answer in time",
+    REFUSED: "the controller's command was not one finite number for each actuator",
+    FAILED: "an error was raised",
+}
+INVERTIBLE: Final = "choose a transform that is invertible, and that the actuators can follow, over the whole motion"
 _ROWS: Final = 2**15  # of the ideal motion, of which the period is taken
-_AnyRun = TypeVar("_AnyRun", Run, TwinRun)
+
+
+def check_status(kernels: Kernels, status: int, time: float, state: Array, mend: str) -> None:
+    """Raise what the status of a closed loop's kernel stands for, unless it reached its end.
+
+    Args:
+        kernels: of the closed loop.
+        status: one of `masking.numerics.stop_codes`.
+        time: at which it stopped, s.
+        state: at that time.
+        mend: what to do about a rig that became unstable.
+
+    Raises:
+        SingularityError: a matrix became singular; holds the state.
+        IntegrationError: the loop could not go on.
+    """
+    if status == NOT_FINITE:
+        raise IntegrationError(f"the masked rig became unstable and grew without bound by t = {time:.6g} s: {mend}")
+    if status != REACHED:
+        kernels.stop(status, time, state, INVERTIBLE)
 
 
 @dataclass(frozen=True)
@@ -95,8 +135,3 @@ class StopCondition:
             "resolution": detector.resolution,
             "duration": detector.duration,
         }
-
-
-def cut(run: _AnyRun, rows: int) -> _AnyRun:
-    """Return the first rows of a run."""
-    return replace(run, **{part.name: getattr(run, part.name)[:rows] for part in fields(run)})

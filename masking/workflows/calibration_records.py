@@ -27,7 +27,8 @@ from masking.plants.simulated import SimulatedPlant
 from masking.procedures.calibration_findings import HIGHEST, NAMES, PERIOD, Records, reached
 from masking.records.recording import MANIFEST, Recording
 from masking.rig.twin import Twin
-from masking.runs.realtime import FINISHED, check_channels, every, run_rig
+from masking.runs.realtime import check_channels, every, run_rig
+from masking.runs.stopping import FINISHED
 from masking.signals import Multisine, minimise_crest
 
 RATE: Final = 1000.0
