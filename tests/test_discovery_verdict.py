@@ -3,9 +3,11 @@
 import ast
 import inspect
 from dataclasses import fields, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from masking.discovery import rules as module
 from masking.discovery import verdict
@@ -59,6 +61,25 @@ def test_rules_do_not_contradict_each_other():
     assert RULES.gain_fraction < RULES.late_gain_fraction
     assert RULES.unexplained_fraction < RULES.small_unexplained_fraction
     assert RULES.indifferent < RULES.parameter_evidence < RULES.effect_evidence < RULES.separation
+
+
+def test_rules_do_not_take_a_linear_law_for_dry_friction_or_a_cubic_spring():
+    v = stats.norm.ppf((np.arange(200_000) + 0.5) / 200_000)  # Gaussian motion
+    for law, part in ((np.sign(v), 2.0 / np.pi), (v**3, 9.0 / 15.0)):
+        taken = (law @ v) ** 2 / (law @ law) / (v @ v)
+        assert taken == pytest.approx(part, rel=1e-3)
+        assert taken < RULES.late_gain_fraction
+        assert 1.0 - taken > RULES.unexplained_fraction
+    left = [1.0, *(_left_of(np.sign(v), v, degree) for degree in (1, 3, 5))]
+    gains = [1.0 - after / before for before, after in pairwise(left)]
+    assert gains[0] > gains[1] > RULES.gain_fraction > gains[2]
+
+
+def _left_of(law, v, degree):
+    """Return the part of the mean square of a law that odd powers of the rate up to a degree leave."""
+    powers = np.column_stack([v**n for n in range(1, degree + 1, 2)])
+    residual = law - powers @ np.linalg.lstsq(powers, law, rcond=None)[0]
+    return float(residual @ residual / (law @ law))
 
 
 @pytest.mark.parametrize(("cost", "said"), [(M, "none"), (0.999 * FLOOR, "none"), (1.001 * FLOOR, "unknown")])

@@ -330,8 +330,10 @@ def discoveries(rig):
         each = dict.fromkeys(rig.twin.sensors, 0.1)
         gap = SimulationError((each, each), (each, each), each, each, each)
         return Discovery(
-            "named", named, gap, 0.0, rig.twin, chosen, (chosen,), 1.0, found, problem, problem, base, known, base
-        )
+            verdict="named", twin=rig.twin, problem=problem, explanation=chosen, search=found, effects=named,
+            simulation_error=gap, unexplained=0.0, rivals=(chosen,), tempering=1.0, validation=problem,
+            before=base, after=known, adjusted=base,
+        )  # fmt: skip
 
     known = {}
     return lambda name: known.setdefault(name, known.get(name) or find(INSTANCES[name]))

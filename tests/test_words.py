@@ -122,7 +122,6 @@ def test_an_experiment_is_said_in_words(discoveries):
     assert said.startswith(f"a multisine of V1 up to {quantity(3.0 * most, 'V')}, V2 up to 10 mV and V3 up to ")
     assert ", 3 to 12 Hz, 30 s long, would tell dry friction in spring1 from Dahl friction in spring1" in said
     assert "{" not in said
-    assert "{" not in str(coming(found, most).next_experiment)
     lasting = discovery_text.sentence(coming(found, 3.0 * most, separation=0.0))
     assert lasting.endswith("No excitation that was tried can tell dry friction in spring1 from "
                             "Dahl friction in spring1")  # fmt: skip

@@ -109,8 +109,8 @@ class EffectInstance:
 class Equations:
     """Normal equations of a record: J^T W J (w, w), J^T W r (w,), squared residuals (sensors,), simulated readings.
 
-    Columns: parameters of the rig, free parameters of the effects, where their states begin, then what each window may
-    begin with, as `Twin.free` has it.
+    Columns: parameters of the rig, free parameters of the effects, where their states begin, then what each interval
+    may begin with, as `Twin.free` has it.
     """
 
     matrix: Array
@@ -192,7 +192,7 @@ class AugmentedModel:
 
     @property
     def begins(self) -> int:
-        """Return the number of states that a window of a record may begin with at any value."""
+        """Return the number of states that a shooting interval may begin with at any value."""
         return len(self.twin.free)
 
     @property

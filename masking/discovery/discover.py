@@ -6,7 +6,7 @@ and 16; the terms are physical effects with parameters and states of their own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -18,13 +18,13 @@ from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.composites import are_composite
 from masking.discovery.discovery import Discovery, Named, SimulationError
 from masking.discovery.explanation import Explanation
-from masking.discovery.fitting import Hypothesis
+from masking.discovery.fitting import Hypothesis, by_instance
 from masking.discovery.next_experiment import next_experiment
 from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.prior import prior_of, train_validation_split
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
-from masking.discovery.search import Search, SearchResult
+from masking.discovery.search import Search, SearchResult, Tell
 from masking.discovery.settings import DiscoverySettings
 from masking.discovery.verdict import Scored
 from masking.effects import ROUNDING
@@ -33,8 +33,6 @@ from masking.estimation.data import Data
 from masking.estimation.simulation import relative
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
-
-Tell = Callable[[str, float], None]
 
 
 def discover(
@@ -87,7 +85,7 @@ def discover(
 
 
 def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
-    """Return the errors that are left where held commands were measured; None where they are no smaller."""
+    """Return the errors with first-order hold of commands; None if they are no smaller."""
     if found.record.hold != "zero-order" or not found.twin.actuators:
         return None
     problem, known = found.problem, found.explanation.hypothesis
@@ -138,7 +136,7 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) ->
         before, after = fitting.validated(validation, declared), fitting.validated(validation, chosen.hypothesis)
     tempering = problem.tempering(chosen.hypothesis.residuals)
     excess, left = (verdict.excess_cost(one.cost, size) for one in (found.base, chosen))
-    rest = left / excess if excess > 0.0 else 0.0
+    unexplained = left / excess if excess > 0.0 else 0.0
     errors = SimulationError(
         (_chi(problem, declared), _chi(problem, chosen.hypothesis)),
         (_chi(validation, before), _chi(validation, after)),
@@ -147,7 +145,7 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) ->
         _chi(validation, adjusted),
     )
     scored = [_scored(rival, problem, tempering) for rival in rivals]
-    decision = verdict.decide(scored, rest, size, rules, composite=are_composite(chosen.names, rig, rules))
+    decision = verdict.decide(scored, unexplained, size, rules, composite=are_composite(chosen.names, rig, rules))
     effects, rounded = _causes(rig, rivals, tempering, scored, rules), _rounded(problem, chosen.hypothesis)
     answer = verdict.revised(
         decision,
@@ -164,8 +162,9 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) ->
             coming = next_experiment(problem, first.hypothesis, second.hypothesis, names_of, _limits(rig.twin))
     causes = (*effects, *(cause for cause, _ in rounded))
     return Discovery(
-        answer, causes, errors, rest, rig.twin, chosen, rivals, tempering, found, problem, validation, before, after,
-        adjusted, coming,
+        verdict=answer, twin=rig.twin, problem=problem, explanation=chosen, search=found, effects=causes,
+        simulation_error=errors, unexplained=unexplained, rivals=rivals, tempering=tempering, validation=validation,
+        before=before, after=after, adjusted=adjusted, next_experiment=coming,
     )  # fmt: skip
 
 
@@ -261,13 +260,11 @@ def _estimates(rig: AugmentedModel, explanation: Explanation, tempering: float) 
         ((name, _),) = explanation.names
         i = rig.names.index(name)
         return [{name: (float(hypothesis.theta[i]), float(deviations[i]))}]
-    found, used = [], len(rig.names)
-    for instance in hypothesis.instances:
-        own = deviations[used : used + len(instance.free)]
-        values = (float(instance.values[i]) for i in instance.free)
-        found.append(dict(zip(instance.names, zip(values, map(float, own), strict=True), strict=True)))
-        used += len(instance.free)
-    return found
+    parts = zip(hypothesis.instances, by_instance(hypothesis.instances, deviations[len(rig.names) :]), strict=True)
+    return [
+        {name: (float(x), float(std)) for name, x, std in zip(one.names, one.estimated, stds, strict=True)}
+        for one, stds in parts
+    ]
 
 
 def _causes(

@@ -6,20 +6,17 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.latent_force import Smoothed, smoothed
+from masking.discovery.latent_force import Explained
 from masking.discovery.localisation import Localisation, localise
 from masking.discovery.next_experiment import NextExperiment
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
-from masking.discovery.search import SearchResult
-from masking.discovery.verdict import Verdict, at_noise_floor, is_closed
+from masking.discovery.verdict import at_noise_floor, is_closed
 from masking.estimation.data import Data
 from masking.estimation.whiteness import Whiteness, whiteness
 from masking.numerics.arrays import Array
-from masking.rig.twin import Twin
 
 
 @dataclass(frozen=True)
@@ -61,7 +58,7 @@ class SimulationError:
         return at_noise_floor(self.validation[1].values(), self.validation_noise_floor.values(), readings, rules)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the gap as JSON can hold it."""
+        """Return the errors as JSON can hold it."""
         return {
             "estimation": {"before": self.estimation[0], "after": self.estimation[1]},
             "validation": {"before": self.validation[0], "after": self.validation[1]},
@@ -70,21 +67,16 @@ class SimulationError:
         }
 
 
-@dataclass(frozen=True, repr=False)
-class Discovery:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Discovery(Explained):
     """What was found.
 
     Args:
-        verdict: `none`, `parameter`, `named`, `ambiguous` or `unknown`.
         effects: causes, in the order in which they were found.
         simulation_error: before and after.
         unexplained: fraction of the excess cost that is left in the estimation record.
-        twin: the rig as its model declares it.
-        explanation: the one that was chosen.
-        rivals: the explanations that it was chosen from, itself first.
+        rivals: the explanations that the one was chosen from, itself first.
         tempering: factor by which costs were divided, see `EstimationProblem.tempering`.
-        search: the whole search.
-        problem: the record that was explained.
         validation: the estimation problem of the validation record.
         before, after: the model as declared and with the causes, on the validation record.
         adjusted: the model without causes, its parameters adjusted within their priors, on the validation record.
@@ -93,16 +85,11 @@ class Discovery:
             between samples; None unless that is far less than what was found leaves.
     """
 
-    verdict: Verdict
     effects: tuple[Named, ...]
     simulation_error: SimulationError
     unexplained: float
-    twin: Twin
-    explanation: Explanation
     rivals: tuple[Explanation, ...]
     tempering: float
-    search: SearchResult
-    problem: EstimationProblem
     validation: EstimationProblem
     before: Hypothesis
     after: Hypothesis
@@ -115,16 +102,6 @@ class Discovery:
         before, after = self.simulation_error.validation
         errors = ", ".join(f"{name} {before[name]:.2g} to {after[name]:.2g}" for name in after)
         return f"<Discovery: {self.verdict}{f', {causes}' if causes else ''}; error on unseen data: {errors}>"
-
-    @property
-    def rig(self) -> AugmentedModel:
-        """Return the rig with its places open."""
-        return self.problem.rig
-
-    @property
-    def record(self) -> Data:
-        """Return the record that was explained."""
-        return self.problem.record
 
     @property
     def validation_record(self) -> Data:
@@ -140,11 +117,6 @@ class Discovery:
     def whiteness(self) -> dict[str, Whiteness]:
         """Return the whiteness of the validation residual of each sensor."""
         return whiteness_of(self.validation, self.after.residuals)
-
-    @cached_property
-    def smoothed(self) -> Smoothed:
-        """Return the latent forces along the record, before and after the causes."""
-        return smoothed(self)
 
     @cached_property
     def localisation(self) -> Localisation:

@@ -6,7 +6,6 @@ is estimated. Source: as `masking.estimation.least_squares`.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -33,7 +32,7 @@ class Hypothesis:
     Args:
         instances: the effects with fitted values.
         theta: parameters of the rig (k,).
-        start: initial state of each window (windows, states).
+        start: initial states of the shooting intervals (w, states).
         cost: -2 log likelihood and prior, up to a constant: squared residuals over their variance.
         squares: of each sensor (sensors,).
         covariance: of rig's parameters and free parameters of the effects (k + f, k + f).
@@ -67,6 +66,11 @@ def estimated(instances: Sequence[EffectInstance]) -> Array:
     return np.array([value for instance in instances for value in instance.estimated])
 
 
+def by_instance(instances: Sequence[EffectInstance], values: Array) -> list[Array]:
+    """Return values of the estimated parameters of all effect instances (f,) as those of each."""
+    return np.split(values, np.cumsum([len(instance.free) for instance in instances], dtype=int))[:-1]
+
+
 def fit(
     problem: EstimationProblem,
     instances: Sequence[EffectInstance] = (),
@@ -83,7 +87,7 @@ def fit(
         problem: the record and the rig.
         instances: effects with values to begin from.
         theta: parameters to begin from; the prior's means if none are given.
-        start: initial states to begin from (windows, states); from the first readings if none are given.
+        start: initial states to begin from (w, states); from the first readings if none are given.
         rounds: most rounds.
         frozen: whether only the initial state is estimated.
         rival: cost of another hypothesis; a fit that no longer comes near it is abandoned.
@@ -123,7 +127,14 @@ def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:
 
 
 def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta: Array, start: Array) -> float:
-    """Return the cost of a hypothesis that is not fitted; infinite if its motion is not finite."""
+    """Return the cost of a hypothesis that is not fitted; infinite if its motion is not finite.
+
+    Args:
+        problem: the record and the rig.
+        instances: the effects with their values.
+        theta: parameters of the rig (k,).
+        start: initial states of the shooting intervals (w, states).
+    """
     whole = _LeastSquares(problem, tuple(instances), start)
     try:
         return whole.linearised(whole.unknowns(theta)).cost
@@ -132,10 +143,16 @@ def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta:
 
 
 def first_states(problem: EstimationProblem, theta: Array, samples: int = 20) -> Array:
-    """Return a first guess of initial states (windows, states), from straight lines through the first readings."""
+    """Return a first guess of initial states (w, states), from straight lines through the first readings.
+
+    Args:
+        problem: the record and the rig.
+        theta: parameters of the rig (k,).
+        samples: of each line.
+    """
     rig, record, acting = problem.rig, problem.record, problem.record.acting
     found = []
-    for begin in range(0, len(record), problem.begin):
+    for begin in range(0, len(record), problem.interval_samples):
         early = min(begin, max(len(record) - samples, 0))  # the line of a short last interval begins before it
         read = record.readings[early:][:samples]
         times = (np.arange(len(read)) + early - begin) / record.rate
@@ -153,7 +170,7 @@ class _LeastSquares:
     Args:
         problem: of the record whose residuals are kept.
         instances: the effects.
-        start: initial states of each record in turn (windows, states); those that are not free stay as they are.
+        start: initial states of each record in turn (w, states); those that are not free stay as they are.
         others: other records.
         frozen: whether only initial states are estimated.
     """
@@ -190,7 +207,7 @@ class _LeastSquares:
         return np.concatenate([theta, estimated(self.instances), 0.0 * self.begins, self.start[:, self.free].ravel()])
 
     def parts(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Return parameters of rig and effects, and initial states of effects and motion (windows, states)."""
+        """Return parameters of rig and effects, and initial states of effects and motion (w, states)."""
         theta, added, inner, moving = np.split(x, self.edges)
         start = self.start.copy()
         start[:, self.free] = moving.reshape(len(start), -1)
@@ -216,11 +233,9 @@ class _LeastSquares:
             is_hopeless=is_hopeless,
         )  # fmt: skip
         theta, added, _, start = self.parts(made.x)
-        left, found, shared = iter(added), made.at.found, self.edges[1]
-        values = [
-            instance.with_values(instance.free, itertools.islice(left, len(instance.free)))
-            for instance in self.instances
-        ]
+        found, shared = made.at.found, self.edges[1]
+        parts = zip(self.instances, by_instance(self.instances, added), strict=True)
+        values = [instance.with_values(instance.free, part) for instance, part in parts]
         return Hypothesis(
             tuple(values), theta, start, made.at.cost, found.squares,
             made.at.equations.covariance()[:shared, :shared], self.problem.record.readings - found.simulated,
@@ -230,7 +245,7 @@ class _LeastSquares:
     def linearised(self, x: Array) -> Linearised[Dense, Equations]:
         """Return the problem at the unknowns (n,)."""
         theta, added, inner, start = self.parts(x)
-        starts = np.split(start, np.cumsum([one.windows for one in self.records])[:-1])
+        starts = np.split(start, np.cumsum([one.intervals for one in self.records])[:-1])
         pieces = zip(self.records, starts, np.split(inner, len(self.records)), strict=True)
         found = _joined(
             [one.equations(theta, begin, self.instances, added, inner=begun) for one, begin, begun in pieces],

@@ -57,14 +57,7 @@ class Parts:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the parts as JSON can hold them."""
-        return {
-            "displacement": self.displacement,
-            "rate": self.rate,
-            "both": self.both,
-            "neither": self.neither,
-            "odd": self.odd,
-            "even": None if self.odd is None else 1.0 - self.odd,
-        }
+        return {**vars(self), "even": None if self.odd is None else 1.0 - self.odd}
 
 
 @dataclass(frozen=True)
@@ -129,7 +122,13 @@ def decompose(
 
 
 def followed(x: Array, force: Array, cycle: int | None = None) -> float:
-    """Return the mean square of that part of a force (m,) that is a function of x (m,); `cycle` as for `decompose`."""
+    """Return the mean square of the part of a force that is a function of x.
+
+    Args:
+        x: displacement or command (m,).
+        force: (m,).
+        cycle: as for `decompose`.
+    """
     every, stretches = _thinned(x, cycle)
     x, force = x[every], force[every]
     rows, bend = _curve(x, _knots(x))
@@ -151,8 +150,8 @@ def _parts(x: Array, rate: Array, force: Array, energy: float, stretches: Indice
     mean = float(alone[:, 1].mean())  # a constant gives back what it takes
     each = np.array([(force * (alone[:, 0] + mean)).mean(), (force * (alone[:, 1] - mean)).mean()]).clip(0.0)
     explained = _explained(force, alone.sum(axis=1))
-    rest = force - alone.sum(axis=1) if explained else force
-    both = _explained(rest, _held_out(*_surface(x, rate), rest, stretches)[:, 0])
+    residual = force - alone.sum(axis=1) if explained else force
+    both = _explained(residual, _held_out(*_surface(x, rate), residual, stretches)[:, 0])
     found = np.array([*(explained * each / (float(each.sum()) or 1.0)), both]) / energy
     found /= max(1.0, float(found.sum()))
     neither = max(0.0, 1.0 - float(found.sum()))

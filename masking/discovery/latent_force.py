@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from functools import cached_property
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from masking.discovery.explanation import Explanation
 from masking.discovery.places import is_of_one
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.search import SearchResult
-from masking.discovery.smoothing import Motion, smooth
+from masking.discovery.smoothing import Motion, slopes, smooth
 from masking.discovery.verdict import Verdict
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
@@ -83,40 +83,38 @@ class Smoothed:
     error: Array
 
 
-class Explained(Protocol):
-    """What latent forces are found of: a record with its explanation, as a `Discovery` holds them."""
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Explained:
+    """A record with its explanation: what latent forces are found of.
 
-    @property
-    def verdict(self) -> Verdict:
-        """Return the verdict."""
+    Args:
+        verdict: `none`, `parameter`, `named`, `ambiguous` or `unknown`.
+        twin: the rig as its model declares it.
+        problem: the record that was explained.
+        explanation: the one that was chosen.
+        search: the whole search.
+    """
 
-    @property
-    def twin(self) -> Twin:
-        """Return the rig as its model declares it."""
+    verdict: Verdict
+    twin: Twin
+    problem: EstimationProblem
+    explanation: Explanation
+    search: SearchResult
 
     @property
     def rig(self) -> AugmentedModel:
-        """Return its augmented model."""
+        """Return the rig with its places open."""
+        return self.problem.rig
 
     @property
     def record(self) -> Data:
-        """Return the estimation record."""
+        """Return the record that was explained."""
+        return self.problem.record
 
-    @property
-    def problem(self) -> EstimationProblem:
-        """Return the estimation problem."""
-
-    @property
-    def explanation(self) -> Explanation:
-        """Return the explanation that was chosen."""
-
-    @property
-    def search(self) -> SearchResult:
-        """Return the result of the search."""
-
-    @property
+    @cached_property
     def smoothed(self) -> Smoothed:
-        """Return the latent forces along the record."""
+        """Return the latent forces along the record, before and after the causes."""
+        return smoothed(self)
 
 
 def force_at(found: Explained, most: str) -> LatentForce:
@@ -134,7 +132,13 @@ def force_at(found: Explained, most: str) -> LatentForce:
 
 
 def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Array]:
-    """Return centres, means of a force and numbers of samples (b,) of bins of x."""
+    """Return centres, means of a force and numbers of samples (b,) of bins of x.
+
+    Args:
+        x: displacement or rate (m,).
+        force: at the same time (m,).
+        bins: of the range of x; those with few samples are left out.
+    """
     low, high = np.quantile(x, [0.002, 0.998])
     edges = np.linspace(low, high if high > low else low + 1.0, bins + 1)
     at = np.clip(np.searchsorted(edges, x) - 1, 0, bins - 1)
@@ -186,7 +190,14 @@ def _sensor(found: Explained, name: str) -> LatentForce:
 
 
 def along(found: Explained, instance: EffectInstance, x: Array, rate: Array) -> Array:
-    """Return what an effect gives along a motion of its place (m,)."""
+    """Return the force or value of an effect along a motion of its place (m,).
+
+    Args:
+        found: the discovery.
+        instance: the effect with its values.
+        x: displacement, command or reading that it acts on (m,).
+        rate: of it (m,).
+    """
     if instance.effect == laws.DELAY:
         t = np.arange(len(x)) / found.record.rate
         return np.asarray(np.interp(t - instance.values[0], t, x))
@@ -200,7 +211,7 @@ def smoothed(found: Explained) -> Smoothed:
         return Smoothed(found.search.motion, None, base.residuals)
     record, problem = found.record, found.problem
     try:
-        if problem.interval:  # readings without causes would jump from window to window
+        if problem.interval:  # readings without causes would jump between shooting intervals
             before = smooth(problem, chosen.theta, chosen.start)
             return Smoothed(before, _without(found, before), base.residuals)
         without = problem.equations(chosen.theta, chosen.start).simulated
@@ -242,12 +253,8 @@ def projected(motion: Motion, by: Array) -> tuple[Array, float]:
 def directions(found: Explained, column: int) -> Array:
     """Return what a unit in a column of the equations is as forces on each degree (degrees,)."""
     rig, theta = found.rig, found.explanation.hypothesis.theta
-    n, count = len(rig.twin.state_names), len(rig.coordinates)
-    p, _ = rig.basis(theta)
-    y, u = rig.rest, np.zeros(len(rig.twin.actuators))
-    jy, jp, dy = np.zeros((n, n)), np.zeros((n, rig.affected)), np.zeros(n)
-    rig.equations.slopes(0.0, y, u, p, dy, jy, jp)
-    moved = np.vstack([jp[count:], rig.direct(theta)]) if rig.twin.is_fed else jp[count:]
+    moved = slopes(rig, theta)[1][len(rig.coordinates) :]
+    moved = np.vstack([moved, rig.direct(theta)]) if rig.twin.is_fed else moved
     ports = moved[:, [rig.columns[1][i] for i in rig.degree_places]]
     return np.asarray(np.linalg.lstsq(ports, moved[:, column], rcond=None)[0])
 

@@ -162,11 +162,11 @@ def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Peri
         part = min(followed(command, force, cycle) / energy, 1.0) if energy > 0.0 else 0.0
         actuators[name] = share(force, deviation) * part
     sensors = {}
-    for name, reading, rest, sigma in zip(
+    for name, reading, residual, sigma in zip(
         found.twin.sensors, (found.record.readings - error).T, error.T, found.problem.sigma, strict=True
     ):
-        square = float((rest**2).mean())
+        square = float((residual**2).mean())
         is_seen = square > BEYOND * sigma**2
-        sensors[name] = min(followed(reading, rest, cycle) / (square - float(sigma) ** 2), 1.0) if is_seen else 0.0
+        sensors[name] = min(followed(reading, residual, cycle) / (square - float(sigma) ** 2), 1.0) if is_seen else 0.0
     shares = (float(energy / whole) if whole else 0.0 for energy in energies)
     return LatentForces(dict(zip(rig.degrees, shares, strict=True)), tuple(places), actuators, sensors)

@@ -76,13 +76,6 @@ class NextExperiment:
             return length
         return f"{self.settings['lowest'].removesuffix(' Hz')} to {self.settings['highest']}, {length}"
 
-    def __str__(self) -> str:
-        one, other = (name.replace("_", " ") for name in self.between)
-        if not self.separates:
-            return f"no excitation of the actuators that was tried separates {one} from {other}"
-        peaks = " and ".join(f"{name} up to {peak:g}" for name, peak in self.peaks.items())
-        return f"a {self.excitation} of {peaks}, {self.pace}, would separate {one} from {other}"
-
 
 def next_experiment(
     problem: EstimationProblem,
@@ -110,9 +103,8 @@ def next_experiment(
     size = np.abs(problem.record.commands).max(axis=0)
     most = np.maximum(FACTORS[-1] * size, 1e-12) if limits is None else limits
     for name, settings, commands in _possible(problem, size, most, rates):
-        separation = min(
-            _left(problem, commands, first, second), _left(problem, commands, second, first)
-        )  # fmt: skip
+        both = ((first, second), (second, first))
+        separation = min(_left(problem, commands, truth, other) for truth, other in both)
         found = NextExperiment(name, settings, separation, names, commands, problem.rules.separation)
         if best is None or found.separation > best.separation:
             best = found

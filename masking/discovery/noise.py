@@ -23,6 +23,11 @@ def noise_of(rig: AugmentedModel, record: Data, rules: DecisionRules = RULES) ->
     What a force changes at once may jump, as that of a friction does: there the noise is that of most readings, and
     that of measured inputs counts with what it makes of the readings.
 
+    Args:
+        rig: the augmented model.
+        record: commands and readings.
+        rules: from how few different values readings are rounded.
+
     Raises:
         RecordError: readings carry no noise, so that nothing can be said to be beyond it.
     """

@@ -91,7 +91,7 @@ def places(model: ModelDeclaration) -> tuple[Place, ...]:
             continue
         if model.coordinates[a].unit != model.coordinates[b].unit or forces[a] != forces[b]:
             continue
-        acts = {a: _one("-1"), b: _one(f"({weights[a]})/({weights[b]})")}
+        acts = {a: Expression("-1"), b: Expression(f"({weights[a]})/({weights[b]})")}
         unit = _force_unit(model, a, forces[a])
         element = Element(displacement=Expression(f"{a} - {b}"), unit=unit, acts=acts)
         found.append(Place(f"{a}-{b}", element, declared=False))
@@ -138,8 +138,8 @@ def _degree(model: ModelDeclaration, element: Element) -> str | None:
 def _alone(model: ModelDeclaration, name: str, unit: str) -> Element:
     """Return the element of a degree by itself; a force on an output follows nothing that is known."""
     if name in driven_outputs(model):
-        return Element(unit=unit, acts={name: _one("1")})
-    return Element(displacement=Expression(name), unit=unit, acts={name: _one("-1")})
+        return Element(unit=unit, acts={name: Expression("1")})
+    return Element(displacement=Expression(name), unit=unit, acts={name: Expression("-1")})
 
 
 def _weights(model: ModelDeclaration) -> Mapping[str, str]:
@@ -170,10 +170,6 @@ def _force_unit(model: ModelDeclaration, name: str, dimension: Dimension | None)
     own |= {n: f"{z.unit}/s" for n, z in model.states.items()}
     usual = (*(e.unit for e in model.elements.values()), own[name], *USUAL)
     return next((unit for unit in usual if dimension_of(unit) == dimension), describe(dimension))
-
-
-def _one(text: str) -> Expression:
-    return Expression(text)
 
 
 def _text(expression: Expression | None) -> str:

@@ -18,7 +18,7 @@ from masking.numerics.arrays import Array
 
 @dataclass(frozen=True)
 class EstimationProblem:
-    """A record and the rig that it is held against.
+    """A record and the rig that is fitted to it.
 
     Args:
         rig: the rig.
@@ -39,14 +39,14 @@ class EstimationProblem:
     rules: DecisionRules = RULES
 
     @property
-    def begin(self) -> int:
-        """Return the samples of a window in which the rig moves from one initial state."""
+    def interval_samples(self) -> int:
+        """Return the samples of a shooting interval, which may be the whole record."""
         return self.interval or len(self.record)
 
     @property
-    def windows(self) -> int:
-        """Return the number of these windows."""
-        return -(-len(self.record) // self.begin)
+    def intervals(self) -> int:
+        """Return the number of shooting intervals."""
+        return -(-len(self.record) // self.interval_samples)
 
     @property
     def weights(self) -> Array:
@@ -71,7 +71,7 @@ class EstimationProblem:
 
         Args:
             theta: parameters of the rig (k,), in declared units.
-            start: state at the first sample of each window (windows, states).
+            start: initial states of the shooting intervals (w, states).
             instances: effects, one after the other.
             added: their free parameters (f,).
             inner: where their states begin (s,); at 0 where this is not given.
@@ -84,26 +84,26 @@ class EstimationProblem:
         given = rig.instances(instances, added)
         states = given.states
         p, basis = rig.basis(theta, len(added) + states)
-        k, moving, windows = basis.shape[1], rig.begins, self.windows
+        k, moving, intervals = basis.shape[1], rig.begins, self.intervals
         n, width = len(rig.twin.state_names), k + moving
         y, derivatives = np.full(n + states, NEARLY_ZERO), np.zeros((n + states, width))
         y[n:] += 0.0 if inner is None else inner
         derivatives[n:, k - states : k] = np.eye(states)
-        of_windows, gradients = np.zeros((windows * width, width)), np.zeros(windows * width)
+        matrices, gradients = np.zeros((intervals * width, width)), np.zeros(intervals * width)
         squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
         status = rig.kernels.run(
-            len(record), self.dt, self.substeps, self.begin, is_first_order(record.hold), rig.sizes.table,
+            len(record), self.dt, self.substeps, self.interval_samples, is_first_order(record.hold), rig.sizes.table,
             np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives, p, basis,
             spans(basis), given.table, given.estimated, given.values, given.acts, given.late / self.dt,
-            given.late_columns, np.ascontiguousarray(record.acting), record.readings, self.weights, of_windows,
+            given.late_columns, np.ascontiguousarray(record.acting), record.readings, self.weights, matrices,
             gradients, squares, simulated,
         )  # fmt: skip
-        if status or not np.isfinite(squares).all() or not np.isfinite(of_windows).all():
+        if status or not np.isfinite(squares).all() or not np.isfinite(matrices).all():
             raise IntegrationError("the simulated motion is no longer finite")
-        matrix, gradient = np.zeros((k + windows * moving,) * 2), np.zeros(k + windows * moving)
-        for i in range(windows):
+        matrix, gradient = np.zeros((k + intervals * moving,) * 2), np.zeros(k + intervals * moving)
+        for i in range(intervals):
             own = np.concatenate([np.arange(k), np.arange(k + i * moving, k + (i + 1) * moving)])
-            matrix[np.ix_(own, own)] += of_windows[i * width : (i + 1) * width]
+            matrix[np.ix_(own, own)] += matrices[i * width : (i + 1) * width]
             gradient[own] += gradients[i * width : (i + 1) * width]
         matrix += np.tril(matrix, -1).T
         return Equations(matrix, gradient, squares, simulated)

@@ -37,8 +37,8 @@ class DecisionRules:
     initial_state_share: float = 1e-3
     """Estimated initial states per reading from which the whiteness of a residual is not tested.
 
-    Why: estimating them takes noise out of the beginning of each shooting interval, which colours the rest. At 1 per
-    1000 readings this is below the resolution of the whiteness test (0.1 %).
+    Why: estimating them takes noise out of the beginning of each shooting interval, which colours the residual. At 1
+    per 1000 readings this is below the resolution of the whiteness test (0.1 %).
     """
 
     small_residual: float = 4.0

@@ -8,7 +8,7 @@ Source: Frisch and Waugh (1933), Econometrica 1(4), for regression with some col
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping, Sequence
+from collections.abc import Iterator, MutableMapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -89,7 +89,7 @@ class Screen:
         rig, record, prior, sigma = problem.rig, problem.record, problem.prior, problem.sigma
         self.thin, self.every = thinning(problem)
         self.blocks = len(record) // self.every
-        self.begin = problem.begin // self.thin if problem.interval else len(record)
+        self.interval_samples = problem.interval_samples // self.thin if problem.interval else len(record)
         self._states = _thinned(motion.states, self.thin)
         self._commands = _thinned(record.acting, self.thin)
         self.scale = np.sqrt(self.every) / sigma
@@ -100,7 +100,7 @@ class Screen:
         columns = self._spread(np.ones((coarse, len(wanted))), wanted.astype(np.float64))
         of_parameters = np.einsum("bsm,mk->bsk", columns, basis[wanted])
         free = np.array(rig.twin.free, dtype=np.int64)
-        start = self._of_windows(self._spread(np.zeros((coarse, len(free))), np.zeros(len(free)), free))
+        start = self._of_intervals(self._spread(np.zeros((coarse, len(free))), np.zeros(len(free)), free))
         values, slopes = self._found(found)
         own = self._rows(np.concatenate([of_parameters, start, slopes], axis=2))
         prior_rows = np.zeros((k, own.shape[1]))
@@ -119,10 +119,10 @@ class Screen:
         self.left = self._out(self._whole_left)
         self.total = float(self.left @ self.left)
 
-    def _of_windows(self, columns: Array) -> Array:
-        """Return columns (blocks, sensors, c) for each window, zero outside of it (blocks, sensors, windows * c)."""
-        window = np.arange(self.blocks) * self.every // (self.begin * self.thin)
-        apart = np.equal.outer(window, np.unique(window)).astype(float)
+    def _of_intervals(self, columns: Array) -> Array:
+        """Return columns (blocks, sensors, c) for each shooting interval, zero outside (blocks, sensors, w * c)."""
+        interval = np.arange(self.blocks) * self.every // (self.interval_samples * self.thin)
+        apart = np.equal.outer(interval, np.unique(interval)).astype(float)
         found: Array = np.einsum("bsc,bw->bswc", columns, apart).reshape(*columns.shape[:2], -1)
         return found
 
@@ -143,15 +143,8 @@ class Screen:
             features.append(_thinned(made, self.thin))
             at.append(columns)
         found: list[Array] = []
-        first = 0
-        while first < len(instances):
-            last, many = first, 0
-            while last < len(instances) and many + features[last].shape[1] <= MOST_COLUMNS:
-                many += features[last].shape[1]
-                last += 1
-            part = slice(first, last)
+        for part in _chunks([table.shape[1] for table in features]):
             found += self._at_sensors([instance.where for instance in instances[part]], features[part], at[part])
-            first = last
         for i, instance in enumerate(instances):
             if instance.effect == laws.DELAY:  # the columns of each actuator: values, then slopes
                 halves = np.split(found[i], 2, axis=2)
@@ -173,7 +166,7 @@ class Screen:
         return found
 
     def around(self, instance: EffectInstance) -> tuple[Array, Array]:
-        """Return parameters of the rig (k,) and initial states (windows, states) that go best with an effect."""
+        """Return parameters of the rig (k,) and initial states (w, states) that go best with an effect."""
         (table,) = self._effects([instance])
         left = self._whole_left.copy()
         rows = self._rows(table[:, :, :1])[:, 0]
@@ -243,17 +236,10 @@ class Screen:
 
     def _settle(self, jobs: Sequence[tuple[Candidate, EffectInstance]], found: dict[int, Score]) -> None:
         """Score instances of candidates, and keep the best of each."""
-        chunks: list[list[tuple[Candidate, EffectInstance]]] = [[]]
-        many = 0
-        for candidate, instance in jobs:
-            columns = len(self.rig.twin.actuators) if candidate.effect == laws.DELAY else max(1, len(candidate.factors))
-            if many + columns > MOST_COLUMNS:
-                chunks.append([])
-                many = 0
-            chunks[-1].append((candidate, instance))
-            many += columns
+        channels = len(self.rig.twin.actuators)
+        sizes = [channels if one.effect == laws.DELAY else max(1, len(one.factors)) for one, _ in jobs]
         with ThreadPoolExecutor(2) as pool:
-            for scores in pool.map(self._scored, filter(None, chunks)):
+            for scores in pool.map(self._scored, [jobs[part] for part in _chunks(sizes)]):
                 for score in scores:
                     before = found.get(id(score.candidate))
                     if before is None or score.gain > before.gain:
@@ -394,7 +380,7 @@ class Screen:
         p, _ = rig.basis(self.base.theta)
         every = self.every // self.thin
         rig.kernels.respond(
-            self.blocks * every, self.thin / record.rate, every, self.begin, rig.equations.meta["is_direct"],
+            self.blocks * every, self.thin / record.rate, every, self.interval_samples, rig.equations.meta["is_direct"],
             at.astype(np.int64),
             np.full(many, -1) if initial is None else initial, self._states, self._commands, p,
             np.ascontiguousarray(features), found,
@@ -426,6 +412,18 @@ def _apart(columns: Array, others: Array, rank: float) -> tuple[Array, Array]:
     size = np.linalg.norm(left, axis=0)
     independent = size > RANK * np.linalg.norm(columns, axis=0)
     return basis, np.where(independent, left / np.where(independent, size, 1.0), 0.0)
+
+
+def _chunks(sizes: Sequence[int]) -> Iterator[slice]:
+    """Give slices of items that have at most `MOST_COLUMNS` columns together."""
+    first = total = 0
+    for i, size in enumerate(sizes):
+        if total + size > MOST_COLUMNS and i > first:
+            yield slice(first, i)
+            first, total = i, 0
+        total += size
+    if sizes:
+        yield slice(first, len(sizes))
 
 
 def _has_shape(candidate: Candidate) -> bool:

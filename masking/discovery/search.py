@@ -8,7 +8,7 @@ Source: Kass and Raftery (1995), JASA 90(430), 773-795; for what is worth a fit,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -175,14 +175,19 @@ class Search:
             if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
                 chosen.append(score)
         excess = now.cost - self.size
-        if now.names and self._closes(now) and verdict.is_excess(now.cost, self.size, rules):
+        if (
+            now.names
+            and verdict.reaches_noise(now.cost, self.size, rules)
+            and verdict.is_excess(now.cost, self.size, rules)
+        ):
             chosen = [score for score in chosen if score.gain > rules.gain_fraction * excess]
-        keys = _keys(chosen)
+        keys = {p.candidate.key for p in chosen}
         simpler = set().union(*map(self._nested_in, keys)) - keys - {*now.names}
         inside = {name for names in self.nested.values() for name in names}
         nested = simpler | {key for key in keys if key[0] in inside}
         others = [p for p in scores if p.candidate.key in nested and all(p is not one for one in chosen)]
-        chosen += [p for i, p in enumerate(others) if p.candidate.key not in _keys([*chosen, *others[:i]])]
+        first = {p.candidate.key: p for p in [*others[::-1], *chosen]}
+        chosen += [p for p in others if first[p.candidate.key] is p]
         variants = [p for p in others if all(p is not one for one in chosen)]
         jobs = [partial(self._added, now, score, screen) for score in chosen]
         if parameters:
@@ -203,7 +208,7 @@ class Search:
         found += [e for e in self._fitted(again, rival) if e is not None]
         found += self._simpler(found)
         tempering = self.problem.tempering(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
-        merged: dict[tuple[tuple[str, str], ...], Explanation] = {}
+        merged: dict[tuple[Key, ...], Explanation] = {}
         for explanation in sorted(found, key=lambda e: e.score(tempering)):
             merged.setdefault(tuple(sorted(explanation.names)), explanation)
         every = merged.values()
@@ -243,9 +248,6 @@ class Search:
         """Return what a candidate may leave of a screen's cost to be fitted, where the best leaves so much."""
         rules, noise = self.rules, float(self.size // screen.every)
         return rules.fit_ratio * max(left - noise, rules.screen_resolution * noise) + rules.screen_noise * noise
-
-    def _closes(self, explanation: Explanation) -> bool:
-        return verdict.reaches_noise(explanation.cost, self.size, self.rules)
 
     @staticmethod
     def _fitted(jobs: Sequence[Job], rival: float) -> list[Explanation | None]:
@@ -307,7 +309,7 @@ class Search:
         return other.score(tempering) < best.score(tempering) - self.rules.indifferent
 
     def _reduced(self, best: Explanation) -> Explanation:
-        """Leave out each cause in turn: where the rest is as good without it, it goes."""
+        """Leave out each cause in turn: if the others do as well without it, it goes."""
         if len(best.names) < 2:
             return best
         tempering = self.problem.tempering(best.hypothesis.residuals)
@@ -404,11 +406,7 @@ class Search:
         return tuple(found)
 
 
-def _keys(scores: Iterable[Score]) -> set[tuple[str, str]]:
-    return {score.candidate.key for score in scores}
-
-
-def _without(explanation: Explanation, i: int) -> tuple[tuple[tuple[str, str], ...], tuple[EffectInstance, ...]]:
+def _without(explanation: Explanation, i: int) -> tuple[tuple[Key, ...], tuple[EffectInstance, ...]]:
     """Return names and instances of an explanation without one of its causes."""
     names, instances = explanation.names, explanation.hypothesis.instances
     return (*names[:i], *names[i + 1 :]), (*instances[:i], *instances[i + 1 :])

@@ -7,7 +7,7 @@ Inverse Problems in Differential and Integral Equations, Birkhaeuser, for multip
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 
@@ -23,10 +23,10 @@ from masking.numerics.arrays import Array
 
 
 def interval(problem: EstimationProblem, seconds: float | None) -> int:
-    """Return the samples of a window, in whole blocks of the screening: as asked, or as the model needs; 0 for none.
+    """Return the samples of a shooting interval, in whole blocks of a screen: as asked, or as needed; 0 for none.
 
     Raises:
-        RecordError: the windows asked for are too short.
+        RecordError: the interval that is asked for is too short.
     """
     rate, count, rules = problem.record.rate, len(problem.record), problem.rules
     if seconds is None:
@@ -59,20 +59,14 @@ def shorter(problem: EstimationProblem) -> Iterator[float]:
 def substeps(problem: EstimationProblem) -> int:
     """Return how many integration steps between samples simulate the readings within their noise."""
     least = problem.rules.stiff_steps if len(problem.rig.twin.free) > 2 * len(problem.rig.coordinates) else 1
-    theta, most = problem.prior.mean, max(least, problem.substeps)
+    theta = problem.prior.mean
     start = fitting.first_states(problem, theta)
 
     def simulated(number: int) -> Array:
         return replace(problem, substeps=number).equations(theta, start).simulated
 
-    steps, before = least, simulated(least)
-    while steps < most:
-        after = simulated(min(2 * steps, most))
-        change = np.sqrt(((after - before) ** 2).mean(axis=0))
-        if bool((change < problem.rules.integration_error * problem.sigma).all()):
-            break
-        steps, before = min(2 * steps, most), after
-    return steps
+    allowed = problem.rules.integration_error * problem.sigma
+    return _steps(simulated, least, max(least, problem.substeps), allowed, ahead=2)
 
 
 def finer(problem: EstimationProblem, found: Hypothesis) -> int:
@@ -83,17 +77,22 @@ def finer(problem: EstimationProblem, found: Hypothesis) -> int:
     if not found.instances:
         return problem.substeps
 
-    @cache
-    def left(number: int) -> Array:
+    def residuals(number: int) -> Array:
         fine = replace(problem, substeps=number)
         return fitting.fit(fine, found.instances, theta=found.theta, start=found.start, frozen=True).residuals
 
-    steps, most = problem.substeps, problem.rules.most_refinement * problem.substeps
+    least, rules = problem.substeps, problem.rules
+    return _steps(residuals, least, rules.most_refinement * least, rules.law_error * problem.sigma, ahead=4)
+
+
+def _steps(simulated: Callable[[int], Array], least: int, most: int, allowed: Array, *, ahead: int) -> int:
+    """Return steps, doubled until `ahead` times as many change readings by less than is allowed (sensors,)."""
+    made, steps = cache(simulated), least
     while steps < most:
-        change = np.sqrt(((left(4 * steps) - left(steps)) ** 2).mean(axis=0))
-        if bool((change < problem.rules.law_error * problem.sigma).all()):
+        change = made(min(ahead * steps, ahead * most // 2)) - made(steps)
+        if bool((np.sqrt((change**2).mean(axis=0)) < allowed).all()):
             break
-        steps *= 2
+        steps = min(2 * steps, most)
     return steps
 
 

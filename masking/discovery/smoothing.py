@@ -73,7 +73,7 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     Args:
         problem: the record and the rig.
         theta: its parameters (k,).
-        start: its first state, of each window the first (windows, states).
+        start: initial states of the shooting intervals (w, states).
 
     Raises:
         IntegrationError: the readings do not tell all coordinates, or the motion is no longer finite.
@@ -121,17 +121,23 @@ def _filter(problem: EstimationProblem, theta: Array, start: Array, gains: _Gain
     return record.readings - sensed, states, predicted
 
 
+def slopes(rig: AugmentedModel, theta: Array) -> tuple[Array, Array]:
+    """Return how rates of states at rest depend on states (n, n) and on affected parameters and ports (n, a)."""
+    n = len(rig.twin.state_names)
+    by_state, by_parameter = np.zeros((n, n)), np.zeros((n, rig.affected))
+    nothing = np.zeros(len(rig.twin.actuators))
+    rig.equations.slopes(0.0, rig.rest, nothing, rig.basis(theta)[0], np.zeros(n), by_state, by_parameter)
+    return by_state, by_parameter
+
+
 def linearised(rig: AugmentedModel, theta: Array) -> tuple[Array, Array, Array, Array]:
     """Return A (n, n), B of forces on the degrees (n, degrees), C (sensors, n) and D (sensors, degrees) at rest.
 
     Raises:
         IntegrationError: the equations have no slopes at rest.
     """
-    n, count = len(rig.twin.state_names), len(rig.coordinates)
-    p, _ = rig.basis(theta)
-    y, u = rig.rest, np.zeros(len(rig.twin.actuators))
-    jy, jp, dy = np.zeros((n, n)), np.zeros((n, rig.affected)), np.zeros(n)
-    rig.equations.slopes(0.0, y, u, p, dy, jy, jp)
+    count, y = len(rig.coordinates), rig.rest
+    jy, jp = slopes(rig, theta)
     js, jps = rig.reading(theta, y)[1], rig.direct(theta)
     jy[:count, count : 2 * count] = np.eye(count)
     columns = [rig.columns[1][i] for i in rig.degree_places]

@@ -125,7 +125,13 @@ def at_noise_floor(residual: Iterable[float], noise: Iterable[float], readings: 
 
 
 def reaches_noise(cost: float, readings: int, rules: DecisionRules) -> bool:
-    """Return whether a fit with a cost leaves residuals at the noise floor, all readings together."""
+    """Return whether a fit leaves residuals at the noise floor, all readings together.
+
+    Args:
+        cost: of the fit.
+        readings: m.
+        rules: the thresholds.
+    """
     return at_noise_floor([float(np.sqrt(cost / readings))], [1.0], readings, rules)
 
 
@@ -154,7 +160,13 @@ def excess_cost(cost: float, readings: int) -> float:
 
 
 def is_excess(cost: float, readings: int, rules: DecisionRules) -> bool:
-    """Return whether a cost exceeds that of noise by more than chance, whose standard deviation is sqrt(2 m)."""
+    """Return whether a cost exceeds that of noise by more than chance, whose standard deviation is sqrt(2 m).
+
+    Args:
+        cost: of a fit.
+        readings: m.
+        rules: the number of standard deviations.
+    """
     return cost - readings > rules.excess_deviations * float(np.sqrt(2.0 * readings))
 
 

@@ -149,7 +149,11 @@ class Attachment:
 
 
 def attach_all(declaration: ModelDeclaration, attachments: Iterable[Attachment]) -> ModelDeclaration:
-    """Return a model with effects in its elements, one after the other; see `attach`."""
+    """Return a model with effects in its elements, one after the other; see `attach`.
+
+    Raises:
+        DeclarationError: as `attach`.
+    """
     dimensions, result = symbol_dimensions(declaration), declaration
     if dimensions is None:
         raise DeclarationError(check_dimensions(declaration))

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from masking.discovery import discover as discovery
-from masking.discovery.discover import Tell
 from masking.discovery.discovery import Discovery
+from masking.discovery.search import Tell
 from masking.discovery.settings import DiscoverySettings
 from masking.reports import discovery_page
 from masking.workflows import inputs

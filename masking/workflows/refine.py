@@ -15,8 +15,9 @@ from typing import Any
 import yaml
 
 from masking.declaration import registry
-from masking.discovery.discover import Tell, discover
+from masking.discovery.discover import discover
 from masking.discovery.discovery import Discovery, Named
+from masking.discovery.search import Tell
 from masking.discovery.settings import DiscoverySettings
 from masking.errors import DeclarationError, IntegrationError, Problem, SingularityError
 from masking.records.recording import Recording
