@@ -159,7 +159,7 @@ def linear_responses(slopes: Kernel, sensed: Kernel) -> Kernel:
         `respond(count, dt, every, interval, is_direct, entries, initial, states, commands, p, features, means, work)`
         for M responses: to the force `features` (count, M) at the affected entry `entries` (M,), or from the state with
         index `initial` (M,) at 1 at the begin of each interval; -1 begins at rest. The motion is `states` (count, n),
-        and `means` (count / every, sensors M) gets means over `every` samples. `is_direct` tells that readings depend
+        and `means` (count / every, sensors M) gets means over `every` samples. `is_direct` is 1 if readings depend
         on entries of the parameter array at once.
     """
 
