@@ -74,7 +74,8 @@ def _raise_between_imports(number: int, frame: FrameType | None) -> None:
     at = frame
     while at is not None:
         if at.f_code.co_filename.startswith("<frozen importlib"):
-            main = threading.main_thread().ident or 0  # a signal to another thread would not end what this one waits for
+            # A signal to the timer's thread would not end what the main one waits for.
+            main = threading.main_thread().ident or 0
             again = threading.Timer(_LATER, signal.pthread_kill, [main, number])
             again.daemon = True
             again.start()
