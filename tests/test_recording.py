@@ -17,6 +17,7 @@ from hypothesis.extra import numpy as hnp
 
 from masking.analysis.masking_error import masking_error
 from masking.errors import RecordError
+from masking.records.json_text import json_text
 from masking.records.recording import FORMAT, Recording
 
 T = np.array([0.0, 0.1, 0.2, 0.30000000000000004])
@@ -239,7 +240,7 @@ def test_the_manifest_holds_numpy_values_and_infinities(tmp_path):
 
 
 def test_the_manifest_refuses_what_json_cannot_hold(tmp_path):
-    with pytest.raises(RecordError, match=r"the manifest's 'timing\.run' is a set, which JSON cannot hold"):
+    with pytest.raises(RecordError, match=r"'timing\.run' is a set, which JSON cannot hold"):
         Recording({"t": T}, {"timing": {"run": {1}}}).save(tmp_path)
     assert not list(tmp_path.iterdir())
 
@@ -274,3 +275,11 @@ def test_masking_error_of_orthogonal_parts_and_of_rest():
     assert masking_error(rest + 1e-300, rest) == math.inf
     with pytest.raises(ValueError, match=r"one coordinate each, of equal length: got shapes \(5,\) and \(4,\)"):
         masking_error(rest, rest[:4])
+
+
+def test_numbers_that_json_lacks_are_text():
+    def refuse(constant):
+        raise ValueError(constant)
+
+    text = json_text({"at": np.array([1.0, np.nan]), "most": (np.inf, None), "file": Path("a")})
+    assert json.loads(text, parse_constant=refuse) == {"at": [1.0, "nan"], "most": ["inf", None], "file": "a"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,7 +74,9 @@ def answer(wanted: bool | str, content: object, text: object) -> int:
         content: as JSON can hold it, or JSON already.
         text: for people.
     """
-    numbers = content if isinstance(content, str) else f"{json.dumps(content, indent=2)}\n"
+    from masking.records.json_text import json_text
+
+    numbers = content if isinstance(content, str) else json_text(content)
     if wanted is True:
         print(numbers, end="")
         return 0

@@ -11,8 +11,7 @@ Column names: `t` (time of the plant), `rig.<coord>` and `rig.<coord>'` (the pla
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RENAMED, RecordError, nearest
+from masking.records.json_text import json_text
 
 if TYPE_CHECKING:
     from masking.records import parquet
@@ -116,7 +116,7 @@ class Recording:
             RecordError: it cannot be written.
         """
         folder = Path(folder)
-        text = _manifest_text({"format": FORMAT, **self.manifest})
+        text = json_text({"format": FORMAT, **self.manifest})
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with parquet.replacing(folder / MANIFEST) as manifest, parquet.replacing(folder / TABLE) as table:
@@ -214,26 +214,3 @@ def _check(columns: Mapping[str, NDArray[np.float64]]) -> None:
         row = int(np.argmin(rising)) + 1
         message = f"column 't' must increase strictly: row {row} is {t[row]:.9g} after {t[row - 1]:.9g}"
         raise RecordError(message)
-
-
-def _manifest_text(manifest: Mapping[str, Any]) -> str:
-    return json.dumps(_plain(manifest, ()), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _plain(value: Any, path: Iterable[str]) -> Any:  # noqa: ANN401  # a tree of JSON values
-    """Turn numpy values, tuples and the numbers that JSON lacks into what JSON can hold."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    match value:
-        case None | bool() | int() | str():
-            return value
-        case float():
-            return value if math.isfinite(value) else str(value)
-        case Mapping():
-            return {str(key): _plain(item, (*path, str(key))) for key, item in value.items()}
-        case list() | tuple():
-            return [_plain(item, (*path, str(index))) for index, item in enumerate(value)]
-        case Path():
-            return str(value)
-    kind = type(value).__name__
-    raise RecordError(f"the manifest's '{'.'.join(path)}' is a {kind}, which JSON cannot hold")

@@ -6,7 +6,6 @@ Everything is written into a folder of its own, read again as `masking check` re
 from __future__ import annotations
 
 import importlib.metadata
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -23,6 +22,7 @@ from masking.discovery.discovery import Discovery, Named
 from masking.discovery.places import identifier, opened
 from masking.effects import LAG, attach
 from masking.modelling.model import Model
+from masking.records.json_text import json_text
 from masking.reports import discovery_text, html, model_files
 from masking.reports.style import CaptionedFigure
 from masking.rig.twin import Twin
@@ -85,7 +85,7 @@ def save(
     if files.model is not None and files.plant is not None:
         contents[files.model] = model_files.text(model(found, files.model.parent, origin))
         contents[files.plant] = model_files.text(plant(found, files.model.relative_to(out), origin, out))
-    contents[files.numbers] = json.dumps(as_dict(found, lies or out, origin), indent=2, ensure_ascii=False) + "\n"
+    contents[files.numbers] = json_text(as_dict(found, lies or out, origin))
     with html.staged(out) as made:
         html.write({made / path.relative_to(out): content for path, content in contents.items()})
         if files.model is not None:

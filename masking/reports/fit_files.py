@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from masking.declaration import registry
 from masking.estimation.fit import Fit
 from masking.estimation.innovations import KalmanFit
+from masking.records.json_text import json_text
 from masking.reports import html, model_files
 
 
@@ -24,7 +24,7 @@ def save(fit: Fit | KalmanFit, folder: str | Path) -> dict[str, Path]:
     texts = {
         out / "model.yaml": model_files.text(model(fit, out)),
         out / "plant.yaml": model_files.text(plant(fit, out)),
-        out / "fit.json": json.dumps(fit.as_dict(), indent=2) + "\n",
+        out / "fit.json": json_text(fit.as_dict()),
     }
     html.write(texts)
     return {path.stem: path for path in texts}

@@ -6,7 +6,6 @@ import base64
 import contextlib
 import functools
 import importlib.metadata
-import json
 import platform
 import re
 import tempfile
@@ -19,6 +18,7 @@ import markupsafe
 from markupsafe import Markup
 
 from masking.errors import RecordError
+from masking.records.json_text import json_text
 from masking.reports.text import GREEK
 
 if TYPE_CHECKING:  # drawing is loaded by what draws
@@ -75,7 +75,7 @@ def save(
     """
     contents: dict[Path, bytes | str] = {**images(figures, page.parent)}
     if numbers is not None:
-        contents[page.with_suffix(".json")] = json.dumps(numbers, indent=2, ensure_ascii=False) + "\n"
+        contents[page.with_suffix(".json")] = json_text(numbers)
     write({**contents, page: render(template, figures=figures, **facts)})
 
 

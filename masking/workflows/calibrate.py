@@ -5,7 +5,6 @@ Source: Rijlaarsdam (2008), section 4.2.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from masking.errors import ModelError
 from masking.estimation.fit import fit, independent
 from masking.plants.interface import Plant
 from masking.procedures.calibration_findings import NAMES, PERIOD, Calibration, Stage
+from masking.records.json_text import json_text
 from masking.reports import calibration_page, fit_files
 from masking.rig.twin import Twin
 from masking.workflows import calibration_records
@@ -87,7 +87,7 @@ def calibrate(
     calibration = Calibration(twin, made, tuple(stages), folder)
     fit_files.save(calibration.best.fit, folder)
     calibration_page.save(calibration)
-    (folder / "calibration.json").write_text(json.dumps(calibration.as_dict(), indent=2) + "\n", encoding="utf-8")
+    (folder / "calibration.json").write_text(json_text(calibration.as_dict()), encoding="utf-8")
     if progress is not None:
         progress(1.0)
     return calibration

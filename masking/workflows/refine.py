@@ -6,7 +6,6 @@ rig really does, and the masking error falls. Effects in sensors and actuators a
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from masking.discovery.discovery import Discovery, Named
 from masking.discovery.search import Tell
 from masking.discovery.settings import DiscoverySettings
 from masking.errors import DeclarationError, IntegrationError, Problem, SingularityError
+from masking.records.json_text import json_text
 from masking.records.recording import Recording
 from masking.reports import discovery_files, discovery_page, discovery_text, html, run_report
 from masking.reports.discovery_files import Files
@@ -264,8 +264,7 @@ def _write(result: Refinement, made: Path, folder: Path) -> None:
             run_report.report(run.recording, made / name)
     content = yaml.safe_dump(_experiment(result, folder), sort_keys=False, width=118, allow_unicode=True)
     (made / EXPERIMENT).write_text(content, encoding="utf-8")
-    text = json.dumps(result.as_dict(), indent=2, ensure_ascii=False)
-    (made / NUMBERS).write_text(f"{text}\n", encoding="utf-8")
+    (made / NUMBERS).write_text(json_text(result.as_dict()), encoding="utf-8")
 
 
 def _experiment(result: Refinement, folder: Path) -> dict[str, Any]:
