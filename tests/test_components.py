@@ -92,7 +92,7 @@ NAMED = {
     "motor/dry_friction": ("shaft", {"fc": 0.05}),
 }
 # One whole search for each kind of system is in the gate.
-GATE = {"damper/dry_friction", "tank/hardening_spring", "motor/dry_friction"}
+GATE = {"damper/dry_friction", "tank/hardening_spring"}
 EACH_NAMED = [pytest.param(name, marks=[] if name in GATE else pytest.mark.search) for name in NAMED]
 
 

@@ -111,6 +111,7 @@ def latent(file, values, friction, offset):
     return np.sqrt(np.mean(low[1] ** 2) / np.mean(low[0] ** 2))
 
 
+@pytest.mark.search
 def test_bouc_wen_is_hysteresis(tmp_path):
     train, test = DATA / "boucwen" / "train.h5", DATA / "boucwen" / "test.h5"
     found = discovered(

@@ -74,7 +74,9 @@ def _raise_between_imports(number: int, frame: FrameType | None) -> None:
     at = frame
     while at is not None:
         if at.f_code.co_filename.startswith("<frozen importlib"):
-            again = threading.Timer(_LATER, signal.raise_signal, [number])
+            # A signal to the timer's thread would not end what the main one waits for.
+            main = threading.main_thread().ident or 0
+            again = threading.Timer(_LATER, signal.pthread_kill, [main, number])
             again.daemon = True
             again.start()
             return

@@ -16,21 +16,6 @@ from tests.benchmarks.table import Row, limited, told
 
 ROUNDS = 11
 TOP = Path(__file__).resolve().parents[2]
-# The verb as the installed script calls it; what the report takes, its imports too, is written to a file.
-RUN = """
-import json, sys, time, types
-from pathlib import Path
-from masking import cli
-from masking.cli import runs
-def report(*arguments, **settings):
-    begin = time.perf_counter()
-    from masking import reporting
-    found = reporting.report(*arguments, **settings)
-    Path(sys.argv[-1], "seconds.json").write_text(json.dumps(time.perf_counter() - begin))
-    return found
-runs.reporting = types.SimpleNamespace(report=report)
-sys.exit(cli.main())
-"""
 # The parts of a first start, each measured where it happens.
 COLD = """
 import json, sys, time
@@ -91,7 +76,7 @@ def warm(cache: str, out: Path) -> Iterator[Row]:
     overheads, reports = [], []
     for _ in range(ROUNDS):
         begin = time.perf_counter()
-        process([sys.executable, "-c", RUN, *arguments], cache)
+        process([sys.executable, "-m", "tests.benchmarks.timed_run", *arguments], cache)
         wall = time.perf_counter() - begin
         timing = json.loads((out / "manifest.json").read_text(encoding="utf-8"))["timing"]
         reports.append(float(json.loads((out / "seconds.json").read_text(encoding="utf-8"))))
