@@ -148,6 +148,10 @@ class Model:
         """Return the parameters by name, in SI units, or in the declared scales."""
         return self.units.parameter_values(self.overrides, dimensionless=self.is_dimensionless)
 
+    def exact_values(self) -> dict[str, sp.Expr]:
+        """Return the parameters by name as the decimals that are written, in the same units as `parameter_values`."""
+        return self.units.exact_values(self.overrides, dimensionless=self.is_dimensionless)
+
     def value(self, parameter: str) -> float:
         """Return one parameter, in SI units, or in the declared scales.
 

@@ -8,15 +8,24 @@ dimension is the product of scale_k to the power e_k is divided by that product.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
 
 from masking.declaration import schema
 from masking.declaration.checks import bounded
 from masking.declaration.expression import Expression
 from masking.declaration.units import Conversion, conversion
 from masking.errors import DeclarationError, ModelError, Problem, nearest
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
 
 PLAIN = "1"
 SECOND = "s"
@@ -78,6 +87,7 @@ class Units:
             DeclarationError: an override names no parameter, or a value is out of its bounds.
         """
         values = self._si_values(overrides)
+        values = {name: values[name] for name in self.declaration.parameters}
         if not dimensionless:
             return values
         scales = self.scale_values(overrides)
@@ -85,6 +95,24 @@ class Units:
             name: value / self.conversions[self.declaration.parameters[name].unit].scale(scales)
             for name, value in values.items()
         }
+
+    def exact_values(self, overrides: Mapping[str, float], *, dimensionless: bool) -> dict[str, sp.Expr]:
+        """Return every parameter exactly: as the decimals that are written, and expressions of these.
+
+        Args:
+            overrides: values that replace the declared ones, in the declared units.
+            dimensionless: whether to divide by the scales.
+        """
+        parameters, found = self.declaration.parameters, dict[str, sp.Expr]()
+        for name in self._si_values(overrides):
+            parameter = parameters[name]
+            found[name] = self._exact(overrides.get(name, parameter.value), parameter.unit, found)
+        if dimensionless:
+            scales = {n: self._exact(s.value, s.unit, found) for n, s in self.declaration.scales.items()}
+            for name, parameter in parameters.items():
+                powers = self.conversions[parameter.unit].exponents
+                found[name] /= math.prod(scales[n] ** _rational(power) for n, power in powers.items())
+        return {name: found[name] for name in parameters}
 
     def scale_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
         """Return the declared scales in SI units; all must be positive.
@@ -119,6 +147,7 @@ class Units:
         return known.scale(self.scale_values(overrides)) if known is not None else 1.0
 
     def _si_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
+        """Return every parameter in SI units, each after those that its expression holds."""
         parameters = self.declaration.parameters
         self.check_names(overrides)
         found: dict[str, float] = {}
@@ -135,7 +164,14 @@ class Units:
                 shown = f"{name} = {value:g}{unit}"
                 if problems := [*bounded(self.declaration, f"parameters.{name}", shown, value, parameter.bounds)]:
                     raise DeclarationError(problems)
-        return {name: found[name] for name in parameters}
+        return found
+
+    def _exact(self, value: float | Expression, unit: str, values: Mapping[str, sp.Expr]) -> sp.Expr:
+        """Return a declared value in SI units, exactly."""
+        factor = sp.Rational(repr(float(self.conversions[unit].factor)))
+        if isinstance(value, Expression):
+            return value.to_sympy(values) * (1 if value.names else factor)
+        return sp.Rational(repr(float(value))) * factor
 
     def _si(self, value: float | Expression, unit: str, values: Mapping[str, float]) -> float:
         """Return a declared value in SI units; an expression of parameters is one of their SI values."""
@@ -143,6 +179,11 @@ class Units:
             computed = value.evaluate(values)
             return computed if value.names else computed * self.conversions[unit].factor
         return value * self.conversions[unit].factor
+
+
+def _rational(power: float) -> sp.Rational:
+    """Return the power of a scale, whose denominator is small, as it was solved for."""
+    return sp.Rational(Fraction(power).limit_denominator(60))
 
 
 def _units(declaration: schema.ModelDeclaration) -> dict[str, str]:

@@ -7,13 +7,14 @@ set, and the equilibria in it, make the conclusion. Theorems 5.1, 7.1, 8.1 and 9
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import sympy as sp
 
 from masking.analysis.stability.algebra import normal, radical
 from masking.analysis.stability.boundedness import Boundedness, boundedness, is_positive_definite
+from masking.analysis.stability.crosscheck import contradiction
 from masking.analysis.stability.dissipation import Dissipation, Status, dissipation
 from masking.analysis.stability.equilibria import UNDECIDED, Box, equilibria
 from masking.analysis.stability.hypotheses import Hypotheses
@@ -134,16 +135,44 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
     if lost.status != "proved":
         text = "whether the energy can grow is not shown"
         return Certificate(model.name, lost.status, text, motion.energy, given.texts, lost)
-    bounded = boundedness(motion)
-    found, others, reasons = None, None, tuple[str, ...]()
+    return _withdrawn(_concluded(motion, lost, boundedness(motion)), motion)
+
+
+def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certificate:
+    """Conclude where the energy does not grow."""
+    found, others, reasons, status = None, None, tuple[str, ...](), lost.status
     if lost.box is not None or not lost.squares:
         text, further = _without_set(lost, bounded)
     else:
-        found = invariant_set(motion, [square.form.as_base_exp()[0] for square in lost.squares])
+        found = invariant_set(motion, lost.forms)
         others, reasons = _others(motion, found)
         text, further = _conclusion(bounded, found, others)
+        status = "proved" if found.is_found else "open"  # LaSalle's theorem by itself is no result
+    reasons, hypotheses = (*reasons, *further), motion.given.texts
     return Certificate(
-        model.name, "proved", text, motion.energy, given.texts, lost, bounded, found, others, (*reasons, *further)
+        motion.model.name, status, text, motion.energy, hypotheses, lost, bounded, found, others, reasons
+    )
+
+
+def _withdrawn(proof: Certificate, motion: Motion) -> Certificate:
+    """Return a certificate, open where it rests on a coincidence or is contradicted by modes or a simulation."""
+    if proof.status != "proved" or proof.dissipation is None or proof.dissipation.box is not None:
+        against = ""
+    else:
+        is_bounded = proof.boundedness is not None and proof.boundedness.is_shown
+        against = contradiction(motion, proof.dissipation.forms, proof.invariant, is_bounded=is_bounded)
+    texts = [f"{x} is not 0 at the declared values, but 0 within 1e-9 of them" for x in motion.given.coincidences]
+    texts += [against] if against else []
+    if not texts:
+        return proof
+    return replace(
+        proof,
+        status="open",
+        conclusion=f"not shown: {'; '.join(dict.fromkeys(texts))}",
+        dissipation=proof.dissipation and replace(proof.dissipation, status="open"),
+        invariant=None,
+        others=None,
+        reasons=(f"The energy alone would say: {proof.conclusion}.",),
     )
 
 
@@ -290,7 +319,7 @@ def _branch(
 def _is_void(equation: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> bool:
     """Tell whether a factor of parameters is 0 at declared values, so that the equation says nothing."""
     for factor in sp.Mul.make_args(sp.factor(equation)):
-        if not factor.free_symbols & {*unknown} and motion.given.at_values(factor) == 0:
+        if not factor.free_symbols & {*unknown} and motion.given.is_void(factor):
             motion.given.suppose(f"{factor} = 0")
             return True
     return False

@@ -55,6 +55,11 @@ class Dissipation:
     counterexample: dict[str, float] | None = None
     growth: float = 0.0
 
+    @property
+    def forms(self) -> tuple[sp.Expr, ...]:
+        """Return the forms of the velocities that are 0 where V' is, as far as squares show them."""
+        return tuple(square.form.as_base_exp()[0] for square in self.squares)
+
 
 def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa: PLR0911  # one way each
     """Find out whether the energy of a model can grow.
@@ -81,7 +86,7 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
         return Dissipation(rate, "proved", "a sum of squares of velocities", terms)
     if _is_sum_of_resistances(rate, motion):
         return Dissipation(rate, "proved", "a sum of velocities times forces against them")
-    sides = _sides(motion, box or {})
+    sides = default_box(motion, box or {})
     try:
         growth = Growth(motion, rate)
     except ModelError as error:
@@ -132,8 +137,8 @@ def _is_sum_of_resistances(rate: sp.Expr, motion: Motion) -> bool:
     return True
 
 
-def _sides(motion: Motion, box: Box) -> dict[str, tuple[float, float]]:
-    """Return a box of coordinates and velocities, in the units of the model."""
+def default_box(motion: Motion, box: Box) -> dict[str, tuple[float, float]]:
+    """Return sides of all coordinates and velocities, in the units of the model: as given, or by default."""
     model, names = motion.model, [*map(str, motion.q), *map(str, motion.v)]
     check_box(model, box)
     declared = model.declaration.coordinates

@@ -64,7 +64,7 @@ class Growth:
         digits = 2 - int(np.floor(np.log10(span)))
         points = np.clip(np.round(points, digits), low, high)
         given = self.values | {node: points[:, i] for i, node in enumerate(self.at)}
-        value, *edges = (np.broadcast_to(x, SAMPLES) for x in _evaluated(self.graph, [self.node, *self.edges], given))
+        value, *edges = (np.broadcast_to(x, SAMPLES) for x in evaluated(self.graph, [self.node, *self.edges], given))
         is_fit = np.isfinite(value) & np.all([edge != 0.0 for edge in edges], axis=0)
         value = np.where(is_fit, value, -np.inf)
         for best in np.argsort(-value, kind="stable")[:_MOST_CONFIRMED]:
@@ -91,7 +91,7 @@ class Growth:
             return float(about) * (1.0 - _ROUNDING) if value.is_Rational or about > _DISTINCT else -np.inf
 
 
-def _evaluated(graph: Graph, nodes: list[Node], given: Mapping[Node, Any]) -> list[Any]:
+def evaluated(graph: Graph, nodes: list[Node], given: Mapping[Node, Any]) -> list[Any]:
     """Return nodes of a graph at many states at once, in floating point."""
     found: dict[Node, Any] = {}
     with np.errstate(all="ignore"):

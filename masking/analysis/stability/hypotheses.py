@@ -19,6 +19,8 @@ from masking.errors import ModelError
 from masking.modelling.model import Model
 
 _DISTINCT = 1e-20  # a number that is no fraction is distinguished from 0 by 30 digits
+_ROUNDING = 1e-15  # of a value: what its conversion to floating point may change
+_COINCIDENCE = 1e-9  # of each value: a sign that does not survive such a change is a coincidence
 
 
 @dataclass
@@ -31,10 +33,12 @@ class Hypotheses:
     Args:
         model: whose values say what holds.
         extra: further ones that a proof needed, as texts.
+        coincidences: expressions that are not 0 at the declared values, but nearly, so that no proof may rest on that.
     """
 
     model: Model
     extra: list[str] = field(default_factory=list)
+    coincidences: list[sp.Expr] = field(default_factory=list)
 
     @cached_property
     def values(self) -> dict[str, float]:
@@ -42,14 +46,19 @@ class Hypotheses:
         return self.model.parameter_values()
 
     @cached_property
+    def exact(self) -> dict[str, sp.Expr]:
+        """Return them as the decimals that are written."""
+        return self.model.exact_values()
+
+    @cached_property
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """Return the parameters that are equal, each group in declared order; most have one member."""
         numbers = {match[0] for name in self.model.oscillators if (match := re.search(r"\d+$", name))}
         found: dict[tuple[object, ...], list[str]] = {}
-        for name, value in self.values.items():
+        for name, value in self.exact.items():
             stem, digits = re.fullmatch(r"(.*?)_?(\d*)", name).groups()  # type: ignore[union-attr]  # matches any name
             unit = self.model.declaration.parameters[name].unit
-            key = (stem, unit, value) if digits and digits in numbers and value != 0.0 else (name,)
+            key = (stem, unit, value) if digits and digits in numbers and value != 0 else (name,)
             found.setdefault(key, []).append(name)
         return tuple(tuple(group) for group in found.values())
 
@@ -73,9 +82,12 @@ class Hypotheses:
 
     def at_values(self, expression: sp.Expr) -> sp.Expr:
         """Return an expression in these symbols with exact declared values for them."""
-        return expression.subs(
-            {s: sp.Rational(self.values[name]) for name, s in self.symbols.items() if not s.is_number}
-        )
+        return expression.subs({s: self.exact[name] for name, s in self.symbols.items() if not s.is_number})
+
+    def is_void(self, expression: sp.Expr) -> bool:
+        """Tell whether an expression of parameters is 0 at the declared values."""
+        value = self.at_values(expression)
+        return bool(value.is_number) and not _is_distinct(value)
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -131,12 +143,26 @@ class Hypotheses:
         if self.sign(expression) in {1, -1}:
             return True
         value = self.at_values(expression)
-        if not value.is_number or not (value if value.is_Rational else abs(sp.N(value, 30)) > _DISTINCT):
+        if not value.is_number or not _is_distinct(value):
             return False
         for factor, _ in factors(expression):
             if self.sign(factor) is None:
                 self.suppose(f"{factor} != 0")
+                self._survives(factor)
         return True
+
+    def _survives(self, factor: sp.Expr) -> None:
+        """Note a coincidence where a factor may be 0 at values that are almost the declared ones."""
+        if self._enclosed(factor, self._around(_COINCIDENCE), strictly=True) is None:
+            self.coincidences.append(factor)
+
+    def _around(self, part: float) -> dict[sp.Expr, Interval]:
+        """Return the declared values give or take a part of each."""
+        return {s: Interval.of(x - part * abs(x), x + part * abs(x)) for s, x in self._declared.items()}
+
+    @property
+    def _declared(self) -> dict[sp.Expr, float]:
+        return {s: self.values[name] for name, s in self.symbols.items() if not s.is_number}
 
     def _sign(self, expression: sp.Expr, strictly: bool, of_factor: Callable[[sp.Expr], int | None]) -> int | None:
         if expression.is_zero:
@@ -161,14 +187,28 @@ class Hypotheses:
                 return 1 if form.is_positive else -1
             if not strictly and (form.is_nonnegative or form.is_nonpositive):
                 return 1 if form.is_nonnegative else -1
-        return self._enclosed(factor, self._ranges(), strictly)
+        ranges = self._ranges()
+        found = self._enclosed(factor, ranges, strictly)
+        if found is not None and strictly:
+            self._suppose_bounds(factor, ranges)
+        return found
 
     def _sign_at_values(self, factor: sp.Expr, strictly: bool) -> int | None:
         found = self._sign_of_factor(factor, strictly)
-        if found is None and any(s in factor.free_symbols for s in self.symbols.values()):
-            found = self._enclosed(factor, {s: Interval.of(self.values[n]) for n, s in self.symbols.items()}, strictly)
-            if found is not None:
-                self.suppose(f"{factor} {'>' if found > 0 else '<'}{'' if strictly else '='} 0")
+        if found is not None or not any(s in factor.free_symbols for s in self.symbols.values()):
+            return found
+        value = self.at_values(factor)
+        is_zero = bool(value.is_number) and not _is_distinct(value)
+        if is_zero:
+            found = None if strictly else 1
+        elif value.is_number:
+            found = 1 if sp.N(value, 30) > 0 else -1
+        else:
+            found = self._enclosed(factor, self._around(_ROUNDING), strictly)
+        if found is not None:
+            self.suppose(f"{factor} {'>' if found > 0 else '<'}{'' if strictly else '='} 0")
+            if strictly or (value.is_number and not is_zero):
+                self._survives(factor)
         return found
 
     def _ranges(self) -> dict[sp.Expr, Interval]:
@@ -198,10 +238,7 @@ class Hypotheses:
         except ModelError:
             return None
         slack = 0.0 if strictly else 1e-300  # of outward rounding at 0
-        sign = 1 if found.low > -slack else -1 if found.high < slack else None
-        if sign is not None and strictly:
-            self._suppose_bounds(factor, known)
-        return sign
+        return 1 if found.low > -slack else -1 if found.high < slack else None
 
     def _suppose_bounds(self, factor: sp.Expr, known: dict[sp.Expr, Interval]) -> None:
         """Tell of the declared bounds that a sign rests on."""
@@ -213,6 +250,11 @@ class Hypotheses:
                 self.suppose(f"{symbol} <= {high:g}")
             if np.isfinite(low) and low < 0.0:
                 self.suppose(f"{symbol} >= {low:g}")
+
+
+def _is_distinct(number: sp.Expr) -> bool:
+    """Tell whether an exact number is not 0."""
+    return bool(number != 0 if number.is_Rational else abs(sp.N(number, 30)) > _DISTINCT)
 
 
 def _is_even_cosine(expression: sp.Expr) -> bool:

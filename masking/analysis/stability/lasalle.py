@@ -22,7 +22,7 @@ import sympy as sp
 from sympy.simplify.fu import TR9
 
 from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants
-from masking.analysis.stability.hypotheses import Hypotheses, factors
+from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.motion import Motion
 from masking.errors import ModelError
 
@@ -93,6 +93,7 @@ def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> Invar
         reduced = row
         for pivot, other in zip(pivots, rows, strict=True):
             reduced = (reduced - reduced[pivot] * other).applyfunc(normal)
+        reduced = reduced.applyfunc(lambda x: _without_void(x, motion.given))
         entry = _pivot(reduced, motion.given)
         if entry is None:
             continue
@@ -103,11 +104,10 @@ def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> Invar
         pivots.append(entry)
         fresh.append((row * a).applyfunc(normal))
     # Earlier pivots are eliminated from later rows: the product is a minor of O; the result holds where it is not 0.
-    for factor, _ in factors(normal(determinant)):
-        if motion.given.sign(factor) is None:
-            motion.given.suppose(f"{factor} != 0")
+    motion.given.is_nonzero(normal(determinant))
     ordered = sorted(zip(pivots, rows, strict=True), key=lambda x: x[0])
-    relations = tuple(sum((row[j] * x for j, x in enumerate(state)), sp.Integer(0)) for _, row in ordered)
+    plain = [row.applyfunc(lambda x: _without_void(x, motion.given)) for _, row in ordered]
+    relations = tuple(sum((row[j] * x for j, x in enumerate(state)), sp.Integer(0)) for row in plain)
     family = Family(relations)
     if len(relations) == 2 * n:
         end = "Along a motion of this linear model that stays there, everything is 0: it is the equilibrium."
@@ -116,15 +116,18 @@ def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> Invar
     return InvariantSet(True, (family,), steps=(start, end))
 
 
+def _without_void(entry: sp.Expr, given: Hypotheses) -> sp.Expr:
+    """Return an entry of parameters, or 0 where it vanishes at the declared values, which is supposed."""
+    if entry == 0 or not given.is_void(entry):
+        return entry
+    given.suppose(f"{radical(entry, given)} = 0")
+    return sp.Integer(0)
+
+
 def _pivot(row: sp.Matrix, given: Hypotheses) -> int | None:
-    """Return the last entry of a row that is not 0 at declared values, one with a sign first; None where all are 0."""
+    """Return the last entry of a row that is not 0, one with a sign first; None where all are 0."""
     order = [j for j in reversed(range(row.cols)) if row[j] != 0]
-    for is_nonzero in (lambda x: given.sign(x) in {1, -1}, lambda x: given.at_values(x) != 0):
-        if (found := next((j for j in order if is_nonzero(row[j])), None)) is not None:
-            return found
-    for j in order:
-        given.suppose(f"{sp.factor(row[j])} = 0")
-    return None
+    return next((j for j in order if given.sign(row[j]) in {1, -1}), order[0] if order else None)
 
 
 class _OpenError(ModelError):

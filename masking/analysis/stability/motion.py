@@ -109,11 +109,15 @@ class Motion:
 
     @cached_property
     def circles(self) -> tuple[sp.Symbol, ...]:
-        """Return the coordinates that are angles: V and the equations do not change over one turn of them."""
-        found = []
+        """Return the coordinates that are angles: V and the equations do not change over one turn of them.
+
+        A coordinate that they do not hold may be one in rad; else it is a length that goes on for ever.
+        """
+        found, every = [], (*self.mass, *self.force, self.energy or sp.Integer(0))
         for q in self.q:
-            turned = {q: q + 2 * sp.pi}
-            if all(is_zero(e.subs(turned) - e) for e in (*self.mass, *self.force, self.energy or sp.Integer(0))):
+            is_held = any(q in e.free_symbols for e in every)
+            is_angle = is_held or self.model.declaration.coordinates[q.name].unit == "rad"
+            if is_angle and all(is_zero(e.subs(q, q + 2 * sp.pi) - e) for e in every):
                 found.append(q)
         return tuple(found)
 

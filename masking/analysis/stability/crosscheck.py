@@ -1,0 +1,154 @@
+"""Cross-check of a certificate: modes of a linear model, and simulated motions.
+
+It proves nothing: it can only contradict a proof, which is then withdrawn. A motion contradicts it that gains energy,
+or that keeps to V' = 0 although it moves outside of the largest invariant set found there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import sympy as sp
+from scipy.integrate import solve_ivp
+
+from masking.analysis.stability.dissipation import default_box
+from masking.analysis.stability.growth import evaluated
+from masking.analysis.stability.lasalle import InvariantSet
+from masking.analysis.stability.modes import state_matrix
+from masking.analysis.stability.motion import Motion
+from masking.codegen.graph import Graph, Node
+from masking.errors import ModelError
+from masking.numerics.arrays import Array
+
+_NEUTRAL = 1e-12  # of the largest eigenvalue: a real part below this is the rounding of one that is 0
+_OUTSIDE = 1e-6  # of the largest amplitude: further from a relation than this, a mode is outside of a set
+_RADIANS = 20.0  # of the fastest mode: duration of a simulation
+_ROWS = 41
+_RANDOM = 4  # initial states
+_MOST_RATES = 4000  # evaluations of the rates, after which a motion is too stiff to be followed
+_GAIN = 1e-5  # of the largest kinetic energy: far more than the integration errs by
+_STILL = 1e-6  # of the largest speed: forms below this are 0
+_MOVING = 1e-2  # of the initial motion
+
+
+class _StiffError(Exception):
+    """A motion takes too many steps, or leaves the numbers."""
+
+
+def contradiction(motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet | None, *, is_bounded: bool) -> str:
+    """Return what contradicts a proof; '' where nothing does.
+
+    Args:
+        motion: whose energy does not grow.
+        forms: linear in the velocities, 0 where V' is.
+        found: the largest invariant set on which they are; None where it was not looked for.
+        is_bounded: whether every motion is bounded.
+    """
+    found = found if found is not None and found.is_found else None
+    try:
+        matrix = state_matrix(motion.model)
+    except ModelError:  # at a kink, or where an operation has no slope
+        matrix = np.zeros((2 * len(motion.q),) * 2)
+    matrix = matrix if np.all(np.isfinite(matrix)) else np.zeros_like(matrix)
+    values, vectors = np.linalg.eig(matrix)
+    slack = _NEUTRAL * float(np.max(np.abs(values), initial=0.0))
+    if motion.is_linear and found is not None:
+        relations = [r for family in found.families for r in family.relations]
+        slopes = _slopes(motion, relations)
+        for value, vector in zip(values, vectors.T, strict=True):
+            stays = value.real >= -slack and (is_bounded or value.real <= slack)
+            if stays and np.max(np.abs(slopes @ vector), initial=0.0) > _OUTSIDE * np.max(np.abs(vector)):
+                return (
+                    f"a mode of frequency {abs(value.imag):.6g} does not decay (eigenvalue {value:.4g}) and is outside "
+                    "of this set"
+                )
+    neutral = [vectors[:, i] for i in range(len(values)) if abs(values[i].real) <= slack < values[i].imag]
+    try:
+        return _Motions(motion, forms, found).contradiction(neutral)
+    except ModelError:  # a function that cannot be evaluated
+        return ""
+
+
+def _slopes(motion: Motion, relations: Sequence[sp.Expr]) -> Array:
+    """Return the coefficients of linear relations (m, 2 n), the largest of each 1."""
+    rows = [[float(motion.given.at_values(sp.diff(r, x))) for x in (*motion.q, *motion.v)] for r in relations]
+    found = np.array(rows).reshape(len(relations), 2 * len(motion.q))
+    return np.asarray(found / np.maximum(np.max(np.abs(found), axis=1, keepdims=True, initial=0.0), 1e-300))
+
+
+class _Motions:
+    """Simulated motions of a model, its energy along them, and what is 0 on the invariant set."""
+
+    def __init__(self, motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet | None) -> None:
+        self.motion, self.forms, self.found, self.graph = motion, forms, found, Graph()
+        state = (*motion.q, *motion.v)
+        symbols, self.values = motion.on(self.graph, state)
+        self.at = [symbols[x] for x in state]
+        energy = motion.energy or sp.Integer(0)
+        watched = [energy, energy - energy.subs(dict.fromkeys(motion.v, 0)), *forms]
+        self.families = [[*f.relations] for f in found.families] if found else []
+        watched += [r for family in self.families for r in family]
+        self.rates = [self.graph.lower(a, symbols) for a in motion.accelerations]
+        self.watched = [self.graph.lower(x, symbols) for x in watched]
+        box = default_box(motion, {})
+        self.low, self.high = (np.array([box[x.name][k] for x in state]) for k in (0, 1))
+
+    def contradiction(self, neutral: Sequence[Array]) -> str:
+        """Simulate from states of neutral modes (2 n,) and random ones; return what contradicts, or ''."""
+        n, size = len(self.motion.q), float(np.max(self.high[: len(self.motion.q)], initial=0.0))
+        starts = []
+        for shape in neutral:
+            largest = shape[np.argmax(np.abs(shape[:n]))]
+            if largest != 0.0:
+                starts.append(0.5 * size * (shape / largest).real)
+        starts += list(np.random.default_rng(0).uniform(0.5 * self.low, 0.5 * self.high, (_RANDOM, 2 * n)))
+        for start in starts:
+            try:
+                path = self._run(start)
+            except _StiffError:
+                continue
+            if words := self._words(path):
+                where = zip((*self.motion.q, *self.motion.v), start, strict=True)
+                return f"the simulated motion from {', '.join(f'{x} = {y:.4g}' for x, y in where)} {words}"
+        return ""
+
+    def _words(self, path: Array) -> str:
+        n, count = len(self.motion.q), len(self.forms)
+        energy, kinetic, *rest = self._at(self.watched, path)
+        gain, most = float(np.max(energy - np.minimum.accumulate(energy))), float(np.max(np.abs(kinetic)))
+        if gain > _GAIN * most > 0.0:
+            return f"gains energy: V rises by {gain:.3g}"
+        speed = np.max(np.abs(path[:, n:]), axis=1)
+        if self.found is None or not count or speed[-_ROWS // 4 :].max() <= _MOVING * speed.max():
+            return ""
+        if max(float(np.max(np.abs(form))) for form in rest[:count]) > _STILL * speed.max():
+            return ""
+        relations, size = iter(rest[count:]), float(np.max(np.abs(path)))
+        away = [max(float(np.max(np.abs(next(relations)))) for _ in family) for family in self.families]
+        return "keeps its energy outside of this set" if all(x > _MOVING * size for x in away) else ""
+
+    def _run(self, start: Array) -> Array:
+        """Return the states (rows, 2 n) of one motion."""
+        n, count = len(self.motion.q), 0
+
+        def rate(_: float, y: Array) -> Array:
+            nonlocal count
+            count += 1
+            found = np.concatenate([y[n:], [float(a) for a in self._at(self.rates, y)]])
+            if count > _MOST_RATES or not np.all(np.isfinite(found)):
+                raise _StiffError
+            return found
+
+        fast = float(np.max(self.high[n:])) / max(float(np.max(self.high[:n])), 1e-300)
+        times = np.linspace(0.0, _RADIANS / fast, _ROWS)
+        scale = 1e-12 * float(np.max(np.abs(start)))
+        run = solve_ivp(rate, (0.0, times[-1]), start, "DOP853", t_eval=times, rtol=1e-9, atol=scale)
+        if not run.success:
+            raise _StiffError
+        return np.asarray(run.y.T)
+
+    def _at(self, nodes: Sequence[Node], states: Array) -> list[Array]:
+        """Return nodes at states (..., 2 n)."""
+        given = self.values | {node: states[..., i] for i, node in enumerate(self.at)}
+        return [np.broadcast_to(x, states.shape[:-1]) for x in evaluated(self.graph, list(nodes), given)]
