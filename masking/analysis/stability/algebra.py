@@ -187,6 +187,14 @@ def radical(expression: sp.Expr, given: Hypotheses) -> sp.Expr:
     return product
 
 
+def without_void(entry: sp.Expr, given: Hypotheses) -> sp.Expr:
+    """Return an entry of parameters, or 0 where it vanishes at the declared values, which is supposed."""
+    if entry == 0 or not given.is_void(entry):
+        return entry
+    given.suppose(f"{radical(entry, given)} = 0")
+    return sp.Integer(0)
+
+
 def _without_square(product: sp.Expr, cosine: sp.Expr, sine: sp.Expr) -> sp.Expr:
     """Return S for (C - 1)(C + 1) = -S^2."""
     factors = list(sp.Mul.make_args(product))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import sympy as sp
 
-from masking.analysis.stability.algebra import normal
+from masking.analysis.stability.algebra import normal, without_void
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.motion import Motion
 from masking.errors import ModelError
@@ -79,7 +79,7 @@ def squares(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], given: Hypotheses) 
         symbols: x (n,).
         given: hypotheses, which get those that the signs of D need.
     """
-    rest, found = matrix.applyfunc(normal), []
+    rest, found = matrix.applyfunc(lambda x: without_void(normal(x), given)), []
     for i in range(rest.rows):
         row = rest[i, :]
         if all(x == 0 for x in row):
@@ -89,7 +89,7 @@ def squares(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], given: Hypotheses) 
             return None
         form = sum((normal(row[j] / pivot) * symbols[j] for j in range(rest.cols)), sp.Integer(0))
         found.append(Square(pivot, form))
-        rest = (rest - row.T * row / pivot).applyfunc(normal)
+        rest = (rest - row.T * row / pivot).applyfunc(lambda x: without_void(normal(x), given))
     return tuple(found)
 
 

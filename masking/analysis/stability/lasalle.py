@@ -21,7 +21,7 @@ from functools import cached_property
 import sympy as sp
 from sympy.simplify.fu import TR9
 
-from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants
+from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants, without_void
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.motion import Motion
 from masking.errors import ModelError
@@ -93,7 +93,7 @@ def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> Invar
         reduced = row
         for pivot, other in zip(pivots, rows, strict=True):
             reduced = (reduced - reduced[pivot] * other).applyfunc(normal)
-        reduced = reduced.applyfunc(lambda x: _without_void(x, motion.given))
+        reduced = reduced.applyfunc(lambda x: without_void(x, motion.given))
         entry = _pivot(reduced, motion.given)
         if entry is None:
             continue
@@ -106,7 +106,7 @@ def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> Invar
     # Earlier pivots are eliminated from later rows: the product is a minor of O; the result holds where it is not 0.
     motion.given.is_nonzero(normal(determinant))
     ordered = sorted(zip(pivots, rows, strict=True), key=lambda x: x[0])
-    plain = [row.applyfunc(lambda x: _without_void(x, motion.given)) for _, row in ordered]
+    plain = [row.applyfunc(lambda x: without_void(x, motion.given)) for _, row in ordered]
     relations = tuple(sum((row[j] * x for j, x in enumerate(state)), sp.Integer(0)) for row in plain)
     family = Family(relations)
     if len(relations) == 2 * n:
@@ -114,14 +114,6 @@ def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> Invar
     else:
         end = f"Motions of this linear model that stay there, which these forms do not observe, have {family}."
     return InvariantSet(True, (family,), steps=(start, end))
-
-
-def _without_void(entry: sp.Expr, given: Hypotheses) -> sp.Expr:
-    """Return an entry of parameters, or 0 where it vanishes at the declared values, which is supposed."""
-    if entry == 0 or not given.is_void(entry):
-        return entry
-    given.suppose(f"{radical(entry, given)} = 0")
-    return sp.Integer(0)
 
 
 def _pivot(row: sp.Matrix, given: Hypotheses) -> int | None:
