@@ -34,7 +34,7 @@ from masking.numerics.instances import (
     STATE,
     VALUE,
 )
-from masking.numerics.integrators import compiled
+from masking.numerics.integrators import compiled, inlined
 from masking.numerics.rig_sizes import (
     CHANNELS,
     COMMAND_COLUMNS,
@@ -107,7 +107,7 @@ class Ports(NamedTuple):
     command: Any
 
 
-@compiled
+@inlined
 def lead_of(commands, index, channel, late, part, dt, is_linear):
     """Return the derivative of a command by its delay: the difference over a sample about it."""
     before = command_at(commands, index, channel, late + 0.5, part, is_linear)
@@ -115,7 +115,7 @@ def lead_of(commands, index, channel, late, part, dt, is_linear):
     return (before - after) / dt
 
 
-@compiled
+@inlined
 def drive_late(commands, index, step, substeps, dt, is_linear, given, u, end):
     """Write the delayed commands at the begin and `end` of an integration step, and their derivatives by the delay."""
     for a in range(u.shape[0]):
@@ -125,7 +125,7 @@ def drive_late(commands, index, step, substeps, dt, is_linear, given, u, end):
         given.lead[a] = lead_of(commands, index, a, late, (step + 0.5) / substeps, dt, is_linear)
 
 
-@compiled
+@inlined
 def ports_in(work, places, channels):
     """Return the work space of the ports, and what remains of it."""
     forces, work = take(work, places)
@@ -137,7 +137,7 @@ def ports_in(work, places, channels):
     return Ports(forces, commands, inertias, followed, pushed, vectors[0], vectors[1], vectors[2], vectors[3]), work
 
 
-@compiled
+@inlined
 def at_once(table, by_entry, forces, commands, j):
     """Return the derivative of a reading by column j through forces and commands at once.
 
@@ -152,7 +152,7 @@ def at_once(table, by_entry, forces, commands, j):
     return total
 
 
-@compiled
+@inlined
 def project(followed, columns, n, row):
     """Add the derivatives of what follows n states with derivatives `columns`."""
     for i in range(n):
@@ -160,7 +160,7 @@ def project(followed, columns, n, row):
             row[j] += followed[i] * columns[i, j]
 
 
-@compiled
+@inlined
 def subject(kind, at, columns, given, ports, s, by_state, by_entry, by, by_rate):
     """Return what a law follows: the displacement of a place and its rate, a command, a reading, or 1 for an inertia.
 
@@ -185,7 +185,7 @@ def subject(kind, at, columns, given, ports, s, by_state, by_entry, by, by_rate)
     return 1.0, 0.0
 
 
-@compiled
+@inlined
 def put_state(i, z, columns, given, rows, by, by_rate, rate, column_rates):
     """Put the rate of an effect's state where it is integrated, with its derivatives."""
     rate[z] = rows[1, VALUE]
@@ -197,7 +197,7 @@ def put_state(i, z, columns, given, rows, by, by_rate, rate, column_rates):
             column_rates[z, given.estimated[i, m]] += rows[1, BY_PARAMETER + m]
 
 
-@compiled
+@inlined
 def put(i, columns, given, ports, rows, by, by_rate, rate, column_rates):
     """Put what the law of instance i gives (`rows`) where it acts, with its derivatives."""
     kind, at, z = given.instances[i, KIND], given.instances[i, PLACE], given.instances[i, STATE]
@@ -223,7 +223,7 @@ def put(i, columns, given, ports, rows, by, by_rate, rate, column_rates):
             target[given.estimated[i, m]] += rows[0, BY_PARAMETER + m]
 
 
-@compiled
+@inlined
 def clear(u, width, given, ports):
     """Take forces and inertias out of the ports, and put commands into them."""
     table = given.table

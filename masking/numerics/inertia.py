@@ -11,11 +11,11 @@ Source: Sherman and Morrison (1950), Ann. Math. Stat. 21(1), 124-127.
 
 from __future__ import annotations
 
-from masking.numerics.integrators import compiled
+from masking.numerics.integrators import inlined
 from masking.numerics.rig_sizes import COORDINATES, FORCE_COLUMNS, FORCE_ENTRIES, PLACES, SIZES, STATES
 
 
-@compiled
+@inlined
 def draw(n, coordinates, share, followed, pushed, rate):
     """Bring rates (n,) to those with one inertia."""
     if share != 0.0:
@@ -26,7 +26,7 @@ def draw(n, coordinates, share, followed, pushed, rate):
             rate[i] += share * total * pushed[i]
 
 
-@compiled
+@inlined
 def accelerate(width, by_entry, given, rate, ports):
     """Bring the accelerations in `rate` to those with the inertias that `ports.acceleration` holds.
 

@@ -28,7 +28,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from masking.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
-from masking.numerics.integrators import compiled
+from masking.numerics.integrators import compiled, inlined
 
 Kernel = Callable[..., Any]
 
@@ -49,13 +49,13 @@ class Given(NamedTuple):
     coordinates: Any
 
 
-@compiled
+@inlined
 def take(work, rows):
     """Return the first rows of a work space, and what remains of it."""
     return work[:rows], work[rows:]
 
 
-@compiled
+@inlined
 def command_at(commands, index, channel, late, part, is_linear):
     """Return a command a part of a sample after a sample, as it was `late` samples before.
 
@@ -78,7 +78,7 @@ def drive(commands, index, step, substeps, dt, is_linear, given, u, end):
         end[channel] = command_at(commands, index, channel, 0.0, (step + 1.0) / substeps, is_linear)
 
 
-@compiled
+@inlined
 def add_chain(by_state, by_entry, columns, basis, spans, n, row):
     """Add to a row (width,) what n states with derivatives `columns` and entries of the parameter array do."""
     for i in range(n):
