@@ -1,5 +1,8 @@
 """Sensitivities of a twin's readings, against exact solutions and central differences."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from scipy import linalg, signal
@@ -205,3 +208,13 @@ def test_a_motion_that_is_not_finite_is_refused(linear):
         linear.simulate(linear.start(), np.zeros(6), u, rate=1.0, substeps=1)
     with pytest.raises(IntegrationError, match="no longer finite"):
         linear.normal_equations(linear.basis(linear.start()), np.zeros(6), Data("slow", 1.0, u, u), weights, 1)
+
+
+def test_kernels_that_are_on_disk_are_loaded_without_numba():
+    code = (
+        "import sys; from masking.estimation.sensitivity import Sensitivity; from masking.rig.twin import Twin\n"
+        "twin = Twin.load('linear_rig'); Sensitivity(twin, twin.equation_parameters()).kernels.normal.prepare()\n"
+        "print('numba.core.dispatcher' in sys.modules)"
+    )
+    ended = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True) for _ in range(2)]
+    assert ended[-1].stdout == "False\n"

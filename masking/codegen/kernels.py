@@ -77,6 +77,10 @@ class Kernels:
             self._functions[name] = self.generated.function(name)
         return self._functions[name]
 
+    def by_signature(self, *signatures: str) -> dict[str, NativeFunction]:
+        """Return functions by their signatures, as `linked` takes them."""
+        return {signature: getattr(self, signature.partition("(")[0]) for signature in signatures}
+
     def integrate(
         self,
         times: Array,
@@ -148,27 +152,31 @@ class Kernels:
 
 
 def linked(
-    factories: Mapping[str, tuple[Any, ...]], links: Mapping[str, NativeFunction], work: tuple[int, int]
+    name: str,
+    factories: Callable[[], Mapping[str, tuple[Any, ...]]],
+    links: Mapping[str, NativeFunction],
+    work: tuple[int, int],
 ) -> Kernels:
     """Return kernels that are compiled once for all models, with functions of one model linked to them.
 
     Args:
-        factories: for each kernel, what `Module.add_factory` is given after its name.
+        name: of the kernels together.
+        factories: returns for each kernel what `Module.add_factory` is given after its name; called, and numba imported
+            with it, only if the kernels are not on disk yet.
         links: functions of the model by their signatures, as `Module.add_link` takes them.
         work: the shape of the kernels' work space.
     """
 
     def build() -> Module:
-        module = Module("kernels of any model", {})
+        module = Module(f"{name}, of any model", {})
         for signature in links:
             module.add_link(signature)
-        for name, given in factories.items():
-            module.add_factory(name, *given)
+        for kernel, given in factories().items():
+            module.add_factory(kernel, *given)
         return module
 
-    made_from = {"links": list(links), "factories": {n: [str(x) for x in g[1:]] for n, g in factories.items()}}
     by_name = {signature.partition("(")[0]: function for signature, function in links.items()}
-    return Kernels(store.load(store.key(made_from), build, by_name, work))
+    return Kernels(store.load(store.key({"kernels": name, "links": list(links)}), build, by_name, work))
 
 
 def steps_between(slope: Callable[[Array, Array], None], state: Array, lengths: Array, rate: float) -> int:

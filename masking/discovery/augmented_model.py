@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 import numpy as np
@@ -278,17 +278,20 @@ class AugmentedModel:
             len(self.names) + 4 * MOST_PARAMETERS + self.sizes.states + MOST_STATES, self.affected,
             2 * len(self.places), MOST_COLUMNS,
         )  # fmt: skip
-        links = {signature: getattr(self.equations, signature.partition("(")[0]) for signature in (*SIGNATURES, PLACED)}
-        factories = {
-            "run": (augmented.augmented_normal_equations, laws.LAW, "placed", "slopes", "sensed"),
-            "respond": (responses.linear_responses, "slopes", "sensed"),
-            "follow": (kalman.fixed_gain_filter, "rates", "sensed"),
-            "smooth_backward": (kalman.backward_smoother,),
-            "motions": (responses.places_along, "rates", "placed"),
-            "along": (responses.law_along, laws.LAW),
-            "read": (responses.readings_along, "sensed"),
-        }
-        return linked(factories, {laws.SIGNATURE: laws.library(self.laws), **links}, (self.sizes.work_rows, width))
+        links = {laws.SIGNATURE: laws.library(self.laws), **self.equations.by_signature(*SIGNATURES, PLACED)}
+
+        def factories() -> dict[str, tuple[Any, ...]]:
+            return {
+                "run": (augmented.augmented_normal_equations, laws.LAW, "placed", "slopes", "sensed"),
+                "respond": (responses.linear_responses, "slopes", "sensed"),
+                "follow": (kalman.fixed_gain_filter, "rates", "sensed"),
+                "smooth_backward": (kalman.backward_smoother,),
+                "motions": (responses.places_along, "rates", "placed"),
+                "along": (responses.law_along, laws.LAW),
+                "read": (responses.readings_along, "sensed"),
+            }
+
+        return linked("augmented models", factories, links, (self.sizes.work_rows, width))
 
     @cached_property
     def latent(self) -> IntVector:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 import numpy as np
@@ -208,12 +208,15 @@ def _filters(sensing: Sensitivity) -> Kernels:
     """Return the compiled filters; from the cache on disk if they have been made before."""
     sizes, size = sensing.sizes, sensing.states + len(sensing.names)
     rows = 3 * sizes.sensors + size + 11 + 2 * sizes.states + sizes.moving_rows
-    links = {SLOPES: sensing.equations.slopes, SENSED: sensing.equations.sensed}
-    factories = {
-        "filter_full": (kalman.full_extended_filter, "slopes", "sensed"),
-        "filter_root": (kalman.root_extended_filter, "slopes", "sensed"),
-    }
-    return linked(factories, links, (rows, max(3 * sizes.states, size, *sensing.widths)))
+    work = rows, max(3 * sizes.states, size, *sensing.widths)
+
+    def factories() -> dict[str, tuple[Any, ...]]:
+        return {
+            "filter_full": (kalman.full_extended_filter, "slopes", "sensed"),
+            "filter_root": (kalman.root_extended_filter, "slopes", "sensed"),
+        }
+
+    return linked("Kalman filters", factories, sensing.equations.by_signature(SLOPES, SENSED), work)
 
 
 def _is_affine(sensing: Sensitivity) -> bool:

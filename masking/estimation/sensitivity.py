@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 import numpy as np
@@ -145,12 +145,14 @@ class Sensitivity:
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
         sizes, width = self.sizes, max(self.states + len(self._compiled), *self.widths)
-        factories = {
-            "simulate": (variational.simulation, "reading", "rates"),
-            "normal": (variational.twin_normal_equations, "slopes", "sensed"),
-        }
-        links = {signature: getattr(self.equations, signature.partition("(")[0]) for signature in SIGNATURES}
-        return linked(factories, links, (sizes.work_rows, width))
+
+        def factories() -> dict[str, tuple[Any, ...]]:
+            return {
+                "simulate": (variational.simulation, "reading", "rates"),
+                "normal": (variational.twin_normal_equations, "slopes", "sensed"),
+            }
+
+        return linked("sensitivities", factories, self.equations.by_signature(*SIGNATURES), (sizes.work_rows, width))
 
     @cached_property
     def equations(self) -> Kernels:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -76,7 +77,7 @@ class PortSizes(RigSizes):
         """Return the rows of work space of an integration step with derivatives."""
         return 7 * self.states + 5 * self.most_states + 6 + self.port_rows
 
-    @property
+    @cached_property
     def table(self) -> IntMatrix:
         """Return sizes and indices as kernels read them."""
         places, channels = len(self.force_entries), len(self.command_columns)
