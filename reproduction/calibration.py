@@ -5,8 +5,8 @@ rig was in section 4.2, has the parameters that were found there:
 
 * dry friction, one for all elements, by mu1 and mu2 of Table 4.4 in free motion;
 * the displacement at which the hysteresis of the beam yields, by z3 of Table B.1 under the multisine and by its chi of
-  Table 4.3. A longer one lowers both, to z3 before it does the same to chi: the twin has z3 as much too large as chi too
-  small. The beam has no other damping: with any that is viscous, z3 comes out larger still;
+  Table 4.3. A longer one lowers both: that is taken with which z3 is as much too large as chi is too small. The beam
+  has no other damping: with any that is viscous, z3 comes out larger still;
 * the viscous damping of each oscillator, by its z of Table B.1 under the multisine.
 
 The stiffness of the beam's hysteresis follows from Table B.4: what w3^2 has beyond the spring that a slow ramp sees.

@@ -234,8 +234,8 @@ def fig_4_6() -> Entry:
         calibrated = (1.078, 1.109, 1.0)[number - 1]
         secant = rho[1] + rho[3] + rho[5]
         off = (
-            f"{calibrated:.3f} times as many volts hold a displacement with this actuator (appendix C.5), and hysteresis "
-            "and friction add to that; the red spring of the twin is that of the figure"
+            f"{calibrated:.3f} times as many volts hold a displacement with this actuator (appendix C.5); hysteresis and "
+            "friction add to that, and the red spring of the twin is that of the figure"
         )
         rows.append(
             Value(

@@ -19,6 +19,7 @@ LINE, ANGLE = ("x1", "x2", "x3"), ("th1", "th2", "th3")
 GROUND = {
     "setup": (LINE, "w3 c3"), "setup_driven": (LINE, "w3 c3"), "setup_identical": (LINE, "w3 c3"),
     "setup_shapes": (LINE, "w3 c3"), "setup_undamped": (LINE, "w3 c3"), "setup_springs": (LINE, "z3 c3"),
+    "setup_springs_table": (LINE, "z3 c3"),
     "setup_lagrangian": (LINE, "k3 b3 kv3"),
     "duffing": (LINE, "w3"), "duffing_driven": (LINE, "w3"), "duffing_si": (LINE, "w3"), "duffing_enoc": (LINE, "k b"),
     "discs": (ANGLE, "w3"), "discs_eccentric": (ANGLE, "w3 nu1 nu2 nu3"), "discs_driven": (ANGLE, "w3 nu1 nu2 nu3"),

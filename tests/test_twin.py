@@ -334,7 +334,7 @@ def test_commands_act_as_late_as_declared(loop_run, samples):
         flow[3 + i, :6] = row
         flow[5, :6] -= mu[i] * row
     flow[5, [2, 5]] -= w[2] ** 2, 2 * z[2] * w[2]
-    flow[3:6, 6:] = np.diag(c) @ [[1, 0, 0], [0, 1, 0], [-1, -1, 1]]
+    flow[3:6, 6:] = [[c[0], 0, 0], [0, c[1], 0], [-mu[0] * c[0], -mu[1] * c[1], c[2]]]
     step = linalg.expm(flow * 1e-3)
     states, commands = made.states, made.applied
     assert np.ptp(commands, axis=0).min() > 1e-3
