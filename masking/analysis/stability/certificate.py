@@ -369,7 +369,8 @@ def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr]) -> RestPoint:
     signs = [motion.given.declared_sign(normal(m.subs(point).det())) for m in (stiffness, motion.mass)]
     is_unstable = signs in ([-1, 1], [1, -1])
     words = "unstable, it has a positive eigenvalue (proved)" if is_unstable else "its stability is not shown"
-    potential = (motion.energy or sp.Integer(0)).subs(dict.fromkeys(motion.v, 0))
-    if not is_unstable and is_positive_definite(sp.hessian(potential, motion.q).subs(point), motion.given):
+    curvature = sp.hessian(motion.energy or sp.Integer(0), (*motion.q, *motion.v))
+    at = point | dict.fromkeys(motion.v, sp.Integer(0))
+    if not is_unstable and is_positive_definite(curvature.subs(at), motion.given):
         words = "stable, the energy has a minimum there (proved)"
     return RestPoint({str(q): str(point[q]) for q in motion.q}, words, is_unstable)
