@@ -77,9 +77,9 @@ def hold(law: Kernel, rate: Kernel, sizes: Sizes) -> Kernel:
         g(t + h/2) - h^2/24 g''(t + h/2) = 4/3 g(t + h/2) - (g(t) + g(t + h)) / 6,
 
     with g taken along the motion that is wanted. This motion passes the samples with velocities that differ from those
-    of the rig by h^2/12 g', since the rig's own velocity runs ahead of and behind it within each sample. Internal states
-    of the model move along this motion too: measured: where that of a hysteresis is held over the sample, its force is
-    late by half a sample, which takes 23 % of the amplitude of clocks in 320 s.
+    of the rig by h^2/12 g', since the rig's own velocity runs ahead of and behind it within each sample. Internal
+    states of the model move along it too. measured: with that of a hysteresis held, its force is late by half a
+    sample, which takes 23 % of the amplitude of clocks in 320 s.
 
     Returns:
         `hold(t, since, z, p, h, u, work) -> health`, which writes the inputs u for an estimate z at time t.
