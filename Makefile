@@ -1,6 +1,7 @@
 # make demo   run the Duffing experiment and write its report
 # make test   format, lint, types and tests: the gate
 # make quick  format, lint and the tests that need no long compilation: the inner loop, under a minute
+# make docs-check  every number in README and docs against the code: minutes; OPTIONS=--write writes them anew
 # make docs   build the documentation and the reference of the package into site/
 # make dist   build a wheel and an sdist into dist/
 # make searches  tests that are whole discoveries, beyond one for each verdict and kind of system
@@ -19,7 +20,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constr
 
 QUICK := architecture vocabulary documentation declaration expression model scales linear effects
 
-.PHONY: demo test quick searches docs dist bench bench-discovery clean
+.PHONY: demo test quick searches docs docs-check dist bench bench-discovery clean
 
 # Machine code is kept between runs of the tests: its names are hashes of all that it is made of.
 export MASKING_CACHE ?= $(CURDIR)/.venv/kernels
@@ -40,6 +41,9 @@ quick: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pytest -n 2 --dist loadfile $(QUICK:%=tests/test_%.py)
+
+docs-check: $(READY)
+	$(BIN)/python -m tests.documented $(OPTIONS)
 
 docs: $(DOCS_READY)
 	$(BIN)/mkdocs build --strict

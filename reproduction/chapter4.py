@@ -14,7 +14,7 @@ from masking.procedures.springs import spring_curve
 from masking.reports.style import Series
 from masking.rig.twin import Twin
 from masking.signals import Multisine, crest_factor, minimise_crest, ramp, time_factor
-from reproduction.comparison import Entry, Value
+from reproduction.comparison import Entry, Value, declared, experimental
 from reproduction.errata import GAINS, table_b_2
 from reproduction.plots import curves
 from reproduction.simulated_records import (
@@ -37,18 +37,19 @@ CALIBRATED = {"z1", "z2", "z3", "mu1", "mu2", "chi, multisine, beam"}
 
 def table_4_2() -> Entry:
     """Dimensionless parameters of the set-up, derived from those in SI units, and the mass ratios of Table 4.4."""
-    ours = load_model("setup").dimensionless().parameter_values()
+    model = load_model("setup").dimensionless()
+    ours = model.parameter_values()
     printed = {
         **{f"w{i}": x for i, x in zip((1, 2, 3), (0.9443, 1.0557, 0.7325), strict=True)},
         **{f"z{i}": x for i, x in zip((1, 2, 3), (0.3362, 0.4296, 0.0409), strict=True)},
     }
-    rows = [Value(name, ours[name], document=value, where="Table 4.2") for name, value in printed.items()]
+    rows = list(declared(model, printed, "Table 4.2"))
     why = "the table multiplies by wbar^2 instead of dividing; see the erratum of Table 4.1"
     rows += [
         Value(f"lam{i}", ours[f"c{i}"], document=value, where="Table 4.2", independent=truth, why=why)
         for i, value, truth in zip((1, 2, 3), GAINS, (9.945, 11.05, 0.5984), strict=True)
     ]
-    rows += [Value(name, ours[name], document=x, where="Table 4.4") for name, x in (("mu1", 0.0411), ("mu2", 0.0578))]
+    rows += declared(model, {"mu1": 0.0411, "mu2": 0.0578}, "Table 4.4")
     return Entry("Table 4.2", "Dimensionless parameters (with Tables 4.1, 4.4 and B.1)", "table", tuple(rows))
 
 
@@ -135,9 +136,9 @@ def fig_4_3() -> Entry:
                 for n in FREE
             ]
         shown.append((response, number))
-    rows += _held()
+    values = (*experimental(*rows), *_held())
     title = "Response to the multisine, measured on the twin and simulated"
-    return Entry("Fig. 4.3", title, "figure", tuple(rows), (_why_twin(),), _pictured(shown, title, 60.0))
+    return Entry("Fig. 4.3", title, "figure", values, (_why_twin(),), _pictured(shown, title, 60.0))
 
 
 def fig_4_4() -> Entry:
@@ -154,7 +155,7 @@ def fig_4_4() -> Entry:
         "axes, 1.5 strokes to either side, and the red oscillator meets its stop at 5.8 mm, as the axis of Fig. B.2 "
         "shows, which ends at 1 on that side.",
     )
-    return Entry("Fig. 4.4", title, "figure", tuple(rows), words, _pictured(shown, title, 1e9))
+    return Entry("Fig. 4.4", title, "figure", experimental(*rows), words, _pictured(shown, title, 1e9))
 
 
 def fig_4_5() -> Entry:
@@ -194,7 +195,7 @@ def fig_4_5() -> Entry:
         "The chi of the oscillators on the twin are a third and a quarter of those on the rig, which had more in free "
         "motion than Table B.4 and section C.6 describe.",
     )
-    return Entry("Fig. 4.5", title, "figure", tuple(rows), words, picture)
+    return Entry("Fig. 4.5", title, "figure", experimental(*rows), words, picture)
 
 
 def _chi(signal: str, colour: str, ours: float, printed: float, where: str) -> Value:
@@ -209,7 +210,7 @@ def _held() -> list[Value]:
     why = "found with both oscillators fixed to the beam, 1 + mu1 + mu2 as heavy; the table is corrected for that"
     return [
         Value("w3 with the oscillators fixed to the beam, rad/s", w3 / mass**0.5, w3, "Table B.1", why=why),
-        Value("the same, found on the twin, rad/s", _identified(3)[1]["w"] / mass**0.5, w3, "Table B.1", why=why),
+        Value("the same, on the twin, rad/s", _identified(3)[1]["w"] / mass**0.5, w3, "Table B.1", why=why, twin=True),
     ]
 
 
@@ -234,8 +235,8 @@ def fig_4_6() -> Entry:
         calibrated = (1.078, 1.109, 1.0)[number - 1]
         secant = rho[1] + rho[3] + rho[5]
         off = (
-            f"{calibrated:.3f} times as many volts hold a displacement with this actuator (appendix C.5); hysteresis and "
-            "friction add to that, and the red spring of the twin is that of the figure"
+            f"{calibrated:.3f} times as many volts hold a displacement with this actuator (appendix C.5); hysteresis, "
+            "friction and, in the red oscillator, the spring of the figure add to that"
         )
         rows.append(
             Value(
@@ -245,6 +246,7 @@ def fig_4_6() -> Entry:
                 where="Table B.4",
                 within=0.02,
                 why=off,
+                twin=True,
             )
         )
         rows.append(
@@ -255,6 +257,7 @@ def fig_4_6() -> Entry:
                 where="Table B.4",
                 within=0.05,
                 why="the middle of the loop of hysteresis is the spring's only far from its turns",
+                twin=True,
             )
         )
         rows.append(

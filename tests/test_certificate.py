@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from masking.analysis.stability.certificate import certificate
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.lasalle import invariant_set
+from masking.analysis.stability.modes import state_matrix
 from masking.analysis.stability.motion import Motion
 from masking.modelling.model import load_model
 
@@ -148,6 +149,45 @@ def test_conjecture_8_1_holds_for_weak_gravity(nu):
     found = certificate(load("discs_eccentric", nu1=nu, nu2=nu))
     assert found.others == ()
     assert relations(found) == [ANTI_PHASE["discs_eccentric"]]
+
+
+def hung_up(declared, springs, masses):
+    """Linear oscillators on a damped beam, their parameters declared oscillator by oscillator."""
+    xs = [f"x{i + 1}" for i in range(len(springs))]
+    force = {x: f"k{x[1:]}*({x} - y)" for x in xs}
+    return declared(
+        coordinates={**{x: {"initial": 0.1} for x in xs}, "y": {"initial": 0}},
+        oscillators=xs,
+        parameters={
+            name: {"value": value}
+            for i, (k, m) in enumerate(zip(springs, masses, strict=True))
+            for name, value in ((f"k{i + 1}", k), (f"m{i + 1}", m))
+        },
+        equations={
+            **{f"{x}''": f"-{force[x]}/m{x[1:]}" for x in xs},
+            "y''": " + ".join(force.values()) + " - y - y'",
+        },
+        energy=" + ".join(f"m{x[1:]}*{x}'**2/2 + k{x[1:]}*({x} - y)**2/2" for x in xs) + " + (y'**2 + y**2)/2",
+    )
+
+
+@pytest.mark.parametrize(
+    ("springs", "masses", "stays"),
+    [
+        ([2, 2], [3, 3], {"x1 + x2", "x1' + x2'", "y", "y'"}),
+        ([2, 2], [3, 4], {"x1", "x2", "y", "x1'", "x2'", "y'"}),
+        # Two pairs of equal springs: each pair is a symbol of its own.
+        ([2, 2, 5, 5], [1, 1, 1, 1], {"x1 + x2", "x3 + x4", "x1' + x2'", "x3' + x4'", "y", "y'"}),
+        ([2, 2, 2, 2, 2], [1] * 5, {"x1 + x2 + x3 + x4 + x5", "x1' + x2' + x3' + x4' + x5'", "y", "y'"}),
+    ],
+)
+def test_each_parameter_is_its_own_whatever_the_order_of_the_declaration(declared, springs, masses, stays):
+    """Along a motion that stays, the beam rests and the sum of forces in each group of equal k/m is 0."""
+    model = hung_up(declared, springs, masses)
+    assert relations(certificate(model)) == [stays]
+    values = np.linalg.eigvals(state_matrix(model))
+    n = 1 + len(springs)
+    assert np.sum(np.abs(values.real) < 1e-9) == 2 * n - len(stays)
 
 
 def unlike(declared, a, d):

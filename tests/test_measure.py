@@ -6,7 +6,6 @@ import os
 import numpy as np
 import pytest
 from scipy import linalg, signal
-from test_procedures import ACTING, MEASURED, STROKE, VOLTS, alone, driven, teeth, without
 
 import masking
 from masking import cli
@@ -16,6 +15,7 @@ from masking.procedures.channels import Source
 from masking.procedures.responses import repeats, response
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
+from tests.test_procedures import ACTING, MEASURED, STROKE, VOLTS, alone, driven, teeth, without
 
 RATE = 250.0
 UNITS = {f"input.V{i}": {"unit": "V", "meaning": ""} for i in (1, 2, 3)}
@@ -41,14 +41,12 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("records")
 
 
-@pytest.fixture(scope="module")
-def ramp(rig, folder):
+def ramp_record(rig, folder):
     command = alone(0, teeth([0.04], RATE, slope=4 * 0.04 / 60))
     return saved(folder, "ramp", command, driven(rig, command, RATE))
 
 
-@pytest.fixture(scope="module")
-def balance(rig, folder):
+def balance_record(rig, folder):
     """The red oscillator is held, as in `test_procedures.swept`; the commands have no unit."""
     t = np.arange(round(60 * RATE)) / RATE
     gain = np.interp(t, [0.0, 30.0, 60.0], [0.4, 1.9, 0.4])
@@ -59,8 +57,7 @@ def balance(rig, folder):
     return saved(folder, "balance", commands, driven(held, commands, RATE, held=1), columns={})
 
 
-@pytest.fixture(scope="module")
-def red(rig, folder):
+def red_records(rig, folder):
     """Saw-teeth, and ramps that go beyond 6 mm; the barrier is taken away."""
     rate, free = 200.0, without(rig, "red_stop")
     force = teeth(0.04 * np.arange(1, 5) / 4, rate, slope=4 * 0.04 / 40)
@@ -72,8 +69,7 @@ def red(rig, folder):
     ]
 
 
-@pytest.fixture(scope="module")
-def multisines(rig, folder):
+def multisine_records(rig, folder):
     """Two realisations of an odd multisine of 4 s, four periods each."""
     found, lines = [], [n for n in range(1, 28, 2) if n % 6 != 3]
     for seed in range(2):
@@ -83,6 +79,14 @@ def multisines(rig, folder):
         commands = alone(0, 0.08 * wave / np.abs(wave).max())
         found.append(saved(folder, f"multisine{seed}", commands, driven(rig, commands, RATE, seed=seed)))
     return found
+
+
+def each(make):
+    """Return the fixture that makes records once for the module."""
+    return pytest.fixture(scope="module")(make)
+
+
+ramp, balance, red, multisines = (each(make) for make in (ramp_record, balance_record, red_records, multisine_records))
 
 
 def run(capsys, *arguments):

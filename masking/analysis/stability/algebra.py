@@ -122,17 +122,16 @@ def _reduced(polynomial: sp.Expr, back: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
 
 @dataclass(frozen=True)
 class Solution:
-    """What constants must be: values of some, and the equations that are left of others.
+    """What constants must be: values of some, and the equations that are left of others."""
 
-    `values` is None where there is no solution.
-    """
-
-    values: dict[sp.Symbol, sp.Expr] | None
+    values: dict[sp.Symbol, sp.Expr]
     left: tuple[sp.Expr, ...] = ()
 
 
-def solve_constants(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol], given: Hypotheses) -> Solution:
-    """Return what real constants must be for expressions of them to vanish.
+def solve_constants(
+    equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol], given: Hypotheses, angles: Sequence[sp.Symbol] = ()
+) -> tuple[Solution, ...]:
+    """Return what real constants must be for expressions of them to vanish: every solution, none where there is none.
 
     Factors that have a sign are left out, powers are taken away, equations that are linear in one unknown are solved
     for it, and what is known of its sine or cosine is put in.
@@ -141,7 +140,28 @@ def solve_constants(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol],
         equations: expressions of the unknowns and of parameters, all 0.
         unknowns: the constants.
         given: of the parameters.
+        angles: those of the unknowns that count modulo one turn.
     """
+    found = _solved(equations, unknowns, given)
+    if found is None:
+        return ()
+    for unknown in angles:
+        for function, values in ((sp.sin, (sp.Integer(0), sp.pi)), (sp.cos, (sp.pi / 2, -sp.pi / 2))):
+            if function(unknown) in found.left:
+                options = [
+                    solve_constants([e.subs(unknown, x) for e in found.left], unknowns, given, angles) for x in values
+                ]
+                return tuple(
+                    Solution({k: normal(x.subs(unknown, at)) for k, x in found.values.items()} | more, rest.left)
+                    for at, option in zip(values, options, strict=True)
+                    for rest in option
+                    for more in ({unknown: at} | rest.values,)
+                )
+    return (found,)
+
+
+def _solved(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol], given: Hypotheses) -> Solution | None:
+    """Return what follows without a choice; None where there is no solution."""
     pending, values = [normal(e) for e in equations], dict[sp.Symbol, sp.Expr]()
     trigonometric: dict[sp.Expr, sp.Expr] = {}
     for _ in range(_MOST_ROUNDS):
@@ -150,7 +170,7 @@ def solve_constants(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol],
         )
         fixed = [e for e in pending if not e.free_symbols & {*unknowns}]
         if any(given.is_nonzero(e) for e in fixed):
-            return Solution(None)
+            return None
         for equation in fixed:  # of parameters alone, and true at their declared values
             given.suppose(f"{equation} = 0")
         pending = [e for e in pending if e not in fixed]

@@ -12,8 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import sympy as sp
+from sympy.simplify.fu import TR8
 
 from masking.analysis.stability.algebra import normal, without_void
+from masking.analysis.stability.bounds import is_positive
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.motion import Motion
 from masking.errors import ModelError
@@ -34,7 +36,7 @@ class Boundedness:
 
 def boundedness(motion: Motion) -> Boundedness:
     """Find out whether the energy of a model keeps its motion bounded."""
-    energy, given = motion.energy, motion.given
+    energy = motion.energy
     if energy is None:
         return Boundedness(False, "no energy is declared")
     potential = energy.subs(dict.fromkeys(motion.v, 0))
@@ -42,7 +44,7 @@ def boundedness(motion: Motion) -> Boundedness:
     rest = energy - potential - (sp.Matrix([motion.v]) * kinetic * sp.Matrix(motion.v))[0] / 2
     if kinetic.free_symbols & {*motion.v} or normal(rest) != 0:
         return Boundedness(False, "the energy is no sum of a quadratic form of the velocities and a potential")
-    if not is_positive_definite(kinetic, given):
+    if not _is_kinetic(kinetic, motion):
         return Boundedness(False, "the kinetic energy could not be shown to be positive definite")
     try:
         missing = _unbounded(potential, motion)
@@ -54,6 +56,26 @@ def boundedness(motion: Motion) -> Boundedness:
     turn = f" (the angles {angles} modulo one turn)" if angles else ""
     text = "the kinetic energy is positive definite and the potential grows in every direction: {V <= c} is compact"
     return Boundedness(True, text + turn)
+
+
+def _is_kinetic(matrix: sp.Matrix, motion: Motion) -> bool:
+    """Tell whether a matrix of angles is positive definite for all of them: by its leading minors (Sylvester).
+
+    Their signs are found as they stand, in normal form, or at the declared values by intervals over one turn.
+    """
+    at_values = False
+    matrix = matrix.applyfunc(lambda x: sp.expand(TR8(sp.expand(x))))  # cos(a - b), not cos a cos b + sin a sin b
+    for k in range(1, matrix.rows + 1):
+        minor = matrix[:k, :k].det(method="berkowitz")
+        if any(motion.given.declared_sign(form) == 1 for form in (sp.factor(minor), normal(minor))):
+            continue
+        if not is_positive(motion, minor):
+            return False
+        at_values = True
+    if at_values:
+        values = ", ".join(f"{n} = {x:g}" for n, x in motion.model.parameter_values().items())
+        motion.given.suppose(f"and, as to the kinetic energy, {values}")
+    return True
 
 
 def is_positive_definite(matrix: sp.Matrix, given: Hypotheses) -> bool:

@@ -24,6 +24,10 @@ from masking.errors import ModelError
 from masking.modelling.model import Model
 
 _MOST_POINTS = 64
+_THIN = (
+    "unstable, with an eigenvalue of positive real part (proved), so that motions that converge to them start from a "
+    "set of measure zero"
+)
 _CLOSE = 1e-10  # of the largest coordinate: nearer to a relation than this, an equilibrium belongs to a family
 
 
@@ -39,8 +43,13 @@ class RestPoint:
     stability: str
     is_unstable: bool
 
+    @property
+    def place(self) -> str:
+        """Return where it is, for people."""
+        return "(" + ", ".join(f"{n} = {x}" for n, x in self.position.items()) + ")"
+
     def __str__(self) -> str:
-        return "(" + ", ".join(f"{n} = {x}" for n, x in self.position.items()) + f"): {self.stability}"
+        return f"{self.place}: {self.stability}"
 
 
 @dataclass(frozen=True)
@@ -220,16 +229,17 @@ def _conclusion(  # noqa: PLR0911  # one way each
     if others is None:
         rest = f"the equilibria and {sets}, taken together" if sets else "the set of equilibria"
         return f"{who} converges to {rest}", ("There is no complete list of the equilibria.",)
+    if not sets and len(others) == 1:
+        return f"{who} converges to the equilibrium {others[0]}", ()
     if not sets:
-        return f"{who} converges to one of {len(others)} equilibria" if len(others) > 1 else (
-            f"{who} converges to the equilibrium {others[0]}"
-        ), ()
+        stay = [point for point in others if not point.is_unstable]
+        almost = f"almost {who} converges to {stay[0].place}" if len(stay) == 1 else ""
+        return f"{who} converges to one of {len(others)} equilibria", (f"The others are {_THIN}: {almost}.",) * bool(
+            almost
+        )
     text = f"{who} converges to {sets}, or to one of {len(others)} equilibria outside of it"
     if all(point.is_unstable for point in others):
-        return text, (
-            "Each of these has an eigenvalue with positive real part (proved), so that motions that converge to them "
-            "start from a set of measure zero: almost every motion converges to the set.",
-        )
+        return text, (f"These are {_THIN}: almost every motion converges to the set.",)
     return text, ("Some of these are not proved to be unstable: motion may end there instead of in the set.",)
 
 
@@ -364,12 +374,27 @@ def _is_near(family: Family, position: dict[str, float]) -> bool:
 
 
 def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr]) -> RestPoint:
-    """Tell whether the determinant of the stiffness is negative, that of the mass positive."""
+    """Tell whether an equilibrium is unstable: an eigenvalue has a positive real part.
+
+    That is so where the determinant of the stiffness is negative, that of the mass positive; and where the potential
+    falls along a coordinate and every velocity costs energy to second order (theorem of Kelvin, Tait and Chetaev).
+    """
+    given, at = motion.given, point | dict.fromkeys(motion.v, sp.Integer(0))
     stiffness = -sp.Matrix(motion.at_rest).jacobian(motion.q)
-    signs = [motion.given.declared_sign(normal(m.subs(point).det())) for m in (stiffness, motion.mass)]
-    is_unstable = signs in ([-1, 1], [1, -1])
-    words = "unstable, it has a positive eigenvalue (proved)" if is_unstable else "its stability is not shown"
-    potential = (motion.energy or sp.Integer(0)).subs(dict.fromkeys(motion.v, 0))
-    if not is_unstable and is_positive_definite(sp.hessian(potential, motion.q).subs(point), motion.given):
+    signs = [given.declared_sign(normal(m.subs(point).det())) for m in (stiffness, motion.mass)]
+    curvature, n = sp.hessian(motion.energy or sp.Integer(0), (*motion.q, *motion.v)), len(motion.q)
+    curvature = curvature.subs(at).applyfunc(normal)
+    falls = any(given.declared_sign(curvature[i, i]) == -1 for i in range(n)) and curvature[:n, n:].is_zero_matrix
+    words = "its stability is not shown"
+    is_unstable = signs in ([-1, 1], [1, -1]) or (falls and _is_damped(motion, at))
+    if is_unstable:
+        words = "unstable, it has an eigenvalue with positive real part (proved)"
+    elif is_positive_definite(curvature, given):
         words = "stable, the energy has a minimum there (proved)"
     return RestPoint({str(q): str(point[q]) for q in motion.q}, words, is_unstable)
+
+
+def _is_damped(motion: Motion, at: dict[sp.Symbol, sp.Expr]) -> bool:
+    """Tell whether V' is negative definite in the velocities at an equilibrium, to second order."""
+    lost = -sp.hessian(motion.energy_rate, motion.v).subs(at).applyfunc(normal)
+    return is_positive_definite(lost, motion.given)

@@ -69,7 +69,8 @@ class Hypotheses:
         for group in self.groups:
             value = self.values[group[0]]
             name = group[0] if len(group) == 1 else re.sub(r"_?\d+$", "", group[0])
-            if len(group) > 1 and name in {*self.values, *self.model.coordinates, *self.model.states}:
+            taken = {*self.values, *self.model.coordinates, *self.model.states, *(str(s) for s in made.values())}
+            if len(group) > 1 and name in taken:
                 name = group[0]
             signed = sp.Symbol(name, positive=True) if value > 0.0 else sp.Symbol(name, negative=True)
             made |= dict.fromkeys(group, signed if value != 0.0 else sp.Integer(0))
@@ -77,7 +78,7 @@ class Hypotheses:
 
     def of(self, expression: sp.Expr) -> sp.Expr:
         """Return an expression in the symbols of the model with these for its parameters."""
-        known = dict(zip(self.model.equations.symbols.p, self.symbols.values(), strict=True))
+        known = {p: self.symbols[p.name] for p in self.model.equations.symbols.p}
         return sp.nsimplify(expression.subs(known), rational=True)
 
     def at_values(self, expression: sp.Expr) -> sp.Expr:

@@ -154,6 +154,12 @@ class _Elimination:
         return tuple(self._new("c" if count == 1 else f"c{i + 1}") for i in range(count))
 
     @cached_property
+    def turning(self) -> tuple[sp.Symbol, ...]:
+        """Return the constants that count modulo one turn, as the angles do which they give."""
+        pairs = zip(self.frozen[0], self.constants, strict=True)
+        return tuple(c for i, c in pairs if self.motion.q[i] in self.motion.circles)
+
+    @cached_property
     def bound(self) -> sp.Symbol:
         """Return the constant that a bounded function is."""
         return self._new("K")
@@ -291,9 +297,10 @@ class _Elimination:
         if not self.given.is_nonzero(factor):
             raise _OpenError(f"{relation} = 0 may hold because {factor} = 0")
         constant = normal(constant / factor)
-        solved = solve_constants([constant], constants, self.given)
-        if solved.values is None:
+        solutions = solve_constants([constant], constants, self.given)
+        if not solutions:
             raise _OpenError(f"{constant} = 0 cannot be")
+        (solved,) = solutions
         unbounded = any(total.has(r) and not _only_in_waves(total, r) for r in pair if r in self.motion.circles)
         if constant == 0 and unbounded:
             return None
@@ -334,9 +341,7 @@ class _Elimination:
             if equation.free_symbols & {*self.motion.v}:
                 raise _OpenError(f"{equation} = 0 holds velocities, too")
         conditions = [c for equation in equations for c in coefficients(equation, (r,)).values()]
-        if not conditions:
-            solved = solve_constants([], unknown, self.given)
-        else:
+        if conditions:
             shown = {radical(c, self.given): c for c in reversed(conditions)}
             words = (
                 f"{shown[sp.Integer(1)]} = 0"
@@ -344,17 +349,16 @@ class _Elimination:
                 else ", ".join(f"{c} = 0" for c in sorted(shown, key=sp.count_ops))
             )
             self.steps.append(f"Either {r} is constant, which is an equilibrium, or this holds for every {r}: {words}.")
-            solved = solve_constants(conditions, unknown, self.given)
-        if solved.left:
-            raise _OpenError(f"{' and '.join(f'{x} = 0' for x in solved.left)} could not be solved")
-        if solved.values is None:
+        solutions = solve_constants(conditions, unknown, self.given, self.turning)
+        if not solutions:
             self.steps.append("That cannot be: only equilibria are left.")
-            return
-        values = solved.values | self._known_constants()
-        if conditions:
-            words = ", ".join(f"{c} = {x}" for c, x in solved.values.items())
-            self.steps.append(f"It holds for {words}." if words else "It holds.")
-        self._add_family(values, tied)
+        for solved in solutions:
+            if solved.left:
+                raise _OpenError(f"{' and '.join(f'{x} = 0' for x in solved.left)} could not be solved")
+            if conditions:
+                words = ", ".join(f"{c} = {x}" for c, x in solved.values.items())
+                self.steps.append(f"It holds for {words}." if words else "It holds.")
+            self._add_family(solved.values | self._known_constants(), tied)
 
     def _add_family(self, values: dict[sp.Symbol, sp.Expr], tied: dict[sp.Symbol, sp.Expr]) -> None:
         q, v = self.motion.q, self.motion.v

@@ -1,0 +1,208 @@
+"""The values that stand between markers, each computed by the package as its page says."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import runpy
+import textwrap
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from masking import cli
+from masking.analysis.stability.equilibria import Equilibrium, equilibria
+from masking.modelling.model import load_model
+from masking.records.recording import Recording
+from masking.rig.twin import Twin
+from masking.runs.experiment import Experiment
+from tests import test_components, test_discovery, test_measure
+from tests.benchmarks import components, hidden, masking_error_table
+
+ROOT: Final = Path(__file__).parents[2]
+SEEDS: Final = range(5)
+WIDTH: Final = 120
+
+
+@dataclass(frozen=True)
+class Value:
+    """One registered value: its function, which takes the words of the marker, and whether it takes minutes."""
+
+    function: Callable[..., str]
+    is_slow: bool = False
+
+
+VALUES: Final[dict[str, Value]] = {"python": Value(str)}
+
+
+def value(function: Callable[..., str]) -> Callable[..., str]:
+    """Register a value that the gate checks."""
+    VALUES[function.__name__] = Value(function)
+    return function
+
+
+def slow_value(function: Callable[..., str]) -> Callable[..., str]:
+    """Register a value that `make docs-check` checks."""
+    VALUES[function.__name__] = Value(function, is_slow=True)
+    return function
+
+
+def listing(text: str) -> str:
+    """Return lines as an indented block of Markdown, long ones broken."""
+    lines = [
+        part
+        for line in text.strip("\n").splitlines()
+        for part in textwrap.wrap(line, WIDTH - 4, subsequent_indent=" " * (len(line) - len(line.lstrip()))) or [""]
+    ]
+    return textwrap.indent("\n".join(lines), "    ")
+
+
+def spread(values: list[float]) -> str:
+    """Return the mean of a figure over seeds, and its standard deviation, to two digits of the larger uncertainty."""
+    mean, deviation = float(np.mean(values)), float(np.std(values, ddof=1))
+    if deviation < 1e-3 * abs(mean):
+        return f"{mean:.2g}"
+    digits = max(0, 1 - int(np.floor(np.log10(deviation))) - 1)
+    return f"{mean:.{digits}f} ± {deviation:.{digits}f}"
+
+
+def printed(*words: str) -> str:
+    """Return what a command prints."""
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()):
+        cli.main([*words])
+    return out.getvalue()
+
+
+def worst(experiment: Experiment) -> float:
+    """Return the masking error chi of the worst coordinate of a run."""
+    return float(max(experiment.run().manifest["masking_error"].values()))
+
+
+# Runs.
+
+
+@value
+def command(*words: str) -> str:
+    """Return what a command prints, as a listing."""
+    return listing(printed(*words[1:]))
+
+
+VALUES["slow_command"] = Value(command, is_slow=True)
+
+
+@value
+def masking_error_of_50_units(controller: str) -> str:
+    """Return the masking error of the README's experiment over 50 units of time, with a controller of a kind."""
+    settings = {
+        "disturbance": {"rate": "1 kHz", "observer": {"kind": "disturbance", "noise": 1e-4}},
+        "exact": {"rate": "1 kHz", "observer": "exact"},
+        "continuous": {"rate": "continuous"},
+    }[controller]
+    found = worst(Experiment.load("duffing").changed(controller=settings, duration=50.0, record=None))
+    return f"{found:.1g}" if found > 1e-8 else "below 1e-8"
+
+
+@slow_value
+def observer_error(kind: str, order: str = "2") -> str:
+    """Return chi of the worst coordinate of `huygens_rig` over 400 units of time with an observer, over seeds."""
+    base = Experiment.load("huygens_rig").changed(duration=400.0)
+    settings = base.declaration.controller.model_dump(exclude_defaults=True, exclude={"observer"})
+    observer = {"kind": kind, "order": int(order)} if kind == "disturbance" else kind
+    changed = base.changed(controller={**settings, "observer": observer})
+    return spread([worst(changed.changed(seed=seed)) for seed in SEEDS])
+
+
+@slow_value
+def masking_errors() -> str:
+    """Return the table of the worst chi of each packaged system on the twin, in both ways."""
+    lines = ["| system | units of time | differences | disturbance observer |", "|---|---|---|---|"]
+    for name in masking_error_table.SYSTEMS:
+        found = {way: masking_error_table.experiment(name, way) for way in masking_error_table.WAYS}
+        cells = [spread([worst(x.changed(seed=seed)) for seed in SEEDS]) for x in found.values()]
+        lines.append(f"| `{name}` | {found['thesis'].declaration.duration:g} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+# Identification.
+
+
+@slow_value
+def measured(procedure: str) -> str:
+    """Return the sentence of a procedure, from the record of the twin that its tests use."""
+    rig, folder = Twin.load("tue_rig"), Path.cwd()
+    records, words = {
+        "springs": (test_measure.ramp_record, ["--plant", "tue_rig", "--sensor", "s1"]),
+        "actuators": (test_measure.balance_record, ["--sensor", "s3"]),
+        "friction": (test_measure.red_records, ["--plant", "tue_rig", "--sensor", "s2"]),
+        "response": (test_measure.multisine_records, ["--plant", "tue_rig", "--sensor", "s1"]),
+    }[procedure]
+    made = records(rig, folder)
+    paths = [str(path) for path in (made if isinstance(made, list) else [made])]
+    return listing(printed("measure", procedure, *paths, *words, "--out", "page").splitlines()[0])
+
+
+# Discovery.
+
+
+@cache
+def _refined() -> dict[str, object]:
+    with contextlib.redirect_stdout(io.StringIO()):
+        return runpy.run_path(str(ROOT / "examples" / "10_discover_and_refine.py"))
+
+
+@slow_value
+def refined(*parts: str) -> str:
+    """Return what `examples/10_discover_and_refine.py` prints: what was found, what the masking gains, or both."""
+    text = str(_refined()["found"]).splitlines()
+    begin = next(i for i, line in enumerate(text) if line.startswith("With "))
+    end = next((i for i, line in enumerate(text) if i > begin and line.startswith("written")), len(text))
+    table = next(i for i, line in enumerate(text) if line.strip().startswith("masking error chi"))
+    chosen = {"found": text[:1], "gain": text[begin:table], "table": text[table:end]}
+    return listing("\n".join(line for part in parts for line in chosen[part]))
+
+
+@slow_value
+def discovered(case: str, part: str = "all") -> str:
+    """Return what discovery prints about a record of the tests with hidden friction, or its first paragraph."""
+    if case == "damper":
+        Path("damper.yaml").write_text(test_components.MODELS["damper"], encoding="utf-8")
+        for seed, name in ((1, "train"), (2, "valid")):
+            components.save(test_components.RECORDS["damper/dahl_friction"](seed), Path(f"{name}.csv"))
+        words = ["train.csv", "--validate", "valid.csv", "--model", "damper.yaml"]
+    else:
+        Path("plant.yaml").write_text(test_discovery.PLANT, encoding="utf-8")
+        ((_, *records),) = hidden.generate([test_discovery.CASES["friction"]], 20.0, 20.0)
+        for name, record in zip(("train", "valid"), records, strict=True):
+            Recording(test_discovery.table(record), {"name": name}).save(name)
+        words = ["train", "--validate", "valid", "--plant", "plant.yaml"]
+    text = printed("discover", *words, "--out", "results/discovered")
+    return listing(text if part == "all" else text.split("\nAll of the")[0])
+
+
+# Stability.
+
+
+def _further(nu: float) -> list[Equilibrium]:
+    """Return the equilibria of the discs of Table 8.4, but for 0, with a strength of gravity."""
+    model = load_model("discs_eccentric").dimensionless().with_parameters(nu1=nu, nu2=nu)
+    return [point for point in equilibria(model).points if max(map(abs, point.position.values())) > 1e-6]
+
+
+@value
+def further_equilibria(nu: str, which: str = "all") -> str:
+    """Return how many there are, all or the stable ones."""
+    return str(sum(which == "all" or point.verdict == f"asymptotically {which}" for point in _further(float(nu))))
+
+
+@slow_value
+def first_further_equilibria() -> str:
+    """Return the strength of gravity at which the first ones appear, by bisection."""
+    low, high = 1.0, 2.0
+    while high - low > 1e-3:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _further(middle) else (middle, high)
+    return f"{high:.2f}"
