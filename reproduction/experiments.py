@@ -15,6 +15,7 @@ from reproduction.motion import Motion, on_twin, simulated, sustained
 from reproduction.plots import transient
 
 FITTED = " (fitted)"
+LINEARISED = "the differences were found in the linearised system, whose frequencies do not change with the amplitude"
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,7 @@ def experiment(
             printed.alpha,
             printed.page,
             within=0.1,
+            why=LINEARISED,
             given=True,
         ),
         Value(
@@ -173,7 +175,15 @@ def _compared(printed: Printed, ended: Ended, which: str) -> tuple[Value, ...]:
             f"{printed.eps / printed.least_eps:.2g}"
         )
     rows = [
-        Value(f"alpha, {which}, on the twin", ended.fit.alpha, printed.alpha, where, within=0.1, given=is_given),
+        Value(
+            f"alpha, {which}, on the twin",
+            ended.fit.alpha,
+            printed.alpha,
+            where,
+            within=0.1,
+            why=LINEARISED if is_given else "",
+            given=is_given,
+        ),
         Value(
             f"eps, {which.removesuffix(FITTED)}, on the twin", ended.fit.eps, printed.eps, where, within=0.5, why=small
         ),
