@@ -48,7 +48,6 @@ class InvariantSet:
         families: sets of motions in it.
         equilibria: whether all else in it are equilibria; False where there is nothing else.
         known: values of coordinates at those equilibria, as far as elimination determines them.
-        is_still: whether V' = 0 only where every velocity is 0.
         steps: the argument, sentence by sentence.
     """
 
@@ -56,7 +55,6 @@ class InvariantSet:
     families: tuple[Family, ...] = ()
     equilibria: bool = False
     known: dict[sp.Symbol, sp.Expr] = field(default_factory=dict)
-    is_still: bool = False
     steps: tuple[str, ...] = ()
 
 
@@ -234,9 +232,7 @@ class _Elimination:
         except ModelError as error:
             self.steps.append(f"Here the elimination ends: {error}.")
             return InvariantSet(False, steps=tuple(self.steps))
-        return InvariantSet(
-            True, tuple(dict.fromkeys(self.families)), True, self.known, not self.moving, tuple(self.steps)
-        )
+        return InvariantSet(True, tuple(dict.fromkeys(self.families)), True, self.known, tuple(self.steps))
 
     def _frozen_values(self) -> list[sp.Expr]:
         tied = self._tied(self.motion.q, self.constants)
