@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -114,7 +114,7 @@ class Data:
         path: str | Path,
         twin: Twin,
         hold: InputHold | None = None,
-        columns: Mapping[str, str] | None = None,
+        columns: readers.Names | None = None,
         dt: float | None = None,
     ) -> Data:
         """Read what a file, or a part of one, holds of a plant's actuators and sensors; see `readers.read` and `of`.
