@@ -8,8 +8,7 @@ from pathlib import Path
 
 from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import DeclarationError, Problem
-from masking.records.hold import InputHold
-from masking.records.readers import Names
+from masking.records.hold import InputHold, Names
 
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError, nearest
+from masking.records.hold import Names
 from masking.records.nested import vectors
 from masking.records.recording import MANIFEST, TABLE, Recording
 from masking.records.time_slice import Part
@@ -34,7 +35,6 @@ else:
     scipy_io = lazy.load("scipy.io", suppress_warning=True)
 
 Column = NDArray[np.float64]
-Names = Mapping[str, str] | Sequence[str]  # columns of a file by the names that they get, or the names of all
 CLOCK = "t"
 PREFIXES = ("input", "sensor")
 _TEXT = {".csv", ".txt", ".tsv", ".dat"}
@@ -333,4 +333,4 @@ _NESTED: Mapping[str, Callable[[Path], dict[str, Column]]] = {
     **dict.fromkeys((".h5", ".hdf5"), _hdf5),
 }
 
-__all__ = ["CLOCK", "Names", "digest", "mapping", "read"]
+__all__ = ["CLOCK", "digest", "mapping", "read"]

@@ -10,8 +10,7 @@ from masking.estimation import fit as fits
 from masking.estimation import kalman
 from masking.estimation.data import Data
 from masking.estimation.innovations import KalmanFit
-from masking.records.hold import InputHold
-from masking.records.readers import Names
+from masking.records.hold import InputHold, Names
 from masking.reports import fit_figures, fit_files, identification_page
 from masking.rig.twin import Twin
 from masking.workflows.choices import METHODS

@@ -9,8 +9,7 @@ from masking.errors import IntegrationError, ModelError
 from masking.estimation import simulation
 from masking.estimation.data import Data
 from masking.estimation.simulation import Simulated
-from masking.records.hold import InputHold
-from masking.records.readers import Names
+from masking.records.hold import InputHold, Names
 from masking.reports import fit_figures, identification_page
 from masking.workflows import inputs
 from masking.workflows.outputs import check_folder
