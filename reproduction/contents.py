@@ -7,7 +7,18 @@ from types import MappingProxyType
 from typing import Final
 
 from masking.errors import DeclarationError, Problem, nearest
-from reproduction import appendices, chapter4, chapter5, chapter7, chapter8, chapter9, derivations, enoc, errata, open_questions
+from reproduction import (
+    appendices,
+    chapter4,
+    chapter5,
+    chapter7,
+    chapter8,
+    chapter9,
+    derivations,
+    enoc,
+    errata,
+    open_questions,
+)
 from reproduction.comparison import Entry
 
 Chapter = Mapping[str, Callable[[], Entry]]

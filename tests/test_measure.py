@@ -155,7 +155,7 @@ def test_a_gain_is_found_between_commands_of_any_sign(balance):
 def test_friction_shifts_the_equilibrium_and_engages_at_6_mm(capsys, tmp_path, red):
     values, written = measured(capsys, tmp_path, "friction", *red, "--plant", "tue_rig", "--sensor", "s2")
     assert values["is_found"]["value"] == 1.0
-    assert values["edge"]["value"] == pytest.approx(6e-3, abs=1.5e-4)
+    assert values["edge"]["value"] == pytest.approx(6e-3, abs=2e-4)  # the width over which it begins
     assert values["edge"]["unit"] == "m"
     # 2 (k zmax / w2^2 + friction / stiffness), with what the twin declares, and viscous forces on top.
     dry = 2.0 * 0.02 * 5e-4
