@@ -37,7 +37,7 @@ class NotIsolatedError(ModelError):
 
 @dataclass(frozen=True)
 class RestPoint:
-    """An equilibrium outside of the families: its coordinates as texts and numbers, and what is known of its stability."""
+    """An equilibrium outside of the families: where it is, as texts and numbers, and what is known of its stability."""
 
     position: dict[str, str]
     values: dict[str, float]

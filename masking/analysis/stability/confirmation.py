@@ -18,7 +18,7 @@ from masking.codegen.printers import needed
 from masking.errors import ModelError
 
 _REACH = 1e-12  # of a root, the least half side of the box in which it is confirmed
-_WIDER = 12  # times that this is made ten times larger
+_WIDER = 6  # times that this is made ten times larger
 
 _iv: Any = MPIntervalContext()
 _iv.prec = 100

@@ -130,7 +130,8 @@ class _Motions:
             largest = shape[np.argmax(np.abs(shape[:n]))]
             if largest != 0.0:
                 starts.append(0.5 * size * (shape / largest).real)
-        starts += list(np.random.default_rng(0).uniform(0.5 * self.low, 0.5 * self.high, (_RANDOM, 2 * n)))
+        part = 1.0 if self.is_box else 0.5
+        starts += list(np.random.default_rng(0).uniform(part * self.low, part * self.high, (_RANDOM, 2 * n)))
         for start in starts:
             try:
                 path = self._run(start)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import lazy_loader as lazy
 import numpy as np
-from scipy.linalg import matrix_balance
 
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.codegen.graph import Graph
@@ -117,7 +116,7 @@ def is_smooth(model: Model, at: Mapping[str, float]) -> bool:
 def eigenvalues(matrix: Array) -> tuple[Complex, Array]:
     """Return eigenvalues, and how far rounding may have moved each.
 
-    An eigenvalue moves by |dA|/|y^H x| with left and right eigenvectors y, x of norm 1, after balancing.
+    An eigenvalue moves by |dA|/|y^H x| with left and right eigenvectors y, x of norm 1.
     Source: Golub and Van Loan, Matrix Computations (2013), section 7.2.2.
 
     Args:
@@ -126,14 +125,14 @@ def eigenvalues(matrix: Array) -> tuple[Complex, Array]:
     Returns:
         eigenvalues and errors (m,).
     """
-    balanced, _ = matrix_balance(matrix, permute=False)
-    values, right = np.linalg.eig(balanced)
+    values, right = np.linalg.eig(matrix)
     try:
         left = np.linalg.inv(right)  # its rows are y^H/(y^H x)
     except np.linalg.LinAlgError:  # as few eigenvectors as a Jordan block has
         left = np.full_like(right, np.inf)
-    size = float(np.linalg.norm(balanced, 2)) if matrix.size else 0.0
-    return values.astype(np.complex128), _ROUNDING * size * np.linalg.norm(left, axis=1)
+    size = float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
+    with np.errstate(over="ignore"):
+        return values.astype(np.complex128), _ROUNDING * size * np.sqrt(np.sum(np.abs(left) ** 2, axis=1))
 
 
 def _slopes(model: Model, given: dict[str, float], reach: float) -> Interval:
