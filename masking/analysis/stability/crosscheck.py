@@ -29,6 +29,7 @@ _OUTSIDE = 1e-6  # of the largest amplitude: further from a relation than this, 
 _RADIANS = 20.0  # of the fastest mode: duration of a simulation
 _ROWS = 41
 _RANDOM = 4  # initial states
+_RANDOM_ON_BOX = 16  # many leave it at once
 _MOST_RATES = 4000  # evaluations of the rates, after which a motion is too stiff to be followed
 _GAIN = 1e-5  # of the largest kinetic energy: far more than the integration errs by
 _STILL = 1e-6  # of the largest speed: forms below this are 0
@@ -130,8 +131,8 @@ class _Motions:
             largest = shape[np.argmax(np.abs(shape[:n]))]
             if largest != 0.0:
                 starts.append(0.5 * size * (shape / largest).real)
-        part = 1.0 if self.is_box else 0.5
-        starts += list(np.random.default_rng(0).uniform(part * self.low, part * self.high, (_RANDOM, 2 * n)))
+        part, count = (1.0, _RANDOM_ON_BOX) if self.is_box else (0.5, _RANDOM)
+        starts += list(np.random.default_rng(0).uniform(part * self.low, part * self.high, (count, 2 * n)))
         for start in starts:
             try:
                 path = self._run(start)
