@@ -154,7 +154,7 @@ def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certi
         text, further = _without_set(lost, bounded)
     else:
         found = invariant_set(motion, lost.forms)
-        others, reasons = _others(motion, found)
+        others, reasons = _others(motion, found, is_damped=found.is_still and lost.is_quadratic)
         text, further = _conclusion(bounded, found, others)
         status = "proved" if found.is_found else "open"  # LaSalle's theorem by itself is no result
     reasons, hypotheses = (*reasons, *further), motion.given.texts
@@ -243,7 +243,9 @@ def _conclusion(  # noqa: PLR0911  # one way each
     return text, ("Some of these are not proved to be unstable: motion may end there instead of in the set.",)
 
 
-def _others(motion: Motion, found: InvariantSet) -> tuple[tuple[RestPoint, ...] | None, tuple[str, ...]]:
+def _others(
+    motion: Motion, found: InvariantSet, *, is_damped: bool
+) -> tuple[tuple[RestPoint, ...] | None, tuple[str, ...]]:
     """Return the equilibria outside of the families, and how they were found; None where that is open."""
     if not found.is_found or not found.equilibria:
         return (None if not found.is_found else ()), ()
@@ -253,7 +255,7 @@ def _others(motion: Motion, found: InvariantSet) -> tuple[tuple[RestPoint, ...] 
         return None, (f"{error}.",)
     if exact is not None:
         outside = [p for p in exact if not any(_is_in(family, p, motion) for family in found.families)]
-        return tuple(_exact_point(motion, p, is_damped=found.is_still) for p in outside), ()
+        return tuple(_exact_point(motion, p, is_damped=is_damped) for p in outside), ()
     try:
         numeric = equilibria(motion.model)
     except ModelError as error:
@@ -376,14 +378,17 @@ def _is_near(family: Family, position: dict[str, float]) -> bool:
 def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr], *, is_damped: bool) -> RestPoint:
     """Tell whether an equilibrium is unstable: an eigenvalue has a positive real part.
 
-    That is so where the determinant of the stiffness is negative, that of the mass positive; and, if every velocity
-    costs energy, where the potential falls along a coordinate (theorem of Kelvin, Tait and Chetaev).
+    That is so where the determinant of the stiffness is negative, that of the mass positive; and, if linear damping
+    takes energy from every velocity, where the potential falls along a coordinate and the kinetic energy is positive
+    (theorem of Kelvin, Tait and Chetaev).
     """
     stiffness = -sp.Matrix(motion.at_rest).jacobian(motion.q)
     signs = [motion.given.declared_sign(normal(m.subs(point).det())) for m in (stiffness, motion.mass)]
-    potential = (motion.energy or sp.Integer(0)).subs(dict.fromkeys(motion.v, 0))
+    still = dict.fromkeys(motion.v, 0)
+    potential = (motion.energy or sp.Integer(0)).subs(still)
     curvature = sp.hessian(potential, motion.q).subs(point).applyfunc(normal)
     falls = is_damped and any(motion.given.declared_sign(curvature[i, i]) == -1 for i in range(curvature.rows))
+    falls &= is_positive_definite(sp.hessian(motion.energy, motion.v).subs(still).subs(point), motion.given)
     is_unstable = signs in ([-1, 1], [1, -1]) or falls
     words = "its stability is not shown"
     if is_unstable:
