@@ -28,10 +28,12 @@ class Boundedness:
     Args:
         is_shown: whether that is proved.
         text: why, or what is missing.
+        is_lone: whether the potential is seen to grow along every ray from 0, so that 0 is the only equilibrium.
     """
 
     is_shown: bool
     text: str
+    is_lone: bool = False
 
 
 def boundedness(motion: Motion) -> Boundedness:
@@ -55,7 +57,7 @@ def boundedness(motion: Motion) -> Boundedness:
     angles = ", ".join(map(str, motion.circles))
     turn = f" (the angles {angles} modulo one turn)" if angles else ""
     text = "the kinetic energy is positive definite and the potential grows in every direction: {V <= c} is compact"
-    return Boundedness(True, text + turn)
+    return Boundedness(True, text + turn, is_lone=not motion.circles and _is_lone(potential, motion))
 
 
 def _is_kinetic(matrix: sp.Matrix, motion: Motion) -> bool:
@@ -143,6 +145,26 @@ def _unbounded(potential: sp.Expr, motion: Motion) -> str:
     if not _rank_is_full([form for form, _ in forms] + [square.form for square in found], lines, given):
         return "there is a direction in which the potential does not grow"
     return ""
+
+
+def _is_lone(potential: sp.Expr, motion: Motion) -> bool:
+    """Tell whether a potential that grows in every direction is a sum of homogeneous terms that are nowhere negative.
+
+    Then q . dU/dq is the sum of these terms times their degrees, which vanishes at 0 alone.
+    """
+    remainder = sp.Integer(0)
+    for term in sp.Add.make_args(sp.expand_mul(potential - potential.subs(dict.fromkeys(motion.q, 0)))):
+        form = _even_power(term, motion.q, motion.given)
+        if form is None:
+            remainder += term
+        elif form.subs(dict.fromkeys(motion.q, 0)) != 0:
+            return False
+    remainder = sp.expand(remainder)
+    if remainder == 0:
+        return True
+    if not remainder.is_polynomial(*motion.q) or {sum(n) for n in sp.Poly(remainder, *motion.q).monoms()} != {2}:
+        return False
+    return squares(sp.hessian(remainder, motion.q), motion.q, motion.given) is not None
 
 
 def _rank_is_full(forms: Sequence[sp.Expr], lines: Sequence[sp.Symbol], given: Hypotheses) -> bool:

@@ -24,6 +24,7 @@ from masking.errors import ModelError
 from masking.modelling.model import Model
 
 _MOST_POINTS = 64
+_MOST_SETS = 6  # of motions that a sentence lists
 _THIN = (
     "unstable, with an eigenvalue of positive real part (proved), so that motions that converge to them start from a "
     "set of measure zero"
@@ -154,7 +155,9 @@ def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certi
         text, further = _without_set(lost, bounded)
     else:
         found = invariant_set(motion, lost.forms)
-        others, reasons = _others(motion, found, is_damped=found.is_still and lost.is_quadratic)
+        others, reasons = _others(
+            motion, found, is_damped=found.is_still and lost.is_quadratic, is_lone=bounded.is_lone
+        )
         text, further = _conclusion(bounded, found, others)
         status = "proved" if found.is_found else "open"  # LaSalle's theorem by itself is no result
     reasons, hypotheses = (*reasons, *further), motion.given.texts
@@ -219,7 +222,7 @@ def _conclusion(  # noqa: PLR0911  # one way each
             f"{who} converges to the largest invariant set on which V' = 0",
             ("What that set is, is open: it could not be eliminated.",),
         )
-    sets = " or to ".join(f"the set {family}" for family in found.families)
+    sets = _union(found.families)
     if not sets and others == ():
         return "no motion is bounded: there is no equilibrium to converge to", (
             "A motion that is bounded would converge to the largest invariant set on which V' = 0, which is empty.",
@@ -243,14 +246,23 @@ def _conclusion(  # noqa: PLR0911  # one way each
     return text, ("Some of these are not proved to be unstable: motion may end there instead of in the set.",)
 
 
+def _union(families: tuple[Family, ...]) -> str:
+    """Name the sets that a motion converges to, taken together: where they meet, it may come near to several."""
+    if len(families) > _MOST_SETS:
+        return f"the union of {len(families)} sets that differ in what moves together, such as {families[0]}"
+    if len(families) > 1:
+        return f"the union of the sets {'; '.join(map(str, families))}"
+    return "".join(f"the set {family}" for family in families)
+
+
 def _others(
-    motion: Motion, found: InvariantSet, *, is_damped: bool
+    motion: Motion, found: InvariantSet, *, is_damped: bool, is_lone: bool
 ) -> tuple[tuple[RestPoint, ...] | None, tuple[str, ...]]:
     """Return the equilibria outside of the families, and how they were found; None where that is open."""
     if not found.is_found or not found.equilibria:
         return (None if not found.is_found else ()), ()
     try:
-        exact = rest_points(motion, found.known)
+        exact = (dict.fromkeys(motion.q, sp.Integer(0)),) if is_lone else rest_points(motion, found.known)
     except NotIsolatedError as error:
         return None, (f"{error}.",)
     if exact is not None:
