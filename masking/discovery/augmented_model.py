@@ -101,7 +101,7 @@ class EffectInstance:
     @property
     def names(self) -> tuple[str, ...]:
         """Return the names of the estimated parameters."""
-        every = ("tau",) if self.effect == laws.DELAY else tuple(self.entry.parameters)
+        every = (laws.DEAD_TIME,) if self.effect == laws.DELAY else tuple(self.entry.parameters)
         return tuple(every[i] for i in self.free)
 
 

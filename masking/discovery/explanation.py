@@ -84,7 +84,11 @@ def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
         if own:
             alone = np.sqrt(np.maximum(np.diag(information)[own], 1e-300))
             widths[own] = np.maximum(widths[own], strength[own].max() / alone)
-    ratios = np.linalg.eigvalsh(information * np.outer(widths, widths)) / tempering
+    with np.errstate(over="ignore"):
+        weighed = information * np.outer(widths, widths)
+    if not np.isfinite(weighed).all():
+        return np.inf
+    ratios = np.linalg.eigvalsh(weighed) / tempering
     return float(np.log1p(np.maximum(ratios, 0.0)).sum())
 
 

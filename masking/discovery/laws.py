@@ -35,6 +35,7 @@ LAW = "_law"
 SIGNATURE = f"{LAW}(kind: int, t: float, x: float, rate: float, z: float, theta, rows: Matrix)"
 SUBJECTS = {"element": "d", "sensor": "s", "actuator": "u"}
 DELAY = effects.DELAY.name  # has no expression: the commands are read earlier
+DEAD_TIME = "tau"  # what is estimated of a delay, in s; a plant file has whole samples
 
 
 def known(dictionary: Mapping[str, Effect]) -> dict[str, Effect]:

@@ -257,7 +257,6 @@ class Screen:
         ]
         sizes = [table.shape[2] for table in tables]
         rows = self._rows(np.concatenate(tables, axis=2))
-        rows[:, ~(np.abs(rows).max(axis=0) < HUGE)] = 0.0
         # Products of the projected columns, without making these.
         known, possible = self.taken[: len(rows)].T @ rows, self.possible.T @ rows
         squares = np.einsum("ij,ij->j", rows, rows)
@@ -394,9 +393,13 @@ class Screen:
         return found
 
     def _rows(self, columns: Array) -> Array:
-        """Return columns (blocks, sensors, c) in standard deviations, as rows (blocks * sensors, c)."""
-        with np.errstate(over="ignore"):  # a force along which the rig's motion runs away is as good as infinite
+        """Return columns (blocks, sensors, c) in standard deviations, as rows (blocks * sensors, c).
+
+        One along which the rig's motion runs away is 0: nothing can be told of it.
+        """
+        with np.errstate(over="ignore"):
             found: Array = (columns * self.scale[None, :, None]).reshape(-1, columns.shape[2])
+        found[:, ~(np.abs(found).max(axis=0, initial=0.0) < HUGE)] = 0.0
         return found
 
     def _out(self, x: Array) -> Array:

@@ -216,5 +216,5 @@ def _columns(recording: Recording, prefix: str, names: Sequence[str], where: str
             raise RecordError(
                 f"{where}: there is no column {prefix}.{name} or {name}; {nearest(name, list(recording.columns))}"
             )
-        found.append(np.asarray(recording[column], dtype=float))
-    return np.ascontiguousarray(np.array(found).T)
+        found.append(recording[column])
+    return np.ascontiguousarray(np.array(found, dtype=float).reshape(len(names), len(recording.t)).T)

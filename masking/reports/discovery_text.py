@@ -6,7 +6,7 @@ import numpy as np
 
 from masking.declaration.quantities import number, percent, power, quantity, with_deviation
 from masking.declaration.units import combined, describe, dimension_of, pretty
-from masking.discovery import latent_force
+from masking.discovery import latent_force, laws
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.localisation import LatentForces, LocatedForce
 from masking.estimation.whiteness import Whiteness
@@ -415,6 +415,8 @@ def plain_units(found: Discovery, named: Named) -> dict[str, str]:
     """Return the units of the parameters of a cause, such as N/m**3."""
     if named.name not in found.twin.dictionary:
         return {n: found.twin.base.parameters[n].unit for n in named.parameters}
+    if named.name == laws.DELAY:
+        return {laws.DEAD_TIME: "s"}
     effect, twin = found.twin.dictionary[named.name], found.twin
     if effect.where == "element":
         force, displacement, _ = latent_force.element_units(found, named.on)

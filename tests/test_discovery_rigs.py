@@ -1,0 +1,96 @@
+"""Discovery on rigs of its users: an actuator that is late, a free decay; records by exact discretisation (scipy)."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy import linalg, signal
+
+import masking
+from masking.reports import discovery_text
+
+M, K, C = np.array([1.0, 0.5]), np.array([200.0, 90.0]), np.array([1.0, 0.6])
+RATE, SAMPLES, NOISE = 500.0, 4000, 1e-3
+EQUATIONS = """
+parameters:
+  m1: {value: 1, unit: kg}
+  m2: {value: 0.5, unit: kg}
+  k1: {value: 200.5, unit: N/m}
+  k2: {value: 90.2, unit: N/m}
+  c1: {value: 1, unit: N*s/m}
+  c2: {value: 0.6, unit: N*s/m}
+elements:
+  ground: {displacement: x1, unit: N, acts: {x1: -1}}
+  joint: {displacement: x2 - x1, unit: N, acts: {x2: -1, x1: 1}}
+equations:
+"""
+DRIVEN = f"""
+name: two masses with two motors
+coordinates: {{x1: {{unit: m}}, x2: {{unit: m}}}}
+inputs: {{F1: {{unit: N}}, F2: {{unit: N}}}}
+{EQUATIONS}
+  m1*x1'': -k1*x1 - c1*x1' + k2*(x2 - x1) + c2*(x2' - x1') + F1
+  m2*x2'': -k2*(x2 - x1) - c2*(x2' - x1') + F2
+"""
+FREE = DRIVEN.replace("inputs: {F1: {unit: N}, F2: {unit: N}}", "").replace(" + F1", "").replace(" + F2", "")
+PLANT = "name: rig\nmodel: model.yaml\nsensors: {s1: {measures: x1, unit: m}, s2: {measures: x2, unit: m}}\n"
+
+
+def matrices(k):
+    stiffness, damping = ([[a[0] + a[1], -a[1]], [-a[1], a[1]]] for a in (k, C))
+    lower = -np.hstack([np.array(stiffness), np.array(damping)]) / M[:, None]
+    return np.vstack([np.hstack([np.zeros((2, 2)), np.eye(2)]), lower]), np.vstack([np.zeros((2, 2)), np.diag(1 / M)])
+
+
+def saved(folder, model, columns):
+    (folder / "model.yaml").write_text(model)
+    (folder / "plant.yaml").write_text(PLANT)
+    table, head = np.column_stack([*columns.values()]), ",".join(columns)
+    np.savetxt(folder / "record.csv", table, delimiter=",", header=head, comments="", fmt="%.9g")
+    return folder
+
+
+def noisy(readings, seed):
+    return readings + NOISE * readings.std(axis=0) * np.random.default_rng(seed).standard_normal(readings.shape)
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory):
+    """The second of two motors acts five samples late."""
+    generator, t = np.random.default_rng(1), np.arange(SAMPLES) / RATE
+    lines = generator.uniform([[0.2], [0.0]], [[8.0], [6.0]], (2, 2, 10))
+    force = np.sin(2 * np.pi * lines[:, 0, :, None] * t + lines[:, 1, :, None]).sum(axis=1).T
+    acting = force.copy()
+    acting[:, 1] = np.concatenate([np.zeros(5), force[:-5, 1]])
+    a, b, *_ = signal.cont2discrete((*matrices(K), np.eye(4), np.zeros((4, 2))), 1 / RATE)
+    state, motion = np.zeros(4), np.empty((SAMPLES, 2))
+    for i, u in enumerate(acting):
+        motion[i] = state[:2]
+        state = a @ state + b @ u
+    s1, s2 = noisy(motion, 2).T
+    columns = {"t": t, "F1": force[:, 0], "F2": force[:, 1], "s1": s1, "s2": s2}
+    return saved(tmp_path_factory.mktemp("late"), DRIVEN, columns)
+
+
+@pytest.mark.parametrize("k2", [90.0, 99.0], ids=["as declared", "a stiff joint"])
+def test_a_free_decay_needs_no_inputs(tmp_path, k2):
+    t = np.arange(1500) / RATE
+    a, _ = matrices((K[0], k2))
+    motion = np.array([linalg.expm(a * time)[:2] @ [0.01, -0.004, 0.0, 0.0] for time in t])
+    s1, s2 = noisy(motion, 3).T
+    folder = saved(tmp_path, FREE, {"t": t, "s1": s1, "s2": s2})
+    found = masking.discover(folder / "record.csv", plant=folder / "plant.yaml", out=tmp_path / "found")
+    assert (tmp_path / "found" / "discovery.html").exists()
+    if k2 == K[1]:
+        assert found.verdict == "none"
+    else:
+        assert (found.verdict, found.effects[0].name) == ("parameter", "k2")
+        assert found.effects[0].parameters["k2"][0] == pytest.approx(k2, rel=0.01)
+
+
+def test_a_delay_of_one_actuator_has_its_name_time_and_unit(late):
+    found = masking.discover(late / "record.csv", plant=late / "plant.yaml", out=late / "found")
+    (effect,) = found.effects
+    assert (found.verdict, effect.name, effect.on) == ("named", "delay", "F2")
+    assert effect.parameters["tau"][0] == pytest.approx(5 / RATE, rel=1e-3)
+    assert re.match(r"A delay of F2, tau = 0\.0\d+ ± 0\.\d+ s, is missing", discovery_text.sentence(found))
