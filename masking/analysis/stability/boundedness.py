@@ -8,7 +8,7 @@ Source: LaSalle (1960), Some extensions of Liapunov's second method; Rockafellar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import sympy as sp
@@ -38,17 +38,10 @@ class Boundedness:
 
 def boundedness(motion: Motion) -> Boundedness:
     """Find out whether the energy of a model keeps its motion bounded."""
-    energy = motion.energy
-    if energy is None:
-        return Boundedness(False, "no energy is declared")
-    potential = energy.subs(dict.fromkeys(motion.v, 0))
-    kinetic = sp.hessian(energy, motion.v) if motion.v else sp.zeros(0, 0)
-    rest = energy - potential - (sp.Matrix([motion.v]) * kinetic * sp.Matrix(motion.v))[0] / 2
-    if kinetic.free_symbols & {*motion.v} or normal(rest) != 0:
-        return Boundedness(False, "the energy is no sum of a quadratic form of the velocities and a potential")
-    if not _is_kinetic(kinetic, motion):
-        return Boundedness(False, "the kinetic energy could not be shown to be positive definite")
     try:
+        kinetic, potential = parts_of_energy(motion)
+        if not is_kinetic(kinetic, motion):
+            return Boundedness(False, "the kinetic energy could not be shown to be positive definite")
         missing = _unbounded(potential, motion)
     except ModelError as error:
         return Boundedness(False, str(error))
@@ -60,7 +53,23 @@ def boundedness(motion: Motion) -> Boundedness:
     return Boundedness(True, text + turn, is_lone=not motion.circles and _is_lone(potential, motion))
 
 
-def _is_kinetic(matrix: sp.Matrix, motion: Motion) -> bool:
+def parts_of_energy(motion: Motion) -> tuple[sp.Matrix, sp.Expr]:
+    """Return H and U of the energy v^T H v/2 + U.
+
+    Raises:
+        ModelError: there is no energy, or one of another kind.
+    """
+    if motion.energy is None:
+        raise ModelError("no energy is declared")
+    potential = motion.energy.subs(dict.fromkeys(motion.v, 0))
+    kinetic = sp.hessian(motion.energy, motion.v) if motion.v else sp.zeros(0, 0)
+    rest = motion.energy - potential - (sp.Matrix([motion.v]) * kinetic * sp.Matrix(motion.v))[0] / 2
+    if kinetic.free_symbols & {*motion.v} or normal(rest) != 0:
+        raise ModelError("the energy is no sum of a quadratic form of the velocities and a potential")
+    return kinetic, potential
+
+
+def is_kinetic(matrix: sp.Matrix, motion: Motion) -> bool:
     """Tell whether a matrix of angles is positive definite for all of them: by its leading minors (Sylvester).
 
     Their signs are found as they stand, in normal form, or at the declared values by intervals over one turn.
@@ -93,7 +102,12 @@ class Square:
     form: sp.Expr
 
 
-def squares(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], given: Hypotheses) -> tuple[Square, ...] | None:
+def squares(
+    matrix: sp.Matrix,
+    symbols: Sequence[sp.Symbol],
+    given: Hypotheses,
+    is_positive: Callable[[sp.Expr], bool] | None = None,
+) -> tuple[Square, ...] | None:
     """Return x^T matrix x as a sum of squares with positive coefficients; None where it is not seen to be one.
 
     By completing squares, one symbol after the other: matrix = L D L^T, with D > 0 or left out where it is 0.
@@ -102,14 +116,16 @@ def squares(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], given: Hypotheses) 
         matrix: symmetric (n, n).
         symbols: x (n,).
         given: hypotheses, which get those that the signs of D need.
+        is_positive: tells whether an entry of D counts as positive; by default, where it is so for all coordinates.
     """
+    is_positive = is_positive or (lambda pivot: given.declared_sign(pivot) == 1)
     rest, found = matrix.applyfunc(lambda x: without_void(normal(x), given)), []
     for i in range(rest.rows):
         row = rest[i, :]
         if all(x == 0 for x in row):
             continue
         pivot = rest[i, i]
-        if pivot == 0 or given.declared_sign(pivot) != 1:
+        if pivot == 0 or not is_positive(pivot):
             return None
         form = sum((normal(row[j] / pivot) * symbols[j] for j in range(rest.cols)), sp.Integer(0))
         found.append(Square(pivot, form))

@@ -18,6 +18,7 @@ from masking.analysis.stability.motion import Motion
 from masking.codegen.graph import Graph, Node
 from masking.codegen.tangent import derivatives
 from masking.errors import ModelError
+from masking.numerics.arrays import Array
 
 _MOST_BOXES = 100_000
 _ROUNDS = 60
@@ -92,3 +93,11 @@ def is_positive(motion: Motion, expression: sp.Expr) -> bool:
         return Bound(motion, expression).least(Interval(low, high), above=0.0) > 0.0
     except ModelError:
         return False
+
+
+def faces(low: Array, high: Array) -> Interval:
+    """Return the faces of a box (n,) as boxes (2 n, n)."""
+    n = len(low)
+    lows, highs, rows = np.tile(low, (2 * n, 1)), np.tile(high, (2 * n, 1)), np.arange(n)
+    highs[rows, rows], lows[n + rows, rows] = low, high
+    return Interval(lows, highs)

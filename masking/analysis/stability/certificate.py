@@ -20,6 +20,7 @@ from masking.analysis.stability.equilibria import UNDECIDED, Box, equilibria
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.lasalle import Family, InvariantSet, invariant_set
 from masking.analysis.stability.motion import Motion
+from masking.analysis.stability.sublevel import Basin, basins
 from masking.errors import ModelError
 from masking.modelling.model import Model
 
@@ -69,6 +70,7 @@ class Certificate:
         invariant: the largest invariant set in V' = 0; None where it was not looked for.
         others: equilibria outside of the families of that set; None where they could not be found.
         reasons: what is missing for more, or must be known to read the conclusion.
+        basins: inner estimates of basins of attraction, where not every motion converges to one equilibrium.
     """
 
     name: str
@@ -81,6 +83,7 @@ class Certificate:
     invariant: InvariantSet | None = None
     others: tuple[RestPoint, ...] | None = None
     reasons: tuple[str, ...] = ()
+    basins: tuple[Basin, ...] = ()
 
     def __str__(self) -> str:
         lines = [f"{self.status}: {self.conclusion}"]
@@ -93,6 +96,7 @@ class Certificate:
         lines += [f"  {step}" for step in (self.invariant.steps if self.invariant else ())]
         lines += [f"  equilibrium {point}" for point in (self.others or ())[:_MOST_POINTS]]
         lines += [f"  {reason}" for reason in self.reasons]
+        lines += [f"  basin of attraction: {basin}" for basin in self.basins]
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
@@ -120,6 +124,7 @@ class Certificate:
             },
             "other_equilibria": None if self.others is None else [asdict(point) for point in self.others],
             "reasons": list(self.reasons),
+            "basins": [asdict(basin) for basin in self.basins],
         }
 
 
@@ -141,11 +146,17 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
         text = (
             f"the energy can grow: V' >= {lost.growth:.3g} > 0 at {where}, at the declared values; it certifies nothing"
         )
-        return Certificate(model.name, "refuted", text, motion.energy, _values(given), lost)
+        return Certificate(model.name, "refuted", text, motion.energy, _values(given), lost, basins=basins(model, None))
     if lost.status != "proved":
         text = "whether the energy can grow is not shown"
-        return Certificate(model.name, lost.status, text, motion.energy, given.texts, lost)
-    return _withdrawn(_concluded(motion, lost, boundedness(motion)), motion)
+        return Certificate(model.name, lost.status, text, motion.energy, given.texts, lost, basins=basins(model, None))
+    proof = _withdrawn(_concluded(motion, lost, boundedness(motion)), motion)
+    if lost.box is not None:
+        return replace(proof, basins=basins(model, None))
+    only_rest = proof.invariant is not None and proof.invariant.equilibria and not proof.invariant.families
+    if not (proof.status == "proved" and only_rest and (proof.others is None or len(proof.others) > 1)):
+        return proof
+    return replace(proof, basins=basins(model, proof.boundedness))
 
 
 def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certificate:
