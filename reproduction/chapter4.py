@@ -15,7 +15,7 @@ from masking.procedures.springs import spring_curve
 from masking.reports.style import Series
 from masking.rig.twin import Twin
 from masking.signals import Multisine, crest_factor, minimise_crest, multisine, ramp, steps, time_factor
-from reproduction.comparison import Entry, Value
+from reproduction.comparison import Entry, Value, declared, experimental
 from reproduction.errata import GAINS, table_b_2
 from reproduction.plots import curves
 from reproduction.simulated_records import RATE, alone, recorded
@@ -29,18 +29,19 @@ SECONDS = 200.0
 
 def table_4_2() -> Entry:
     """Dimensionless parameters of the set-up, derived from those in SI units, and the mass ratios of Table 4.4."""
-    ours = load_model("setup").dimensionless().parameter_values()
+    model = load_model("setup").dimensionless()
+    ours = model.parameter_values()
     printed = {
         **{f"w{i}": x for i, x in zip((1, 2, 3), (0.9443, 1.0557, 0.7325), strict=True)},
         **{f"z{i}": x for i, x in zip((1, 2, 3), (0.3362, 0.4296, 0.0409), strict=True)},
     }
-    rows = [Value(name, ours[name], document=value, where="Table 4.2") for name, value in printed.items()]
+    rows = list(declared(model, printed, "Table 4.2"))
     why = "the table multiplies by wbar^2 instead of dividing; see the erratum of Table 4.1"
     rows += [
         Value(f"lam{i}", ours[f"c{i}"], document=value, where="Table 4.2", independent=truth, why=why)
         for i, value, truth in zip((1, 2, 3), GAINS, (9.945, 11.05, 0.5984), strict=True)
     ]
-    rows += [Value(name, ours[name], document=x, where="Table 4.4") for name, x in (("mu1", 0.0411), ("mu2", 0.0578))]
+    rows += declared(model, {"mu1": 0.0411, "mu2": 0.0578}, "Table 4.4")
     return Entry("Table 4.2", "Dimensionless parameters (with Tables 4.1, 4.4 and B.1)", "table", tuple(rows))
 
 
@@ -123,7 +124,7 @@ def fig_4_3() -> Entry:
         response = _response(number, _wave(number))
         shown.append((response, number))
     title = "Response to the multisine, measured on the twin and simulated"
-    return Entry("Fig. 4.3", title, "figure", tuple(rows), (_why_twin(),), _pictured(shown, title, 60.0))
+    return Entry("Fig. 4.3", title, "figure", experimental(*rows), (_why_twin(),), _pictured(shown, title, 60.0))
 
 
 def fig_4_4() -> Entry:
@@ -140,7 +141,7 @@ def fig_4_4() -> Entry:
         shown.append((response, number))
     title = "Response to steps of growing amplitude, measured on the twin and simulated"
     words = ("The parameters are those that fit the multisine.",)
-    return Entry("Fig. 4.4", title, "figure", tuple(rows), words, _pictured(shown, title, 1e9))
+    return Entry("Fig. 4.4", title, "figure", experimental(*rows), words, _pictured(shown, title, 1e9))
 
 
 def fig_4_5() -> Entry:
@@ -178,7 +179,7 @@ def fig_4_5() -> Entry:
         for i, s in enumerate(simulated.sensors)
     ]
     picture = curves(13.2929 * simulated.times, series, r"$\tau$", title, height=1.2)
-    return Entry("Fig. 4.5", title, "figure", tuple(rows), (), picture)
+    return Entry("Fig. 4.5", title, "figure", experimental(*rows), (), picture)
 
 
 def fig_4_6() -> Entry:
@@ -213,6 +214,7 @@ def fig_4_6() -> Entry:
                 where="Table B.4",
                 within=0.02,
                 why=off,
+                twin=True,
             )
         )
         rows.append(
@@ -223,6 +225,7 @@ def fig_4_6() -> Entry:
                 where="Table B.4",
                 within=0.05,
                 why="hysteresis: the loop's middle is the spring's only far from its turns",
+                twin=True,
             )
         )
         rows.append(

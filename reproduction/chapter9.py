@@ -12,19 +12,19 @@ from masking.runs.experiment import Experiment
 from masking.runs.feasibility import Motion as Demanded
 from reproduction.chapter5 import on_rigs
 from reproduction.chapter7 import sum_peaks, time_value
-from reproduction.comparison import Entry, Value
+from reproduction.comparison import Entry, Value, declared
 from reproduction.motion import THESIS, masked, simulated
 from reproduction.plots import sums, transient
 
 
 def table_9_2() -> Entry:
     """Parameters of the clocks."""
-    ours = load_model("huygens").parameter_values()
-    printed = {"w1": 1.0, "Om": 1.3034, "z": 0.2041, "mu1": 0.25}
-    rows = [Value(name, ours[name], document=value, where="Table 9.2") for name, value in printed.items()]
-    rows.append(Value("Om = w3 / wbar", 4.0825 / 3.1321, document=1.3034, where="Table 9.2"))
-    rows.append(Value("w = sqrt(g / 1 m), rad/s", math.sqrt(9.81), document=3.1321, where="Table 9.2"))
-    return Entry("Table 9.2", "Parameters of Huygens' clocks", "table", tuple(rows))
+    rows = (
+        *declared(load_model("huygens"), {"w1": 1.0, "z": 0.2041, "mu1": 0.25}, "Table 9.2"),
+        Value("Om = w3 / wbar", 4.0825 / 3.1321, document=1.3034, where="Table 9.2"),
+        Value("w = sqrt(g / 1 m), rad/s", math.sqrt(9.81), document=3.1321, where="Table 9.2"),
+    )
+    return Entry("Table 9.2", "Parameters of Huygens' clocks", "table", rows)
 
 
 def fig_9_2() -> Entry:
@@ -49,8 +49,8 @@ def section_9_2() -> Entry:
     last = [float(np.abs(m.a + m.b)[m.t > m.t[-1] - 10.0].max()) for m in (good, bad)]
     use = {name: demand(Experiment.load(name)) for name in ("pendula", "pendula_fast", "pendula_wide")}
     values = (
-        Value("sum / amplitude at last on the twin, our observer", last[0] / good.amplitude(0.02)),
-        Value("sum / amplitude at last on the twin, the document's way", last[1] / bad.amplitude(0.02)),
+        Value("sum / amplitude at last on the twin, our observer", last[0] / good.amplitude(0.02), twin=True),
+        Value("sum / amplitude at last on the twin, the document's way", last[1] / bad.amplitude(0.02), twin=True),
         Value("demand over limit, 1 Hz and 1 degree", use["pendula"]),
         Value("demand over limit, 5 Hz", use["pendula_fast"], document=2.75, where="p. 56"),
         Value("demand over limit, 45 degrees", use["pendula_wide"], document=2.50, where="p. 56"),

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Final
 
 from masking.errors import DeclarationError, Problem, nearest
-from reproduction import chapter4, chapter5, chapter7, chapter8, chapter9, enoc, errata
+from reproduction import chapter4, chapter5, chapter7, chapter8, chapter9, derivations, enoc, errata, open_questions
 from reproduction.comparison import Entry
 
 Chapter = Mapping[str, Callable[[], Entry]]
@@ -56,6 +56,12 @@ CHAPTERS: Final[Mapping[str, Chapter]] = MappingProxyType(
             "ENOC Fig. 6 and 7": enoc.fig_6_7,
             "ENOC Fig. 9 and 10": enoc.fig_9_10,
         },
+        "What the document leaves open": {
+            "Section 3.1": open_questions.heavy_beam,
+            "Section 10.2": open_questions.weakest_coupling,
+            "Section 10.2, laws": open_questions.coupling_laws,
+            "Section 10.2, control": open_questions.controlled,
+        },
         "Where the document contradicts itself": {
             "Erratum: Table 4.1": errata.gains,
             "Erratum: 4.2.1": errata.crest,
@@ -63,6 +69,11 @@ CHAPTERS: Final[Mapping[str, Chapter]] = MappingProxyType(
             "Erratum: Table 7.2": errata.cubic,
             "Erratum: (7.4)": errata.beam_sum,
             "Erratum: (8.11)": errata.damping_entry,
+            "Erratum: theorem 5.1": derivations.shape_functions,
+            "Erratum: Fig. 7.3": derivations.printed_eps,
+            "Erratum: (8.3)": derivations.inertia,
+            "Erratum: (8.15)": derivations.power,
+            "Erratum: (A.12)": derivations.index,
             "Erratum: (A.4)": errata.reaction,
             "Erratum: (A.21)": errata.stiffness_power,
         },

@@ -9,23 +9,20 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 from masking.errors import RecordError
 from reproduction.cache import cached, is_cached
-from reproduction.comparison import Entry, Value, Verdict
+from reproduction.comparison import Entry, Value, Verdict, repeated
 from reproduction.contents import CHAPTERS, ENTRIES, chosen
 
 PICTURES = Path("pictures") / "thesis"
 WORKERS = 2
-_VERDICTS: Final[tuple[Verdict, ...]] = ("agrees", "explained", "unexplained", "given", "ours only")
-_MARKS: Final = {
-    "agrees": "agrees",
-    "explained": "explained",
-    "unexplained": "**unexplained**",
-    "given": "given",
-    "ours only": "",
-}
+Repeats = Mapping[tuple[str, str], str]  # by entry and row: the entry that has the number first
+_VERDICTS: Final[tuple[Verdict, ...]] = ("agrees", "in kind", "explained", "unexplained", "given", "ours only")
+_HEADS: Final = ("agree", "in kind", "explained", "unexplained", "given", "ours only", "repeated", "on the twin")
+_MARKS: Final = {"unexplained": "**unexplained**", "ours only": ""}
 _INTRODUCTION = """# The source document, computed again
 
 Every figure and table of chapters 4, 5, 7, 8 and 9 of D.J. Rijlaarsdam, *Huygens Synchronization in Various Dynamical
@@ -36,12 +33,23 @@ and prints a part of it.
 Models are the packaged ones. *On the ideal rig* means masked on a rig that its controller knows exactly, *on the twin*
 masked on `tue_rig`: measured springs, friction, hysteresis, wrong damping and gains, noise, offsets, delay. The
 document's experiments were done on a rig whose friction, hysteresis and noise it does not print, so that the twin's are
-assumptions: experiments are to be compared in kind. *Independent* numbers were computed outside this project, with
-scipy's DOP853 at a relative tolerance of 1e-9. A number *agrees* within 2 %, or within 20 % where it is below 1e-3 and
-printed to one digit, unless its line says otherwise; where it does not, the difference is explained below its table,
-or marked **unexplained**. *Given* is what was made from the document's number, by a fit or as it is, so that it shows
-nothing by agreeing. Ratios are ours over the document's, or over the independent number where the document has
-none.
+assumptions: experiments are to be compared in kind.
+
+A row falls into one class:
+
+- *agrees*: within 2 % of the document's number and of the independent one, or within 20 % where that is below 1e-3 and
+  printed to one digit; within less where the row prints less. *Independent* numbers were computed outside this project,
+  with scipy's DOP853 at a relative tolerance of 1e-9.
+- *in kind*: within a tolerance above that, 5 to 50 %, which the row prints.
+- *explained*, **unexplained**: it differs; an explanation is below the table.
+- *given*: made from the document's number, by a fit or as it is, so that it shows nothing by agreeing.
+- *ours only*, without a mark: the document has no such number.
+
+A number that stands in two tables counts in the first, and the second refers to it. *Twin* marks an experiment on the
+twin: its noise and friction are ours, and no second implementation recomputes it. Every other row that is not given is
+recomputed in `tests/second_implementation` with numpy and scipy alone, and `tests/test_second_implementation.py`
+compares it with this page; a masking error on the ideal rig must be zero but for rounding. Ratios are ours over the
+document's, or over the independent number where the document has none.
 """
 
 
@@ -55,12 +63,7 @@ class Reproduction:
     def __str__(self) -> str:
         if self.page is None:
             return "\n".join(section(entry, pictured=False) for entry in self.entries.values()).rstrip()
-        found = counts(self.entries.values())
-        return (
-            f"{len(self.entries)} figures, tables and errata: {found['agrees']} numbers agree, {found['explained']} "
-            f"differ and are explained, {found['unexplained']} differ unexplained, {found['given']} were made from the "
-            f"document's, {found['ours only']} have nothing beside them\npage: {self.page}"
-        )
+        return f"{_sentence(self.entries)}\npage: {self.page}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return every number as JSON can hold it."""
@@ -75,6 +78,8 @@ class Reproduction:
                     "ours": _or_none(v.ours),
                     "ratio": _or_none(v.ratio),
                     "verdict": v.verdict,
+                    "within": v.within,
+                    "twin": v.twin,
                     "why": v.why,
                 }
                 for v in entry.values
@@ -176,15 +181,17 @@ def write(entries: Mapping[str, Entry], folder: Path) -> Path:
 
 def page(entries: Mapping[str, Entry]) -> str:
     """Return the whole page as Markdown."""
-    parts = [_INTRODUCTION, "## In short\n", _summary(entries)]
+    shown = [entries[number] for chapter in CHAPTERS.values() for number in chapter if number in entries]
+    repeats = repeated(shown)
+    parts = [_INTRODUCTION, "## In short\n", f"{_sentence(entries)}\n", _summary(shown, repeats)]
     for title, chapter in CHAPTERS.items():
-        shown = [entries[number] for number in chapter if number in entries]
-        if shown:
-            parts += [f"## {title}\n", *(section(entry) for entry in shown)]
+        sections = [section(entries[number], repeats) for number in chapter if number in entries]
+        if sections:
+            parts += [f"## {title}\n", *sections]
     return "\n".join(parts).rstrip() + "\n"
 
 
-def section(entry: Entry, *, pictured: bool = True) -> str:
+def section(entry: Entry, repeats: Repeats = MappingProxyType({}), *, pictured: bool = True) -> str:
     """Return one entry as Markdown: its table, what explains differences, and its picture where it is wanted."""
     lines = [f"### {entry.number}: {entry.title}\n"]
     if entry.values:
@@ -195,12 +202,13 @@ def section(entry: Entry, *, pictured: bool = True) -> str:
                 _number(v.independent),
                 _number(v.ours) or "not reached",
                 _ratio(v),
-                _mark(v),
+                _mark(v, repeats.get((entry.number, v.what))),
             )
             for v in entry.values
         ]
         lines.append(_table(("", "document", "independent", "ours", "ratio", ""), rows))
-    lines += [f"{reason}\n" for reason in _reasons(entry.values)]
+    own = [v for v in entry.values if (entry.number, v.what) not in repeats]
+    lines += [f"{reason}\n" for reason in _reasons(own)]
     lines += [f"{text}\n" for text in entry.words]
     if entry.picture and pictured:
         lines.append(f"![{entry.title}]({(PICTURES / f'{entry.stem}.png').as_posix()})\n")
@@ -209,20 +217,28 @@ def section(entry: Entry, *, pictured: bool = True) -> str:
     return "\n".join(lines)
 
 
-def counts(entries: Iterable[Entry]) -> dict[str, int]:
-    """Return the number of values with each verdict."""
-    found = Counter(value.verdict for entry in entries for value in entry.values)
-    return {str(verdict): found[verdict] for verdict in _VERDICTS}
+def counts(entries: Iterable[Entry], repeats: Repeats = MappingProxyType({})) -> dict[str, int]:
+    """Return the number of values with each verdict, of those that repeat one, and of those on the twin."""
+    values = [(v, (entry.number, v.what) in repeats) for entry in entries for v in entry.values]
+    found = Counter(v.verdict for v, is_repeated in values if not is_repeated)
+    further = {"repeated": sum(r for _, r in values), "twin": sum(v.twin and not r for v, r in values)}
+    return {str(verdict): found[verdict] for verdict in _VERDICTS} | further
 
 
-def _summary(entries: Mapping[str, Entry]) -> str:
-    rows = []
-    for entry in entries.values():
-        found = counts([entry])
-        rows.append((entry.number, entry.title, *(str(found[v] or "") for v in _VERDICTS)))
-    whole = counts(entries.values())
-    rows.append(("**all**", "", *(f"**{whole[v]}**" for v in _VERDICTS)))
-    return _table(("", "", "agree", "explained", "unexplained", "given", "ours only"), rows)
+def _summary(entries: Sequence[Entry], repeats: Repeats) -> str:
+    rows = [(e.number, e.title, *(str(n or "") for n in counts([e], repeats).values())) for e in entries]
+    rows.append(("**all**", "", *(f"**{n}**" for n in counts(entries, repeats).values())))
+    return _table(("", "", *_HEADS), rows)
+
+
+def _sentence(entries: Mapping[str, Entry]) -> str:
+    found = counts(entries.values(), repeated(entries.values()))
+    return (
+        f"{len(entries)} figures, tables and errata: {found['agrees']} numbers agree, {found['in kind']} in kind, "
+        f"{found['explained']} differ and are explained, {found['unexplained']} differ unexplained, {found['given']} "
+        f"are given, {found['ours only']} have nothing beside them; {found['twin']} of these are experiments on the "
+        "twin."
+    )
 
 
 def _reasons(values: Sequence[Value]) -> list[str]:
@@ -246,10 +262,14 @@ def _number(value: float | str) -> str:
     return "" if math.isnan(value) else f"{value:.4g}"
 
 
-def _mark(value: Value) -> str:
-    """Return whether a number agrees, and to what, where that is declared."""
-    tolerance = f" to {100.0 * value.within:g} %" if value.within and value.verdict == "agrees" else ""
-    return _MARKS[value.verdict] + tolerance
+def _mark(value: Value, first: str | None) -> str:
+    """Return the class of a number, with its tolerance where that is declared, or where it stands first."""
+    if first is not None:
+        return f"see {first}"
+    mark = _MARKS.get(value.verdict, value.verdict)
+    if value.within and value.verdict in {"agrees", "in kind"}:
+        mark += f" ({100.0 * value.within:g} %)"
+    return ", ".join(part for part in (mark, "twin" if value.twin else "") if part)
 
 
 def _ratio(value: Value) -> str:

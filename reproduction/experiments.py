@@ -9,7 +9,7 @@ import numpy as np
 
 from masking.analysis.synchronisation import AntiPhase, anti_phase, mean_phase, synchronisation_time
 from masking.runs.experiment import Experiment
-from reproduction.comparison import Entry, Value
+from reproduction.comparison import Entry, Value, experimental
 from reproduction.mismatch import Mismatch, mismatch
 from reproduction.motion import Motion, on_twin, simulated, sustained
 from reproduction.plots import transient
@@ -115,9 +115,14 @@ def experiment(
     rough = Ended.of(unlike)
     values = (
         *_compared(printed, rough, f"differing{FITTED}"),
-        Value("alpha, oscillators alike, last fifth", plain.fit.alpha),
-        Value("eps, oscillators alike, last fifth", plain.fit.eps),
-        Value("phase / pi, oscillators alike, last fifth", plain.phase),
+        *experimental(
+            Value("alpha, oscillators alike, last fifth", plain.fit.alpha),
+            Value("eps, oscillators alike, last fifth", plain.fit.eps),
+            Value("phase / pi, oscillators alike, last fifth", plain.phase),
+            Value("amplitude of the first at last, differing, on the twin", rough.amplitude),
+            Value("common over-compensation for the twin, oscillators alike", e),
+            Value("common over-compensation for the twin, differing, added", added),
+        ),
         Value(
             "alpha, differing (fitted), the virtual system by itself",
             ideal.fit.alpha,
@@ -126,7 +131,6 @@ def experiment(
             within=0.1,
             given=True,
         ),
-        Value("amplitude of the first at last, differing, on the twin", rough.amplitude),
         Value(
             "phase / pi, differing (fitted), the virtual system by itself",
             ideal.phase,
@@ -138,8 +142,6 @@ def experiment(
         Value("difference in frequency, % to either side", 100.0 * found.frequency),
         Value("over-compensation e1", found.e1),
         Value("over-compensation e2", found.e2),
-        Value("common over-compensation for the twin, oscillators alike", e),
-        Value("common over-compensation for the twin, differing, added", added),
         Value("decay of the in-phase mode, alike and not driven", found.before),
         Value("decay of the in-phase mode, differing", found.decay),
         *extra,
@@ -160,7 +162,7 @@ def experiment(
     return Entry(printed.number, title, "figure", values, text, transient(unlike, title))
 
 
-def _compared(printed: Printed, ended: Ended, which: str) -> list[Value]:
+def _compared(printed: Printed, ended: Ended, which: str) -> tuple[Value, ...]:
     where = printed.page
     least, is_given = printed.least_eps * ended.amplitude, which.endswith(FITTED)
     small = ""
@@ -190,7 +192,7 @@ def _compared(printed: Printed, ended: Ended, which: str) -> list[Value]:
                 why=read,
             )
         )
-    return rows
+    return experimental(*rows)
 
 
 def _changed(base: Experiment, found: Mismatch) -> Experiment:

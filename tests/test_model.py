@@ -80,6 +80,15 @@ def supply(s, x):
     return sum(2 * s[f"mu{i}"] * s[f"e{i}"] * s[f"w{i}"] * (s[f"{x}{i}'"] - s[f"{x}3'"]) ** 2 for i in (1, 2))
 
 
+def control(s, i, j):
+    """The power of the forces that setup_controlled adds to oscillator i, where j is the other one."""
+    energy = sum(s[f"w{k}"] ** 2 * (s[f"x{k}"] - s["x3"]) ** 2 + (s[f"x{k}'"] - s["x3'"]) ** 2 for k in (1, 2))
+    excess = energy / (s["w1"] ** 2 + s["w2"] ** 2) / s["A"] ** 2 - 1
+    v, other, w = s[f"x{i}'"], s[f"x{j}'"], s[f"w{i}"]
+    damped = s["of_sum"] * (v + other) + s["of_difference"] * (v - other) + s["r"] * excess * (v - s["x3'"])
+    return -s[f"mu{i}"] * v * (s["spring"] * w**2 * (s[f"x{i}"] - s[f"x{j}"]) + 2 * w * damped)
+
+
 # What each model of the registry loses per time: (A.2), (A.3) of Rijlaarsdam (2008) for Duffing and the discs, and
 # the forces on dampers times their speeds for the others.
 LOSSES = {
@@ -89,6 +98,7 @@ LOSSES = {
     "duffing_driven": lambda s: 2 * s["z3"] * s["w3"] * s["x3'"] ** 2 - supply(s, "x"),
     "discs_driven": lambda s: 2 * s["z3"] * s["w3"] * s["th3'"] ** 2 - supply(s, "th"),
     "setup_driven": lambda s: setup_damping(s) - supply(s, "x"),
+    "setup_controlled": lambda s: setup_damping(s) - control(s, 1, 2) - control(s, 2, 1),
     "setup_oscillator": lambda s: 2 * s["z"] * s["w"] * s["x'"] ** 2,
     "discs": lambda s: 2 * s["z3"] * s["w3"] * s["th3'"] ** 2,
     "discs_eccentric": lambda s: 2 * s["z3"] * s["w3"] * s["th3'"] ** 2,

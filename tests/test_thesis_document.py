@@ -14,7 +14,7 @@ from masking.analysis.stability.modes import modes, state_matrix
 from masking.errors import DeclarationError
 from masking.modelling.model import load_model
 from reproduction import __main__, cache, chapter7, chapter8, document, errata
-from reproduction.comparison import Entry, Value
+from reproduction.comparison import Entry, Value, declared, experimental, repeated
 from reproduction.contents import CHAPTERS, ENTRIES, chosen
 from reproduction.mismatch import mismatch
 
@@ -31,6 +31,10 @@ def value(entry, what):
     ("made", "verdict"),
     [
         (Value("x", 1.01, document=1.0), "agrees"),
+        (Value("x", 1.01, document=1.0, within=0.005), "unexplained"),
+        (Value("x", 1.08, document=1.0, within=0.1), "in kind"),
+        (Value("x", 1.0, document=1.0, within=0.1), "in kind"),  # the row's tolerance decides, not chance
+        (Value("x", 1.0, document=1.0, given=True), "given"),
         (Value("x", 1.03, document=1.0), "unexplained"),
         (Value("x", 1.03, document=1.0, why="it was measured so"), "explained"),
         (Value("x", 1.1e-4, independent=1e-4), "agrees"),  # printed to one digit
@@ -42,6 +46,32 @@ def value(entry, what):
 )
 def test_a_number_agrees_is_explained_or_is_marked(made, verdict):
     assert made.verdict == verdict
+
+
+def test_a_parameter_that_is_typed_from_the_table_is_given_and_a_derived_one_is_compared():
+    setup = load_model("setup").dimensionless()
+    typed, derived, wrong = declared(setup, {"z1": 0.3362, "w1": 0.9443, "mu1": 0.05}, "a table")
+    assert (typed.verdict, derived.verdict, wrong.verdict) == ("given", "agrees", "unexplained")
+
+
+def test_a_number_that_stands_in_two_tables_counts_in_the_first():
+    first = Entry("Table 1", "", "table", (Value("a", 2.0, document=2.0, where="p. 1"), Value("b", 2.0)))
+    second = Entry(
+        "Table 2",
+        "",
+        "table",
+        (Value("c", 2.0, document=2.0, where="p. 1", within=0.5), Value("d", 2.0), first.values[0]),
+    )
+    repeats = repeated([first, second])
+    assert repeats == {("Table 2", "c"): "Table 1", ("Table 2", "a"): "Table 1"}
+    found = document.counts([first, second], repeats)
+    assert (found["agrees"], found["in kind"], found["ours only"], found["repeated"]) == (1, 0, 2, 2)
+    assert "| c | 2 (p. 1) |  | 2 | 1 | see Table 1 |" in document.section(second, repeats)
+
+
+def test_an_experiment_on_the_twin_says_so():
+    (value,) = experimental(Value("x", 1.08, document=1.0, within=0.1))
+    assert "| in kind (10 %), twin |" in document.section(Entry("Fig. 0", "", "figure", (value,)))
 
 
 def test_ratio_is_to_the_document_and_else_to_the_independent_number():
@@ -151,7 +181,8 @@ def test_differences_are_explained_below_their_table():
     assert "*a|b*: it doubles." in text
     assert "![a title](pictures/thesis/fig_0.png)" in text
     assert "![" not in document.section(entry, pictured=False)
-    assert document.counts([entry]) == {"agrees": 0, "explained": 1, "unexplained": 1, "given": 0, "ours only": 0}
+    found = {verdict: n for verdict, n in document.counts([entry]).items() if n}
+    assert found == {"explained": 1, "unexplained": 1}
 
 
 def test_an_entry_is_kept_and_found_again(tmp_path, monkeypatch):
@@ -187,10 +218,10 @@ def reproduced(capsys, *arguments: str):
 def test_command_prints_an_entry(capsys):
     status, text = reproduced(capsys, "--only", "Table 8.4")
     assert status == 0
-    assert "| nu1 | 0.7004 (Table 8.4) |  | 0.7004 | 1 | agrees |" in text
+    assert "| nu1 | 0.7004 (Table 8.4) |  | 0.7004 | 1 | given |" in text
     status, text = reproduced(capsys, "--only", "Table 8.4", "--json")
     assert status == 0
-    assert {v["verdict"] for v in json.loads(text)["entries"]["Table 8.4"]["values"]} == {"agrees"}
+    assert {v["verdict"] for v in json.loads(text)["entries"]["Table 8.4"]["values"]} == {"given"}
     assert reproduced(capsys, "--only", "17.3")[0] == 2
     assert reproduced(capsys, "--only", "")[0] == 2
 
@@ -209,5 +240,5 @@ def test_command_is_there_by_name():
 def test_summary_counts_the_numbers_that_agree(tmp_path):
     made = document.compare(only="Erratum: (A.4)", out=tmp_path)
     assert str(made).startswith(
-        "1 figures, tables and errata: 0 numbers agree, 1 differ and are explained, 0 differ unexp"
+        "1 figures, tables and errata: 0 numbers agree, 0 in kind, 1 differ and are explained, 0 differ unexplained"
     )

@@ -166,9 +166,7 @@ def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certi
         text, further = _without_set(lost, bounded)
     else:
         found = invariant_set(motion, lost.forms)
-        others, reasons = _others(
-            motion, found, is_damped=found.is_still and lost.is_quadratic, is_lone=bounded.is_lone
-        )
+        others, reasons = _others(motion, found, is_lone=bounded.is_lone)
         text, further = _conclusion(bounded, found, others)
         status = "proved" if found.is_found else "open"  # LaSalle's theorem by itself is no result
     reasons, hypotheses = (*reasons, *further), motion.given.texts
@@ -267,7 +265,7 @@ def _union(families: tuple[Family, ...]) -> str:
 
 
 def _others(
-    motion: Motion, found: InvariantSet, *, is_damped: bool, is_lone: bool
+    motion: Motion, found: InvariantSet, *, is_lone: bool
 ) -> tuple[tuple[RestPoint, ...] | None, tuple[str, ...]]:
     """Return the equilibria outside of the families, and how they were found; None where that is open."""
     if not found.is_found or not found.equilibria:
@@ -278,7 +276,7 @@ def _others(
         return None, (f"{error}.",)
     if exact is not None:
         outside = [p for p in exact if not any(_is_in(family, p, motion) for family in found.families)]
-        return tuple(_exact_point(motion, p, is_damped=is_damped) for p in outside), ()
+        return tuple(_exact_point(motion, p) for p in outside), ()
     try:
         numeric = equilibria(motion.model)
     except ModelError as error:
@@ -398,24 +396,28 @@ def _is_near(family: Family, position: dict[str, float]) -> bool:
     return True
 
 
-def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr], *, is_damped: bool) -> RestPoint:
+def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr]) -> RestPoint:
     """Tell whether an equilibrium is unstable: an eigenvalue has a positive real part.
 
-    That is so where the determinant of the stiffness is negative, that of the mass positive; and, if linear damping
-    takes energy from every velocity, where the potential falls along a coordinate and the kinetic energy is positive
-    (theorem of Kelvin, Tait and Chetaev).
+    That is so where the determinant of the stiffness is negative, that of the mass positive; and where the potential
+    falls along a coordinate and every velocity costs energy to second order (theorem of Kelvin, Tait and Chetaev).
     """
+    given, at = motion.given, point | dict.fromkeys(motion.v, sp.Integer(0))
     stiffness = -sp.Matrix(motion.at_rest).jacobian(motion.q)
-    signs = [motion.given.declared_sign(normal(m.subs(point).det())) for m in (stiffness, motion.mass)]
-    still = dict.fromkeys(motion.v, 0)
-    potential = (motion.energy or sp.Integer(0)).subs(still)
-    curvature = sp.hessian(potential, motion.q).subs(point).applyfunc(normal)
-    falls = is_damped and any(motion.given.declared_sign(curvature[i, i]) == -1 for i in range(curvature.rows))
-    falls &= is_positive_definite(sp.hessian(motion.energy, motion.v).subs(still).subs(point), motion.given)
-    is_unstable = signs in ([-1, 1], [1, -1]) or falls
+    signs = [given.declared_sign(normal(m.subs(point).det())) for m in (stiffness, motion.mass)]
+    curvature, n = sp.hessian(motion.energy or sp.Integer(0), (*motion.q, *motion.v)), len(motion.q)
+    curvature = curvature.subs(at).applyfunc(normal)
+    falls = any(given.declared_sign(curvature[i, i]) == -1 for i in range(n)) and curvature[:n, n:].is_zero_matrix
     words = "its stability is not shown"
+    is_unstable = signs in ([-1, 1], [1, -1]) or (falls and _is_damped(motion, at))
     if is_unstable:
         words = "unstable, it has an eigenvalue with positive real part (proved)"
-    elif is_positive_definite(curvature, motion.given):
+    elif is_positive_definite(curvature, given):
         words = "stable, the energy has a minimum there (proved)"
     return RestPoint({str(q): str(point[q]) for q in motion.q}, words, is_unstable)
+
+
+def _is_damped(motion: Motion, at: dict[sp.Symbol, sp.Expr]) -> bool:
+    """Tell whether V' is negative definite in the velocities at an equilibrium, to second order."""
+    lost = -sp.hessian(motion.energy_rate, motion.v).subs(at).applyfunc(normal)
+    return is_positive_definite(lost, motion.given)

@@ -60,11 +60,6 @@ class Dissipation:
         """Return the forms of the velocities that are 0 where V' is, as far as squares show them."""
         return tuple(square.form.as_base_exp()[0] for square in self.squares)
 
-    @property
-    def is_quadratic(self) -> bool:
-        """Tell whether -V' is seen to be a sum of squares of linear forms."""
-        return bool(self.squares) and all(square.form.as_base_exp()[1] == 1 for square in self.squares)
-
 
 def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa: PLR0911  # one way each
     """Find out whether the energy of a model can grow.

@@ -50,7 +50,6 @@ class InvariantSet:
         families: sets of motions in it.
         equilibria: whether all else in it are equilibria; False where there is nothing else.
         known: values of coordinates at those equilibria, as far as elimination determines them.
-        is_still: whether V' = 0 only where every velocity is 0.
         steps: the argument, sentence by sentence.
     """
 
@@ -58,7 +57,6 @@ class InvariantSet:
     families: tuple[Family, ...] = ()
     equilibria: bool = False
     known: dict[sp.Symbol, sp.Expr] = field(default_factory=dict)
-    is_still: bool = False
     steps: tuple[str, ...] = ()
 
 
@@ -199,9 +197,7 @@ class _Elimination:
         if further is not None:
             forms, words = further
             return _Elimination(self.motion, forms, self.steps, known=self.known).run(words)
-        return InvariantSet(
-            True, tuple(dict.fromkeys(self.families)), True, self.known, not self.moving, tuple(self.steps)
-        )
+        return InvariantSet(True, tuple(dict.fromkeys(self.families)), True, self.known, tuple(self.steps))
 
     def _eliminate(self) -> _Further | None:
         """Find the families, or further forms that are 0, and why."""

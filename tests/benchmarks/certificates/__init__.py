@@ -1,0 +1,1 @@
+"""What `masking stability` proves of models whose truth is known from elsewhere."""
