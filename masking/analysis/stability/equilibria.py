@@ -185,7 +185,9 @@ class _Rest:
         except ModelError:
             return {}
         # |q| <= |A^-1| |g|, a little more for rounding of the inverse.
-        reach = np.abs(np.linalg.inv(slopes)) @ np.array([max(abs(float(r.low)), abs(float(r.high))) for r in ranges])
+        most = np.array([max(abs(float(r.low)), abs(float(r.high))) for r in ranges])
+        with np.errstate(invalid="ignore"):  # 0 times an infinite range: no bound
+            reach = np.abs(np.linalg.inv(slopes)) @ most
         if not np.all(np.isfinite(reach)):
             return {}
         reach = reach * (1.0 + 1e-6) + 1e-9 * (1.0 + float(reach.max(initial=0.0)))

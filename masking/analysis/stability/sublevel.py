@@ -33,7 +33,8 @@ from masking.numerics.arrays import Array
 
 _DIGITS = 6
 _SCALES = 48  # of boxes that are tried
-_INSIDE = 1e-6  # of its distance: a face is nearer than another equilibrium
+_INSIDE = 1e-3  # of its distance: a face is nearer than another equilibrium
+_ZERO = 1e-12  # of the level: V at the equilibrium is rounding below this
 _SAMPLES = 2000  # of the faces, to choose a box
 _MOST_COORDINATES = 4
 _KINKS = (sp.Abs, sp.sign, sp.Heaviside, sp.Max, sp.Min, sp.Piecewise, sp.floor, sp.ceiling)
@@ -127,7 +128,8 @@ class _Landscape:
             if float(here.value.high) < level < np.inf:
                 names = [q.name for q in self.motion.q]
                 at = {n: x + 0.0 for n, x in zip(names, here.middle.tolist(), strict=True)}
-                yield Basin(at, float(here.value.high), level, box)
+                least = float(here.value.middle)
+                yield Basin(at, 0.0 if abs(least) < _ZERO * abs(level) else least, level, box)
 
     def _rest(self, found: Equilibria) -> list[_Rest]:
         points = []
@@ -172,7 +174,7 @@ class _Landscape:
                 if not inside.is_complete:
                     break
                 level = self._pass(here, self._rest(inside))
-                return box, min(level, self.bound.least(faces(low, high)))
+                return box, min(level, self.bound.least(faces(low, high), base=float(here.value.high)))
         return None, -np.inf
 
     def _reach(self, here: _Rest, rest: Sequence[_Rest], pivots: Sequence[Bound]) -> tuple[Array, Array]:
