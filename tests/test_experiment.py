@@ -207,6 +207,36 @@ def test_sections_of_an_experiment_are_changed_as_if_its_file_said_so():
     assert Experiment.load("duffing", plant="linear_rig").changed(duration=5).assembly.plant.name == "linear rig"
 
 
+def test_a_controller_may_take_noise_and_delay_to_be_other_than_they_are():
+    controller = {"rate": "1 kHz", "effects": {"delay": {"samples": 1}}}
+    effects = {"delay": {"samples": 2}, "noise": {"sigma": 0.001}}
+    told = Experiment.load("huygens_rig").changed(effects=effects)
+    untold = told.changed(controller=controller)
+    assert (told.twin.delay, told.sampled.delay) == (2, 2)
+    assert (untold.twin.delay, untold.sampled.delay) == (2, 1)
+    assert untold.instruments.noise == told.instruments.noise
+    untold = told.changed(controller={"rate": "1 kHz", "effects": {"noise": {"sigma": 0.0002}, "steps": False}})
+    assert untold.instruments.noise["s1"] == pytest.approx(0.0002)
+    assert untold.twin.noise()["s1"] > 0.001
+    assert untold.sampled.delay == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (
+            "nois",
+            "controller.effects.nois: 'nois' is not an effect of twin of the experimental rig; did you mean 'noise'",
+        ),
+        ("friction1", "controller.effects.friction1: a controller is not designed with dry_friction; allowed: noise,"),
+    ],
+)
+def test_effects_that_a_controller_cannot_take_are_refused(name, said):
+    with pytest.raises(DeclarationError) as error:
+        Experiment.load("huygens_rig").changed(controller={"rate": "1 kHz", "effects": {name: False}}).validate()
+    assert said in str(error.value)
+
+
 def test_a_wrong_section_of_a_changed_experiment_is_refused_as_in_its_file():
     with pytest.raises(DeclarationError) as error:
         Experiment.load("huygens_rig").changed(controler={}, duration=-1)

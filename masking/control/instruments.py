@@ -132,7 +132,11 @@ class Instruments:
         return Plan(dynamics, sensing, command, levels, 1.0 / rate, self.delay)
 
     def _linear(self) -> tuple[Array, Array]:
-        """Return d [q, v]/dt per [q, v] (2 n, 2 n), and accelerations per input (n, inputs), of the model at rest."""
+        """Return d [q, v]/dt per [q, v] (2 n, 2 n), and accelerations per input (n, inputs), of the model at rest.
+
+        Damping is that of velocities at which the model passes rest in oscillations of a unit of length: the slope of
+        dry friction at rest is that of its smoothed sign, far beyond its mean over a motion.
+        """
         model, n = self.model, len(self.model.coordinates)
         p, kernels = model.values(), model.kernels
         size, inputs = 2 * n + len(model.declaration.states), len(model.inputs)
@@ -144,9 +148,13 @@ class Instruments:
             return out[: 2 * n]
 
         dynamics, driven = np.empty((2 * n, 2 * n)), np.empty((n, inputs))
+        steps = [*(_STEP * lengths), *lengths]
         for i in range(2 * n):
+            if i == n:
+                fastest = float(np.sqrt(np.abs(np.linalg.eigvals(dynamics[n:, :n])).max()))
+                steps[n:] = (fastest or 1.0) * lengths
             step = np.zeros(size)
-            step[i] = _STEP * lengths[i % n]
+            step[i] = steps[i]
             dynamics[:, i] = (slope(step, np.zeros(inputs)) - slope(-step, np.zeros(inputs))) / (2.0 * step[i])
         for i in range(inputs):
             u = np.zeros(inputs)

@@ -209,18 +209,19 @@ def _overrides(
 
 
 def _effects(experiment: ExperimentDeclaration, plant: PlantDeclaration) -> Iterator[Problem]:
-    for name in experiment.effects:
-        if name not in plant.effects:
-            message = f"'{name}' is not an effect of {plant.name}"
-            mend = nearest(name, plant.effects) if plant.effects else "it declares none"
-            yield problem_at(experiment, f"effects.{name}", message, mend, at_key=True)
+    for section, changes in (("effects", experiment.effects), ("controller.effects", experiment.controller.effects)):
+        for name in changes:
+            if name not in plant.effects:
+                message = f"'{name}' is not an effect of {plant.name}"
+                mend = nearest(name, plant.effects) if plant.effects else "it declares none"
+                yield problem_at(experiment, f"{section}.{name}", message, mend, at_key=True)
 
 
 def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
     """Check that what only a sampled controller has stands only with a rate."""
     settings = experiment.controller
-    for name in ("observer", "homing"):
-        if settings.rate is None and getattr(settings, name) is not None:
+    for name in ("observer", "homing", "effects"):
+        if settings.rate is None and getattr(settings, name):
             message = f"{name} is for a controller that runs at a rate"
             mend = "write 'rate: 1 kHz', or leave it out"
             yield problem_at(experiment, f"controller.{name}", message, mend, at_key=True)

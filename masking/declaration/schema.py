@@ -292,12 +292,14 @@ class ControllerSettings(Block):
     """How often the controller runs (`rate` in Hz, None for continuous) and its model of the rig.
 
     `homing` is the time in s in which it brings the rig from rest to the initial state; without it, a simulated rig
-    is placed there.
+    is placed there. `effects` is how strong the controller takes noise and delay of the plant to be, where that differs
+    from what the experiment gives its plant.
     """
 
     rate: ControllerRate = None
     model: TextField | None = None
     parameters: dict[Name, Number] = {}
+    effects: dict[Name, Annotated[EffectChange, _SWITCH]] = {}
     observer: Annotated[ObserverSettings, _KIND] | None = None
     homing: Positive | None = None
     regulate: Regulation | None = None

@@ -48,4 +48,4 @@ class Sizes:
     @property
     def work(self) -> tuple[int, int]:
         """Return the shape of the work space, whose rows must also hold the readings and the rig's states."""
-        return 22, max(self.estimate, self.inputs, self.actuators)
+        return 24, max(self.estimate, self.inputs, self.actuators)

@@ -144,8 +144,26 @@ class Experiment:
     @cached_property
     def instruments(self) -> Instruments:
         """Return what the controller knows of sensors, actuators and limits."""
-        twin, factors = self.twin, self.twin.kernels.meta["factors"]
-        return Instruments(self.assembly.plant, self.controller.model, factors, twin.noise(), twin.delay)
+        assumed, factors = self.twin.changed(self.assumed_effects), self.twin.kernels.meta["factors"]
+        return Instruments(self.assembly.plant, self.controller.model, factors, assumed.noise(), assumed.delay)
+
+    @cached_property
+    def assumed_effects(self) -> dict[str, schema.EffectChange]:
+        """Return the changes of the plant's effects as the controller takes them.
+
+        Raises:
+            DeclarationError: `controller.effects` names an effect that no controller is designed with.
+        """
+        assumed, uses = self.declaration.controller.effects, self.assembly.plant.effects
+        allowed = [name for name, use in uses.items() if self.twin.dictionary[use.effect].is_known_to_controller]
+        mend = f"allowed: {', '.join(allowed) or 'none'}; forces and gains belong into controller.model and .parameters"
+        problems = []
+        for name in assumed.keys() - set(allowed):
+            path, message = f"controller.effects.{name}", f"a controller is not designed with {uses[name].effect}"
+            problems.append(Problem(self.declaration.key_place(path), path, message, mend))
+        if problems:
+            raise DeclarationError(problems)
+        return {**self.declaration.effects, **assumed}
 
     @cached_property
     def sampled(self) -> SampledController:
@@ -209,6 +227,7 @@ class Experiment:
         for model in (self.plant, self.controller.model, self.virtual):
             model.validate()
         self.twin.validate()
+        _ = self.assumed_effects
         problems = [*registry.check_units(self.assembly), *self._check_size()]
         if problems:
             raise DeclarationError(problems)

@@ -209,7 +209,7 @@ def assumed(experiment: Experiment) -> Twin:
     known = {}
     for name, use in assembly.plant.effects.items():
         if experiment.twin.dictionary[use.effect].is_known_to_controller:
-            change = experiment.declaration.effects.get(name)
+            change = experiment.assumed_effects.get(name)
             values: dict[str, Any] = {} if change is None else {"parameters": {**use.parameters, **change.parameters}}
             if change is not None and change.enabled is not None:
                 values["enabled"] = change.enabled

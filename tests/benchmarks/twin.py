@@ -193,7 +193,7 @@ class Boxes(Loop):
         super().__init__(found)
         sizes = self.sampled.sizes
         self.predict = sampling.predict(self.made.rate, sizes)
-        self.held = sampling.hold(self.made.law, sizes)
+        self.held = sampling.hold(self.made.law, self.made.rate, sizes)
         self.limit = sampling.limiter(sizes)
         self.work = np.empty((sizes.work[0], self.found.sampled_loop.width))
 
