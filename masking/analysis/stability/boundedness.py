@@ -145,7 +145,7 @@ def _unbounded(potential: sp.Expr, motion: Motion) -> str:
         form = _even_power(term, lines, given)
         if form is not None:
             forms.append((form, _power_of(term, lines)))
-        else:
+        elif not (term.has(sp.Max, sp.Min) and given.declared_sign(term, strictly=False) == 1):  # else it is >= 0
             remainder += term
     remainder = sp.expand(remainder)
     is_polynomial = remainder.is_polynomial(*lines) and not remainder.free_symbols & {*motion.circles}
@@ -212,7 +212,9 @@ def _even_power(term: sp.Expr, lines: Sequence[sp.Symbol], given: Hypotheses) ->
     """Return the linear form of a term that is a positive number times an even power of it; None where it is not."""
     coefficient, dependent = term.as_independent(*lines, as_Add=False)
     base, power = dependent.as_base_exp()
-    if not (power.is_Integer and power > 0 and power % 2 == 0) or coefficient.free_symbols & {*lines}:
+    is_size = base.func == sp.Abs  # |x|^3 is as good as x^4
+    base = base.args[0] if is_size else base
+    if not (power.is_Integer and power > 0 and (is_size or power % 2 == 0)) or coefficient.free_symbols & {*lines}:
         return None
     if not base.is_polynomial(*lines) or sp.Poly(base, *lines).total_degree() != 1:
         return None

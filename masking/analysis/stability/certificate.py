@@ -112,6 +112,7 @@ class Certificate:
             and {
                 **vars(d),
                 "rate": str(d.rate),
+                "forms": [str(form) for form in d.forms],
                 "squares": [{"coefficient": str(s.coefficient), "form": str(s.form)} for s in d.squares],
             },
             "boundedness": self.boundedness and asdict(self.boundedness),
@@ -162,7 +163,7 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
 def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certificate:
     """Conclude where the energy does not grow."""
     found, others, reasons, status = None, None, tuple[str, ...](), lost.status
-    if lost.box is not None or not lost.squares:
+    if lost.box is not None or not lost.forms:
         text, further = _without_set(lost, bounded)
     else:
         found = invariant_set(motion, lost.forms)
