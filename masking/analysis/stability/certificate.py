@@ -226,7 +226,8 @@ def _conclusion(  # noqa: PLR0911  # one way each
     bounded: Boundedness, found: InvariantSet, others: tuple[RestPoint, ...] | None
 ) -> tuple[str, tuple[str, ...]]:
     """Return what every motion does, and the open points."""
-    who = "every motion" if bounded.is_shown else "every motion that is bounded"
+    is_every = bounded.is_shown or (bounded.is_adrift and not found.is_of_bounded)
+    who = "every motion" if is_every else "every motion that is bounded"
     if not found.is_found:
         return (
             f"{who} converges to the largest invariant set on which V' = 0",

@@ -116,7 +116,7 @@ class _Losses:
 
 
 def _losses(rate: sp.Expr, motion: Motion) -> _Losses | None:
-    """Return -V' as a sum of terms that are even in the velocities, or resistances such as c v tanh(k v) and c |v| v^2."""
+    """Return -V' as a sum of terms even in the velocities, and of resistances such as c v tanh(k v) and c |v| v^2."""
     v, given = motion.v, motion.given
     left, forms = sp.expand(-rate, power_exp=False), list[sp.Expr]()  # exp(a + b) is not split: parts may underflow
     held = [f for f in left.atoms(*_ODD, sp.sign, sp.Abs) if f.args[0].free_symbols & {*v}]
@@ -127,7 +127,7 @@ def _losses(rate: sp.Expr, motion: Motion) -> _Losses | None:
         if by.has(*held) or given.declared_sign(by, strictly=False) not in {0, 1}:
             return None
         left -= part
-        forms += _zeros(by, argument, motion)
+        forms += _zeros(normal(by / argument**2), argument, motion) or _zeros(by, argument, motion)
     if not left.is_polynomial(*v):
         return None
     found, by_degree = list[Square](), dict[int, sp.Expr]()

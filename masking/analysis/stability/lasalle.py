@@ -50,6 +50,7 @@ class InvariantSet:
         families: sets of motions in it.
         equilibria: whether all else in it are equilibria; False where there is nothing else.
         known: values of coordinates at those equilibria, as far as elimination determines them.
+        is_of_bounded: whether that is so of bounded motions alone.
         steps: the argument, sentence by sentence.
     """
 
@@ -57,6 +58,7 @@ class InvariantSet:
     families: tuple[Family, ...] = ()
     equilibria: bool = False
     known: dict[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    is_of_bounded: bool = False
     steps: tuple[str, ...] = ()
 
 
@@ -105,6 +107,7 @@ class _Elimination:
     steps: list[str] = field(default_factory=list)
     families: list[Family] = field(default_factory=list)
     known: dict[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    is_of_bounded: bool = False
 
     @property
     def given(self) -> Hypotheses:
@@ -196,8 +199,13 @@ class _Elimination:
             return InvariantSet(False, steps=tuple(self.steps))
         if further is not None:
             forms, words = further
-            return _Elimination(self.motion, forms, self.steps, known=self.known).run(words)
-        return InvariantSet(True, tuple(dict.fromkeys(self.families)), True, self.known, tuple(self.steps))
+            further_on = _Elimination(
+                self.motion, forms, self.steps, known=self.known, is_of_bounded=self.is_of_bounded
+            )
+            return further_on.run(words)
+        return InvariantSet(
+            True, tuple(dict.fromkeys(self.families)), True, self.known, self.is_of_bounded, tuple(self.steps)
+        )
 
     def _eliminate(self) -> _Further | None:
         """Find the families, or further forms that are 0, and why."""
@@ -270,7 +278,7 @@ class _Elimination:
             if _is_affine(relation, moving) and len(moving) > 2 and not rate.free_symbols & {*moving}:
                 return (*self.forms, rate), f"Hence {rate} = 0, too."
             raise
-        values = Cancellation(found, self.given).families()
+        values, self.is_of_bounded = Cancellation(found, self.given).families(), True
         names = ", ".join(str(x.place) for x in found if x.kind != "free")
         self.steps.append(
             f"Each of {names} moves by itself, and {relation} = 0 for all time: in complex time their poles cancel, "
@@ -338,6 +346,7 @@ class _Elimination:
         unbounded = any(total.has(r) and not _only_in_waves(total, r) for r in pair if r in self.motion.circles)
         if constant == 0 and unbounded:
             return None
+        self.is_of_bounded = True
         words = ", ".join(f"{c} = {x}" for c, x in solved.values.items()) or "nothing new"
         what = f"the second derivative of {total} is {normal(-constant)}, constant, and its first derivative is bounded"
         self.steps.append(f"Hence {what}: the constant is 0, so {words}.")
@@ -371,9 +380,7 @@ class _Elimination:
         self, equations: Sequence[sp.Expr], r: sp.Symbol, unknown: Sequence[sp.Symbol], tied: dict[sp.Symbol, sp.Expr]
     ) -> None:
         """Apply the second rule: each expression of r vanishes for all r, or r is constant."""
-        for equation in equations:
-            if equation.free_symbols & {*self.motion.v}:
-                raise _OpenError(f"{equation} = 0 holds velocities, too")
+        equations, unknown = self._without_velocity(equations, r, unknown)
         conditions = [c for equation in equations for c in coefficients(equation, (r,)).values()]
         if conditions:
             shown = {radical(c, self.given): c for c in reversed(conditions)}
@@ -393,6 +400,26 @@ class _Elimination:
                 words = ", ".join(f"{c} = {x}" for c, x in solved.values.items())
                 self.steps.append(f"It holds for {words}." if words else "It holds.")
             self._add_family(solved.values | self._known_constants(), tied)
+
+    def _without_velocity(
+        self, equations: Sequence[sp.Expr], r: sp.Symbol, unknown: Sequence[sp.Symbol]
+    ) -> tuple[list[sp.Expr], list[sp.Symbol]]:
+        """Put in the square of the velocity of r where r'' is a function of r: r'^2/2 less its integral is constant."""
+        v = self.motion.v[self.motion.q.index(r)]
+        if not any(equation.free_symbols & {*self.motion.v} for equation in equations):
+            return [*equations], [*unknown]
+        acceleration = self.reduced[0].get(v, v).subs(self._known_constants())
+        energy = self._new("E")
+        square = 2 * (energy + sp.integrate(sp.expand(acceleration), r))
+        found = []
+        for equation in equations:
+            is_even = equation.is_polynomial(v) and all(n % 2 == 0 for (n,) in sp.Poly(equation, v).monoms())
+            if not is_even or acceleration.free_symbols & {*self.motion.v} or square.has(sp.Integral):
+                raise _OpenError(f"{equation} = 0 holds velocities, too")
+            parts = sp.Poly(equation, v).terms()
+            found.append(normal(sum((c * square ** (n // 2) for (n,), c in parts), sp.Integer(0))))
+        self.steps.append(f"There {v}**2 = {square} with a constant {energy}.")
+        return found, [*unknown, energy]
 
     def _add_family(self, values: dict[sp.Symbol, sp.Expr], tied: dict[sp.Symbol, sp.Expr]) -> None:
         q, v = self.motion.q, self.motion.v

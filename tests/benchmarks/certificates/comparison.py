@@ -20,13 +20,20 @@ def claimed(found: Certificate, truth: Truth) -> list[list[sp.Expr]]:
     """Return the sets that a certificate says motions converge to; none where it says nothing."""
     if found.status != "proved" or " converges to " not in found.conclusion:
         return []
-    sets = [[truth.read(str(r)) for r in family.relations] for family in found.invariant.families]
+    sets = [[_turned(truth.read(str(r)), truth) for r in family.relations] for family in found.invariant.families]
     if found.others is None:
         return [*sets, truth.at_rest]
     for point in found.others:
         position = [_difference(q, truth.read(point.position[q.name]), truth) for q in truth.q]
         sets.append([*position, *truth.v])
     return sets
+
+
+def _turned(relation: sp.Expr, truth: Truth) -> sp.Expr:
+    """Return a relation of angles modulo one turn."""
+    held = relation.free_symbols
+    is_angle = bool(held) and all(truth.entry.units.get(x.name) == "rad" for x in held) and held <= {*truth.q}
+    return 2 * sp.sin(relation / 2) if is_angle else relation
 
 
 def _difference(q: sp.Symbol, value: sp.Expr, truth: Truth) -> sp.Expr:
