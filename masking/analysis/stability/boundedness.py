@@ -145,7 +145,7 @@ def squares(
         matrix: symmetric (n, n).
         symbols: x (n,).
         given: hypotheses, which get those that the signs of D need.
-        is_positive: tells whether an entry of D counts as positive; by default, where it is so for all coordinates.
+        is_positive: whether an entry of D counts as positive; by default, where it is so for all coordinates.
     """
     is_positive = is_positive or (lambda pivot: given.declared_sign(pivot) == 1)
     rest, found = matrix.applyfunc(lambda x: without_void(normal(x), given)), []
