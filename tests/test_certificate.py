@@ -426,7 +426,6 @@ def test_growth_by_forces_that_are_not_smooth_is_refuted_with_a_state(declared, 
 @pytest.mark.parametrize(
     ("force", "potential"),
     [
-        ("-max(x - 1, 0) - 0.1*x'", "max(x - 1, 0)**2/2"),
         ("-x - 0.1*heaviside(x)*x'", "x**2/2"),
     ],
 )

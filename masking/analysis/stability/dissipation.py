@@ -133,7 +133,7 @@ def _losses(rate: sp.Expr, motion: Motion) -> _Losses | None:
     found, by_degree = list[Square](), dict[int, sp.Expr]()
     for powers, coefficient in sp.Poly(left, *v).terms() if left != 0 else ():
         monomial = sp.Mul(*(x**n for x, n in zip(v, powers, strict=True)))
-        term = without_void(normal(coefficient), given) * monomial
+        term = without_void(coefficient, given) * monomial
         by_degree[sum(powers)] = by_degree.get(sum(powers), sp.Integer(0)) + term
     for degree, part in by_degree.items():
         terms = _even(part, degree, motion)

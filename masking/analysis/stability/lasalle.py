@@ -381,7 +381,7 @@ class _Elimination:
     ) -> None:
         """Apply the second rule: each expression of r vanishes for all r, or r is constant."""
         equations, unknown = self._without_velocity(equations, r, unknown)
-        conditions = [c for equation in equations for c in coefficients(equation, (r,)).values()]
+        conditions = [c for equation in equations for c in coefficients(equation, (r,), self.given).values()]
         if conditions:
             shown = {radical(c, self.given): c for c in reversed(conditions)}
             words = (
