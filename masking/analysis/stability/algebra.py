@@ -42,7 +42,7 @@ def coefficients(
     Args:
         expression: the sum.
         variables: that take all values.
-        given: of the parameters; with these, sines of multiples s x and r x are told apart where s^2 != r^2.
+        given: of the parameters; with these, sines of multiples s x and r x are distinguished where s^2 != r^2.
 
     Raises:
         ModelError: the expression is no such sum.
