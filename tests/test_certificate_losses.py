@@ -56,6 +56,20 @@ def test_losses_take_the_energy_that_they_are_said_to_take(loss, on, left):
     assert max(abs(z[-1]) for z in left(run.y[0], run.y[1])) < 1e-4
 
 
+@pytest.mark.parametrize(("b", "is_lost"), [(1.0, False), (0.5, True)])
+def test_a_loss_that_parameters_cancel_is_none(declared, b, is_lost):
+    """x'' = -x - (a - b) x^2 x': with a = b nothing is lost."""
+    found = certificate(
+        declared(
+            coordinates={"x": {"initial": 0.5}},
+            parameters={"a": {"value": 1.0}, "b": {"value": b}},
+            equations={"x''": "-x - (a - b)*x**2*x'"},
+            energy="(x'**2 + x**2)/2",
+        )
+    )
+    assert ("converges to the equilibrium (x = 0)" in found.conclusion) is is_lost
+
+
 @pytest.mark.parametrize("loss", ["-tanh(5*x')", "x'**3 - x'", "(x' - y')**3*x**3", "-abs(x')*x'"])
 def test_a_loss_with_the_wrong_sign_is_refuted(declared, loss):
     assert certificate(pair(declared, loss)).status == "refuted"

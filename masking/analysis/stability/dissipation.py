@@ -18,6 +18,7 @@ from masking.analysis.stability.algebra import is_zero, normal, without_void
 from masking.analysis.stability.boundedness import Square, squares
 from masking.analysis.stability.equilibria import Box, check_box, halves
 from masking.analysis.stability.growth import SAMPLES, Growth
+from masking.analysis.stability.hypotheses import factors
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.modes import state_matrix
 from masking.analysis.stability.motion import Motion
@@ -172,8 +173,10 @@ def _zeros(coefficient: sp.Expr, form: sp.Expr, motion: Motion) -> list[sp.Expr]
     form = sp.Mul(*(f for f in sp.Mul.make_args(form) if f.free_symbols & {*motion.v}))
     held = coefficient.free_symbols & {*motion.q, *motion.v}
     own = {q for q, x in zip(motion.q, motion.v, strict=True) if x == form}
-    is_own = held <= own and not coefficient.has(*_KINKS)
-    if motion.given.declared_sign(coefficient) == 1 or (coefficient != 0 and is_own):
+    if motion.given.declared_sign(coefficient) == 1:
+        return [form]
+    fixed = [f for f, _ in factors(coefficient) if not f.free_symbols & {*motion.q, *motion.v}]
+    if held <= own and not coefficient.has(*_KINKS) and all(motion.given.is_nonzero(f) for f in fixed):
         return [form]
     return []
 

@@ -31,7 +31,7 @@ from typing import Literal
 
 import sympy as sp
 
-from masking.analysis.stability.algebra import coefficients, normal
+from masking.analysis.stability.algebra import coefficients, normal, without_void
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.errors import ModelError
 
@@ -89,9 +89,11 @@ def oscillators(
     parts, found = coefficients(relation, tuple(accelerations)), []
     parts.pop(sp.Integer(1), None)
     for x, acceleration in accelerations.items():
-        weight, wave = parts.pop(x, sp.Integer(0)), parts.pop(sp.sin(x), sp.Integer(0))
+        weight, wave = (without_void(parts.pop(f, sp.Integer(0)), given) for f in (x, sp.sin(x)))
         if acceleration.free_symbols - {x} - {*given.symbols.values()}:
             raise ModelError(f"{x} does not move by itself, {x}'' = {acceleration}")
+        if not all(w == 0 or given.is_nonzero(w) for w in (weight, wave)):
+            raise ModelError(f"whether {relation} = 0 holds {x} is not known")
         if weight == 0 and wave == 0:
             found.append(Oscillator(x, "free"))
         elif wave == 0:
