@@ -39,8 +39,8 @@ class Bound:
 
     def __init__(self, motion: Motion, expression: sp.Expr) -> None:
         self.graph = Graph()
-        symbols, values = motion.on(self.graph, motion.q)
-        self.values = {node: Interval.of(x) for node, x in values.items()}
+        symbols, _ = motion.on(self.graph, motion.q)
+        self.values = motion.enclosed(symbols)
         self.at = [symbols[q] for q in motion.q]
         self.node = self.graph.lower(expression, symbols)
         self.slopes = derivatives(self.graph, [self.node], self.at)[0]

@@ -20,7 +20,8 @@ def claimed(found: Certificate, truth: Truth) -> list[list[sp.Expr]]:
     """Return the sets that a certificate says motions converge to; none where it says nothing."""
     if found.status != "proved" or " converges to " not in found.conclusion:
         return []
-    sets = [[_turned(truth.read(str(r)), truth) for r in family.relations] for family in found.invariant.families]
+    families = [[truth.read(str(r)) for r in family.relations] for family in found.invariant.families]
+    sets = [[_modulo_turns(relation, truth) for relation in family] for family in families]
     if found.others is None:
         return [*sets, truth.at_rest]
     for point in found.others:
@@ -29,11 +30,10 @@ def claimed(found: Certificate, truth: Truth) -> list[list[sp.Expr]]:
     return sets
 
 
-def _turned(relation: sp.Expr, truth: Truth) -> sp.Expr:
-    """Return a relation of angles modulo one turn."""
-    held = relation.free_symbols
-    is_angle = bool(held) and all(truth.entry.units.get(x.name) == "rad" for x in held) and held <= {*truth.q}
-    return 2 * sp.sin(relation / 2) if is_angle else relation
+def _modulo_turns(relation: sp.Expr, truth: Truth) -> sp.Expr:
+    """Return a relation of angles modulo one turn; others as they are."""
+    names = [s.name for s in relation.free_symbols]
+    return 2 * sp.sin(relation / 2) if all(truth.entry.units.get(name) == "rad" for name in names) else relation
 
 
 def _difference(q: sp.Symbol, value: sp.Expr, truth: Truth) -> sp.Expr:
