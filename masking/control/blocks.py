@@ -206,7 +206,9 @@ class DesiredDynamics:
             damping: node of the damping; None for none.
         """
         found = list(wanted)
-        for i in self._moving if damping is not None else ():
+        if damping is None:
+            return found
+        for i in self._moving:
             found[i] = graph.sub(wanted[i], graph.mul(damping, rate[i]))
         return found
 
