@@ -60,15 +60,16 @@ def test_clocks_keep_their_amplitude_where_friction_is_twice_what_it_was():
 
 def test_offsets_are_measured_at_rest():
     """Homing ends where the sensors say, which is the initial state only as far as their offsets are known."""
-    offset = {"offset": {"e0": 0.002}, "noise": False}
     found = []
-    for rest in (None, 10):
+    for rest, offset in ((None, False), (None, {"e0": 0.002}), (10, {"e0": 0.002})):
+        changes = {"effects": {"offset": offset, "noise": False}, "duration": 1}
         controller = {**BALANCED, "rest": rest, "observer": {"kind": "disturbance", "noise": 1e-4}}
-        start = Experiment.load("huygens_rig").changed(controller=controller, effects=offset, duration=1).run()
+        start = Experiment.load("huygens_rig").changed(controller=controller, **changes).run()
         reached, wanted = (start.manifest["start"][name] for name in ("reached", "wanted"))
         found.append(max(abs(reached[name] - wanted[name]) for name in reached))
-    assert found[0] > 0.001
-    assert found[1] < 0.1 * found[0]
+    none, unknown, measured = found
+    assert unknown > 5.0 * none
+    assert measured < 2.0 * none
 
 
 @pytest.mark.parametrize(
@@ -90,5 +91,5 @@ def test_what_cannot_be_held_is_refused(controller, said):
 
 def test_a_virtual_system_without_energy_has_no_balance():
     with pytest.raises(DeclarationError) as error:
-        Experiment.load("discs_eccentric").changed(controller={"rate": "1 kHz", "energy_balance": 0.3})
+        Experiment.load("discs_enoc").changed(controller={"rate": "1 kHz", "energy_balance": 0.3})
     assert "has no energy to balance" in str(error.value)

@@ -38,8 +38,7 @@ else:
     sp = lazy.load("sympy")
 
 
-# Minimum integration steps per sample; the linearisation at rest sees neither contact nor friction.
-FEWEST_STEPS = 2
+FEWEST_STEPS = 2  # per sample: the linearisation at rest sees neither contact nor friction
 
 
 @dataclass(frozen=True)
