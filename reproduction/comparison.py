@@ -63,9 +63,9 @@ class Value:
         """Return whether it agrees with every reference, and whether it is known why not."""
         if not self.references:
             return "ours only"
-        if self.given:
-            return "given"
         if all(self._is_near(x, self.within) for x in self.references):
+            if self.given:
+                return "given"
             loose = self.within is not None and any(self.within > _closeness(x) for x in self.references)
             return "in kind" if loose else "agrees"
         return "explained" if self.why else "unexplained"
@@ -122,7 +122,7 @@ def declared(model: Model, printed: Mapping[str, float], where: str) -> tuple[Va
     """
     ours, typed = model.parameter_values(), replace(model, is_dimensionless=False).parameter_values()
     rows = (Value(name, ours[name], document=x, where=where) for name, x in printed.items())
-    return tuple(replace(v, given=v.verdict == "agrees" and v.ours == typed[v.what]) for v in rows)
+    return tuple(replace(v, given=v.ours == typed[v.what]) for v in rows)
 
 
 def experimental(*values: Value) -> tuple[Value, ...]:

@@ -42,7 +42,7 @@ A row falls into one class:
   with scipy's DOP853 at a relative tolerance of 1e-9.
 - *in kind*: within a tolerance above that, 5 to 50 %, which the row prints.
 - *explained*, **unexplained**: it differs; an explanation is below the table.
-- *given*: made from the document's number, by a fit or as it is, so that it shows nothing by agreeing.
+- *given*: made from the document's number, by a fit or as it is, so that it shows nothing by agreeing, as it does.
 - *ours only*, without a mark: the document has no such number.
 
 A number that stands in two tables counts in the first, and the second refers to it. *Twin* marks an experiment on the

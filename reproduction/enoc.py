@@ -175,8 +175,8 @@ def fig_9_10() -> Entry:
     words = (
         "(5.2) contains delta_3 sin theta_3: all three discs have eccentric masses, and the dynamics are (8.4)-(8.6). "
         "What is special is the force of the beam's actuator (5.4). The oscillators' actuators push against the beam, "
-        "so that gravity on the outer discs would act on the middle one too; the sum of theta_i g_i in (5.4) takes "
-        "that reaction back. The allocation of the rig does so for whatever the oscillators' actuators do.",
+        "so that gravity on the outer discs would act on the middle one too; the term g~ of (5.4) takes that reaction "
+        "back. The allocation of the rig does so for whatever the oscillators' actuators do.",
         "Damping is left to be that of the beam, which the model has instead of that of Table 8.4. Full stroke is 90 "
         "degrees, as in the paper. Its other parameters are not printed.",
     )

@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from masking.analysis.stability.modes import modes, state_matrix, upsilon
-from masking.analysis.synchronisation import mean_phase
+from masking.analysis.synchronisation import mean_phase, running_peak
 from masking.modelling.model import Model, load_model
 from reproduction.comparison import Entry, Value, experimental
 from reproduction.motion import Motion, masked, on_twin, simulated
-from reproduction.plots import sums
+from reproduction.plots import curves
 
 HEAVIER = 10.0
 LONGEST, HALVINGS = 1500.0, 6
@@ -99,7 +99,7 @@ def coupling_laws() -> Entry:
         "without waiting for the beam, one of the difference to in-phase motion, which then dies out by the beam.",
     )
     title = "Coupling laws"
-    return Entry("Section 10.2, laws", title, "open question", tuple(rows), words, sums(shown, title))
+    return Entry("Section 10.2, laws", title, "open question", tuple(rows), words, _drawn(shown, title))
 
 
 def controlled() -> Entry:
@@ -122,7 +122,18 @@ def controlled() -> Entry:
         "the regulator, which is proportional, keeps less than it is asked for.",
     )
     title = "Controlled synchronisation, on the twin"
-    return Entry("Section 10.2, control", title, "open question", tuple(rows), words, sums(shown, title))
+    return Entry("Section 10.2, control", title, "open question", tuple(rows), words, _drawn(shown, title))
+
+
+def _drawn(shown: dict[str, Motion], title: str) -> bytes:
+    """Draw the phase difference and the larger amplitude, over the last period, of several motions."""
+    t = next(iter(shown.values())).t
+    larger = {name: np.maximum(np.abs(m.a), np.abs(m.b)) for name, m in shown.items()}
+    rows = [
+        (r"$\Delta\varphi\,/\,\pi$", {name: m.phase / np.pi for name, m in shown.items()}),
+        ("amplitude", {name: running_peak(t, x, 2.0 * math.pi) for name, x in larger.items()}),
+    ]
+    return curves(t, rows, r"$\tau$", title)
 
 
 def _by_itself(mu: float) -> Motion:

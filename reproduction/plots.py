@@ -93,6 +93,8 @@ def curves(
             axes.plot(*thin(x, series), color=colour, lw=1.1, ls="--" if name.startswith("linear") else "-")
         axes.set(ylabel=vertical, xlim=(x[0], x[-1]))
         axes.yaxis.set_major_locator(MaxNLocator(4))
+        if all(np.nanmin(series) >= 0.0 for series in drawn.values()):
+            axes.set_ylim(bottom=0.0)
     all_axes[-1].set_xlabel(label)
     return _png(figure, _handles(named, named.values()), title)
 

@@ -55,3 +55,10 @@ def test_a_controller_that_knows_the_rig_masks_it_exactly():
     # Feedback linearisation (6.1)-(6.3) cancels the rig's dynamics: what is left is the error of integration.
     assert len(IDEAL) > 5
     assert max(IDEAL.values()) < ROUNDING
+
+
+def test_the_second_implementation_imports_nothing_of_the_project():
+    for path in Path(second_implementation.__file__).parent.glob("*.py"):
+        imported = re.findall(r"^(?:from|import) ([\w.]+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+        allowed = {"itertools", "math", "numpy", "scipy", "tests.second_implementation"}
+        assert {name for name in imported if not name.startswith(tuple(allowed))} == set()

@@ -35,6 +35,7 @@ def value(entry, what):
         (Value("x", 1.08, document=1.0, within=0.1), "in kind"),
         (Value("x", 1.0, document=1.0, within=0.1), "in kind"),  # the row's tolerance decides, not chance
         (Value("x", 1.0, document=1.0, given=True), "given"),
+        (Value("x", 2.0, document=1.0, given=True), "unexplained"),  # a fit that fails shows something
         (Value("x", 1.03, document=1.0), "unexplained"),
         (Value("x", 1.03, document=1.0, why="it was measured so"), "explained"),
         (Value("x", 1.1e-4, independent=1e-4), "agrees"),  # printed to one digit
@@ -242,3 +243,15 @@ def test_summary_counts_the_numbers_that_agree(tmp_path):
     assert str(made).startswith(
         "1 figures, tables and errata: 0 numbers agree, 0 in kind, 1 differ and are explained, 0 differ unexplained"
     )
+
+
+PAGE = (Path(__file__).parents[1] / "docs" / "thesis.md").read_text(encoding="utf-8")
+QUICK = tuple(n for n in ENTRIES if n.startswith(("Table 7", "Table 8", "Table 9", "ENOC Table")))
+SLOW = tuple(pytest.param(n, marks=pytest.mark.search) for n in ENTRIES if n not in QUICK)
+
+
+@pytest.mark.parametrize("number", [*QUICK, *SLOW])
+def test_the_page_has_the_numbers_that_the_code_computes(number):
+    rows = [line for line in document.section(ENTRIES[number]()).splitlines() if line.startswith("| ")]
+    for row in rows:
+        assert row.rsplit("|", 2)[0] in PAGE  # the class may refer to another table
