@@ -118,23 +118,10 @@ def observer_error(kind: str, order: str = "2") -> str:
 
 
 @slow_value
-def clocks_run() -> str:
-    """Return what `masking run huygens_rig` says first."""
-    said = printed("run", "huygens_rig", "--budget", "--out", "page").splitlines()
-    return listing("\n".join(said[:3]))
-
-
-@slow_value
 def clocks_figure(which: str) -> str:
     """Return the amplitude over the ideal one (`amplitude`), or |th1 + th2| over the amplitude in % (`sum`)."""
     index, size = {"amplitude": (0, 1.0), "sum": (1, 100.0)}[which]
     return spread([size * clocks.figures(clocks.clocks({}, seed), clocks.TIMES[-1])[index] for seed in SEEDS])
-
-
-@slow_value
-def clocks_table() -> str:
-    """Return the table of the clocks' figures over seeds, on a rig as it is and with errors."""
-    return "\n".join(clocks.rows(clocks.SEEDS))
 
 
 @slow_value
