@@ -23,4 +23,5 @@ from .workflows.measure import measure as measure
 from .workflows.refine import refine as refine
 from .workflows.run import report as report
 from .workflows.run import run as run
+from .workflows.simulate import simulate as simulate
 from .workflows.stability import stability as stability

@@ -1,4 +1,4 @@
-"""Verbs that find a rig from records of it: identify, and the procedures of measure."""
+"""Verbs that compare a rig with records of it: simulate, identify, and the procedures of measure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from masking.cli.options import RECORD, Verb, add_json, add_of_tables, add_out, add_verb, answer, names, settings_of_fit
+from masking.cli.options import (
+    RECORD,
+    Verb,
+    add_json,
+    add_of_tables,
+    add_out,
+    add_verb,
+    answer,
+    names,
+    prepare,
+    settings_of_fit,
+)
 from masking.cli.progress import Bar
 from masking.workflows.choices import METHODS
 
@@ -51,6 +62,33 @@ def _identify(chosen: argparse.Namespace) -> int:
     files = {"model": str(out / "model.yaml"), "plant": str(out / "plant.yaml"), "page": str(out / "fit.html")}
     text = f"{found}\nwritten: {files['model']}, {files['plant']}\npage: {files['page']}"
     return answer(chosen.json, {**found.as_dict(), **files}, text)
+
+
+def _add_simulate(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("model", metavar="MODEL", help="a model, or a plant file with its own: a name or a YAML file")
+    sub.add_argument("record", metavar="RECORD", help=RECORD)
+    text = "sensors and actuators of a model (default: its outputs or coordinates, and its inputs)"
+    sub.add_argument("--plant", metavar="PLANT", help=text)
+    add_of_tables(sub)
+    add_out(sub, "results/simulated")
+    add_json(sub, after="RECORD")
+
+
+def _simulate(chosen: argparse.Namespace) -> int:
+    """Simulate a record with a model: measured against simulated."""
+    from masking.records import readers
+    from masking.reports import fit_figures
+    from masking.workflows.simulate import simulate
+
+    out = Path(chosen.out or "results/simulated")
+    prepare(chosen.json, out)
+    columns = readers.mapping(chosen.map)
+    settings = {"plant": chosen.plant, "hold": chosen.hold, "columns": columns, "dt": chosen.dt}
+    made = simulate(chosen.model, chosen.record, out=out, **settings)
+    page = out / "simulation.html"
+    return answer(
+        chosen.json, page.with_suffix(".json").read_text("utf-8"), f"{fit_figures.summary(made)}\npage: {page}"
+    )
 
 
 _ONE: dict[str, Option] = {
@@ -132,6 +170,7 @@ def _measure(chosen: argparse.Namespace) -> int:
 
 
 VERBS = (
+    Verb("simulate", _add_simulate, _simulate),
     Verb("identify", _add_identify, _identify),
     Verb("measure", _add_measure),
 )

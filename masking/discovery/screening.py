@@ -395,7 +395,7 @@ class Screen:
     def _rows(self, columns: Array) -> Array:
         """Return columns (blocks, sensors, c) in standard deviations, as rows (blocks * sensors, c).
 
-        One along which the rig's motion runs away is 0: nothing can be told of it.
+        One along which the rig's motion runs away is 0, since it has no weight in a comparison.
         """
         with np.errstate(over="ignore"):
             found: Array = (columns * self.scale[None, :, None]).reshape(-1, columns.shape[2])

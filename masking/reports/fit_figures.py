@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -16,8 +16,10 @@ from masking.estimation.simulation import Simulated, simulate
 from masking.reports import figure_parts as parts
 from masking.reports import style
 from masking.reports.style import BAND, COLOURS, DASHED, INK, LIMIT, MUTED, SIZE, CaptionedFigure
+from masking.reports.text import aligned
 
 _WIDTHS: Final = (3.1, 1.75, 1.75)  # inches: readings, what is left of them, its spectrum
+_WHOLE: Final = (7.1,)  # inches
 _PERIODS = 8  # of the strongest line that are shown
 _LEAST_SHOWN = 1.0  # s
 _MORE = 1.2  # times the noise: from here on a residual is more than that
@@ -25,6 +27,13 @@ _MOST_SENSORS = 6
 _MOST_PARAMETERS = 24
 _TITLE = 0.22  # inches above axes for the value of a parameter
 _SETTLED = 0.15  # of the record: after that, a band sets the range of its axis
+# What a record is to the values that it is simulated with, and the names and titles of its figure.
+Which = Literal["fitted", "validation", ""]
+_FIGURES: Final[dict[Which, tuple[str, str]]] = {
+    "fitted": ("fit", "The fit"),
+    "validation": ("validation", "The fit on the validation record"),
+    "": ("simulation", "The record and its simulation, enlarged"),
+}
 
 
 def figures(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]) -> tuple[list[CaptionedFigure], str]:
@@ -36,27 +45,48 @@ def figures(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data
         unseen: validation records, of which the first is drawn.
     """
     drawn, sentence = [], "The simulation with the fitted values is not finite"
-    for record, was_fitted in ((train[0], True), *((record, False) for record in unseen[:1])):
+    records: list[tuple[Data, Which]] = [(train[0], "fitted"), *((record, "validation") for record in unseen[:1])]
+    for record, which in records:
         try:
             made = simulate(found.twin, record, found.names)
         except IntegrationError:
             continue
-        drawn.append(fit(made, was_fitted=was_fitted))
-        sentence = verdict(made, was_fitted=was_fitted)
+        drawn.append(fit(made, which))
+        sentence = verdict(made, which)
     if isinstance(found, KalmanFit) and found.names:
         drawn.append(estimates(found))
     return drawn, sentence
 
 
-def fit(made: Simulated, *, was_fitted: bool) -> CaptionedFigure:
+def overview(made: Simulated) -> CaptionedFigure:
+    """Draw a whole record, its simulation and the residual."""
+    names = made.sensors[:_MOST_SENSORS]
+    figure, rows = style.panels(len(names), 1.35, _WHOLE, heading=verdict(made, ""))
+    for i, (name, (axes,)) in enumerate(zip(names, rows, strict=True)):
+        by, unit = parts.shown(made.units[i], made.record.readings[:, i])
+        series = ((made.record.readings, COLOURS[0]), (made.readings, INK), (made.residual, COLOURS[1]))
+        for values, colour in series:
+            axes.plot(*style.thin(made.times, by * values[:, i]), color=colour, lw=0.8)
+        axes.set_ylabel(style.with_unit(style.symbol(name), unit))
+        axes.set_xlim(0.0, made.times[-1])
+        parts.ticks(axes, 4)
+    rows[-1][0].set_xlabel("time (s)")
+    keys = (("measured", COLOURS[0]), ("simulated", INK), ("residual", COLOURS[1]))
+    parts.legend(figure, rows[0][0], [parts.line_key(label, colour) for label, colour in keys])
+    more = parts.first_of(len(names), len(made.sensors), "sensors")
+    caption = f"{made.record.name}: measured, simulated from the initial state that fits best, and the residual.{more}"
+    return CaptionedFigure("overview", "The whole record", caption, figure)
+
+
+def fit(made: Simulated, which: Which) -> CaptionedFigure:
     """Draw a record beside its simulation.
 
     Args:
-        made: the record and its simulation with the fitted values.
-        was_fitted: False for a validation record.
+        made: the record and its simulation.
+        which: whether its values were fitted to this record, validated on it, or neither.
     """
     names = made.sensors[:_MOST_SENSORS]
-    sentence = verdict(made, was_fitted=was_fitted)
+    sentence = verdict(made, which)
     figure, rows = style.panels(len(names), 1.35, _WIDTHS, heading=sentence)
     seconds = _span(made)
     part = made.times <= seconds
@@ -99,8 +129,8 @@ def fit(made: Simulated, *, was_fitted: bool) -> CaptionedFigure:
         "the lines that hold 95 % of the noise; right, spectra of the whole record. A residual above the noise is an "
         "effect that the model does not have."
     )
-    name = "fit" if was_fitted else "validation"
-    return CaptionedFigure(name, "The fit" if was_fitted else "The fit on the validation record", caption, figure)
+    name, title = _FIGURES[which]
+    return CaptionedFigure(name, title, caption, figure)
 
 
 def estimates(found: KalmanFit) -> CaptionedFigure:
@@ -157,14 +187,19 @@ def _span(made: Simulated) -> float:
     return float(min(whole, max(_LEAST_SHOWN, _PERIODS / max(strongest, 1e-300))))
 
 
-def verdict(made: Simulated, *, was_fitted: bool) -> str:
+def verdict(made: Simulated, which: Which) -> str:
     """Say in a sentence whether the residual of a record is above the noise floor."""
-    chi, floor, which = made.chi, made.floor, "fitted" if was_fitted else "validation"
+    chi, floor, record = made.chi, made.floor, f"{which} record".lstrip()
     more = [name for name in chi if chi[name] > _MORE * floor[name]]
     if not more:
         sensors = ", ".join(f"{name} {percent(chi[name])}" for name in chi)
-        return f"In the {which} record the residual is hardly above the noise floor: {sensors} of the readings"
+        return f"In the {record} the residual is hardly above the noise floor: {sensors} of the readings"
     sensors = ", ".join(f"{name} {percent(chi[name])} ({percent(floor[name])})" for name in more)
-    return (
-        f"In the {which} record the residual is above the noise floor (in brackets), as part of the readings: {sensors}"
-    )
+    return f"In the {record} the residual is above the noise floor (in brackets), as part of the readings: {sensors}"
+
+
+def summary(made: Simulated) -> str:
+    """Return the verdict of a simulation, and a table of its errors, for the terminal."""
+    errors = (("error chi", made.chi), ("noise floor", made.floor))
+    rows = [("", *made.sensors), *((what, *(percent(part[name]) for name in made.sensors)) for what, part in errors)]
+    return "\n".join([f"{verdict(made, '')}.", *aligned(rows)])

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from masking.declaration.quantities import number
+from masking.declaration.quantities import number, percent
 from masking.estimation.fit import Fit
 from masking.estimation.innovations import KalmanFit
+from masking.estimation.simulation import Simulated
 from masking.procedures.measurement import Measurement, Row
 from masking.reports import figure_parts, html, procedure_figures
 from masking.reports.html import Tile
@@ -83,11 +84,40 @@ def save_fit(found: Fit | KalmanFit, figures: Sequence[CaptionedFigure], sentenc
         sentence=sentence,
         tiles=[Tile(name, value, f"± {std}") for name, value, std in rows[:_TILES]],
         parameters=rows,
+        columns=("sensor", "error chi", "validation error", "noise floor"),
         errors=[
             (name, *(number(part[name], 3) if part.get(name) is not None else "" for part in errors))
             for name in content["floor"]
         ],
         remarks=found.notes,
+    )
+
+
+def save_simulation(made: Simulated, figures: Sequence[CaptionedFigure], sentence: str, folder: str | Path) -> None:
+    """Write `simulation.html`, `simulation.json` and the figures of a simulated record into a folder, made if need be.
+
+    Args:
+        made: the record and its simulation.
+        figures: of it.
+        sentence: the finding.
+        folder: where to.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
+    html.save(
+        Path(folder, "simulation.html"),
+        "fit",
+        figures,
+        {"record": made.record.name, "chi": made.chi, "floor": made.floor},
+        names=made.sensors,
+        title="Simulation",
+        sentence=sentence,
+        tiles=[Tile(f"error of {name}", percent(chi), "") for name, chi in list(made.chi.items())[:_TILES]],
+        parameters=[],
+        columns=("sensor", "error chi", "noise floor"),
+        errors=[(name, number(chi, 3), number(made.floor[name], 3)) for name, chi in made.chi.items()],
+        remarks=[],
     )
 
 

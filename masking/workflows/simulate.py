@@ -1,0 +1,62 @@
+"""The verb simulate: a record beside what a model makes of its inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from masking.declaration import catalogue
+from masking.errors import IntegrationError, ModelError
+from masking.estimation import simulation
+from masking.estimation.data import Data
+from masking.estimation.simulation import Simulated
+from masking.records.hold import InputHold
+from masking.reports import fit_figures, identification_page
+from masking.workflows import inputs
+from masking.workflows.outputs import check_folder
+
+
+def simulate(
+    model: str | Path,
+    record: str | Path,
+    *,
+    plant: str | Path | None = None,
+    hold: InputHold | None = None,
+    columns: Mapping[str, str] | None = None,
+    dt: float | None = None,
+    out: str | Path | None = None,
+) -> Simulated:
+    """Simulate a record with a model, from the initial state that fits best, and compare.
+
+    Args:
+        model: a model, or a plant file with its own model and effects; a name or a YAML file.
+        record: folder of a recording, or a parquet, csv, mat or h5 file; `FILE@10:20` is its part from 10 s to 20 s.
+        plant: plant file with sensors and actuators for a model; without one, the outputs of the model are its sensors,
+            or else its coordinates or states, and its inputs are the actuators.
+        hold: inputs between samples: 'zero-order' for commands, 'first-order' for measured inputs, 'band-limited' for
+            inputs measured behind an anti-alias filter.
+        columns: columns of the file by the names that they get, such as `{"t": "time", "V1": "u"}`.
+        dt: time between samples in s, for a table without a clock.
+        out: folder to save `simulation.html`, its figures and `simulation.json` in; by default nothing is saved.
+
+    Returns:
+        measured and simulated readings, the residual, and the relative errors `chi` beside the noise `floor`.
+
+    Raises:
+        MaskingError: a declaration, a name, a setting or the record is wrong; the message says what to do about it.
+    """
+    check_folder(out)
+    alone = plant is None and catalogue.kind_of(model) == "plant"
+    twin = inputs.rig(None, model) if alone else inputs.rig(model, plant)
+    given = Data.read(record, twin, hold, columns, dt)
+    try:
+        made = simulation.simulate(twin, given)
+    except IntegrationError as error:
+        raise ModelError(
+            f"{model}: its motion over {record} is not finite; check signs and units of its parameters, "
+            f"or simulate a shorter part, such as {record}@0:1"
+        ) from error
+    if out is not None:
+        figures = [fit_figures.fit(made, ""), fit_figures.overview(made)]
+        identification_page.save_simulation(made, figures, fit_figures.verdict(made, ""), out)
+    return made

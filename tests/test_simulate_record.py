@@ -1,0 +1,70 @@
+"""The verb simulate: records by closed forms beside the simulation of a model."""
+
+import json
+
+import numpy as np
+import pytest
+
+import masking
+from masking import cli
+from masking.errors import ModelError, RecordError
+
+W, Z, START, NOISE, RATE = 12.0, 0.02, 0.01, 1e-5, 200.0
+OSCILLATOR = """
+name: oscillator
+coordinates: {x: {unit: m}}
+parameters: {w: {value: 12, unit: rad/s}, z: {value: 0.02}}
+equations: {"x''": "-w**2*x - 2*z*w*x'"}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A free decay from rest at `START`, in closed form, with noise."""
+    t = np.arange(4000) / RATE
+    damped = W * np.sqrt(1 - Z**2)
+    x = START * np.exp(-Z * W * t) * (np.cos(damped * t) + Z * W / damped * np.sin(damped * t))
+    read = x + NOISE * np.random.default_rng(0).standard_normal(len(t))
+    np.savetxt(tmp_path / "decay.csv", np.column_stack([t, read]), delimiter=",", header="time,x", comments="")
+    (tmp_path / "oscillator.yaml").write_text(OSCILLATOR)
+    return tmp_path
+
+
+def test_the_true_model_leaves_the_noise(folder):
+    made = masking.simulate(folder / "oscillator.yaml", folder / "decay.csv", columns={"t": "time"})
+    assert made.residual.std() == pytest.approx(NOISE, rel=0.05)
+    rms = np.sqrt(np.mean(made.record.readings**2))
+    assert made.chi["x"] == pytest.approx(NOISE / rms, rel=0.05)
+    assert made.floor["x"] == pytest.approx(NOISE / rms, rel=0.15)
+
+
+def test_a_wrong_model_is_said_in_a_sentence_a_table_and_a_page(folder, capsys):
+    (folder / "oscillator.yaml").write_text(OSCILLATOR.replace("value: 12", "value: 12.6"))
+    words = ["simulate", str(folder / "oscillator.yaml"), str(folder / "decay.csv"), "--map", "t=time"]
+    assert cli.main([*words, "--out", str(folder / "out")]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("In the record the residual is above the noise floor")
+    assert [line.split()[0] for line in out.splitlines()[1:]] == ["x", "error", "noise", "page:"]
+    numbers = json.loads((folder / "out" / "simulation.json").read_text())
+    assert numbers["chi"]["x"] > 10 * numbers["floor"]["x"]
+    page = (folder / "out" / "simulation.html").read_text(encoding="utf-8")
+    assert "the residual is above the noise floor" in page
+    for name in ("simulation", "overview"):
+        assert (folder / "out" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_plant_file_brings_its_own_model(folder):
+    (folder / "rig.yaml").write_text(
+        "name: rig\nmodel: oscillator.yaml\nsensors: {x: {measures: x, gain: {value: 1, unit: m/m}, unit: m}}\n"
+    )
+    alone = masking.simulate(folder / "oscillator.yaml", folder / "decay.csv", columns={"t": "time"})
+    rig = masking.simulate(folder / "rig.yaml", folder / "decay.csv", columns={"t": "time"})
+    assert rig.chi["x"] == pytest.approx(alone.chi["x"], rel=1e-6)
+
+
+def test_what_cannot_be_simulated_is_refused_with_the_mend(folder):
+    with pytest.raises(RecordError, match="there is no column"):
+        masking.simulate("setup", folder / "decay.csv", columns={"t": "time"})
+    (folder / "oscillator.yaml").write_text(OSCILLATOR.replace("-w**2*x", "1e6*w**2*x"))
+    with pytest.raises(ModelError, match=r"is not finite; check signs and units .*decay\.csv@0:1"):
+        masking.simulate(folder / "oscillator.yaml", folder / "decay.csv", columns={"t": "time"})
