@@ -32,7 +32,7 @@ sensors:
   s2: {measures: x2 - x3, gain: {value: 200, unit: V/m}, unit: V}
   s3: {measures: x3, gain: {value: 200, unit: V/m}, unit: V}
 actuators: {V1: {unit: V}, V2: {unit: V}, V3: {unit: V}}
-allocation: {u1: V1, u2: V2, u3: V3 - V1 - V2}
+allocation: {u1: V1, u2: V2, u3: V3}
 limits: {inputs: {V1: {max: 0.42, unit: V}, V2: {max: 0.42, unit: V}, V3: {max: 0.42, unit: V}}}
 """
 KEYS = {"verdict", "closed", "effects", "simulation_error", "model", "next_experiment"}

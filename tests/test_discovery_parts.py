@@ -96,7 +96,7 @@ def test_without_effects_it_is_the_linear_rig(problem):
     relative = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0], [0.0, 0.0, 1.0]])
     acts = np.array([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [p["mu1"], p["mu2"], -1.0]])
     a = np.block([[np.zeros((3, 3)), np.eye(3)], [acts @ np.diag(k) @ relative, acts @ np.diag(c) @ relative]])
-    gains = np.diag([p["c1"], p["c2"], p["c3"]]) @ np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, -1.0, 1.0]])
+    gains = -acts @ np.diag([p["c1"], p["c2"], p["c3"]])  # the actuators push where the springs pull
     system = (
         a,
         np.vstack([np.zeros((3, 3)), gains]),

@@ -74,7 +74,7 @@ def matrices(truth):
         a[5] += mu * force
         b[3 + i, i] = c
     a[5] -= [0, 0, w3**2, 0, 0, 2 * z3 * w3]
-    b[5] = -c3, -c3, c3
+    b[5] = -mu1 * c1, -mu2 * c2, c3
     return a, b, 200.0 * np.hstack([np.array([[1, 0, -1], [0, 1, -1], [0, 0, 1.0]]), np.zeros((3, 3))])
 
 

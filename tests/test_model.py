@@ -134,7 +134,7 @@ def test_energy_is_lost_in_the_dampers_alone(name):
 
 def test_the_measured_springs_are_the_polynomials_of_table_b_4():
     # (4.14): the static input, in units of nu, that holds the displacement delta, in units of l, is
-    # sum_j rho_ij delta^j; the oscillators push against the beam, whose nett input holds them too.
+    # sum_j rho_ij delta^j; the oscillators push against the beam.
     rho = np.array(
         [
             [0.000234722612437, 0.091796394850297, -0.005071505003798, 0.001755823061963, -0.000495321921394,

@@ -35,8 +35,8 @@ def setup_dynamics():
 
 
 SENSING = GAIN * np.array([[1, 0, -1, 0, 0, 0], [0, 1, -1, 0, 0, 0], [0, 0, 1, 0, 0, 0]], dtype=float)
-# Commands per acceleration, in parts of 0.42 V: V1 = u1, V2 = u2, V3 = u3 + u1 + u2.
-COMMAND = np.array([[1 / C[0], 0, 0], [0, 1 / C[1], 0], 1 / C]) / 0.42
+# Commands per acceleration, in parts of 0.42 V: the beam's actuator makes up for what the others push, mu_i x_i''.
+COMMAND = np.array([[1 / C[0], 0, 0], [0, 1 / C[1], 0], [*MU / C[2], 1 / C[2]]]) / 0.42
 
 
 def plan(*, noise=1e-4, period=1e-3, delay=1):

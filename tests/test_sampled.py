@@ -28,6 +28,7 @@ from masking.runs.offline import run_twin
 # The set-up in SI units (table B.1), the Duffing oscillators that it moves as (table 7.2), and their scales.
 W, Z = np.array([12.5521, 14.0337, 9.7369]), np.array([0.3362, 0.4296, 0.0409])
 C, MU = np.array([20.9218, 23.2465, 1.2589]), np.array([0.0411, 0.0578])
+LAMBDA = np.array([[C[0], 0, 0], [0, C[1], 0], [-MU[0] * C[0], -MU[1] * C[1], C[2]]])  # m/s**2/V
 W3, TH, NU, Z3 = 0.5316, 1.0 / 3.0, 0.0495, 0.0409
 LENGTH, OMEGA = 0.005, 18.3157
 START = np.array([-0.6, -0.5, 0.0])
@@ -273,7 +274,7 @@ def step_by_hand(readings, memory, sampled, h, delay):
     queue = queue.reshape(delay, m)
 
     def rate(y, u):
-        return np.concatenate([y[3:6], free(y[:3], y[3:6]) + C * u])
+        return np.concatenate([y[3:6], free(y[:3], y[3:6]) + LAMBDA @ u])
 
     def predicted(z, u):
         d = z[6:9] + 0.5 * h * z[9:12]
@@ -293,11 +294,11 @@ def step_by_hand(readings, memory, sampled, h, delay):
     q, v, d, slope = np.split(ahead, 4)
 
     def inputs(q, v, late):
-        return (wanted(q, v) - free(q, v) - d - late * slope) / C
+        return np.linalg.solve(LAMBDA, wanted(q, v) - free(q, v) - d - late * slope)
 
     r0 = wanted(q, v)
-    g0 = C * inputs(q, v, 0.0)
-    g2 = C * inputs(q + h * v + 0.5 * h**2 * r0, v + h * r0, h)
+    g0 = LAMBDA @ inputs(q, v, 0.0)
+    g2 = LAMBDA @ inputs(q + h * v + 0.5 * h**2 * r0, v + h * r0, h)
     v = v + h / 12 * (g2 - g0)
     # The accelerations r0 on the way that is wanted, with r2 those at its end as first taken.
     r2 = wanted(q + h * ahead[3:6] + 0.5 * h**2 * r0, ahead[3:6] + h * r0)
@@ -306,15 +307,14 @@ def step_by_hand(readings, memory, sampled, h, delay):
     u1 = inputs(q + 0.5 * h * v + h**2 / 48 * (5 * r0 + r2), v + h / 8 * (3 * r0 + r2), 0.5 * h)
     u2 = inputs(q + h * v + h**2 / 6 * (2 * r0 + r2), v + 0.5 * h * (r0 + r2), h)
     u = 4 / 3 * u1 - (u0 + u2) / 6
-    demanded = np.array([u[0], u[1], u.sum()])  # (4.3) the other way round
+    demanded = u
     largest, heating, limit, time = table.T
     kept = np.exp(-h / time)
     free_power = np.maximum(0.0, limit - kept * power)
     most = np.minimum(largest, np.sqrt(free_power / ((1 - kept) * heating)))
     applied = np.clip(demanded, -most, most)
     power = kept * power + (1 - kept) * heating * applied**2
-    acting = np.array([applied[0], applied[1], applied[2] - applied[0] - applied[1]])
-    queue = np.vstack([queue, acting])
+    queue = np.vstack([queue, applied])
     onward = predicted(now, queue[0])
     return np.concatenate([now, power, onward, queue[1:].ravel()]), demanded, applied
 
@@ -458,7 +458,7 @@ def test_homing_begins_and_goes_on_without_a_jump(approached):
     jacobian = np.diag([1 + 0.4 * BENT_START[0], np.cosh(BENT_START[1]), 1.0])
     jacobian[2, :2] = 0.1 * BENT_START[1::-1]
     step = rows["demanded"][before - 1] - rows["demanded"][before - 2]
-    c_step = C * np.array([step[0], step[1], step[2] - step[0] - step[1]])
+    c_step = LAMBDA @ step
     np.testing.assert_allclose(jacobian @ c_step * PACE**2 / LENGTH, duffing(START, np.zeros(3)), rtol=0, atol=0.01)
 
 

@@ -62,10 +62,11 @@ class Rigs:
     def acceleration(self, commands: Array) -> Array:
         """Return what commands (..., 3, batch) in V add to d1'', d2'' and x3'' (..., 3, batch), in m/s**2.
 
-        The actuators of the oscillators push against the beam, (4.3): u1 = V1, u2 = V2, u3 = V3 - V1 - V2.
+        The actuators of the oscillators push against the beam: what adds c_i V_i to x_i'' takes mu_i c_i V_i from x3'',
+        where (4.3) has c_3 V_i.
         """
         v1, v2, v3 = commands[..., 0, :], commands[..., 1, :], commands[..., 2, :]
-        beam = self["c3"] * (v3 - v1 - v2)
+        beam = self["c3"] * v3 - self["mu1"] * self["c1"] * v1 - self["mu2"] * self["c2"] * v2
         return np.stack((self["c1"] * v1 - beam, self["c2"] * v2 - beam, beam), axis=-2)
 
     def linear(self) -> tuple[Array, Array]:
