@@ -9,6 +9,7 @@ from tests.second_implementation import set_up, virtual_systems
 ENTRIES = {
     "Table 4.2": set_up.table_4_2,
     "Fig. 4.2": set_up.fig_4_2,
+    "Fig. 4.3": set_up.fig_4_3,
     "Fig. 4.6": set_up.fig_4_6,
     "Fig. 5.1": set_up.fig_5_1,
     "Fig. 5.2": set_up.fig_5_2,

@@ -84,6 +84,10 @@ def fig_4_2():
     }
 
 
+def fig_4_3():
+    return {"w3 with the oscillators fixed to the beam, rad/s": W[2] / math.sqrt(1.0 + sum(MU))}
+
+
 def fig_4_6():
     return {f"w{i + 1}^2/lam{i + 1}, linear": (W[i] / WBAR) ** 2 / LAM[i] for i in range(3)}
 
@@ -195,18 +199,17 @@ def fig_5_3():
 
 
 def fig_5_4():
-    w = [math.sqrt(LAM[i] * RHO[i]) for i in (0, 1)]
-    # The frequencies are those of the measured springs, in rad/s; so is the scale, half their sum.
-    scale = 0.5 * (w[0] + w[1])
-    rest = (W[2] / WBAR / scale, Z[2])
+    w = [math.sqrt(LAM[i] * RHO[0]) for i in (0, 1)]  # Fig. 4.6: spring 2 is nearly that of spring 1
 
     def made(f1, f2, e1, e2):
-        return on_a_beam((f1 * w[0] / scale, f2 * w[1] / scale, rest[0]), (0, 0, rest[1]), MU, e=(e1, e2))
+        own = (f1 * w[0], f2 * w[1])
+        scale = 0.5 * (own[0] + own[1])  # half the sum of the frequencies is the unit of frequency
+        return on_a_beam((own[0] / scale, own[1] / scale, W[2] / WBAR / scale), (0, 0, Z[2]), MU, e=(e1, e2))
 
     return {
         **differing(made, amplitudes(1.2927, 1.065), 1.065),
-        "w1 of the measured spring, (lam1 rho_11)^(1/2)": w[0],
-        "w2 of the measured spring, (lam2 rho_21)^(1/2)": w[1],
+        "w1 of the spring of Fig. 4.6, (lam1 rho_11)^(1/2)": w[0],
+        "w2 of the spring of Fig. 4.6, (lam2 rho_11)^(1/2)": w[1],
     }
 
 

@@ -16,6 +16,7 @@ from tests.second_implementation.motions import (
     Z,
     after,
     amplitudes,
+    anti_phase,
     differing,
     folded,
     largest,
@@ -67,7 +68,16 @@ def fig_7_3():
     def made(f1, f2, e1, e2):
         return on_a_beam((f1, f2, W3), (0, 0, Z[2]), MU, e=(e1, e2))
 
-    return differing(made, amplitudes(2.22, 1.0), 1.0)
+    found = differing(made, amplitudes(2.22, 1.0), 1.0)
+    f = found["difference in frequency, % to either side"] / 100
+    matrix = made(1 + f, 1 - f, found["over-compensation e1"], found["over-compensation e2"])
+
+    def rate(_, y):
+        rates, cubes = matrix @ y, TH * (y[:2] - y[2]) ** 3
+        return rates + np.concatenate([[0, 0, 0], -cubes, [np.dot(MU, cubes)]])
+
+    t, y = moved(rate, (-0.6, -0.5, 0, 0, 0, 0), 600.0)
+    return {**found, "alpha, differing (fitted), the virtual system by itself": anti_phase(t, y[0], y[1])[0]}
 
 
 # Chapter 8.
@@ -178,19 +188,20 @@ def fig_9_2():
     }
 
 
-def demanded(motion, accelerations, unit):
+def demanded(motion, accelerations):
     """Return the largest voltage of an actuator over 0.42 V that moves the linear rig as wanted.
 
     Args:
         motion: displacements and velocities (6, m), SI.
         accelerations: the wanted ones (3, m), SI.
-        unit: volts of the actuators of the oscillators per volt of force.
     """
     x, v = motion[:3], motion[3:]
     f = [W[i] ** 2 * (x[i] - x[2]) + 2 * Z[i] * W[i] * (v[i] - v[2]) for i in (0, 1)]
     u1, u2 = ((accelerations[i] + f[i]) / C[i] for i in (0, 1))
     left = accelerations[2] - MU[0] * f[0] - MU[1] * f[1] + W[2] ** 2 * x[2] + 2 * Z[2] * W[2] * v[2]
-    return max(np.abs(u).max() for u in (unit[0] * u1, unit[1] * u2, left / C[2] + u1 + u2)) / VOLTS
+    # Newton's third law: what actuator i adds to oscillator i it takes from the beam, by the ratio of their masses.
+    u3 = (left + MU[0] * C[0] * u1 + MU[1] * C[1] * u2) / C[2]
+    return max(np.abs(u).max() for u in (u1, u2, u3)) / VOLTS
 
 
 def pendulum_demand(length, swing, angles, beam):
@@ -201,7 +212,7 @@ def pendulum_demand(length, swing, angles, beam):
     _, y = moved(rate, (*angles, 0, 0, 0, 0), 400.0, 0.02, 1e-9)
     rates = np.array([rate(0, column) for column in y.T]).T
     size = STROKE * np.array([1 / swing, 1 / swing, 1 / beam])[:, None]
-    return demanded(np.vstack([size * y[:3], w * size * y[3:]]), w**2 * size * rates[3:], (1.0, 1.0))
+    return demanded(np.vstack([size * y[:3], w * size * y[3:]]), w**2 * size * rates[3:])
 
 
 def section_9_2():
@@ -227,7 +238,7 @@ def enoc_fig_6_7():
     t, y = t[whole], y[:, whole]
     last, start = t > 45.0, t <= 1.0
     rates = np.array([enoc_duffing(0, column) for column in y[:, start].T]).T
-    demand = demanded(1e-3 * y[:, start], 1e-3 * rates[3:], (1.0, 1.0))
+    demand = demanded(1e-3 * y[:, start], 1e-3 * rates[3:])
     return {
         "largest |x1 + x2| in the last 2 s, mm": np.abs(y[0] + y[1])[last].max(),
         "largest |x3| in the last 2 s, mm": np.abs(y[2])[last].max(),
