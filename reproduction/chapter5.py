@@ -196,9 +196,9 @@ def _slowest(model: Model) -> Mode:
     return modes(state_matrix(model), model.coordinates).modes[0]
 
 
-def _threshold(steps: int = 6) -> tuple[float, float]:
+def _threshold(steps: int = 7) -> tuple[float, float]:
     """Return by how many times the damping the document's way cancels it where motion rests, and where it grows."""
-    low, high = 1.0, 1.2
+    low, high = 0.9, 1.2
     for _ in range(steps):
         times = 0.5 * (low + high)
         parameters = {"z1": 0.3362 * times, "z2": 0.4296 * times}
