@@ -1,5 +1,6 @@
 """Formats: records of other programs, and parts of records; values are closed forms of their times."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import io
 
+from masking import cli
 from masking.discovery.settings import DiscoverySettings
 from masking.errors import ModelError, RecordError
 from masking.estimation.data import Data
@@ -87,7 +89,7 @@ def test_groups_are_named_by_their_paths(runs, tmp_path, name):
 
 def test_columns_of_other_lengths_are_left_out(runs):
     made = readers.read(runs, {"u": "arrow/u"}, 0.1, needed=("u",))
-    assert set(made.columns) == {"t", "u", "arrow/y"}
+    assert set(made.columns) == {"t", "u", "arrow/y", "table/1", "table/2", "table/3"}
     np.testing.assert_array_equal(made["u"], np.arange(300.0))
     np.testing.assert_allclose(made.t, np.arange(300) / 10.0)
     longest = readers.read(runs, dt=0.1)
@@ -153,7 +155,54 @@ def test_files_that_hold_no_vectors_are_refused(runs, tmp_path):
     assert refusal(tmp_path / "scalars.h5") == f"{tmp_path / 'scalars.h5'}: it holds no vectors of numbers"
     (tmp_path / "none.mat").write_bytes(HEADER.ljust(512, b"\0"))
     assert "the HDF5 file cannot be read" in refusal(tmp_path / "none.mat")
-    assert "or a .parquet, .csv, .mat or .h5 file" in refusal(tmp_path / "a.xlsx")
+    assert "or a .parquet, .csv, .mat, .h5, .npz or .json file" in refusal(tmp_path / "a.xlsx")
+
+
+def test_structures_cells_and_matrices_of_matlab_are_named_by_their_paths(tmp_path):
+    cells = np.empty(2, object)
+    cells[:] = [np.sin(T)[:, None], np.cos(T)[None]]
+    held = {"run": {"time": T, "signals": {"values": T**2}}, "y": cells, "a": np.array([T, 2 * T, 3 * T]), "fs": 100.0}
+    io.savemat(tmp_path / "nested.mat", held)
+    names = {"t": "run/time", "x": "run/signals/values", "s": "y/1", "c": "y/2", "a3": "a/3"}
+    made = readers.read(tmp_path / "nested.mat", names)
+    for name, values in {"t": T, "x": T**2, "s": np.sin(T), "c": np.cos(T), "a3": 3 * T}.items():
+        np.testing.assert_array_equal(made[name], values)
+
+
+def test_numpy_and_json(tmp_path):
+    np.savez(tmp_path / "a.npz", t=T, y=np.array([np.sin(T), np.cos(T)]).T, name="text")
+    assert set(readers.read(tmp_path / "a.npz").columns) == {"t", "y/1", "y/2"}
+    np.testing.assert_array_equal(readers.read(tmp_path / "a.npz", {"c": "y/2"})["c"], np.cos(T))
+    (tmp_path / "lists.json").write_text(json.dumps({"t": [0, 0.1, 0.2], "u": [1, 2.5, 3], "who": "me", "n": 3}))
+    np.testing.assert_array_equal(readers.read(tmp_path / "lists.json")["u"], [1.0, 2.5, 3.0])
+    (tmp_path / "samples.json").write_text(json.dumps([{"t": i / 10, "u": i**2} for i in range(9)]))
+    np.testing.assert_array_equal(readers.read(tmp_path / "samples.json")["u"], np.arange(9.0) ** 2)
+    np.save(tmp_path / "one.npy", np.array([T, 2 * T]))
+    (tmp_path / "one.npy").rename(tmp_path / "one.npz")
+    assert set(readers.read(tmp_path / "one.npz", {"t": "1"}).columns) == {"t", "2"}
+    (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04")
+    assert "the numpy file cannot be read" in refusal(tmp_path / "bad.npz")
+    (tmp_path / "bad.json").write_text("[1, 2")
+    assert "the JSON file cannot be read" in refusal(tmp_path / "bad.json")
+    (tmp_path / "texts.json").write_text('{"a": ["b", "c"]}')
+    assert refusal(tmp_path / "texts.json").endswith("it holds no vectors of numbers")
+
+
+def test_a_text_without_names_gets_them(tmp_path, capsys):
+    path = tmp_path / "bare.txt"
+    np.savetxt(path, np.column_stack([T, np.sin(T)]))
+    made = readers.read(path, ("t", "u"))
+    np.testing.assert_array_equal(made["u"], np.sin(T))
+    assert len(made.t) == len(T)
+    assert "name its 2 columns, such as --columns t,u1,y1" in refusal(path)
+    assert refusal(path, ("t", "u", "y")).endswith("2 columns have 3 names, t, u, y; name each")
+    path.write_text("1;2,5\n2;x\n")
+    assert "line 2 holds 'x' in column 'u'" in refusal(path, ("t", "u"), None, ("u",))
+    path.write_text("time,u\n0,1\n1,2\n")
+    assert "the first line names its columns, such as time" in refusal(path, ("t", "u"))
+    words = ["simulate", "setup", str(path), "--map", "t=time", "--columns", "t,u"]
+    assert cli.main(words) == 2
+    assert "--map renames columns and --columns names" in capsys.readouterr().err
 
 
 def test_files_that_are_cut_off_or_damaged_are_refused(runs, tmp_path):

@@ -16,6 +16,7 @@ from masking.cli.options import (
     add_out,
     add_verb,
     answer,
+    columns,
     names,
     prepare,
     settings_of_fit,
@@ -76,14 +77,12 @@ def _add_simulate(sub: argparse.ArgumentParser) -> None:
 
 def _simulate(chosen: argparse.Namespace) -> int:
     """Simulate a record with a model: measured against simulated."""
-    from masking.records import readers
     from masking.reports import fit_figures
     from masking.workflows.simulate import simulate
 
     out = Path(chosen.out or "results/simulated")
     prepare(chosen.json, out)
-    columns = readers.mapping(chosen.map)
-    settings = {"plant": chosen.plant, "hold": chosen.hold, "columns": columns, "dt": chosen.dt}
+    settings = {"plant": chosen.plant, "hold": chosen.hold, "columns": columns(chosen), "dt": chosen.dt}
     made = simulate(chosen.model, chosen.record, out=out, **settings)
     page = out / "simulation.html"
     return answer(

@@ -11,7 +11,7 @@ from typing import Any
 from masking.cli.progress import raise_interrupts
 from masking.workflows.choices import HOLDS
 
-RECORD = "folder of a recording, or a parquet, csv, mat or h5 file; FILE@10:20 is its part from 10 s to 20 s"
+RECORD = "folder of a recording, or a parquet, csv, mat, h5, npz or json file; FILE@10:20 is its part from 10 s to 20 s"
 NAMED = "a YAML file, or a name that 'masking list' shows"
 
 
@@ -103,22 +103,36 @@ def add_of_tables(sub: argparse.ArgumentParser) -> None:
         "for inputs measured behind an anti-alias filter (default: zero-order; first-order for a measured motion)"
     )
     sub.add_argument("--hold", choices=HOLDS, help=text)
-    text = "rename columns: NAME=COLUMN, with commas; in groups of an HDF5 file V1=GROUP/COLUMN"
+    text = "rename columns: NAME=COLUMN, with commas; in groups, structures or matrices V1=GROUP/COLUMN"
     sub.add_argument("--map", metavar="t=time,V1=u", default="", help=text)
+    text = "names of the columns of a text without a line of names, in order"
+    sub.add_argument("--columns", metavar="t,V1,s1", default="", help=text)
     sub.add_argument("--dt", metavar="SECONDS", type=float, help="time between samples, for a record without a clock")
+
+
+def columns(chosen: argparse.Namespace) -> dict[str, str] | tuple[str, ...]:
+    """Return the columns by the names that they get, or the names of all columns of a text that has none.
+
+    Raises:
+        RecordError: both are given, or a part of --map has no equals sign.
+    """
+    from masking.errors import RecordError
+    from masking.records import readers
+
+    if chosen.map and chosen.columns:
+        raise RecordError("--map renames columns and --columns names those that have no names; give one of them")
+    return names(chosen.columns) or readers.mapping(chosen.map)
 
 
 def settings_of_fit(chosen: argparse.Namespace) -> dict[str, Any]:
     """Return the settings that verbs that fit to records have in common."""
-    from masking.records import readers
-
     return {
         "plant": chosen.plant,
         "validation": chosen.validate,
         "parameters": names(chosen.parameters),
         "shooting_interval": chosen.shooting_interval,
         "hold": chosen.hold,
-        "columns": readers.mapping(chosen.map),
+        "columns": columns(chosen),
         "dt": chosen.dt,
     }
 

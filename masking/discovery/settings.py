@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import DeclarationError, Problem
-from masking.records.hold import InputHold
+from masking.records.hold import InputHold, Names
 
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
 
@@ -40,7 +40,7 @@ class DiscoverySettings:
     tolerance: float = TOLERANCE
     shooting_interval: float | None = None
     hold: InputHold | None = None
-    columns: Mapping[str, str] | None = None
+    columns: Names | None = None
     dt: float | None = None
     effects: str | Path | None = None
     rules: DecisionRules = RULES

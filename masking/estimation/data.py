@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -13,7 +13,7 @@ import numpy as np
 from masking.errors import ModelError, RecordError, nearest
 from masking.numerics.arrays import Array
 from masking.records import clock, readers
-from masking.records.hold import Hold, InputHold
+from masking.records.hold import Hold, InputHold, Names
 from masking.records.noise import white_noise
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
@@ -114,7 +114,7 @@ class Data:
         path: str | Path,
         twin: Twin,
         hold: InputHold | None = None,
-        columns: Mapping[str, str] | None = None,
+        columns: Names | None = None,
         dt: float | None = None,
     ) -> Data:
         """Read what a file, or a part of one, holds of a plant's actuators and sensors; see `readers.read` and `of`.

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError
+from masking.records.nested import MOST_COLUMNS, vectors
 
 # What MATLAB calls numbers. Text, tables and objects are kept as integers, too, with another class beside them.
 _MATLAB = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
@@ -27,8 +28,8 @@ def is_hdf5(file: Path) -> bool:
 def read(file: Path) -> dict[str, NDArray[np.float64]]:
     """Read every vector of numbers as float64, by its path in the file, such as `multisine/u`.
 
-    A vector has at least two numbers, and as many as its longest side: (1, n) and (n, 1) are vectors, too. Scalars,
-    matrices, texts, compounds and references are left out, and what only MATLAB understands.
+    Vectors and columns of matrices are as in `nested.vectors`. Scalars, texts, compounds and references are left out,
+    and what only MATLAB understands.
 
     Raises:
         RecordError: it is no HDF5 file, is cut off or damaged, or holds no vectors.
@@ -36,8 +37,8 @@ def read(file: Path) -> dict[str, NDArray[np.float64]]:
     found: dict[str, NDArray[np.float64]] = {}
 
     def visit(path: str, held: h5py.Group | h5py.Dataset) -> None:
-        if isinstance(held, h5py.Dataset) and _is_vector(path, held):
-            found[path] = np.ascontiguousarray(held[()].ravel(), dtype=np.float64)
+        if isinstance(held, h5py.Dataset) and _has_vectors(path, held):
+            found.update(vectors(path, held[()]))
 
     try:
         with h5py.File(file, "r") as opened:
@@ -49,10 +50,11 @@ def read(file: Path) -> dict[str, NDArray[np.float64]]:
     return found
 
 
-def _is_vector(path: str, held: h5py.Dataset) -> bool:
+def _has_vectors(path: str, held: h5py.Dataset) -> bool:
     if any(part.startswith("#") for part in path.split("/")):  # MATLAB's own: what cells and objects refer to
         return False
-    if not held.size or held.size < 2 or held.size != max(held.shape):
+    sides = sorted(held.shape or ())
+    if not held.size or held.size < 2 or held.size > sides[-1] * MOST_COLUMNS:
         return False
     try:
         kind = held.dtype.kind

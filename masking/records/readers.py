@@ -9,7 +9,9 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-from collections.abc import Collection, Mapping
+import json
+import zipfile
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError, nearest
+from masking.records.hold import Names
+from masking.records.nested import vectors
 from masking.records.recording import MANIFEST, TABLE, Recording
 from masking.records.time_slice import Part
 
@@ -34,13 +38,12 @@ Column = NDArray[np.float64]
 CLOCK = "t"
 PREFIXES = ("input", "sensor")
 _TEXT = {".csv", ".txt", ".tsv", ".dat"}
-_HDF5 = {".h5", ".hdf5"}
-_KNOWN = "a folder of a recording, or a .parquet, .csv, .mat or .h5 file"
+_KNOWN = "a folder of a recording, or a .parquet, .csv, .mat, .h5, .npz or .json file"
 
 
 def read(
     path: str | Path,
-    names: Mapping[str, str] | None = None,
+    names: Names | None = None,
     dt: float | None = None,
     needed: Collection[str] = (),
 ) -> Recording:
@@ -50,7 +53,8 @@ def read(
         path: a folder of a recording, or a .parquet, .csv, .txt, .tsv, .dat, .mat, .h5 or .hdf5 file; behind it,
             `@10:20` takes what lies from 10 s to 20 s of its clock, `@10:` the rest of it; times stay as they are.
         names: the columns of the file by the names that they get, such as `{"t": "time", "u1": "V1"}`; vectors in
-            groups of an HDF5 file have their path, such as `{"u1": "multisine/V1"}`.
+            groups, structures, cells and matrices have their path, such as `{"u1": "multisine/V1", "y1": "y/1"}`. For
+            a text without a line of names: the names of all its columns, in order.
         dt: time between samples in s, for a table without a clock.
         needed: channels that must be finite, such as `u1`, which is read from `input.u1` or `u1`; other columns that
             are not finite, or of another length than these, are left out.
@@ -67,8 +71,9 @@ def read(
         raise RecordError(f"{file}: no such record; give {_KNOWN}")
     if dt is not None and not (np.isfinite(dt) and dt > 0.0):
         raise RecordError(f"{file}: the time between samples is {dt:g} s; give a positive number of seconds")
-    columns, text = _columns(file)
-    names = names or {}
+    heading = tuple(names) if names and not isinstance(names, Mapping) else ()
+    columns, text = _columns(file, heading)
+    names = names if isinstance(names, Mapping) else {}
     columns = _renamed(file, columns, names)
     if dt is not None:
         columns.pop(CLOCK, None)
@@ -84,7 +89,8 @@ def read(
         )
     chosen = part.samples(columns[CLOCK])
     if file.suffix.lower() in _TEXT:
-        _check_cells(part, {names.get(n, n): c for n, c in columns.items() if n in wanted}, chosen, columns[CLOCK])
+        wanted_cells = {names.get(n, n): c for n, c in columns.items() if n in wanted}
+        _check_cells(part, heading, wanted_cells, chosen, columns[CLOCK])
     columns = columns if chosen.all() else {n: c[chosen] for n, c in columns.items()}
     columns = {n: c for n, c in columns.items() if n in wanted or np.isfinite(c).all()}
     try:
@@ -116,17 +122,22 @@ def mapping(text: str) -> dict[str, str]:
     return found
 
 
-def _columns(file: Path) -> tuple[dict[str, Column], bytes | None]:
-    """Return the columns of a file, and the manifest of one of our own."""
+def _columns(file: Path, heading: Sequence[str]) -> tuple[dict[str, Column], bytes | None]:
+    """Return the columns of a file, and the manifest of one of our own.
+
+    Args:
+        file: to be read.
+        heading: names of the columns of a text that has none; empty for all else.
+    """
     kind = file.suffix.lower()
+    if heading and kind not in _TEXT:
+        raise RecordError(f"{file}: its columns have names; rename them, such as --map t=time, in place of --columns")
     if kind == ".parquet":
         return parquet.read(file)
     if kind in _TEXT:
-        return _text(file), None
-    if kind == ".mat":
-        return _mat(file), None
-    if kind in _HDF5:
-        return hdf5.read(file), None
+        return _text(file, heading), None
+    if kind in _NESTED:
+        return _NESTED[kind](file), None
     raise RecordError(f"{file}: '{kind}' files are not read; give {_KNOWN}")
 
 
@@ -136,9 +147,9 @@ def _own(file: Path, columns: dict[str, Column]) -> Recording:
     return Recording(columns, kept.manifest, kept.notes)
 
 
-def _text(file: Path) -> dict[str, Column]:
-    """Read a table whose first line names its columns, between commas, semicolons, tabs or blanks."""
-    names, separator, lines = _lines(file)
+def _text(file: Path, heading: Sequence[str]) -> dict[str, Column]:
+    """Read a table between commas, semicolons, tabs or blanks; its first line names its columns, or a heading does."""
+    names, separator, lines = _lines(file, heading)
     body = "\n".join(line for _, line in lines)
     if separator == ";" and "," in body:  # decimal commas
         body = body.replace(",", ".")
@@ -156,7 +167,7 @@ def _text(file: Path) -> dict[str, Column]:
     return {names[i]: np.ascontiguousarray(table[:, j]) for j, i in enumerate(used)}
 
 
-def _lines(file: Path) -> tuple[list[str], str | None, list[tuple[int, str]]]:
+def _lines(file: Path, heading: Sequence[str]) -> tuple[list[str], str | None, list[tuple[int, str]]]:
     """Return the names of columns, what is between them, None for blanks, and the lines below with their numbers."""
     try:
         text = file.read_text(encoding="utf-8-sig")
@@ -172,16 +183,35 @@ def _lines(file: Path) -> tuple[list[str], str | None, list[tuple[int, str]]]:
     head = lines[0][1].lstrip("# ")
     separator = next((s for s in ("\t", ";", ",") if s in head), None)
     names = [n.strip() for n in (next(csv.reader([head], delimiter=separator)) if separator else head.split())]
-    if all(_is_number(name) for name in names if name):
-        raise RecordError(f"{file}: the first line holds numbers; let it name the columns, such as t,u1,y1")
+    is_bare = all(_is_number(name.replace(",", ".")) for name in names if name)
+    if is_bare and not heading:
+        raise RecordError(
+            f"{file}: the first line holds numbers; name its {len(names)} columns, such as --columns t,u1,y1"
+        )
+    if heading and not is_bare:
+        raise RecordError(
+            f"{file}: the first line names its columns, such as {names[0]}; rename them, such as --map t={names[0]}, "
+            "in place of --columns"
+        )
+    if heading and len(heading) != len(names):
+        raise RecordError(f"{file}: {len(names)} columns have {len(heading)} names, {', '.join(heading)}; name each")
+    if heading:
+        names, lines = [*heading], [(0, ""), *lines]
     return names, separator, [(n, line) for n, line in lines[1:] if line.partition("#")[0].strip()]
 
 
-def _check_cells(part: Part, columns: Mapping[str, Column], chosen: NDArray[np.bool_], clock: Column) -> None:
+def _check_cells(
+    part: Part,
+    heading: Sequence[str],
+    columns: Mapping[str, Column],
+    chosen: NDArray[np.bool_],
+    clock: Column,
+) -> None:
     """Refuse a text where a number must be, with its line in the file.
 
     Args:
         part: the record.
+        heading: names of the columns of a file that has none.
         columns: that must be finite, by their names in the file.
         chosen: whether a sample is in the part (samples,).
         clock: in s (samples,).
@@ -194,7 +224,7 @@ def _check_cells(part: Part, columns: Mapping[str, Column], chosen: NDArray[np.b
     if first is None:
         return
     row, name = first[0], next(n for n, rows in wrong.items() if len(rows) and rows[0] == first[0])
-    names, separator, lines = _lines(part.file)
+    names, separator, lines = _lines(part.file, heading)
     number, line = lines[row]
     cell = line.partition("#")[0].split(separator)[names.index(name)].strip()
     count = len(np.unique(np.concatenate([*wrong.values()])))
@@ -222,19 +252,42 @@ def _is_number(text: str) -> bool:
 def _mat(file: Path) -> dict[str, Column]:
     """Read the vectors of a MATLAB file; one of version 7.3, and some of other programs, are HDF5."""
     try:
-        held = scipy_io.loadmat(file)
+        held = scipy_io.loadmat(file, simplify_cells=True)
     except NotImplementedError:
         return hdf5.read(file)
     except (OSError, ValueError) as error:
         if hdf5.is_hdf5(file):
             return hdf5.read(file)
         raise RecordError(f"{file}: the MATLAB file cannot be read ({error})") from error
-    found = {}
-    for name, value in held.items():
-        array = np.asarray(value)
-        if name.startswith("__") or array.dtype.kind not in "fiu" or array.size < 2 or array.size != max(array.shape):
-            continue
-        found[name] = np.ascontiguousarray(array.ravel(), dtype=np.float64)
+    return _nested(file, {name: value for name, value in held.items() if not name.startswith("__")})
+
+
+def _hdf5(file: Path) -> dict[str, Column]:
+    return hdf5.read(file)  # h5py loads here, and only here
+
+
+def _npz(file: Path) -> dict[str, Column]:
+    """Read the arrays of a numpy file."""
+    try:
+        with file.open("rb") as stream:
+            return _nested(file, np.load(stream, allow_pickle=False))
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise RecordError(f"{file}: the numpy file cannot be read ({error})") from error
+
+
+def _json(file: Path) -> dict[str, Column]:
+    """Read lists of numbers, or a list of samples that are objects with the same keys."""
+    try:
+        held = json.loads(file.read_text(encoding="utf-8-sig"))
+    except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
+        raise RecordError(f"{file}: the JSON file cannot be read ({error})") from error
+    if isinstance(held, list) and held and all(isinstance(sample, dict) for sample in held):
+        held = {name: [sample.get(name) for sample in held] for name in held[0]}
+    return _nested(file, held)
+
+
+def _nested(file: Path, held: object) -> dict[str, Column]:
+    found = dict(vectors("", held))
     if not found:
         raise RecordError(f"{file}: it holds no vectors of numbers")
     return found
@@ -272,5 +325,12 @@ def _clock(columns: Mapping[str, Column]) -> str:
     rising = [n for n, c in columns.items() if len(c) > 1 and bool((np.diff(c) > 0.0).all())]
     return next((n for n in ("time", "Time", "t_s", *rising) if n in columns), "time")
 
+
+_NESTED: Mapping[str, Callable[[Path], dict[str, Column]]] = {
+    ".mat": _mat,
+    ".npz": _npz,
+    ".json": _json,
+    **dict.fromkeys((".h5", ".hdf5"), _hdf5),
+}
 
 __all__ = ["CLOCK", "digest", "mapping", "read"]

@@ -39,8 +39,8 @@ def discover(record: str | Path, settings: Discover) -> Discovery:
     """Find out which physical effect the model of a rig lacks, and write the model with it.
 
     Args:
-        record: folder of a recording, or a parquet, csv, mat or h5 file, with the channels of the plant; `FILE@10:20`
-            is its part from 10 s to 20 s.
+        record: folder of a recording, or a parquet, csv, mat, h5, npz or json file, with the channels of the plant;
+            `FILE@10:20` is its part from 10 s to 20 s.
         settings: the fields of `Discover`.
 
     Raises:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from masking.errors import DeclarationError, Problem, RecordError, nearest
@@ -10,7 +10,7 @@ from masking.estimation import fit as fits
 from masking.estimation import kalman
 from masking.estimation.data import Data
 from masking.estimation.innovations import KalmanFit
-from masking.records.hold import InputHold
+from masking.records.hold import InputHold, Names
 from masking.reports import fit_figures, fit_files, identification_page
 from masking.rig.twin import Twin
 from masking.workflows.choices import METHODS
@@ -28,7 +28,7 @@ def identify(
     square_root: bool = False,
     iterated: int = 1,
     hold: InputHold | None = None,
-    columns: Mapping[str, str] | None = None,
+    columns: Names | None = None,
     dt: float | None = None,
     out: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
@@ -36,8 +36,8 @@ def identify(
     """Fit parameters of a plant to recordings of it.
 
     Args:
-        records: folders of recordings, or parquet, csv, mat or h5 files, with `input.*` and `sensor.*` of the plant;
-            `FILE@10:20` is its part from 10 s to 20 s. One for a filter.
+        records: folders of recordings, or parquet, csv, mat, h5, npz or json files, with `input.*` and `sensor.*` of
+            the plant; `FILE@10:20` is its part from 10 s to 20 s. One for a filter.
         plant: a plant file, or a packaged plant: sensors, actuators, allocation, delay, and what is to be fitted.
         model: a model that replaces the plant's own and the effects in its elements.
         parameters: parameters to fit, of the model, and of effects as `<effect>_<parameter>`; by default all that the

@@ -39,7 +39,8 @@ def read(twin: Twin, record: str | Path, settings: DiscoverySettings) -> Inputs:
 
     Args:
         twin: the rig as its model declares it.
-        record: folder of a recording, or a parquet, csv, mat or h5 file; `FILE@10:20` is its part from 10 s to 20 s.
+        record: folder of a recording, or a parquet, csv, mat, h5, npz or json file; `FILE@10:20` is its part from
+            10 s to 20 s.
         settings: which record validates, and how to read both.
 
     Raises:

@@ -146,8 +146,8 @@ class Refine(DiscoverySettings):
     """Settings of a discovery, and of the runs before and after.
 
     Args:
-        record: folder of a recording of the experiment's plant, or a parquet, csv, mat or h5 file; `FILE@10:20` is its
-            part from 10 s to 20 s.
+        record: folder of a recording of the experiment's plant, or a parquet, csv, mat, h5, npz or json file;
+            `FILE@10:20` is its part from 10 s to 20 s.
         plant: a plant that replaces the declared one.
         out: folder to save the files of a discovery, both runs in `before/` and `after/`, each with its report,
             `experiment.yaml` and `refine.json` in, all of them or none; by default nothing is saved.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 from masking.declaration import catalogue
@@ -10,7 +9,7 @@ from masking.errors import IntegrationError, ModelError
 from masking.estimation import simulation
 from masking.estimation.data import Data
 from masking.estimation.simulation import Simulated
-from masking.records.hold import InputHold
+from masking.records.hold import InputHold, Names
 from masking.reports import fit_figures, identification_page
 from masking.workflows import inputs
 from masking.workflows.outputs import check_folder
@@ -22,7 +21,7 @@ def simulate(
     *,
     plant: str | Path | None = None,
     hold: InputHold | None = None,
-    columns: Mapping[str, str] | None = None,
+    columns: Names | None = None,
     dt: float | None = None,
     out: str | Path | None = None,
 ) -> Simulated:
@@ -30,12 +29,14 @@ def simulate(
 
     Args:
         model: a model, or a plant file with its own model and effects; a name or a YAML file.
-        record: folder of a recording, or a parquet, csv, mat or h5 file; `FILE@10:20` is its part from 10 s to 20 s.
+        record: folder of a recording, or a parquet, csv, mat, h5, npz or json file; `FILE@10:20` is its part from
+            10 s to 20 s.
         plant: plant file with sensors and actuators for a model; without one, the outputs of the model are its sensors,
             or else its coordinates or states, and its inputs are the actuators.
         hold: inputs between samples: 'zero-order' for commands, 'first-order' for measured inputs, 'band-limited' for
             inputs measured behind an anti-alias filter.
-        columns: columns of the file by the names that they get, such as `{"t": "time", "V1": "u"}`.
+        columns: columns of the file by the names that they get, such as `{"t": "time", "V1": "u"}`; of a text without
+            names, those of all its columns, in order.
         dt: time between samples in s, for a table without a clock.
         out: folder to save `simulation.html`, its figures and `simulation.json` in; by default nothing is saved.
 
