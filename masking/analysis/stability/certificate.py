@@ -14,9 +14,9 @@ import sympy as sp
 
 from masking.analysis.stability.algebra import normal, radical
 from masking.analysis.stability.boundedness import Boundedness, boundedness, is_positive_definite
-from masking.analysis.stability.crosscheck import contradiction
+from masking.analysis.stability.crosscheck import contradiction, contradiction_on_a_box, misjudged
 from masking.analysis.stability.dissipation import Dissipation, Status, dissipation
-from masking.analysis.stability.equilibria import UNDECIDED, Box, equilibria
+from masking.analysis.stability.equilibria import UNDECIDED, Box, equilibria, stability_of
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.lasalle import Family, InvariantSet, invariant_set
 from masking.analysis.stability.motion import Motion
@@ -37,9 +37,10 @@ class NotIsolatedError(ModelError):
 
 @dataclass(frozen=True)
 class RestPoint:
-    """An equilibrium outside of the families: its coordinates as texts, and what is known of its stability."""
+    """An equilibrium outside of the families: where it is, as texts and numbers, and what is known of its stability."""
 
     position: dict[str, str]
+    values: dict[str, float]
     stability: str
     is_unstable: bool
 
@@ -165,11 +166,14 @@ def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certi
 
 def _withdrawn(proof: Certificate, motion: Motion) -> Certificate:
     """Return a certificate, open where it rests on a coincidence or is contradicted by modes or a simulation."""
-    if proof.status != "proved" or proof.dissipation is None or proof.dissipation.box is not None:
+    if proof.status != "proved" or proof.dissipation is None:
         against = ""
+    elif proof.dissipation.box is not None:
+        against = contradiction_on_a_box(motion, proof.dissipation.box)
     else:
         is_bounded = proof.boundedness is not None and proof.boundedness.is_shown
-        against = contradiction(motion, proof.dissipation.forms, proof.invariant, is_bounded=is_bounded)
+        against = misjudged(motion.model, ((point.values, point.stability) for point in proof.others or ()))
+        against = against or contradiction(motion, proof.dissipation.forms, proof.invariant, is_bounded=is_bounded)
     texts = [f"{x} is not 0 at the declared values, but 0 within 1e-9 of them" for x in motion.given.coincidences]
     texts += [against] if against else []
     if not texts:
@@ -268,7 +272,7 @@ def _others(motion: Motion, found: InvariantSet) -> tuple[tuple[RestPoint, ...] 
             proved = " (proved)" if point.is_unstable else " (by its eigenvalues)"
             if point.verdict == UNDECIDED:
                 proved = ""
-            points.append(RestPoint(texts, point.verdict + proved, point.is_unstable))
+            points.append(RestPoint(texts, point.position, point.verdict + proved, point.is_unstable))
     motion.given.suppose(f"and, as to which equilibria there are, {values}")
     return tuple(points), (f"Equilibria there, by intervals: {numeric}.",)
 
@@ -379,19 +383,22 @@ def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr]) -> RestPoint:
     That is so where the determinant of the stiffness is negative, that of the mass positive; and where the potential
     falls along a coordinate and every velocity costs energy to second order (theorem of Kelvin, Tait and Chetaev).
     """
+    values = {q.name: float(sp.N(motion.given.at_values(point[q]))) for q in motion.q}
     given, at = motion.given, point | dict.fromkeys(motion.v, sp.Integer(0))
     stiffness = -sp.Matrix(motion.at_rest).jacobian(motion.q)
     signs = [given.declared_sign(normal(m.subs(point).det())) for m in (stiffness, motion.mass)]
     curvature, n = sp.hessian(motion.energy or sp.Integer(0), (*motion.q, *motion.v)), len(motion.q)
     curvature = curvature.subs(at).applyfunc(normal)
     falls = any(given.declared_sign(curvature[i, i]) == -1 for i in range(n)) and curvature[:n, n:].is_zero_matrix
-    words = "its stability is not shown"
     is_unstable = signs in ([-1, 1], [1, -1]) or (falls and _is_damped(motion, at))
     if is_unstable:
         words = "unstable, it has an eigenvalue with positive real part (proved)"
     elif is_positive_definite(curvature, given):
         words = "stable, the energy has a minimum there (proved)"
-    return RestPoint({str(q): str(point[q]) for q in motion.q}, words, is_unstable)
+    else:
+        verdict = stability_of(motion.model, values)[1]
+        words = "its stability is not shown" if verdict == UNDECIDED else f"{verdict} (by its eigenvalues)"
+    return RestPoint({str(q): str(point[q]) for q in motion.q}, values, words, is_unstable)
 
 
 def _is_damped(motion: Motion, at: dict[sp.Symbol, sp.Expr]) -> bool:

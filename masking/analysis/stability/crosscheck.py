@@ -1,24 +1,27 @@
 """Cross-check of a certificate: modes of a linear model, and simulated motions.
 
 It proves nothing: it can only contradict a proof, which is then withdrawn. A motion contradicts it that gains energy,
-or that keeps to V' = 0 although it moves outside of the largest invariant set found there.
+on a box before it leaves that, or that keeps to V' = 0 although it moves outside of the largest invariant set found
+there; eigenvalues contradict what is said of an equilibrium.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
 from scipy.integrate import solve_ivp
 
 from masking.analysis.stability.dissipation import default_box
+from masking.analysis.stability.equilibria import STABLE, UNSTABLE, Box, stability_of
 from masking.analysis.stability.growth import evaluated
 from masking.analysis.stability.lasalle import InvariantSet
 from masking.analysis.stability.modes import state_matrix
 from masking.analysis.stability.motion import Motion
 from masking.codegen.graph import Graph, Node
 from masking.errors import ModelError
+from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 
 _NEUTRAL = 1e-12  # of the largest eigenvalue: a real part below this is the rounding of one that is 0
@@ -26,6 +29,7 @@ _OUTSIDE = 1e-6  # of the largest amplitude: further from a relation than this, 
 _RADIANS = 20.0  # of the fastest mode: duration of a simulation
 _ROWS = 41
 _RANDOM = 4  # initial states
+_RANDOM_ON_BOX = 16  # many leave it at once
 _MOST_RATES = 4000  # evaluations of the rates, after which a motion is too stiff to be followed
 _GAIN = 1e-5  # of the largest kinetic energy: far more than the integration errs by
 _STILL = 1e-6  # of the largest speed: forms below this are 0
@@ -34,6 +38,29 @@ _MOVING = 1e-2  # of the initial motion
 
 class _StiffError(Exception):
     """A motion takes too many steps, or leaves the numbers."""
+
+
+def misjudged(model: Model, points: Iterable[tuple[Mapping[str, float], str]]) -> str:
+    """Return an equilibrium whose eigenvalues contradict what is said of its stability; '' where there is none.
+
+    Args:
+        model: whose equilibria they are.
+        points: position by coordinate, and the words.
+    """
+    for position, words in points:
+        opposite = STABLE if words.startswith(UNSTABLE) else UNSTABLE if "stable" in words.split(",")[0].split() else ""
+        if opposite and stability_of(model, position)[1] == opposite:
+            where = ", ".join(f"{n} = {x:.6g}" for n, x in position.items())
+            return f"({where}) is {opposite} by its eigenvalues"
+    return ""
+
+
+def contradiction_on_a_box(motion: Motion, box: Box) -> str:
+    """Return a simulated motion that gains energy before it leaves a box; '' where there is none."""
+    try:
+        return _Motions(motion, (), None, box).contradiction(())
+    except ModelError:  # a function that cannot be evaluated
+        return ""
 
 
 def contradiction(motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet | None, *, is_bounded: bool) -> str:
@@ -80,7 +107,9 @@ def _slopes(motion: Motion, relations: Sequence[sp.Expr]) -> Array:
 class _Motions:
     """Simulated motions of a model, its energy along them, and what is 0 on the invariant set."""
 
-    def __init__(self, motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet | None) -> None:
+    def __init__(
+        self, motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet | None, box: Box | None = None
+    ) -> None:
         self.motion, self.forms, self.found, self.graph = motion, forms, found, Graph()
         state = (*motion.q, *motion.v)
         symbols, self.values = motion.on(self.graph, state)
@@ -91,8 +120,8 @@ class _Motions:
         watched += [r for family in self.families for r in family]
         self.rates = [self.graph.lower(a, symbols) for a in motion.accelerations]
         self.watched = [self.graph.lower(x, symbols) for x in watched]
-        box = default_box(motion, {})
-        self.low, self.high = (np.array([box[x.name][k] for x in state]) for k in (0, 1))
+        self.is_box, sides = box is not None, default_box(motion, box or {})
+        self.low, self.high = (np.array([sides[x.name][k] for x in state]) for k in (0, 1))
 
     def contradiction(self, neutral: Sequence[Array]) -> str:
         """Simulate from states of neutral modes (2 n,) and random ones; return what contradicts, or ''."""
@@ -102,12 +131,16 @@ class _Motions:
             largest = shape[np.argmax(np.abs(shape[:n]))]
             if largest != 0.0:
                 starts.append(0.5 * size * (shape / largest).real)
-        starts += list(np.random.default_rng(0).uniform(0.5 * self.low, 0.5 * self.high, (_RANDOM, 2 * n)))
+        part, count = (1.0, _RANDOM_ON_BOX) if self.is_box else (0.5, _RANDOM)
+        starts += list(np.random.default_rng(0).uniform(part * self.low, part * self.high, (count, 2 * n)))
         for start in starts:
             try:
                 path = self._run(start)
             except _StiffError:
                 continue
+            if self.is_box:
+                outside = np.any((path < self.low) | (path > self.high), axis=1)
+                path = path[: int(np.argmax(outside)) if np.any(outside) else len(path)]
             if words := self._words(path):
                 where = zip((*self.motion.q, *self.motion.v), start, strict=True)
                 return f"the simulated motion from {', '.join(f'{x} = {y:.4g}' for x, y in where)} {words}"

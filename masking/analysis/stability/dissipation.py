@@ -7,18 +7,19 @@ velocities is negative semidefinite all over the box.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import sympy as sp
 
-from masking.analysis.stability.algebra import is_zero, normal
+from masking.analysis.stability.algebra import normal
 from masking.analysis.stability.boundedness import Square, squares
+from masking.analysis.stability.confirmation import enclosed_again
 from masking.analysis.stability.equilibria import Box, check_box, halves
 from masking.analysis.stability.growth import SAMPLES, Growth
 from masking.analysis.stability.intervals import Interval, enclose
+from masking.analysis.stability.jumps import jumps_of
 from masking.analysis.stability.modes import state_matrix
 from masking.analysis.stability.motion import Motion
 from masking.codegen.graph import Graph
@@ -29,6 +30,8 @@ Status = Literal["proved", "refuted", "supported numerically", "open"]
 
 _MOST_BOXES = 50_000
 _ROUNDS = 40
+_MOST_CONFIRMED = 500  # boxes, spread evenly
+_ZERO = 1e-300  # where rounding outward has moved 0
 _FURTHER = (1.0, 10.0, 100.0)  # times a side that is not given: how far a state at which V' > 0 is looked for
 
 
@@ -75,7 +78,7 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
     """
     rate = motion.energy_rate
     pieces = motion.energy.atoms(sp.Piecewise) if motion.energy is not None else ()
-    unsure = {str(condition) for piece in pieces for condition in _edges_of_jumps(piece)}
+    unsure = {str(condition) for piece in pieces for condition in jumps_of(piece)}
     if unsure:
         at = ", ".join(sorted(unsure))
         return Dissipation(rate, "open", f"the energy may jump at the edge of {at}; declare one that is continuous")
@@ -155,28 +158,6 @@ def default_box(motion: Motion, box: Box) -> dict[str, tuple[float, float]]:
     return {name: box.get(name, default[name]) for name in names}
 
 
-def _edges_of_jumps(piece: sp.Piecewise) -> list[sp.Expr]:
-    """Return the conditions of a function in pieces at whose edge two of them are not shown to agree."""
-    found = []
-    for (value, condition), (other, _) in itertools.pairwise(piece.args):
-        edges = _edges(condition)
-        if not edges or any(not is_zero((value - other).subs(edge)) for edge in edges):
-            found.append(condition)
-    return found
-
-
-def _edges(condition: sp.Expr) -> list[dict[sp.Expr, sp.Expr]]:
-    """Return where an inequality turns, solved for a symbol in which it is linear; none where that is not seen."""
-    if not isinstance(condition, sp.core.relational.Relational):
-        return []
-    edge = sp.expand(condition.lhs - condition.rhs)
-    for symbol in sorted(edge.free_symbols, key=str):
-        slope = edge.diff(symbol)
-        if slope.is_number and slope != 0:
-            return [{symbol: symbol - edge / slope}]
-    return []
-
-
 def _is_negative(motion: Motion, rate: sp.Expr, sides: dict[str, tuple[float, float]]) -> bool:
     """Tell whether V' <= 0 on a box: V' and its slope in the velocities vanish at rest, and it is concave in them.
 
@@ -196,7 +177,7 @@ def _is_negative(motion: Motion, rate: sp.Expr, sides: dict[str, tuple[float, fl
         return False
     try:
         return _Hessian(motion, rate, state, used).is_negative(low, high)
-    except ModelError:
+    except (ModelError, ArithmeticError):
         return False
 
 
@@ -205,8 +186,8 @@ class _Hessian:
 
     def __init__(self, motion: Motion, rate: sp.Expr, state: list[sp.Symbol], used: list[sp.Symbol]) -> None:
         self.graph, self.n = Graph(), len(used)
-        symbols, values = motion.on(self.graph, state)
-        self.at, self.values = [symbols[x] for x in state], {n: Interval.of(x) for n, x in values.items()}
+        symbols, _ = motion.on(self.graph, state)
+        self.at, self.values = [symbols[x] for x in state], motion.enclosed(symbols)
         self.entries = [self.graph.lower(x, symbols) for x in sp.hessian(rate, used)]
 
     def edge(self, boxes: Interval) -> Array:
@@ -219,13 +200,22 @@ class _Hessian:
         beside[:, range(n), range(n)] = 0.0
         return np.asarray(entries.high[:, :: n + 1] + beside.sum(axis=2) * (1.0 + 1e-12))
 
+    def is_confirmed(self, box: Interval) -> bool:
+        """Tell whether mpmath's intervals show that no eigenvalue is above 0 on a box (states,)."""
+        n = self.n
+        found = enclosed_again(self.graph, self.entries, self.values | {x: box[i] for i, x in enumerate(self.at)})
+        rows = [found[i : i + n] for i in range(0, n * n, n)]
+        return all(x[i].b + sum(abs(x[k]).b for k in range(n) if k != i) <= _ZERO for i, x in enumerate(rows))
+
     def is_negative(self, lowest: Array, highest: Array) -> bool:
         """Tell whether it is negative semidefinite all over a box."""
-        boxes = Interval(lowest[None], highest[None])
+        boxes, shown = Interval(lowest[None], highest[None]), list[Interval]()
         for _ in range(_ROUNDS):
-            boxes = boxes[~np.all(self.edge(boxes) <= 1e-300, axis=1)]
+            is_shown = np.all(self.edge(boxes) <= _ZERO, axis=1)
+            shown += [boxes[i] for i in np.flatnonzero(is_shown)]
+            boxes = boxes[~is_shown]
             if not len(boxes.low):
-                return True
+                return all(self.is_confirmed(box) for box in shown[:: 1 + len(shown) // _MOST_CONFIRMED])
             if 2 * len(boxes.low) > _MOST_BOXES:
                 return False
             boxes = halves(boxes, np.argmax(boxes.width / (highest - lowest), axis=1))

@@ -1,8 +1,8 @@
 """Equilibria: every state of rest in a box, found by intervals, so that none is missed.
 
 A box in which the force at rest cannot vanish is left out. Where Krawczyk's operator maps a box into its inside, there
-is exactly one equilibrium in it; other boxes are cut in two. What is too small to cut stays undecided, such as
-equilibria that are not isolated.
+is exactly one equilibrium in it, if mpmath's intervals confirm that; other boxes are cut in two. What is too small to
+cut stays undecided, such as equilibria that are not isolated.
 
 Source: Moore, Kearfott and Cloud, Introduction to Interval Analysis (2009), section 8.2.
 """
@@ -12,13 +12,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import sympy as sp
 
 from masking.analysis.stability.algebra import is_zero
+from masking.analysis.stability.confirmation import enclosed_again, has_root
 from masking.analysis.stability.intervals import Interval, enclose
-from masking.analysis.stability.modes import state_matrix
+from masking.analysis.stability.modes import eigenvalues, is_smooth, state_matrix
+from masking.analysis.stability.motion import check_continuous
 from masking.codegen.graph import Graph, Node
 from masking.codegen.tangent import derivatives
 from masking.errors import ModelError, nearest
@@ -27,12 +30,14 @@ from masking.numerics.arrays import Array, Complex
 
 Box = Mapping[str, tuple[float, float]]
 
+STABLE, UNSTABLE = "asymptotically stable", "unstable"
 UNDECIDED = "not decided by its eigenvalues"
 SMALLEST = 1e-7  # part of a side of the box, below which a box is not cut
 MOST_BOXES = 400_000
 _FURTHER = 10.0  # times the largest declared initial value, the box where nothing else is known
 _MOST_REFINED = 200
 _OFF_MIDDLE = 0.4871  # part of a side at which a box is cut: symmetric models have equilibria in the middle
+_ROUNDING = 1e-14  # of a sum of products, and of a coefficient from its decimals
 _MARGIN = 0.0137  # of a turn, so that an equilibrium is not on the edge of a box of angles
 
 
@@ -44,6 +49,7 @@ class Equilibrium:
         position: by coordinate, in SI units or in the declared scales.
         radius: half the largest side of a box that is proved to hold exactly one equilibrium.
         eigenvalues: of the model linearised there (2 n + k,), the slowest last to decay first.
+        verdict: what the eigenvalues tell; see `stability_of`.
         is_unstable: whether an eigenvalue with positive real part is proved to exist: the determinant of the stiffness
             is negative all over the box, that of the mass positive.
     """
@@ -51,16 +57,30 @@ class Equilibrium:
     position: dict[str, float]
     radius: float
     eigenvalues: Complex
+    verdict: str
     is_unstable: bool
 
-    @property
-    def verdict(self) -> str:
-        """Say what the eigenvalues tell."""
-        largest = float(np.max(self.eigenvalues.real, initial=-np.inf))
-        slack = 1e-9 * float(np.max(np.abs(self.eigenvalues), initial=1.0))
-        if self.is_unstable or largest > slack:
-            return "unstable"
-        return "asymptotically stable" if largest < -slack else UNDECIDED
+
+def stability_of(model: Model, position: Mapping[str, float]) -> tuple[Complex, str]:
+    """Return the eigenvalues at an equilibrium, the slowest to decay first, and what they tell of its stability.
+
+    They tell nothing where a force has a kink there, nor where rounding may have moved them across the imaginary axis.
+
+    Args:
+        model: without inputs acting.
+        position: of the equilibrium, by coordinate.
+    """
+    matrix = state_matrix(model, position)
+    if not np.all(np.isfinite(matrix)):
+        return np.full(len(matrix), np.nan + 0j), UNDECIDED
+    values, errors = eigenvalues(matrix)
+    order = np.lexsort((-values.imag, -values.real))
+    values, errors = values[order], errors[order]
+    if not is_smooth(model, position):
+        return values, UNDECIDED
+    if np.any(values.real > errors):
+        return values, UNSTABLE
+    return values, STABLE if np.all(values.real < -errors) else UNDECIDED
 
 
 @dataclass(frozen=True)
@@ -135,6 +155,7 @@ class _Rest:
             raise ModelError(f"{model.name} has internal states, for which equilibria are not looked for")
         if not model.is_autonomous:
             raise ModelError(f"the equations of {model.name} hold the time: it has no equilibria")
+        check_continuous(e.force)
         self.model, self.q = model, e.symbols.q
         still = dict.fromkeys((*e.symbols.v, *e.symbols.u), 0)
         self.force = [f.subs(still) for f in e.force]
@@ -144,7 +165,8 @@ class _Rest:
         self.symbols |= {p: self.graph.symbol(f"p_{p.name}", varying=False) for p in e.symbols.p}
         self.nodes = [self.graph.lower(f, self.symbols) for f in self.force]
         self.slopes = [x for row in derivatives(self.graph, self.nodes, self.at) for x in row]
-        self.values = {self.symbols[p]: Interval.of(x) for p, x in zip(e.symbols.p, model.values(), strict=True)}
+        self.exact = dict(zip(e.symbols.p, model.exact_values().values(), strict=True))
+        self.values = {self.symbols[p]: Interval.around(x) for p, x in self.exact.items()}
 
     def enclose(self, nodes: list[Node], boxes: Interval) -> Interval:
         """Return enclosures (m, len(nodes)) over boxes (m, n)."""
@@ -165,7 +187,6 @@ class _Rest:
         """
         lines = [i for i, is_angle in enumerate(self.angles) if not is_angle]
         names = [self.q[i] for i in lines]
-        numbers = dict(zip(self.model.equations.symbols.p, self.model.values(), strict=True))
         expanded = [sp.expand(self.force[i]) for i in lines]
         slopes, rest = np.zeros((len(lines), len(lines))), []
         for row, expression in enumerate(expanded):
@@ -173,7 +194,7 @@ class _Rest:
             for column, q in enumerate(names):
                 by = expression.as_independent(*self.q, as_Add=True)[1].coeff(q, 1)
                 by = sum((t for t in sp.Add.make_args(by) if not t.free_symbols & {*self.q}), sp.Integer(0))
-                slopes[row, column] = float(by.subs(numbers))
+                slopes[row, column] = float(by.subs(self.exact))
                 left -= by * q
             rest.append(sp.expand(left))
         if not lines or np.linalg.matrix_rank(slopes) < len(lines):
@@ -184,10 +205,14 @@ class _Rest:
             ranges = enclose(self.graph, nodes, given)
         except ModelError:
             return {}
-        # |q| <= |A^-1| |g|, a little more for rounding of the inverse.
-        reach = np.abs(np.linalg.inv(slopes)) @ np.array([max(abs(float(r.low)), abs(float(r.high))) for r in ranges])
-        if not np.all(np.isfinite(reach)):
+        # With R near A^-1 and E = I - R A: q = -R g + E q, so that |q| <= |R| |g| + |E| max |R g|/(1 - |E|).
+        inverse = np.linalg.inv(slopes)
+        error = np.abs(np.eye(len(lines)) - inverse @ slopes) + _ROUNDING * (np.abs(inverse) @ np.abs(slopes))
+        largest = np.array([max(abs(float(r.low)), abs(float(r.high))) for r in ranges])
+        if not np.all(np.isfinite(largest)) or (loss := float(np.max(error.sum(axis=1)))) >= 0.5:
             return {}
+        first = np.abs(inverse) @ largest
+        reach = first + error.sum(axis=1) * float(np.max(first, initial=0.0)) / (1.0 - loss)
         reach = reach * (1.0 + 1e-6) + 1e-9 * (1.0 + float(reach.max(initial=0.0)))
         return {q.name: (-1.003 * float(r), 1.007 * float(r)) for q, r in zip(names, reach, strict=True)}
 
@@ -205,7 +230,10 @@ class _Rest:
         is_global = not given and all(a or n in known for n, a in zip(names, self.angles, strict=True))
         sides = Interval(np.array([[a for a, _ in box.values()]]), np.array([[b for _, b in box.values()]]))
         roots, undecided = self._cut(sides)
-        points = tuple(self._point(low, high) for low, high in roots)
+        sure = [self._is_confirmed(low, high) for low, high in roots]
+        doubtful = [np.stack([low, high], axis=1)[None] for (low, high), ok in zip(roots, sure, strict=True) if not ok]
+        undecided = np.concatenate([undecided, *doubtful])
+        points = tuple(self._point(low, high) for (low, high), ok in zip(roots, sure, strict=True) if ok)
         return Equilibria(points, box, not len(undecided), is_global, undecided)
 
     def _cut(self, whole: Interval) -> tuple[list[tuple[Array, Array]], Array]:
@@ -298,26 +326,33 @@ class _Rest:
                 found.append((box.low[0], box.high[0]))
         return sorted(found, key=lambda root: tuple(np.round(root[0] + root[1], 9)))
 
+    def _is_confirmed(self, low: Array, high: Array) -> bool:
+        """Tell whether mpmath's intervals show the root, too."""
+        return has_root(self.graph, self.nodes, self.slopes, self.at, given=self.values, box=Interval(low, high))
+
     def _point(self, low: Array, high: Array) -> Equilibrium:
         position = {q.name: float(x) for q, x in zip(self.q, 0.5 * (low + high), strict=True)}
         position = {n: 0.0 if abs(x) <= 0.5 * float(np.max(high - low)) else x for n, x in position.items()}
-        values = np.linalg.eigvals(state_matrix(self.model, position)).astype(np.complex128)
-        order = np.lexsort((-values.imag, -values.real))
-        radius = 0.5 * float(np.max(high - low, initial=0.0))
-        return Equilibrium(position, radius, values[order], self._is_unstable(low, high))
+        values, verdict = stability_of(self.model, position)
+        is_unstable = self._is_unstable(low, high)
+        if is_unstable and verdict == STABLE:  # one of the two is wrong
+            is_unstable, verdict = False, UNDECIDED
+        return Equilibrium(position, 0.5 * float(np.max(high - low, initial=0.0)), values, verdict, is_unstable)
 
     def _is_unstable(self, low: Array, high: Array) -> bool:
         """Tell whether det(-df/dq) < 0 < det M over a box: the characteristic polynomial has a positive root."""
-        n = len(self.q)
-        j = self.enclose(self.slopes, Interval(low[None], high[None]))
-        stiffness = [[-j[0, i * n + k] for k in range(n)] for i in range(n)]
-        e = self.model.equations
+        n, e = len(self.q), self.model.equations
         if e.mass.free_symbols - self.symbols.keys():
             return False
         given = self.values | {node: Interval.of(low[i], high[i]) for i, node in enumerate(self.at)}
-        entries = enclose(self.graph, [self.graph.lower(x, self.symbols) for x in e.mass], given)
-        mass = [entries[i * n : (i + 1) * n] for i in range(n)]
-        return bool(_determinant(stiffness).high < 0.0 < _determinant(mass).low)
+        nodes = [*self.slopes, *(self.graph.lower(x, self.symbols) for x in e.mass)]
+        for entries in (enclose(self.graph, nodes, given), enclosed_again(self.graph, nodes, given)):
+            rows = [entries[i : i + n] for i in range(0, len(entries), n)]
+            stiffness, mass = _determinant([[-x for x in row] for row in rows[:n]]), _determinant(rows[n:])
+            ends = (stiffness.high, mass.low) if isinstance(stiffness, Interval) else (stiffness.b, mass.a)
+            if not ends[0] < 0.0 < ends[1]:
+                return False
+        return True
 
 
 def halves(boxes: Interval, axis: Array, part: float = 0.5) -> Interval:
@@ -335,12 +370,12 @@ def halves(boxes: Interval, axis: Array, part: float = 0.5) -> Interval:
     return Interval(np.concatenate([boxes.low, second]), np.concatenate([first, boxes.high]))
 
 
-def _determinant(matrix: list[list[Interval]]) -> Interval:
+def _determinant(matrix: list[list[Any]]) -> Any:  # noqa: ANN401  # intervals, ours or mpmath's
     """Return an enclosure of a determinant, by expansion along the first row."""
     if len(matrix) == 1:
         return matrix[0][0]
-    total = Interval.of(0.0)
-    for k, entry in enumerate(matrix[0]):
-        minor = entry * _determinant([row[:k] + row[k + 1 :] for row in matrix[1:]])
-        total = total - minor if k % 2 else total + minor
+    parts = [entry * _determinant([row[:k] + row[k + 1 :] for row in matrix[1:]]) for k, entry in enumerate(matrix[0])]
+    total = parts[0]
+    for k, part in enumerate(parts[1:]):
+        total = total + part if k % 2 else total - part
     return total

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
+from masking.analysis.stability.confirmation import enclosed_again
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.motion import Motion
 from masking.codegen.graph import Graph, Node
@@ -46,7 +47,7 @@ class Growth:
         jumps += [r.lhs - r.rhs for r in expression.atoms(sp.core.relational.Relational)]
         self.graph = Graph()
         symbols, self.values = motion.on(self.graph, self.state)
-        self.at = [symbols[x] for x in self.state]
+        self.at, self.exact = [symbols[x] for x in self.state], motion.enclosed(symbols)
         self.node = self.graph.lower(self.smooth, symbols)
         self.edges = [self.graph.lower(x, symbols) for x in dict.fromkeys(jumps)]
 
@@ -78,10 +79,10 @@ class Growth:
 
     def _confirmed(self, point: Array) -> float:
         """Return a number that the expression is not below at a state; -inf where none is found."""
-        given = {n: Interval.of(x) for n, x in self.values.items()}
-        given |= {n: Interval.of(float(x)) for n, x in zip(self.at, point, strict=True)}
+        given = self.exact | {n: Interval.of(float(x)) for n, x in zip(self.at, point, strict=True)}
         try:
-            return float(enclose(self.graph, [self.node], given)[0].low)
+            low = float(enclose(self.graph, [self.node], given)[0].low)
+            return low if low <= 0.0 or enclosed_again(self.graph, [self.node], given)[0].a > 0.0 else -np.inf
         except ModelError:
             at = {x: sp.Rational(float(y)) for x, y in zip(self.state, point, strict=True)}
             value = self.motion.given.at_values(self.smooth.subs(at))

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
+import sympy as sp
 from numpy.typing import NDArray
 
 from masking.codegen.graph import Graph, Node
@@ -36,6 +38,14 @@ class Interval:
         """Return intervals of given ends, or of single numbers."""
         a = np.asarray(low, dtype=float)
         return cls(a, a if high is None else np.asarray(high, dtype=float))
+
+    @classmethod
+    def around(cls, number: sp.Expr) -> Interval:
+        """Return an interval that holds an exact number: a fraction, or one that 30 digits tell."""
+        value = float(sp.N(number, 30))
+        if number.is_Rational and Fraction(value) == Fraction(int(number.p), int(number.q)):
+            return cls.of(value)
+        return _outward(cls.of(value), ulps=2)
 
     @classmethod
     def stacked(cls, columns: Sequence[Interval], rows: int) -> Interval:
@@ -192,6 +202,13 @@ def _power(x: Interval, exponent: Interval) -> Interval:
     return _monotone(np.exp)(ends)
 
 
+def _either(condition: Interval, x: Interval, y: Interval) -> Interval:
+    """Enclose x where a condition is 1, y where it is 0, both where it may be either."""
+    low = np.minimum(np.where(condition.high > 0.0, x.low, np.inf), np.where(condition.low < 1.0, y.low, np.inf))
+    high = np.maximum(np.where(condition.high > 0.0, x.high, -np.inf), np.where(condition.low < 1.0, y.high, -np.inf))
+    return Interval(low, high)
+
+
 _RULES: dict[str, Callable[..., Interval]] = {
     "neg": lambda x: -x,
     "add": lambda x, y: x + y,
@@ -211,6 +228,9 @@ _RULES: dict[str, Callable[..., Interval]] = {
     "tanh": _monotone(np.tanh),
     "abs": _absolute,
     "sign": lambda x: Interval(np.sign(x.low), np.sign(x.high)),
+    "lt": lambda x, y: Interval(1.0 * (x.high < y.low), 1.0 * (x.low < y.high)),
+    "le": lambda x, y: Interval(1.0 * (x.high <= y.low), 1.0 * (x.low <= y.high)),
+    "where": _either,
     "min": lambda x, y: Interval(np.minimum(x.low, y.low), np.minimum(x.high, y.high)),
     "max": lambda x, y: Interval(np.maximum(x.low, y.low), np.maximum(x.high, y.high)),
 }

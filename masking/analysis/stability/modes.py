@@ -26,6 +26,7 @@ else:
 
 _STEP = 1e-3  # of the size of a state, for differences of order 6: their error is near 1e-12 of it
 _STENCIL = ((1, 0.75), (2, -0.15), (3, 1.0 / 60.0))
+_ROUNDING = 1e-14  # of the size of a matrix, what its entries and its decomposition err by
 _NEUTRAL = 1e-9  # of the largest eigenvalue: below this a real part counts as 0
 
 
@@ -93,6 +94,49 @@ def state_matrix(model: Model, at: Mapping[str, float] | None = None) -> Array:
     Raises:
         ModelError: there is no such state, or the equations hold the time.
     """
+    size = len(model.coordinates) * 2 + len(model.states)
+    return _slopes(model, dict(at or {}), 0.0).middle.reshape(size, size)
+
+
+def is_smooth(model: Model, at: Mapping[str, float]) -> bool:
+    """Tell whether no force has a kink at a state: enclosures of the slopes around it narrow as the box does.
+
+    Args:
+        model: in SI units or in its scales.
+        at: values of coordinates, velocities and internal states, in the same; 0 where not given.
+    """
+    try:
+        wide, narrow = (_slopes(model, dict(at), reach) for reach in (1e-8, 1e-11))
+    except ModelError:  # such as a root of what may be negative close by
+        return False
+    largest = float(np.max(np.abs(narrow.middle), initial=0.0))
+    return bool(np.all((narrow.width <= 0.5 * wide.width) | (narrow.width <= _NEUTRAL * largest)))
+
+
+def eigenvalues(matrix: Array) -> tuple[Complex, Array]:
+    """Return eigenvalues, and how far rounding may have moved each.
+
+    An eigenvalue moves by |dA|/|y^H x| with left and right eigenvectors y, x of norm 1.
+    Source: Golub and Van Loan, Matrix Computations (2013), section 7.2.2.
+
+    Args:
+        matrix: (m, m).
+
+    Returns:
+        eigenvalues and errors (m,).
+    """
+    values, right = np.linalg.eig(matrix)
+    try:
+        left = np.linalg.inv(right)  # its rows are y^H/(y^H x)
+    except np.linalg.LinAlgError:  # as few eigenvectors as a Jordan block has
+        left = np.full_like(right, np.inf)
+    size = float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
+    with np.errstate(over="ignore"):
+        return values.astype(np.complex128), _ROUNDING * size * np.sqrt(np.sum(np.abs(left) ** 2, axis=1))
+
+
+def _slopes(model: Model, given: dict[str, float], reach: float) -> Interval:
+    """Return dy'/dy (1, m^2) over a box around a state, a part of each coordinate or velocity wide."""
     if not model.is_autonomous:
         raise ModelError(
             f"the equations of {model.name} hold the time: they have no constant matrix; for its motions there are "
@@ -101,7 +145,6 @@ def state_matrix(model: Model, at: Mapping[str, float] | None = None) -> Array:
     lowered = LoweredEquations.of(model.equations, Graph())
     graph, s = lowered.graph, model.equations.symbols
     states = (*s.q, *s.v, *s.s)
-    given = dict(at or {})
     names = [x.name for x in states]
     for name in given:
         if name not in names:
@@ -110,10 +153,15 @@ def state_matrix(model: Model, at: Mapping[str, float] | None = None) -> Array:
     rates = [*nodes[len(s.q) : 2 * len(s.q)], *lowered.accelerations, *lowered.rates]
     entries = [x for row in derivatives(graph, rates, nodes) for x in row]
     values = dict.fromkeys((lowered.symbols[s.t], *(lowered.symbols[u] for u in s.u)), Interval.of(0.0))
-    values |= {lowered.symbols[x]: Interval.of(given.get(x.name, 0.0)) for x in states}
+    values |= {lowered.symbols[x]: _about(given.get(x.name, 0.0), reach) for x in states}
     values |= {lowered.symbols[p]: Interval.of(x) for p, x in zip(s.p, model.values(), strict=True)}
-    found = [float(x.middle) for x in enclose(graph, entries, values)]
-    return np.array(found).reshape(len(states), len(states))
+    return Interval.stacked(enclose(graph, entries, values), 1)
+
+
+def _about(x: float, reach: float) -> Interval:
+    """Return what is within a part of a number, or of 1 where it is 0."""
+    slack = reach * (abs(x) or 1.0)
+    return Interval.of(x - slack, x + slack)
 
 
 def loop_matrix(loop: Driven, state: Array, lengths: Array) -> Array:

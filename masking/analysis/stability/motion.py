@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +10,8 @@ import sympy as sp
 
 from masking.analysis.stability.algebra import is_zero, normal
 from masking.analysis.stability.hypotheses import Hypotheses
+from masking.analysis.stability.intervals import Interval
+from masking.analysis.stability.jumps import jumps
 from masking.codegen.graph import Graph, Node
 from masking.errors import ModelError
 from masking.modelling.model import Model
@@ -70,7 +72,12 @@ class Motion:
 
     @cached_property
     def at_rest(self) -> tuple[sp.Expr, ...]:
-        """Return f(q, 0), which vanishes at equilibria."""
+        """Return f(q, 0), which vanishes at equilibria.
+
+        Raises:
+            ModelError: it jumps, so that equilibria are not where it vanishes alone.
+        """
+        check_continuous(self.force)
         return tuple(normal(f.subs(dict.fromkeys(self.v, 0))) for f in self.force)
 
     @cached_property
@@ -107,6 +114,11 @@ class Motion:
                 values[nodes[symbol]] = self.given.values[name]
         return nodes, values
 
+    def enclosed(self, nodes: Mapping[sp.Symbol, Node]) -> dict[Node, Interval]:
+        """Return what holds the exact declared values of parameters, by node."""
+        symbols = self.given.symbols.items()
+        return {nodes[s]: Interval.around(self.given.exact[name]) for name, s in symbols if not s.is_number}
+
     @cached_property
     def circles(self) -> tuple[sp.Symbol, ...]:
         """Return the coordinates that are angles: V and the equations do not change over one turn of them.
@@ -132,3 +144,14 @@ class Motion:
             for f in (sp.expand(f) for f in self.force)
             if f != 0
         )
+
+
+def check_continuous(forces: Iterable[sp.Expr]) -> None:
+    """Refuse forces that jump: where dry friction holds, every place within its reach is an equilibrium.
+
+    Raises:
+        ModelError: one does.
+    """
+    edges = dict.fromkeys(edge for force in forces for edge in jumps(force))
+    if edges:
+        raise ModelError(f"the forces jump where {' or '.join(edges)}, so that equilibria are more than their zeros")

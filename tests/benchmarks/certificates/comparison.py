@@ -20,13 +20,20 @@ def claimed(found: Certificate, truth: Truth) -> list[list[sp.Expr]]:
     """Return the sets that a certificate says motions converge to; none where it says nothing."""
     if found.status != "proved" or " converges to " not in found.conclusion:
         return []
-    sets = [[truth.read(str(r)) for r in family.relations] for family in found.invariant.families]
+    families = [[truth.read(str(r)) for r in family.relations] for family in found.invariant.families]
+    sets = [[_modulo_turns(relation, truth) for relation in family] for family in families]
     if found.others is None:
         return [*sets, truth.at_rest]
     for point in found.others:
         position = [_difference(q, truth.read(point.position[q.name]), truth) for q in truth.q]
         sets.append([*position, *truth.v])
     return sets
+
+
+def _modulo_turns(relation: sp.Expr, truth: Truth) -> sp.Expr:
+    """Return a relation of angles modulo one turn; others as they are."""
+    names = [s.name for s in relation.free_symbols]
+    return 2 * sp.sin(relation / 2) if all(truth.entry.units.get(name) == "rad" for name in names) else relation
 
 
 def _difference(q: sp.Symbol, value: sp.Expr, truth: Truth) -> sp.Expr:
