@@ -7,7 +7,18 @@ from types import MappingProxyType
 from typing import Final
 
 from masking.errors import DeclarationError, Problem, nearest
-from reproduction import chapter4, chapter5, chapter7, chapter8, chapter9, derivations, enoc, errata, open_questions
+from reproduction import (
+    appendices,
+    chapter4,
+    chapter5,
+    chapter7,
+    chapter8,
+    chapter9,
+    derivations,
+    enoc,
+    errata,
+    open_questions,
+)
 from reproduction.comparison import Entry
 
 Chapter = Mapping[str, Callable[[], Entry]]
@@ -21,6 +32,9 @@ CHAPTERS: Final[Mapping[str, Chapter]] = MappingProxyType(
             "Fig. 4.4": chapter4.fig_4_4,
             "Fig. 4.5": chapter4.fig_4_5,
             "Fig. 4.6": chapter4.fig_4_6,
+            "Table B.3": appendices.table_b_3,
+            "Table C.2": appendices.table_c_2,
+            "Fig. C.6": appendices.fig_c_6,
         },
         "Chapter 5: the set-up itself": {
             "Fig. 5.1": chapter5.fig_5_1,
@@ -65,7 +79,11 @@ CHAPTERS: Final[Mapping[str, Chapter]] = MappingProxyType(
         "Where the document contradicts itself": {
             "Erratum: Table 4.1": errata.gains,
             "Erratum: 4.2.1": errata.crest,
+            "Erratum: (4.3)": appendices.momentum,
+            "Erratum: Table 4.1, nu": appendices.excitation,
             "Erratum: (4.13)": errata.oscillator,
+            "Erratum: Table B.4": appendices.red_spring,
+            "Erratum: C.6.1": appendices.air,
             "Erratum: Table 7.2": errata.cubic,
             "Erratum: (7.4)": errata.beam_sum,
             "Erratum: (8.11)": errata.damping_entry,

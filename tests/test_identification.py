@@ -135,7 +135,7 @@ def test_windows_lead_where_the_whole_record_would_not(linear):
 
 def test_effects_of_the_full_twin_are_found():
     """Dry friction, a gain of an actuator and the offset of a sensor, with all else as it is."""
-    twin = Twin.load("tue_rig")
+    twin = Twin.load("tue_rig").changed({"weak_gain": schema.EffectChange(enabled=True)})
     truth = {"friction1_fc": 1.2 * twin.parameter_value("friction1_fc"), "weak_gain_e": -0.05, "offset_s3_e0": 0.02}
     record = recorded(twin.with_parameters(truth), sines(10.0, size=(0.1, 0.1, 0.3)), rate=RATE)
     found = fit(twin, record, tuple(truth))
@@ -290,7 +290,7 @@ def test_what_is_written_runs_and_has_the_values(linear, far, tmp_path):
 
 
 def test_effects_that_were_fitted_are_written_where_they_sit(tmp_path):
-    twin = Twin.load("tue_rig")
+    twin = Twin.load("tue_rig").changed({"strong_gain": schema.EffectChange(enabled=True)})
     record = recorded(twin, sines(4.0, size=(0.1, 0.1, 0.3)))
     found = fit(twin, record, ("friction1_fc", "strong_gain_V1_e", "offset_s2_e0"))
     made = Twin.load(save(found, tmp_path)["plant"])

@@ -230,7 +230,7 @@ def test_what_a_parameter_depends_on_follows_it(linear, truth):
 
 
 def test_effects_of_the_full_twin_are_found():
-    twin = Twin.load("tue_rig")
+    twin = Twin.load("tue_rig").changed({"weak_gain": schema.EffectChange(enabled=True)})
     truth = {"friction1_fc": 1.2 * twin.parameter_value("friction1_fc"), "weak_gain_e": -0.05, "offset_s3_e0": 0.02}
     record = recorded(twin.with_parameters(truth), sines(10.0, size=(0.1, 0.1, 0.3)))
     found = extended_kalman(twin, record, tuple(truth), measurement=1e-6, process=1e-8, parameters=(1e-6, 1e-2, 1e-3))

@@ -11,14 +11,15 @@ from masking.procedures.springs import spring_curve
 from masking.rig.twin import Twin
 
 STROKE, VOLTS = 5e-3, 0.42
-# Table B.4.
+# Table B.4; the spring of the red oscillator is as that of the blue one (Fig. 4.6).
 MEASURED = (
     (0.000234722612437, 0.091796394850297, -0.005071505003798, 0.001755823061963, -0.000495321921394, 0.00045535840959),
-    (0.005243242423923, 0.084268742935300, -0.052699540025315, 0.015739329106770, 0.063153998888216, 0.0202717963219),
+    (0.000234722612437, 0.091796394850297, -0.005071505003798, 0.001755823061963, -0.000495321921394, 0.00045535840959),
     (-0.003305403062789, 0.680504615284765, 0.089803957869115, 0.203236186622692, -0.064473933604213, 0.01710517533056),
 )  # fmt: skip
-# Volts that act on the model per volt that is told: C.5 and the errors of gains that the twin declares.
-ACTING = (1.03 / 1.078, 0.97 / 1.109, 1.03)
+ACTING = (1 / 1.078, 1 / 1.109, 1.0)  # volts that act on the model per volt that is told: C.5
+# Volts of each oscillator's actuator that push the beam as 1 V of its own does: Newton's third law, and C.5.
+BALANCE = (1.078 * 1.2589 / (0.0411 * 20.9218), 1.109 * 1.2589 / (0.0578 * 23.2465))
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +38,13 @@ def driven(twin, commands, rate, *, held=None, step=5e-4, seed=0):
     for command, xi in zip(commands, noise, strict=True):
         twin.kernels.sense(0.0, y, p, xi, reading)
         found.append(reading / 200.0)
-        twin.kernels.advance(0.0, y, acting, p, 1.0 / rate, round(1.0 / rate / step))
+        steps = round(1.0 / rate / step)
+        pieces = 1 if held is None else steps  # what is held is put back after each step
+        for _ in range(pieces):
+            twin.kernels.advance(0.0, y, acting, p, 1.0 / rate / pieces, steps // pieces)
+            if held is not None:
+                y[[held, 3 + held]] = 0.0
         acting = command
-        if held is not None:
-            y[[held, 3 + held]] = 0.0
     return np.array(found)
 
 
@@ -62,9 +66,12 @@ def teeth(amplitudes, rate, *, slope):
 # Springs.
 
 
-@pytest.mark.parametrize(("which", "largest"), [(0, 0.04), (1, 0.05), (2, 0.35)])
-def test_a_ramp_of_60_s_gives_the_measured_springs_of_the_twin(rig, which, largest):
-    """With friction, hysteresis, noise, offset and steps on: within 1 % of the largest force over the travel."""
+@pytest.mark.parametrize(("which", "largest", "within"), [(0, 0.04, 0.01), (1, 0.05, 0.01), (2, 0.35, 0.05)])
+def test_a_ramp_of_60_s_gives_the_measured_springs_of_the_twin(rig, which, largest, within):
+    """With friction, hysteresis, noise, offset and steps on: within 1 % of the largest force over the travel.
+
+    The hysteresis of the beam yields over 2.2 mm after each turn, where the middle of the loop is not the spring: 5 %.
+    """
     rate = 250.0
     command = teeth([largest], rate, slope=4 * largest / 60)
     x = driven(rig, alone(which, command), rate)[:, which]
@@ -73,15 +80,15 @@ def test_a_ramp_of_60_s_gives_the_measured_springs_of_the_twin(rig, which, large
     assert found.highest - found.lowest > 9e-3
     where = np.linspace(found.lowest, found.highest, 200)
     true = VOLTS * np.polynomial.polynomial.polyval(where / STROKE, MEASURED[which])
-    assert np.abs(found.at(where) - true).max() < 0.01 * np.abs(true).max()
+    assert np.abs(found.at(where) - true).max() < within * np.abs(true).max()
     # Yielding hysteresis (k zmax per force per volt) and viscous and dry friction at the speed of the ramp add up.
     gain, w, z, k, limit = (
         (20.9218, 12.5521, 0.3362, 0.02, 5e-4),
         (23.2465, 14.0337, 0.4296, 0.02, 5e-4),
-        (1.2589, 9.7369, 0.0409, 0.1, 1e-3),
+        (1.2589, 9.7369, 0.0, 0.241, 1.1e-3),
     )[which]
     speed = ACTING[which] * 4 * largest / 60 / found.stiffness(0.0)
-    dry = 0.005 * STROKE * 13.2929**2 * np.tanh(speed / 1e-3)
+    dry = 0.0012 * STROKE * 13.2929**2 * np.tanh(speed / 1e-3)
     expected = (k * w**2 * limit + 2.1 * z * w * speed + dry) / gain
     assert found.half_gap == pytest.approx(expected, rel=0.15)
     assert found.width == pytest.approx(2 * found.half_gap / found.stiffness(0.5 * (found.lowest + found.highest)))
@@ -181,29 +188,28 @@ def test_columns_that_cannot_be_used_are_refused_with_the_mend(function):
 def swept(rig, which, *, frequency=2.0, seconds=100.0, rate=500.0):
     """Drive beam and one held oscillator against each other while the gain goes from 0 to 2 and back.
 
-    The clamp that holds the mass takes the force on it (c = 0); the beam feels the reaction.
+    The clamp that holds the mass takes the force on it, half a millisecond late; the beam feels the reaction.
     """
     t = np.arange(round(seconds * rate)) / rate
     gain = np.interp(t, [0.0, seconds / 2, seconds], [0.0, 2.0, 0.0])
     wave = 0.2 * np.sin(2 * np.pi * frequency * t)
     commands = alone(2, wave)
     commands[:, which] = gain * wave
-    x = driven(rig.with_parameters({f"c{which + 1}": 0.0}), commands, rate, held=which)[:, 2]
+    x = driven(rig, commands, rate, held=which)[:, 2]
     return actuator_ratio(t, x, gain, frequency=frequency)
 
 
-@pytest.mark.parametrize(("which", "exact"), [(0, 1.078 * 1.03 / 1.03), (1, 1.109 * 1.03 / 0.97)])
-def test_the_ratio_of_actuators_is_what_allocation_and_gains_of_the_twin_make(rig, which, exact):
-    """The errors of gain that the twin declares are part of its ratios: 1.078, and 1.1776 for the red oscillator."""
+@pytest.mark.parametrize("which", [0, 1])
+def test_the_ratio_of_actuators_is_that_of_the_forces_that_they_make_on_the_beam(rig, which):
     found = swept(rig, which)
-    assert found.ratio == pytest.approx(exact, abs=0.001)
+    assert found.ratio == pytest.approx(BALANCE[which], rel=0.005)
     low, high = found.interval()
-    assert low < exact < high
-    assert high - low < 0.02
+    assert high - low < 0.03
 
 
-def test_without_errors_of_gain_the_ratio_is_that_of_the_source(rig):
-    assert swept(without(rig, "strong_gain", "weak_gain"), 1).ratio == pytest.approx(1.109, abs=0.001)
+def test_errors_of_gain_are_part_of_the_ratio(rig):
+    wrong = rig.changed({name: schema.EffectChange(enabled=True) for name in ("strong_gain", "weak_gain")})
+    assert swept(wrong, 1).ratio == pytest.approx(BALANCE[1] * 1.03 / 0.97, rel=0.005)
 
 
 def balance(rng, ratio=1.1, noise=0.05, lag=0.0):
@@ -318,11 +324,15 @@ def pushed(rig, which, low, high):
 
 @pytest.mark.parametrize("largest", [0.16, 0.25])
 def test_the_friction_element_of_the_red_oscillator_is_found_at_6_mm(rig, largest):
-    """C.6.2: at about 6 mm, before a barrier was made at 5.8 mm; the twin declares 6 mm, over 0.2 mm."""
+    """C.6.2: at about 6 mm, before a barrier was made at 5.8 mm; the twin declares 6 mm, over 0.2 mm.
+
+    The friction depends on speed, which shifts the edge by a part of these 0.2 mm; the red spring of Fig. 4.6 is softer
+    there than that of Table B.4, so that the friction slows the mass down more.
+    """
     found = locate_friction(*pushed(without(rig, "red_stop"), 1, -0.05, largest))
     assert found.is_found
     assert found.side == 1
-    assert found.edge == pytest.approx(6e-3, abs=1e-4)
+    assert found.edge == pytest.approx(6e-3, abs=1.5e-4)
     assert found.width == pytest.approx(2e-4, abs=1e-4)
     assert found.step > 5 * found.level
 
@@ -356,7 +366,7 @@ def test_a_step_of_friction_is_located():
 def test_the_shift_of_the_beam_is_the_largest(rig):
     """C.6.2: the hysteresis of the beam is much stronger than that of the oscillators.
 
-    Where hysteresis has yielded, delta is 2 k zmax / w^2 of the twin's springs, 20 um and 0.2 mm, plus friction.
+    Where hysteresis has yielded, delta is 2 k zmax / w^2 of the twin's springs, 20 um and 0.7 mm, plus friction.
     """
     rate, found = 200.0, []
     for which, largest in ((0, 0.04), (1, 0.04), (2, 0.35)):
@@ -364,4 +374,4 @@ def test_the_shift_of_the_beam_is_the_largest(rig):
         x = driven(rig, alone(which, force), rate)[:, which]
         found.append(shift_of_equilibrium(np.arange(len(x)) / rate, x, force).shift[-1])
     assert found[2] > 3 * max(found[:2])
-    assert 2e-4 < found[2] < 4e-4
+    assert 5e-4 < found[2] < 8e-4
