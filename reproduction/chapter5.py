@@ -130,7 +130,7 @@ def fig_5_4() -> Entry:
     """Experiment with over-compensated damping, on the twin."""
     low, high = _threshold()
     si, scaled = (
-        load_model("setup_springs_table").parameter_values(),
+        load_model("setup_springs").parameter_values(),
         load_model("setup").dimensionless().parameter_values(),
     )
     stiff = {f"w{i}": math.sqrt(scaled[f"c{i}"] * si[f"rho{i}1"]) for i in (1, 2)}
