@@ -175,7 +175,7 @@ class DesiredDynamics:
         if self.regulation is None:
             return wanted
         energy, speed, coupling = regulation
-        moving = [self.virtual.coordinates.index(name) for name in self.virtual.oscillators]
+        moving = self._moving
         if self.regulation.energy is not None:
             # Oscillators are damped where the energy is above the wanted one, and driven where it is below.
             held = self.virtual.equations.energy
@@ -191,6 +191,50 @@ class DesiredDynamics:
                 unwanted = mean if self.regulation.phase == "anti" else graph.sub(rate[i], mean)
                 wanted[i] = graph.sub(wanted[i], graph.mul(coupling, unwanted))
         return wanted
+
+    @property
+    def _moving(self) -> tuple[int, ...]:
+        return tuple(self.virtual.coordinates.index(name) for name in self.virtual.oscillators)
+
+    def damped(self, graph: Graph, wanted: Sequence[Node], rate: Sequence[Node], damping: Node | None) -> list[Node]:
+        """Return wanted accelerations (k,) with a damping of the oscillators, per unit of virtual time.
+
+        Args:
+            graph: the graph to add to.
+            wanted: accelerations (k,).
+            rate: rates of the virtual coordinates (k,).
+            damping: node of the damping; None for none.
+        """
+        found = list(wanted)
+        if damping is None:
+            return found
+        for i in self._moving:
+            found[i] = graph.sub(wanted[i], graph.mul(damping, rate[i]))
+        return found
+
+    def momentum(
+        self, graph: Graph, time: Node, eta: Sequence[Node], rate: Sequence[Node], p: Sequence[Node]
+    ) -> list[Node]:
+        """Lower dE/deta' of the virtual energy E (k,), 0 for what is no oscillator.
+
+        Args:
+            graph: the graph to add to.
+            time: virtual time.
+            eta: virtual coordinates (k,).
+            rate: their rates (k,).
+            p: parameters of the virtual system.
+
+        Raises:
+            ModelError: the virtual system has no energy.
+        """
+        s, energy = self.virtual.equations.symbols, self.virtual.equations.energy
+        if energy is None:
+            raise ModelError(f"{self.virtual.name} has no energy to balance: declare energy, or a lagrangian")
+        known = dict(zip((s.t, *s.q, *s.v, *s.p), (time, *eta, *rate, *p), strict=True))
+        found = [graph.number(0.0)] * len(s.v)
+        for i in self._moving:
+            found[i] = graph.lower(sp.diff(energy, s.v[i]), known)
+        return found
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from masking.declaration import schema
 from masking.errors import ActuationError, ModelError
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
+from masking.numerics.equilibrium import equilibrium
 from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME
 from masking.rig.allocation import allocation
 
@@ -177,12 +178,38 @@ class Instruments:
 
     def positions(self, readings: Array) -> Array:
         """Return the coordinates (n,) at which a rig at rest would give readings (sensors,), by Newton's method."""
-        names, gains = self.model.coordinates, self.gains()
-        values = self.model.parameter_values() | {f"{c}'": 0.0 for c in names}
-        inverse = np.linalg.pinv(self._sensing()[:, : len(names)])
-        q = np.zeros(len(names))
+        inverse = np.linalg.pinv(self._sensing()[:, : len(self.model.coordinates)])
+        q = np.zeros(len(self.model.coordinates))
         for _ in range(20):
-            at = values | dict(zip(names, q, strict=True))
-            expected = [g * s.measures.evaluate(at) for g, s in zip(gains, self.plant.sensors.values(), strict=True)]
-            q = q + inverse @ (readings - np.array(expected))
+            q = q + inverse @ (readings - self.readings(q))
         return q
+
+    def readings(self, q: Array) -> Array:
+        """Return what the sensors read (sensors,) of a rig at rest at coordinates (n,)."""
+        names = self.model.coordinates
+        at = self.model.parameter_values() | {f"{c}'": 0.0 for c in names} | dict(zip(names, q, strict=True))
+        pairs = zip(self.gains(), self.plant.sensors.values(), strict=True)
+        return np.array([gain * sensor.measures.evaluate(at) for gain, sensor in pairs])
+
+    def rest(self) -> Array:
+        """Return the coordinates (n,) at which the model rests without inputs.
+
+        Raises:
+            ModelError: there is no such position near 0.
+        """
+        model, n = self.model, len(self.model.coordinates)
+        inputs, p = np.zeros(len(model.inputs)), model.values()
+        internal = [s.initial for s in model.declaration.states.values()]
+        out = np.empty(2 * n + len(internal))
+
+        def accelerations(q: Array) -> Array:
+            model.kernels.derivative(0.0, np.concatenate([q, np.zeros(n), internal]), inputs, p, out)
+            return out[n : 2 * n].copy()
+
+        found = equilibrium(accelerations, model.lengths)
+        if found is None:
+            raise ModelError(
+                f"{model.name} does not rest near its zero without inputs, where controller.rest measures the sensors' "
+                "offsets; leave rest out"
+            )
+        return found

@@ -36,6 +36,8 @@ class Controller:
         time_scale: seconds of the rig per unit of the virtual system's time.
         transform_parameters: values of the transform's own parameters.
         regulation: what is held besides the wanted dynamics, if anything.
+        energy_balance: rate at which energy is taken out that the rig has gained beyond them, per unit of virtual time;
+            None where it is not.
     """
 
     model: Model
@@ -44,6 +46,7 @@ class Controller:
     time_scale: float
     transform_parameters: Mapping[str, float]
     regulation: schema.Regulation | None = None
+    energy_balance: float | None = None
 
     @property
     def desired(self) -> DesiredDynamics:
@@ -59,8 +62,8 @@ class Controller:
     def values(self) -> Array:
         """Return the parameter array of the control law: model, virtual system, transform, lengths, time scale."""
         own = [self.transform_parameters[name] for name in self.transform.parameters]
-        held = self.desired.values()
-        return np.concatenate([self.model.values(), self.virtual.values(), own, self.lengths, [self.time_scale], held])
+        rest = [*self.desired.values(), *([] if self.energy_balance is None else [self.energy_balance])]
+        return np.concatenate([self.model.values(), self.virtual.values(), own, self.lengths, [self.time_scale], rest])
 
     def structure(self) -> dict[str, object]:
         """Return all that the compiled control law depends on, apart from values."""
@@ -70,6 +73,7 @@ class Controller:
             "transform": self.transform.declaration.model_dump(mode="json", exclude={"parameters"}),
             "transform_parameters": list(self.transform.parameters),
             "regulation": self.regulation and [self.regulation.energy is not None, self.regulation.phase],
+            "energy_balance": self.energy_balance is not None,
         }
 
 
@@ -113,7 +117,7 @@ class ControlLaw:
         Args:
             controller: the controller.
             graph: the graph to add to.
-            rig: nodes of time, rig state and of the accelerations that the model lacks.
+            rig: nodes of time, rig state, the accelerations that the model lacks, and the energy balance's damping.
             homing: how the rig is brought to its initial state before the release, if it is.
         """
         p = ControllerParameters.of(controller, graph)
@@ -130,7 +134,8 @@ class ControlLaw:
             free = [graph.add(a, d) for a, d in zip(free, rig.disturbance, strict=True)]
         jacobian = [[graph.div(j, length) for j, length in zip(row, p.lengths, strict=True)] for row in mapped.jacobian]
         squared = graph.mul(p.time_scale, p.time_scale)
-        wanted = [graph.sub(graph.div(d, squared), b) for d, b in zip(desired, mapped.bias, strict=True)]
+        balanced = controller.desired.damped(graph, desired, rate, rig.damping)
+        wanted = [graph.sub(graph.div(d, squared), b) for d, b in zip(balanced, mapped.bias, strict=True)]
         if homing is not None:
             wanted = homing.lower(graph, rig, jacobian, wanted)
         unwanted = [graph.apply("neg", dot(graph, row, free)) for row in jacobian]
@@ -147,13 +152,17 @@ class ControlLaw:
 
 @dataclass(frozen=True)
 class RigSymbols:
-    """Nodes of the rig: time, coordinates, velocities, internal states, and accelerations that the model lacks."""
+    """Nodes of the rig: time, coordinates, velocities, internal states, and accelerations that the model lacks.
+
+    `damping` is that by which the energy balance is held, where it is.
+    """
 
     t: Node
     q: list[Node]
     v: list[Node]
     s: list[Node] = field(default_factory=list)
     disturbance: list[Node] = field(default_factory=list)
+    damping: Node | None = None
 
 
 # The reference reaches its end at this part of the homing phase; the rest is for settling.
@@ -225,6 +234,7 @@ class ControllerParameters:
     lengths: list[Node]
     time_scale: Node
     regulation: list[Node]
+    energy_balance: list[Node]
 
     @classmethod
     def of(cls, controller: Controller, graph: Graph) -> ControllerParameters:
@@ -240,15 +250,17 @@ class ControllerParameters:
             make("l", controller.model.coordinates),
             graph.symbol("time_scale", varying=False),
             make("r", ("energy", "rate", "coupling")) if controller.regulation else [],
+            make("e", ("rate",)) if controller.energy_balance is not None else [],
         )
 
     def loads(self, graph: Graph) -> dict[str, str]:
         """Return for each parameter's text how it is read from the array `p`."""
-        nodes = [*self.model, *self.virtual, *self.transform, *self.lengths, self.time_scale, *self.regulation]
+        scaled = [*self.lengths, self.time_scale, *self.regulation, *self.energy_balance]
+        nodes = [*self.model, *self.virtual, *self.transform, *scaled]
         return {str(graph.operations[n][1]): f"p[{i}]" for i, n in enumerate(nodes)}
 
     @property
     def count(self) -> int:
         """Return the length of the array."""
-        parts = (self.model, self.virtual, self.transform, self.lengths, self.regulation)
+        parts = (self.model, self.virtual, self.transform, self.lengths, self.regulation, self.energy_balance)
         return sum(map(len, parts)) + 1

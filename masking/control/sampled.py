@@ -35,6 +35,10 @@ else:
     sampled_loop = lazy.load("masking.numerics.sampled_loop", suppress_warning=True)
 
 
+# An offset follows the readings with this many time constants over the rest.
+SETTLED = 5.0
+
+
 @dataclass(frozen=True)
 class SampledController:
     """A controller at a fixed rate.
@@ -47,6 +51,7 @@ class SampledController:
         noise: standard deviation of every reading, in the sensors' units; that of the plant file where it is None.
         homing: seconds before the release in which the rig is brought to its initial state; 0 where it is there.
         end: coordinates (n,) of the rig's initial state.
+        rest: seconds before homing in which the rig rests without commands and the sensors' offsets are measured.
     """
 
     controller: Controller
@@ -56,19 +61,28 @@ class SampledController:
     noise: float | None
     homing: float
     end: Array
+    rest: float = 0.0
 
     @property
     def sizes(self) -> Sizes:
         """Return the sizes that the compiled step is made for."""
-        model = self.controller.model
+        model, instruments = self.controller.model, self.instruments
+        is_balanced = self.controller.energy_balance is not None
         n = len(model.coordinates)
-        actuators = len(self.instruments.actuators)
-        return Sizes(n, 2 * n + len(model.states), len(model.inputs), actuators, self.observer.order)
+        return Sizes(
+            n,
+            2 * n + len(model.states) + is_balanced,
+            len(model.inputs),
+            len(instruments.actuators),
+            self.observer.order,
+            len(self.controller.virtual.coordinates) if is_balanced else 0,
+            len(instruments.sensors) if self.rest else 0,
+        )
 
     @property
-    def start(self) -> Array:
-        """Return the coordinates (n,) at which a simulated rig starts: before homing, 0."""
-        return np.zeros(len(self.end)) if self.homing else self.end
+    def before(self) -> int:
+        """Return the samples before the release."""
+        return round((self.rest + self.homing) * self.rate) + self.delay
 
     @property
     def delay(self) -> int:
@@ -115,6 +129,7 @@ class SampledController:
             "has_model": self.has_model,
             "order": self.observer.order,
             "homing": bool(self.homing),
+            "rest": bool(self.rest),
         }
 
     @cached_property
@@ -143,7 +158,7 @@ class SampledController:
         rows, width = sizes.work
         work = (rows, max(width, len(self.instruments.sensors)))
         if self.has_model:
-            parts = ("law", "rate", "measure", "allocate", "wire")
+            parts = ("law", "rate", "measure", "allocate", "wire", "virtual", "momentum")
             module.add_factory("control", sampled_loop.control_with_model, *parts, sizes, work=work)
         else:
             module.add_factory("control", sampled_loop.control_with_differences, "law", "allocate", sizes, work=work)
@@ -157,8 +172,9 @@ class SampledController:
             readings: what the sensors read first (sensors,).
         """
         sizes, n = self.sizes, self.sizes.coordinates
-        q = self.instruments.positions(readings)
+        q = self.instruments.rest() if self.rest else self.instruments.positions(readings)
         internal = [state.initial for state in self.controller.model.declaration.states.values()]
+        internal += [0.0] * (self.controller.energy_balance is not None)
         estimate = np.concatenate([q, np.zeros(n), internal, np.zeros(sizes.order * n)])
         p, inputs = self.values(q), np.empty(sizes.inputs)
         self.kernels.still(-self.homing, estimate[: sizes.states].copy(), p, inputs)
@@ -169,8 +185,17 @@ class SampledController:
         acting = self.instruments.allocation @ command
         warmed = -np.expm1(-self.delay / (self.rate * self.limits[:, TIME]))  # by the commands under way
         power = warmed * self.limits[:, HEATING] * command**2
-        x = np.concatenate([estimate, power, estimate, np.tile(acting, self.delay)])
+        balance = np.zeros(sizes.balance.stop - sizes.balance.start)
+        x = np.concatenate([estimate, power, estimate, balance, self._standing(q), np.tile(acting, self.delay)])
         return Memory(self, x, p, command)
+
+    def _standing(self, q: Array) -> Array:
+        """Return what the memory holds of a rest at coordinates (n,), as `Sizes.rest` says."""
+        if not self.rest:
+            return np.empty(0)
+        part = -np.expm1(-SETTLED / (self.rest * self.rate))
+        expected = self.instruments.readings(q)
+        return np.concatenate([np.zeros(len(expected)), expected, [-self.homing, part]])
 
 
 @dataclass
@@ -276,7 +301,10 @@ class _Lowered:
             start, end = self._parameters("start", n), self._parameters("end", n)
             homing = Homing(since, start, end, self._parameters("homing", 1)[0])
 
-        rig = RigSymbols(time, y["q"], y["v"], y["s"])
+        damping = None
+        if controller.energy_balance is not None:
+            damping = self._read("damping", f"y[{2 * n + len(equations.symbols.s)}]", varying=True)
+        rig = RigSymbols(time, y["q"], y["v"], y["s"], damping=damping)
         self.law = ControlLaw.of(controller, self.graph, replace(rig, disturbance=disturbance), homing)
         self.still_law = ControlLaw.of(controller, self.graph, replace(rig, v=[self.graph.number(0.0)] * n))
         s = equations.symbols
@@ -285,10 +313,23 @@ class _Lowered:
         )
         model = LoweredEquations.of(equations, self.graph, known=known)
         self.rates = [*y["v"], *model.accelerations, *model.rates]
+        self.virtual, self.momentum = list[Node](), list[Node]()
+        if damping is not None:
+            self.rates.append(self.graph.number(0.0))
+            self._add_balance(controller, p, time)
         measured = [model.lower(equations.symbolic(x.measures)) for x in instruments.plant.sensors.values()]
         self.readings = [self.graph.mul(g, m) for g, m in zip(gains, measured, strict=True)]
         self.commands = [self._dot(row, u) for row in allocation]
         self.inputs = [self._dot(row, out) for row in wires]
+
+    def _add_balance(self, controller: Controller, p: ControllerParameters, time: Node) -> None:
+        """Add what the energy balance calls."""
+        graph, k = self.graph, len(controller.virtual.coordinates)
+        wanted = [graph.div(d, p.time_scale) for d in self.law.desired]
+        bandwidth = graph.div(graph.number(1.0), p.time_scale)
+        self.virtual = [*self.law.eta, *self.law.rate, *wanted, bandwidth, *p.energy_balance]
+        e = self._array("e", "e", 2 * k, varying=True)
+        self.momentum = controller.desired.momentum(graph, graph.div(time, p.time_scale), e[:k], e[k:], p.virtual)
 
     def functions(self) -> list[tuple[str, Results, Node | None]]:
         """Return the signature, results and returned node of each function."""
@@ -304,6 +345,8 @@ class _Lowered:
             ("measure(t: float, y, p, s)", into("s", self.readings), None),
             ("allocate(u, p, out)", into("out", self.commands), None),
             ("wire(out, p, u)", into("u", self.inputs), None),
+            ("virtual(t: float, y, p, out)", into("out", self.virtual), None),
+            ("momentum(t: float, e, p, g)", into("g", self.momentum), None),
             ("transform(t: float, q, v, p, out)", into("out", [*law.eta, *law.rate]), None),
             ("still(t: float, y, p, u)", into("u", self.still_law.cancel), None),
         ]

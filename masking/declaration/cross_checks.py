@@ -85,6 +85,10 @@ def check_experiment(
     problems += _initial(experiment, virtual_model)
     problems += _effects(experiment, plant)
     problems += _sampling(experiment)
+    if experiment.controller.energy_balance is not None and not (virtual_model.energy or virtual_model.lagrangian):
+        message = f"the model {virtual_model.name} has no energy to balance"
+        mend = "declare its energy or a lagrangian, or leave energy_balance out"
+        problems.append(problem_at(experiment, "controller.energy_balance", message, mend, at_key=True))
     problems += _record(experiment)
     problems += _stop(experiment, virtual_model)
     problems += _transform(experiment, plant_model, virtual_model) if plant_model.coordinates else ()
@@ -220,12 +224,13 @@ def _effects(experiment: ExperimentDeclaration, plant: PlantDeclaration) -> Iter
 def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
     """Check that what only a sampled controller has stands only with a rate."""
     settings = experiment.controller
-    for name in ("observer", "homing", "effects"):
+    for name in ("observer", "homing", "effects", "rest", "energy_balance"):
         if settings.rate is None and getattr(settings, name):
             message = f"{name} is for a controller that runs at a rate"
             mend = "write 'rate: 1 kHz', or leave it out"
             yield problem_at(experiment, f"controller.{name}", message, mend, at_key=True)
     yield from _regulation(experiment)
+    yield from _following(experiment)
     observer = settings.observer
     if observer is not None and observer.kind == "exact" and settings.homing is not None:
         message, mend = "an exact observer places the rig where it starts", "leave homing out, or take an observer"
@@ -234,6 +239,20 @@ def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
         message = f"{observer.order} is not an order of a disturbance"
         mend = "allowed: 1 (a constant), 2 (a straight line)"
         yield problem_at(experiment, "controller.observer.order", message, mend)
+
+
+def _following(experiment: ExperimentDeclaration) -> Iterator[Problem]:
+    """Check that what needs an observer with a model, and homing, has these."""
+    settings = experiment.controller
+    has_model = settings.observer is None or settings.observer.kind in {"kalman", "disturbance"}
+    for name in ("rest", "energy_balance"):
+        if getattr(settings, name) is not None and not has_model:
+            message = f"{name} needs an observer that follows a model"
+            mend = "take 'observer: disturbance', or leave it out"
+            yield problem_at(experiment, f"controller.{name}", message, mend, at_key=True)
+    if settings.rest is not None and settings.homing is None:
+        message, mend = "offsets are measured before homing, and there is none", "write 'homing: 3', or leave rest out"
+        yield problem_at(experiment, "controller.rest", message, mend, at_key=True)
 
 
 def _regulation(experiment: ExperimentDeclaration) -> Iterator[Problem]:

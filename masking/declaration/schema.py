@@ -292,8 +292,10 @@ class ControllerSettings(Block):
     """How often the controller runs (`rate` in Hz, None for continuous) and its model of the rig.
 
     `homing` is the time in s in which it brings the rig from rest to the initial state; without it, a simulated rig
-    is placed there. `effects` is how strong the controller takes noise and delay of the plant to be, where that differs
-    from what the experiment gives its plant.
+    is placed there. In `rest` s before that, it measures the offsets of the sensors. `energy_balance` is the rate at
+    which it takes out energy that the rig gains beyond what the virtual system gives it, per unit of virtual time.
+    `effects` is how strong the controller takes noise and delay of the plant to be, where that differs from what the
+    experiment gives its plant.
     """
 
     rate: ControllerRate = None
@@ -302,7 +304,9 @@ class ControllerSettings(Block):
     effects: dict[Name, Annotated[EffectChange, _SWITCH]] = {}
     observer: Annotated[ObserverSettings, _KIND] | None = None
     homing: Positive | None = None
+    rest: Positive | None = None
     regulate: Regulation | None = None
+    energy_balance: Positive | None = None
 
 
 class RecordSettings(Block):

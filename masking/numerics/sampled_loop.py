@@ -8,7 +8,8 @@ together with them. Their arguments, with y = [q, v, s] the rig's state (coordin
   (n,) the accelerations that the model lacks;
 * `rate(t, y, u, p, dy)` writes dy/dt of the controller's model;
 * `measure(t, y, p, s)` writes what the sensors would read;
-* `allocate(u, p, out)` writes the actuators' commands that give inputs u, and `wire(out, p, u)` the reverse.
+* `allocate(u, p, out)` writes the actuators' commands that give inputs u, and `wire(out, p, u)` the reverse;
+* `virtual` and `momentum` are those of `masking.numerics.energy_balance`.
 """
 # ruff: noqa: ANN001, ANN201, ANN202, PLR0917
 # The types are numba's to infer.
@@ -20,6 +21,7 @@ from collections.abc import Callable
 from typing import Any
 
 from masking.numerics.arrays import Matrix, Vector
+from masking.numerics.energy_balance import energy_balance
 from masking.numerics.integrators import compiled, copy, fault
 from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME, Sizes
 from masking.numerics.stop_codes import NOT_FINITE, REACHED
@@ -192,40 +194,54 @@ def advance_queue(queue, u, m):
 
 
 def control_with_model(
-    law: Kernel, rate: Kernel, measure: Kernel, allocate: Kernel, wire: Kernel, sizes: Sizes
-) -> Kernel:
+    law: Kernel, rate: Kernel, measure: Kernel, allocate: Kernel, wire: Kernel, virtual: Kernel, momentum: Kernel,
+    sizes: Sizes,
+) -> Kernel:  # fmt: skip
     """Make the step of a controller that follows the rig with a model: observe, predict, T, D, L, G, hold, limit.
 
-    What was applied, not what was demanded, moves the model: in saturation nothing winds up.
+    What was applied, not what was demanded, moves the model: in saturation nothing winds up. While the rig is at rest
+    before homing, the offsets of the sensors follow what they read beyond the model's rest position.
 
     Returns:
         `control(t, h, s, x, p, gain, table, demanded, applied, work) -> health` for the readings `s` at time t; x is
         the memory, as `Sizes.power` says, and `gain` (estimate, sensors) the observer's.
     """
-    m, length, next_one, fixed = sizes.inputs, sizes.estimate, sizes.estimate + sizes.actuators, sizes.fixed
+    m, length, fixed, last = sizes.inputs, sizes.estimate, sizes.fixed, sizes.states - 1
+    powers, following, remembered, rest = sizes.power, sizes.next, sizes.balance, sizes.rest
+    is_balanced, offsets, channels = sizes.balanced > 0, sizes.offsets, sizes.actuators
     step, held, limit = predict(rate, sizes), hold(law, rate, sizes), limiter(sizes)
+    balance = energy_balance(virtual, momentum, sizes)
 
     @compiled
     def control(
         t: float, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
         applied: Vector, work: Matrix,
     ) -> float:  # fmt: skip
-        now, power, z, queue = x[:length], x[length:next_one], x[next_one:fixed], x[fixed:]
+        now, power, z, queue = x[:length], x[powers.start : powers.stop], x[following.start : following.stop], x[fixed:]
         delay = queue.size // m
         ahead, u, k, y, expected = work[11], work[12][:m], work[13:17], work[17], work[18]
+        acts, standing = t + delay * h, x[rest.start : rest.stop]
         measure(t, z, p, expected)
+        for j in range(offsets):
+            if t < standing[2 * offsets]:
+                standing[j] += standing[2 * offsets + 1] * (s[j] - standing[offsets + j] - standing[j])
+            expected[j] += standing[j]
         for i in range(length):
             for j in range(s.size):
                 z[i] += gain[i, j] * (s[j] - expected[j])
+        if is_balanced:
+            z[last] = balance(t, h, z, x[remembered.start : remembered.stop], p, work[24], work[25])
         copy(z, now, length)
         copy(z, ahead, length)
         for j in range(delay):
             step(t + j * h, ahead, queue[j * m : (j + 1) * m], p, h, k, y)
             if j == 0:
                 copy(ahead, z, length)
-        acts = t + delay * h
         health = held(acts, acts, ahead, p, h, u, work)
         allocate(u, p, demanded)
+        if offsets > 0 and acts < standing[2 * offsets]:
+            for i in range(channels):
+                demanded[i] = 0.0
         limit(demanded, table, power, h, applied)
         wire(applied, p, u)
         if delay == 0:

@@ -18,6 +18,8 @@ class Sizes:
         inputs: of the rig's model.
         actuators: channels that are commanded.
         order: derivatives of a disturbance that are estimated: 0 for none, 1 for a constant one, 2 for a straight line.
+        balanced: virtual coordinates whose energy balance is held; 0 where none is.
+        offsets: sensors whose offset is measured at rest; 0 where none is.
     """
 
     coordinates: int
@@ -25,6 +27,8 @@ class Sizes:
     inputs: int
     actuators: int
     order: int
+    balanced: int = 0
+    offsets: int = 0
 
     @property
     def estimate(self) -> int:
@@ -35,17 +39,36 @@ class Sizes:
     def power(self) -> slice:
         """Return where the mean powers of the actuators are in the memory.
 
-        The memory holds the estimate at the last sample, these, the estimate for the next sample, and the inputs under
-        way, oldest first: as many as there are samples of delay, which its length gives.
+        The memory holds the estimate at the last sample, these, the estimate for the next sample, what the energy
+        balance and the offsets remember, and the inputs under way, oldest first: as many as there are samples of delay,
+        which its length gives.
         """
         return slice(self.estimate, self.estimate + self.actuators)
 
     @property
+    def next(self) -> slice:
+        """Return where the estimate for the next sample is in the memory."""
+        return slice(self.power.stop, self.power.stop + self.estimate)
+
+    @property
+    def balance(self) -> slice:
+        """Return where the memory of the energy balance is."""
+        return slice(self.next.stop, self.next.stop + (6 * self.balanced + 2 if self.balanced else 0))
+
+    @property
+    def rest(self) -> slice:
+        """Return where offsets of sensors, their readings at rest without offset, and two numbers are.
+
+        The numbers are the time at which the rest ends, and the part of a difference that a sample corrects.
+        """
+        return slice(self.balance.stop, self.balance.stop + (2 * self.offsets + 2 if self.offsets else 0))
+
+    @property
     def fixed(self) -> int:
         """Return the length of the memory without inputs under way."""
-        return 2 * self.estimate + self.actuators
+        return self.rest.stop
 
     @property
     def work(self) -> tuple[int, int]:
         """Return the shape of the work space, whose rows must also hold the readings and the rig's states."""
-        return 24, max(self.estimate, self.inputs, self.actuators)
+        return 26, max(self.estimate, self.inputs, self.actuators, 3 * self.balanced + 2)

@@ -37,7 +37,7 @@ class SimulatedPlant:
         self.twin, self.seed = twin, seed
         self.sensors, self.actuators = twin.sensors, twin.actuators
         self._life = LifeCycle()
-        self._y = twin.rest(np.zeros(len(twin.model.coordinates)))
+        self._y = twin.unpowered()
         self._queue = np.zeros((twin.delay + 1, len(twin.actuators)))
         self._acting = np.zeros(len(twin.actuators))
         self._tick, self._is_moved = 0, True
@@ -48,7 +48,7 @@ class SimulatedPlant:
         twin = self.twin
         self._rate, self._substeps, self._p = settings.rate, twin.substeps(settings.rate), twin.values()
         self._generator = np.random.default_rng(self.seed)
-        self._y = twin.rest(np.zeros(len(twin.model.coordinates)))
+        self._y = twin.unpowered()
         self._queue[:] = 0.0
         self._acting[:] = 0.0
         self._tick, self._is_moved = -1, False

@@ -26,6 +26,7 @@ from masking.errors import DeclarationError, Problem, nearest
 from masking.modelling.lowering import LoweredEquations
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
+from masking.numerics.equilibrium import equilibrium
 from masking.rig.allocation import allocation
 
 if TYPE_CHECKING:
@@ -37,8 +38,7 @@ else:
     sp = lazy.load("sympy")
 
 
-# Minimum integration steps per sample; the linearisation at rest sees neither contact nor friction.
-FEWEST_STEPS = 2
+FEWEST_STEPS = 2  # per sample: the linearisation at rest sees neither contact nor friction
 
 
 @dataclass(frozen=True)
@@ -346,8 +346,7 @@ class Twin:
 
     def substeps(self, rate: float) -> int:
         """Return the integration steps between samples that resolve the fastest motion at rest."""
-        p, u, model = self.values(), np.zeros(len(self.actuators)), self.model
-        lengths = np.array([model.units.size(c.unit, {}) for c in model.declaration.coordinates.values()])
+        p, u, lengths = self.values(), np.zeros(len(self.actuators)), self._lengths
         state = self.rest(np.zeros(len(lengths)))
 
         def slope(y: Array, out: Array) -> None:
@@ -359,6 +358,21 @@ class Twin:
     def size(self, unit: str) -> float:
         """Return the size in SI units of a unit that the plant file uses."""
         return float(self.kernels.meta["factors"][unit])
+
+    @property
+    def _lengths(self) -> Array:
+        return np.array([self.model.units.size(c.unit, {}) for c in self.model.declaration.coordinates.values()])
+
+    def unpowered(self) -> Array:
+        """Return the state (states,) at rest without commands; at zero coordinates where there is no such rest."""
+        n, p, u, out = len(self._lengths), self.values(), np.zeros(len(self.actuators)), np.empty(len(self.state_names))
+
+        def accelerations(q: Array) -> Array:
+            self.kernels.twin_derivative(0.0, self.rest(q), u, p, out)
+            return out[n : 2 * n].copy()
+
+        found = equilibrium(accelerations, self._lengths)
+        return self.rest(np.zeros(n) if found is None else found)
 
     def rest(self, coordinates: Array) -> Array:
         """Return the state (states,) at rest in given coordinates (n,), with internal states as declared."""

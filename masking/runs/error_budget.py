@@ -250,7 +250,7 @@ class _Bench:
         sampled = loop.sampled
         return run_twin(
             loop,
-            sampled.start,
+            sampled.end,
             duration=experiment.declaration.duration * experiment.time_scale,
             seed=experiment.declaration.seed,
             every=experiment.every * round(sampled.rate / self.rate),

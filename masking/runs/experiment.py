@@ -106,7 +106,9 @@ class Experiment:
         assumed = Model(self.assembly.believed_model, {**overrides, **settings.parameters})
         transform = Transform(assumed, self.virtual, self.declaration.transform)
         own = self.declaration.transform.parameters
-        return Controller(assumed, self.virtual, transform, self.time_scale, own, settings.regulate)
+        return Controller(
+            assumed, self.virtual, transform, self.time_scale, own, settings.regulate, settings.energy_balance
+        )
 
     @property
     def time_scale(self) -> float:
@@ -181,6 +183,7 @@ class Experiment:
             self.observer_settings.noise,
             settings.homing or 0.0,
             np.zeros(len(self.controller.model.coordinates)),
+            settings.rest or 0.0,
         )
         state = rig_state(made, self.virtual.initial_state(self.declaration.initial))
         n = len(made.end)
@@ -307,7 +310,7 @@ class Experiment:
         _ = sampled.gain
         duration = declaration.duration * self.time_scale
         return partial(
-            run_twin, self.sampled_loop, sampled.start, duration=duration, seed=declaration.seed, every=self.every
+            run_twin, self.sampled_loop, sampled.end, duration=duration, seed=declaration.seed, every=self.every
         )
 
     def _seen(self, run: Run | TwinRun) -> Array:

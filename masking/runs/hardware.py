@@ -108,7 +108,7 @@ def run(
     """
     _check(experiment)
     sampled = experiment.sampled
-    before = round(sampled.homing * sampled.rate) + sampled.delay
+    before = sampled.before
     after = int(np.floor(experiment.declaration.duration * experiment.time_scale * sampled.rate * (1.0 + 1e-12))) + 1
     _prepare(sampled)
     condition = experiment.stop_condition

@@ -158,7 +158,7 @@ def run_twin(
 
     Args:
         loop: controller and twin.
-        start: the twin's coordinates (n,) at the start, SI units.
+        start: the twin's coordinates (n,) at the start where there is no homing, SI units.
         duration: seconds after the release.
         seed: of the sensors' noise.
         every: record one sample of this many.
@@ -171,10 +171,10 @@ def run_twin(
     sampled, twin, kernels = loop.sampled, loop.twin, loop.kernels
     rate, sizes, p = sampled.rate, sampled.sizes, twin.values()
     generator = np.random.default_rng(seed)
-    before = round(sampled.homing * rate) + sampled.delay
+    before = sampled.before
     samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
     rows = np.arange(0, samples, every)
-    y, first, substeps = twin.rest(start), 0.0, twin.substeps(rate)
+    y, first, substeps = twin.unpowered() if sampled.homing else twin.rest(start), 0.0, twin.substeps(rate)
     noise = generator.standard_normal((1, len(twin.sensors)))
     reading = np.empty(len(twin.sensors))
     twin.kernels.sense(-before / rate, y, p, noise[0], reading)

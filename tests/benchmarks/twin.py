@@ -90,7 +90,7 @@ class Loop(Whole):
         sampled, sizes, made, h = self.sampled, self.sampled.sizes, self.made, self.h
         y, memory, queue = self.begin()
         x, p, u = memory.x, memory.p, self.u
-        z, power = x[sizes.estimate + sizes.actuators : sizes.fixed].copy(), x[sizes.power].copy()
+        z, power = x[sizes.next].copy(), x[sizes.power].copy()
         under_way, commands = list(x[sizes.fixed :].reshape(self.delay, sizes.inputs).copy()), list(queue[:-1])
         for index in range(SAMPLES):
             t = index * h

@@ -21,7 +21,7 @@ from masking.records.recording import Recording
 from masking.rig.twin import Twin
 from masking.runs.experiment import Experiment
 from tests import test_components, test_discovery, test_measure
-from tests.benchmarks import components, hidden, masking_error_table
+from tests.benchmarks import clocks, components, hidden, masking_error_table
 
 ROOT: Final = Path(__file__).parents[2]
 SEEDS: Final = range(5)
@@ -110,10 +110,18 @@ def masking_error_of_50_units(controller: str) -> str:
 def observer_error(kind: str, order: str = "2") -> str:
     """Return chi of the worst coordinate of `huygens_rig` over 400 units of time with an observer, over seeds."""
     base = Experiment.load("huygens_rig").changed(duration=400.0)
-    settings = base.declaration.controller.model_dump(exclude_defaults=True, exclude={"observer"})
+    without = {"observer", "rest", "energy_balance"}  # the observer alone
+    settings = base.declaration.controller.model_dump(exclude_defaults=True, exclude=without)
     observer = {"kind": kind, "order": int(order)} if kind == "disturbance" else kind
     changed = base.changed(controller={**settings, "observer": observer})
     return spread([worst(changed.changed(seed=seed)) for seed in SEEDS])
+
+
+@slow_value
+def clocks_figure(which: str) -> str:
+    """Return the amplitude over the ideal one (`amplitude`), or |th1 + th2| over the amplitude in % (`sum`)."""
+    index, size = {"amplitude": (0, 1.0), "sum": (1, 100.0)}[which]
+    return spread([size * clocks.figures(clocks.clocks({}, seed), clocks.TIMES[-1])[index] for seed in SEEDS])
 
 
 @slow_value
