@@ -30,7 +30,7 @@ RATIOS: Final = ("mu1", "mu2")
 CHI: Final = 0.2267  # Table 4.3: the beam under the multisine
 FRICTION: Final = (5e-4, 2.5e-3)  # of l wbar^2
 YIELD: Final = (8e-4, 1.6e-3)  # m
-START: Final = 1.2e-3  # m
+START: Final = 1.1e-3  # m
 PASSES: Final = 2
 
 

@@ -192,8 +192,8 @@ def fig_4_5() -> Entry:
     ]
     picture = curves(13.2929 * simulated.times, series, r"$\tau$", title, height=1.2)
     words = (
-        "The chi of the oscillators on the twin are a third and a quarter of those on the rig, which had more in free "
-        "motion than Table B.4 and section C.6 describe.",
+        "The chi of the oscillators on the twin are less than half of those on the rig, which had more in free motion "
+        "than Table B.4 and section C.6 describe. The twin's beam is the worse of the two.",
     )
     return Entry("Fig. 4.5", title, "figure", experimental(*rows), words, picture)
 

@@ -294,4 +294,4 @@ def test_divergence_says_when_and_what_to_lower(far, record):
     ):
         extended_kalman(far, record, ALL, parameters=1e12, square_root=True)
     with pytest.raises(IntegrationError, match=r"not positive any more at t = .*; give square_root=True"):
-        extended_kalman(far, record, ALL, parameters=1e8)
+        extended_kalman(far, record, ALL, parameters=1e7)

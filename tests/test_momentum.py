@@ -26,7 +26,8 @@ GROUND = {
     "discs_enoc": (ANGLE, "w3 nu1 nu2 nu3"),
     "pendula": (("x",), "k b"), "huygens": (("x",), "Om"), "huygens_lagrangian": (("x",), "Om"),
 }  # fmt: skip
-ALONE = {"setup_oscillator"}  # one body, held by the ground
+# One body, held by the ground; and forces that are declared without a reaction.
+ALONE = {"setup_oscillator", "setup_controlled"}
 
 BETWEEN = {"V1", "V2", "u1", "u2"}  # actuators between an oscillator and the beam
 GROUNDED = {"V3", "u3"}  # actuators between the beam and the ground
