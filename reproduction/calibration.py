@@ -47,7 +47,7 @@ def of_the_beam() -> tuple[float, float]:
 
     def off_in_free_motion(share: float) -> float:
         found = fit(linear, free_motion(friction(share) | {"hysteresis3_zmax": yields}), RATIOS).values
-        return float(sum((a / linear.parameter_value(name) - 1.0) ** 2 for a, name in zip(found, RATIOS, strict=True)))
+        return float(sum((a / linear.parameter_value(n) - 1.0) ** 2 for a, n in zip(found, RATIOS, strict=True)))
 
     def off_under_the_multisine(length: float) -> float:
         record = multisine_record(3, friction(share) | {"hysteresis3_zmax": length})

@@ -84,6 +84,10 @@ def fig_4_2():
     }
 
 
+def fig_4_3():
+    return {"w3 with the oscillators fixed to the beam, rad/s": W[2] / math.sqrt(1.0 + sum(MU))}
+
+
 def fig_4_6():
     return {f"w{i + 1}^2/lam{i + 1}, linear": (W[i] / WBAR) ** 2 / LAM[i] for i in range(3)}
 
@@ -114,10 +118,6 @@ def erratum_oscillator():
 
 def erratum_reaction():
     return {"centre of mass under an internal u2 = 1, with u3 - u1 + u2": 2.0 / (0.0411 + 0.0578 + 1.0)}
-
-
-def fig_4_3():
-    return {"w3 with the oscillators fixed to the beam, rad/s": W[2] / math.sqrt(1 + sum(MU))}
 
 
 def erratum_momentum():
@@ -281,7 +281,7 @@ def fig_5_3():
 
 
 def fig_5_4():
-    w = [math.sqrt(LAM[i] * RHO[i]) for i in (0, 1)]
+    w = [math.sqrt(LAM[i] * RHO[0]) for i in (0, 1)]  # Fig. 4.6: spring 2 is nearly that of spring 1
 
     def made(f1, f2, e1, e2):
         own = (f1 * w[0], f2 * w[1])
@@ -290,8 +290,8 @@ def fig_5_4():
 
     return {
         **differing(made, amplitudes(1.2927, 1.065), 1.065),
-        "w1 of the measured spring, (lam1 rho_11)^(1/2)": w[0],
-        "w2 of the measured spring, (lam2 rho_21)^(1/2)": w[1],
+        "w1 of the spring of Fig. 4.6, (lam1 rho_11)^(1/2)": w[0],
+        "w2 of the spring of Fig. 4.6, (lam2 rho_11)^(1/2)": w[1],
     }
 
 

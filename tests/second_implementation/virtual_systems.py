@@ -199,7 +199,8 @@ def demanded(motion, accelerations):
     f = [W[i] ** 2 * (x[i] - x[2]) + 2 * Z[i] * W[i] * (v[i] - v[2]) for i in (0, 1)]
     u1, u2 = ((accelerations[i] + f[i]) / C[i] for i in (0, 1))
     left = accelerations[2] - MU[0] * f[0] - MU[1] * f[1] + W[2] ** 2 * x[2] + 2 * Z[2] * W[2] * v[2]
-    u3 = left / C[2] + u1 + u2  # (4.3)
+    # Newton's third law: what actuator i adds to oscillator i it takes from the beam, by the ratio of their masses.
+    u3 = (left + MU[0] * C[0] * u1 + MU[1] * C[1] * u2) / C[2]
     return max(np.abs(u).max() for u in (u1, u2, u3)) / VOLTS
 
 
