@@ -288,8 +288,8 @@ def test_dry_friction_loses_energy_and_no_more_is_said(declared):
     found = certificate(
         declared(
             coordinates={"x": {"initial": 0.1}},
-            parameters={"F": {"value": 0.5}, "k": {"value": 100}},
-            equations={"x''": "-x - F*tanh(k*x')"},
+            parameters={"F": {"value": 0.5}},
+            equations={"x''": "-x - F*sign(x')"},
             energy="(x'**2 + x**2)/2",
         )
     )
@@ -297,16 +297,16 @@ def test_dry_friction_loses_energy_and_no_more_is_said(declared):
     assert found.conclusion == "the energy never grows; every motion is bounded"
 
 
-def test_three_oscillators_that_are_not_linear_are_left_open(declared):
+def test_three_oscillators_with_springs_of_fifth_order_are_left_open(declared):
     oscillators = ("x1", "x2", "x3")
     model = declared(
         coordinates={**{x: {"initial": 0.1} for x in oscillators}, "y": {"initial": 0}},
         parameters={"m": {"value": 0.1}},
         equations={
-            **{f"{x}''": f"-({x} - y) - ({x} - y)**3" for x in oscillators},
-            "y''": "m*(" + " + ".join(f"({x} - y) + ({x} - y)**3" for x in oscillators) + ") - y - y'",
+            **{f"{x}''": f"-({x} - y) - ({x} - y)**5" for x in oscillators},
+            "y''": "m*(" + " + ".join(f"({x} - y) + ({x} - y)**5" for x in oscillators) + ") - y - y'",
         },
-        energy=" + ".join(f"m*({x}'**2/2 + ({x} - y)**2/2 + ({x} - y)**4/4)" for x in oscillators)
+        energy=" + ".join(f"m*({x}'**2/2 + ({x} - y)**2/2 + ({x} - y)**6/6)" for x in oscillators)
         + " + (y'**2 + y**2)/2",
     )
     found = certificate(model)
@@ -426,7 +426,6 @@ def test_growth_by_forces_that_are_not_smooth_is_refuted_with_a_state(declared, 
 @pytest.mark.parametrize(
     ("force", "potential"),
     [
-        ("-max(x - 1, 0) - 0.1*x'", "max(x - 1, 0)**2/2"),
         ("-x - 0.1*heaviside(x)*x'", "x**2/2"),
     ],
 )

@@ -135,3 +135,17 @@ def test_the_kinetic_energy_of_three_arms_is_positive_by_intervals(declared):
     assert found.conclusion == "every motion converges to one of 8 equilibria"
     assert "and, as to the kinetic energy, m = 1" in found.hypotheses
     assert [p for p, is_unstable in places(found).items() if not is_unstable] == [("0", "0", "0")]
+
+
+def test_gyroscopic_forces_may_hold_a_saddle_that_damping_by_the_cube_does_not_move(declared):
+    """Linearised, x'' = x + 4 y' and y'' = y - 4 x' have imaginary eigenvalues: it is not proved to be unstable."""
+    found = certificate(
+        declared(
+            coordinates={"x": {"initial": 0.1}, "y": {"initial": 0.1}},
+            equations={"x''": "x + 4*y' - x'**3", "y''": "y - 4*x' - y'**3"},
+            energy="(x'**2 + y'**2 - x**2 - y**2)/2",
+        )
+    )
+    matrix = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [1, 0, 0, 4], [0, 1, -4, 0]])
+    assert np.abs(np.linalg.eigvals(matrix).real).max() < 1e-12
+    assert not any(p.is_unstable for p in found.others or ())

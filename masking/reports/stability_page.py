@@ -30,6 +30,7 @@ def save(found: Stability, folder: str | Path) -> None:
         tiles=list(_tiles(found)),
         certificate=certificate,
         steps=[*steps, *(f"Equilibrium {point}." for point in certificate.others or ())],
+        basins=[f"{str(basin)[0].upper()}{str(basin)[1:]}." for basin in certificate.basins],
         equilibria=str(found.rest) if found.rest else found.reason,
         modes=list(_modes(found)),
     )

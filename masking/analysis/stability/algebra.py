@@ -31,11 +31,18 @@ def is_zero(expression: sp.Expr) -> bool:
     return bool(normal(expression) == 0)
 
 
-def coefficients(expression: sp.Expr, variables: Sequence[sp.Symbol]) -> dict[sp.Expr, sp.Expr]:
+def coefficients(
+    expression: sp.Expr, variables: Sequence[sp.Symbol], given: Hypotheses | None = None
+) -> dict[sp.Expr, sp.Expr]:
     """Return the coefficients of the linearly independent functions of variables that an expression is a sum of.
 
     The functions are products of powers of variables, of sines and of cosines of them. The sum vanishes for all
     values of the variables where every coefficient does.
+
+    Args:
+        expression: the sum.
+        variables: that take all values.
+        given: of the parameters; with these, sines of multiples s x and r x are distinguished where s^2 != r^2.
 
     Raises:
         ModelError: the expression is no such sum.
@@ -48,7 +55,8 @@ def coefficients(expression: sp.Expr, variables: Sequence[sp.Symbol]) -> dict[sp
         raise ModelError(f"{expression} is no polynomial in {', '.join(map(str, variables))}, sines and cosines")
     for generator in own:
         angles = back[generator].args[0] if generator in back else generator
-        if generator in back and not (angles in moving or -angles in moving):
+        is_plain = generator not in back or angles in moving or -angles in moving
+        if not is_plain and (given is None or not _are_distinct(own, back, numerator, moving, given)):
             raise ModelError(f"{back[generator]} is no function of one variable")
     if not numerator.is_polynomial(*own):
         raise ModelError(f"{expression} is no polynomial in {', '.join(map(str, variables))}, sines and cosines")
@@ -58,6 +66,26 @@ def coefficients(expression: sp.Expr, variables: Sequence[sp.Symbol]) -> dict[sp
         function = sp.Mul(*(g**n for g, n in zip(own, powers, strict=True))).xreplace(back)
         found[function] = sp.cancel(coefficient / denominator).xreplace(back)
     return {function: c for function, c in found.items() if c != 0}
+
+
+def _are_distinct(
+    own: Sequence[sp.Symbol],
+    back: dict[sp.Symbol, sp.Expr],
+    numerator: sp.Expr,
+    moving: set[sp.Symbol],
+    given: Hypotheses,
+) -> bool:
+    """Tell whether sines and cosines of multiples of one variable are independent: no products, no equal multiples."""
+    waves = [g for g in own if g in back]
+    angles = list(dict.fromkeys(back[g].args[0] for g in waves))
+    (variable, *others) = sorted({x for angle in angles for x in angle.free_symbols & moving}, key=str)
+    rates = [sp.diff(angle, variable) for angle in angles]
+    if others or any(normal(angle - rate * variable) != 0 for angle, rate in zip(angles, rates, strict=True)):
+        return False
+    if not numerator.is_polynomial(*waves) or sp.Poly(numerator, *waves).total_degree() > 1:
+        return False
+    pairs = [(a, b) for i, a in enumerate(rates) for b in rates[:i]]
+    return all(given.is_nonzero(normal(a**2 - b**2)) for a, b in pairs) and all(given.is_nonzero(a) for a in rates)
 
 
 def _algebraic(expression: sp.Expr) -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr]]:
@@ -145,6 +173,16 @@ def solve_constants(
     found = _solved(equations, unknowns, given)
     if found is None:
         return ()
+    for product in found.left:
+        if product.is_Mul and len(product.args) > 1:
+            rest = [e for e in found.left if e != product]
+            return tuple(
+                Solution(
+                    {k: normal(x.subs(option.values)) for k, x in found.values.items()} | option.values, option.left
+                )
+                for factor in product.args
+                for option in solve_constants([factor, *rest], unknowns, given, angles)
+            )
     for unknown in angles:
         for function, values in ((sp.sin, (sp.Integer(0), sp.pi)), (sp.cos, (sp.pi / 2, -sp.pi / 2))):
             if function(unknown) in found.left:
@@ -165,9 +203,7 @@ def _solved(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol], given: 
     pending, values = [normal(e) for e in equations], dict[sp.Symbol, sp.Expr]()
     trigonometric: dict[sp.Expr, sp.Expr] = {}
     for _ in range(_MOST_ROUNDS):
-        pending = list(
-            dict.fromkeys(x for e in pending if (x := radical(normal(e.xreplace(trigonometric)), given)) != 0)
-        )
+        pending = list(dict.fromkeys(x for e in pending if (x := radical(normal(_put(e, trigonometric)), given)) != 0))
         fixed = [e for e in pending if not e.free_symbols & {*unknowns}]
         if any(given.is_nonzero(e) for e in fixed):
             return None
@@ -188,9 +224,20 @@ def _solved(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol], given: 
             return Solution(values, tuple(pending))
         trigonometric[known] = sp.Integer(0)
         rest = [e for e in pending if e != known]
-        if [radical(normal(e.xreplace(trigonometric)), given) for e in rest] == rest:
+        if [radical(normal(_put(e, trigonometric)), given) for e in rest] == rest:
             return Solution(values, tuple(pending))
     return Solution(values, tuple(pending))
+
+
+def _put(expression: sp.Expr, zeros: dict[sp.Expr, sp.Expr]) -> sp.Expr:
+    """Put in sines and cosines that are 0; where a sine is, the square of the cosine is 1."""
+    found = expression.xreplace(zeros)
+    for wave in zeros:
+        cosine, c = sp.cos(wave.args[0]), sp.Dummy("c", real=True)
+        plain = found.xreplace({cosine: c})
+        if wave.func == sp.sin and plain.has(c) and plain.is_polynomial(c):
+            found = sp.rem(plain, c**2 - 1, c).xreplace({c: cosine})
+    return found
 
 
 def radical(expression: sp.Expr, given: Hypotheses) -> sp.Expr:

@@ -8,13 +8,13 @@ Source: LaSalle (1960), Some extensions of Liapunov's second method; Rockafellar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import sympy as sp
 from sympy.simplify.fu import TR8
 
-from masking.analysis.stability.algebra import normal, without_void
+from masking.analysis.stability.algebra import is_zero, normal, without_void
 from masking.analysis.stability.bounds import is_positive
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.motion import Motion
@@ -28,37 +28,77 @@ class Boundedness:
     Args:
         is_shown: whether that is proved.
         text: why, or what is missing.
+        is_lone: whether the potential is seen to grow along every ray from 0, so that 0 is the only equilibrium.
+        is_adrift: whether they are so, but only modulo displacements that change neither equations nor energy.
     """
 
     is_shown: bool
     text: str
+    is_lone: bool = False
+    is_adrift: bool = False
 
 
 def boundedness(motion: Motion) -> Boundedness:
     """Find out whether the energy of a model keeps its motion bounded."""
-    energy = motion.energy
-    if energy is None:
-        return Boundedness(False, "no energy is declared")
-    potential = energy.subs(dict.fromkeys(motion.v, 0))
-    kinetic = sp.hessian(energy, motion.v) if motion.v else sp.zeros(0, 0)
-    rest = energy - potential - (sp.Matrix([motion.v]) * kinetic * sp.Matrix(motion.v))[0] / 2
-    if kinetic.free_symbols & {*motion.v} or normal(rest) != 0:
-        return Boundedness(False, "the energy is no sum of a quadratic form of the velocities and a potential")
-    if not _is_kinetic(kinetic, motion):
-        return Boundedness(False, "the kinetic energy could not be shown to be positive definite")
     try:
-        missing = _unbounded(potential, motion)
+        kinetic, potential = parts_of_energy(motion)
+        if not is_kinetic(kinetic, motion):
+            return Boundedness(False, "the kinetic energy could not be shown to be positive definite")
+        missing, level = _unbounded(potential, motion)
+        steps = [_step(direction, motion) for direction in level]
     except ModelError as error:
         return Boundedness(False, str(error))
     if missing:
         return Boundedness(False, missing)
     angles = ", ".join(map(str, motion.circles))
     turn = f" (the angles {angles} modulo one turn)" if angles else ""
-    text = "the kinetic energy is positive definite and the potential grows in every direction: {V <= c} is compact"
-    return Boundedness(True, text + turn)
+    why = "the kinetic energy is positive definite and the potential grows in every"
+    if not level:
+        is_lone = not motion.circles and _is_lone(potential, motion)
+        return Boundedness(True, f"{why} direction: {{V <= c}} is compact{turn}", is_lone)
+    if None in steps:
+        return Boundedness(False, "there is a direction in which the potential does not grow")
+    text = f"{why} other direction: {{V <= c}} is compact modulo displacements {', '.join(map(str, steps))}{turn}"
+    return Boundedness(False, f"{text}, which change nothing; motion may go on for ever along them", is_adrift=True)
 
 
-def _is_kinetic(matrix: sp.Matrix, motion: Motion) -> bool:
+def _step(direction: Sequence[sp.Expr], motion: Motion) -> str | None:
+    """Return a displacement along a direction that changes neither equations nor energy, in words; None for none.
+
+    It may be of any length, or by the longest period of the sines and cosines.
+    """
+    pairs = list(zip([q for q in motion.q if q not in motion.circles], direction, strict=True))
+    every = (*motion.mass, *motion.force, motion.energy or sp.Integer(0))
+    waves = {f.args[0] for e in every for f in e.atoms(sp.sin, sp.cos)}
+    rates = {abs(sum(sp.diff(wave, q) * d for q, d in pairs)) for wave in waves} - {0}
+    any_length = sp.Dummy("s", real=True)
+    lengths = [any_length, *(2 * sp.pi / rate for rate in sorted(rates, key=sp.default_sort_key))]
+    for length in lengths:
+        moved = {q: q + length * d for q, d in pairs}
+        if all(is_zero(sp.expand(e.subs(moved, simultaneous=True)) - e) for e in every):
+            far = "" if length == any_length else f" times {length}"
+            along = ", ".join(str(dict(pairs).get(q, 0)) for q in motion.q)
+            return f"along ({along}){far} of ({', '.join(map(str, motion.q))})"
+    return None
+
+
+def parts_of_energy(motion: Motion) -> tuple[sp.Matrix, sp.Expr]:
+    """Return H and U of the energy v^T H v/2 + U.
+
+    Raises:
+        ModelError: there is no energy, or one of another kind.
+    """
+    if motion.energy is None:
+        raise ModelError("no energy is declared")
+    potential = motion.energy.subs(dict.fromkeys(motion.v, 0))
+    kinetic = sp.hessian(motion.energy, motion.v) if motion.v else sp.zeros(0, 0)
+    rest = motion.energy - potential - (sp.Matrix([motion.v]) * kinetic * sp.Matrix(motion.v))[0] / 2
+    if kinetic.free_symbols & {*motion.v} or normal(rest) != 0:
+        raise ModelError("the energy is no sum of a quadratic form of the velocities and a potential")
+    return kinetic, potential
+
+
+def is_kinetic(matrix: sp.Matrix, motion: Motion) -> bool:
     """Tell whether a matrix of angles is positive definite for all of them: by its leading minors (Sylvester).
 
     Their signs are found as they stand, in normal form, or at the declared values by intervals over one turn.
@@ -91,7 +131,12 @@ class Square:
     form: sp.Expr
 
 
-def squares(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], given: Hypotheses) -> tuple[Square, ...] | None:
+def squares(
+    matrix: sp.Matrix,
+    symbols: Sequence[sp.Symbol],
+    given: Hypotheses,
+    is_positive: Callable[[sp.Expr], bool] | None = None,
+) -> tuple[Square, ...] | None:
     """Return x^T matrix x as a sum of squares with positive coefficients; None where it is not seen to be one.
 
     By completing squares, one symbol after the other: matrix = L D L^T, with D > 0 or left out where it is 0.
@@ -100,14 +145,16 @@ def squares(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], given: Hypotheses) 
         matrix: symmetric (n, n).
         symbols: x (n,).
         given: hypotheses, which get those that the signs of D need.
+        is_positive: whether an entry of D counts as positive; by default, where it is so for all coordinates.
     """
+    is_positive = is_positive or (lambda pivot: given.declared_sign(pivot) == 1)
     rest, found = matrix.applyfunc(lambda x: without_void(normal(x), given)), []
     for i in range(rest.rows):
         row = rest[i, :]
         if all(x == 0 for x in row):
             continue
         pivot = rest[i, i]
-        if pivot == 0 or given.declared_sign(pivot) != 1:
+        if pivot == 0 or not is_positive(pivot):
             return None
         form = sum((normal(row[j] / pivot) * symbols[j] for j in range(rest.cols)), sp.Integer(0))
         found.append(Square(pivot, form))
@@ -115,42 +162,87 @@ def squares(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], given: Hypotheses) 
     return tuple(found)
 
 
-def _unbounded(potential: sp.Expr, motion: Motion) -> str:
-    """Return why a potential may not grow in every direction that is no angle; '' where it does."""
+def _unbounded(potential: sp.Expr, motion: Motion) -> tuple[str, list[list[sp.Expr]]]:
+    """Return why a potential may not grow in directions that are no angles, '' where it does; and level directions."""
     lines = [q for q in motion.q if q not in motion.circles]
     given, forms, remainder = motion.given, [], sp.Integer(0)
     for term in sp.Add.make_args(sp.expand_mul(potential)):
         if _is_bounded(term, motion.q):
             continue
         if not term.free_symbols & {*lines}:
-            return f"the term {term} of the energy is not bounded"
+            return f"the term {term} of the energy is not bounded", []
         form = _even_power(term, lines, given)
         if form is not None:
             forms.append((form, _power_of(term, lines)))
-        else:
+        elif not (term.has(sp.Max, sp.Min) and given.declared_sign(term, strictly=False) == 1):  # else it is >= 0
             remainder += term
     remainder = sp.expand(remainder)
     is_polynomial = remainder.is_polynomial(*lines) and not remainder.free_symbols & {*motion.circles}
     if not is_polynomial or (remainder != 0 and sp.Poly(remainder, *lines).total_degree() > 2):
-        return f"the part {remainder} of the potential is not seen to grow"
+        return f"the part {remainder} of the potential is not seen to grow", []
     steep = [form for form, power in forms if power > 2]
     if _rank_is_full(steep, lines, given):  # of fourth order or more in every direction: they outgrow all squares
-        return ""
+        return "", []
     quadratic = sp.hessian(remainder, lines) if lines else sp.zeros(0, 0)
     found = squares(quadratic, lines, given) if lines else ()
     if found is None:
-        return f"the quadratic part of the potential, {remainder}, is not seen to be positive"
-    if not _rank_is_full([form for form, _ in forms] + [square.form for square in found], lines, given):
-        return "there is a direction in which the potential does not grow"
-    return ""
+        return f"the quadratic part of the potential, {remainder}, is not seen to be positive", []
+    every = [form for form, _ in forms] + [square.form for square in found]
+    if _rank_is_full(every, lines, given):
+        return "", []
+    return "", [list(x) for x in _directions(every, lines).nullspace(simplify=normal)]
+
+
+def _is_lone(potential: sp.Expr, motion: Motion) -> bool:
+    """Tell whether a potential that grows in every direction is a sum of homogeneous terms that are nowhere negative.
+
+    Then q . dU/dq is the sum of these terms times their degrees, which vanishes at 0 alone. Terms of stops are convex
+    and 0 at 0, so that they add nothing negative.
+    """
+    remainder = sp.Integer(0)
+    for term in sp.Add.make_args(sp.expand_mul(potential - potential.subs(dict.fromkeys(motion.q, 0)))):
+        form = _even_power(term, motion.q, motion.given)
+        if _is_stop(term, motion):
+            continue
+        if form is None:
+            remainder += term
+        elif form.subs(dict.fromkeys(motion.q, 0)) != 0:
+            return False
+    remainder = sp.expand(remainder)
+    if remainder == 0:
+        return True
+    if not remainder.is_polynomial(*motion.q) or {sum(n) for n in sp.Poly(remainder, *motion.q).monoms()} != {2}:
+        return False
+    return squares(sp.hessian(remainder, motion.q), motion.q, motion.given) is not None
+
+
+def _is_stop(term: sp.Expr, motion: Motion) -> bool:
+    """Tell whether a term is a positive number times a power of max(0, u) with u linear, which is 0 at q = 0."""
+    coefficient, dependent = term.as_independent(*motion.q, as_Add=False)
+    base, power = dependent.as_base_exp()
+    if base.func != sp.Max or len(base.args) != 2 or 0 not in base.args or not (power.is_Integer and power > 0):
+        return False
+    (form,) = (x for x in base.args if x != 0)
+    is_linear = form.is_polynomial(*motion.q) and sp.Poly(form, *motion.q).total_degree() == 1
+    at_rest = form.subs(dict.fromkeys(motion.q, 0))
+    return bool(
+        is_linear
+        and motion.given.declared_sign(coefficient) == 1
+        and (at_rest == 0 or motion.given.declared_sign(at_rest) == -1)
+    )
 
 
 def _rank_is_full(forms: Sequence[sp.Expr], lines: Sequence[sp.Symbol], given: Hypotheses) -> bool:
     """Tell whether linear forms vanish together at one point alone."""
     if len(forms) < len(lines):
         return False
-    directions = sp.Matrix([[sp.diff(form, q) for q in lines] for form in forms]) if forms else sp.zeros(0, len(lines))
+    directions = _directions(forms, lines)
     return not lines or given.declared_sign(normal((directions.T * directions).det())) == 1
+
+
+def _directions(forms: Sequence[sp.Expr], lines: Sequence[sp.Symbol]) -> sp.Matrix:
+    """Return the coefficients of linear forms (m, n)."""
+    return sp.Matrix(len(forms), len(lines), [sp.diff(form, q) for form in forms for q in lines])
 
 
 def _is_bounded(term: sp.Expr, coordinates: Sequence[sp.Symbol]) -> bool:
@@ -164,17 +256,26 @@ def _is_bounded(term: sp.Expr, coordinates: Sequence[sp.Symbol]) -> bool:
     return True
 
 
+def _power(dependent: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+    """Return x and n for x^n with even n, and for |x|^n, |x| x^2 and the like; n = 0 for what is of another kind."""
+    parts = [factor.as_base_exp() for factor in sp.Mul.make_args(dependent)]
+    bases = {base.args[0] if base.func == sp.Abs else base for base, _ in parts}
+    plain = sum((n for base, n in parts if base.func != sp.Abs), sp.Integer(0))
+    if len(bases) != 1 or not plain.is_even:
+        return dependent, sp.Integer(0)
+    return bases.pop(), sum((n for _, n in parts), sp.Integer(0))
+
+
 def _power_of(term: sp.Expr, lines: Sequence[sp.Symbol]) -> int:
     """Return the power of the part of a term that holds coordinates."""
-    _, dependent = term.as_independent(*lines, as_Add=False)
-    return int(dependent.as_base_exp()[1])
+    return int(_power(term.as_independent(*lines, as_Add=False)[1])[1])
 
 
 def _even_power(term: sp.Expr, lines: Sequence[sp.Symbol], given: Hypotheses) -> sp.Expr | None:
     """Return the linear form of a term that is a positive number times an even power of it; None where it is not."""
     coefficient, dependent = term.as_independent(*lines, as_Add=False)
-    base, power = dependent.as_base_exp()
-    if not (power.is_Integer and power > 0 and power % 2 == 0) or coefficient.free_symbols & {*lines}:
+    base, power = _power(dependent)
+    if not (power.is_Integer and power > 0) or coefficient.free_symbols & {*lines}:
         return None
     if not base.is_polynomial(*lines) or sp.Poly(base, *lines).total_degree() != 1:
         return None

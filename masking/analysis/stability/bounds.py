@@ -18,10 +18,11 @@ from masking.analysis.stability.motion import Motion
 from masking.codegen.graph import Graph, Node
 from masking.codegen.tangent import derivatives
 from masking.errors import ModelError
+from masking.numerics.arrays import Array
 
 _MOST_BOXES = 100_000
 _ROUNDS = 60
-_CLOSE = 1e-3  # of the range of the expression over the box: nearer to the least value is not looked for
+_CLOSE = 1e-4  # of its distance from a given number: nearer to the least value is not looked for
 _TURN = (-np.pi * (1.0 + 1e-9), np.pi * (1.0 + 1e-9))
 
 
@@ -38,8 +39,8 @@ class Bound:
 
     def __init__(self, motion: Motion, expression: sp.Expr) -> None:
         self.graph = Graph()
-        symbols, values = motion.on(self.graph, motion.q)
-        self.values = {node: Interval.of(x) for node, x in values.items()}
+        symbols, _ = motion.on(self.graph, motion.q)
+        self.values = motion.enclosed(symbols)
         self.at = [symbols[q] for q in motion.q]
         self.node = self.graph.lower(expression, symbols)
         self.slopes = derivatives(self.graph, [self.node], self.at)[0]
@@ -58,28 +59,28 @@ class Bound:
         found = enclose(self.graph, nodes, given)
         return [Interval(np.broadcast_to(x.low, m), np.broadcast_to(x.high, m)) for x in found]
 
-    def least(self, boxes: Interval, *, above: float = -np.inf) -> float:
+    def least(self, boxes: Interval, *, above: float = np.inf, base: float = 0.0) -> float:
         """Return a number that the expression is nowhere below on boxes (m, n), as large as is soon found.
 
         Args:
             boxes: where.
             above: a bound that is larger than this is not improved.
+            base: the least value is found to a part of its distance from this number.
         """
         sides, most, settled = np.max(boxes.width, axis=0, initial=0.0), np.inf, np.inf
         sides[sides == 0.0] = np.inf
         for _ in range(_ROUNDS):
-            if not len(boxes.low):
-                return settled
             value = self.over(boxes)
             (middle,) = self._enclosed([self.node], Interval.of(boxes.middle), len(boxes.low))
             most = min(float(np.min(middle.high)), most)
-            close = (value.low > above) | (value.low >= most - _CLOSE * float(np.max(value.high) - most))
-            settled = min(settled, float(np.min(value.low[close], initial=np.inf)))
-            boxes, value = boxes[~close], value[~close]
-            if 2 * len(boxes.low) > _MOST_BOXES:
+            is_done = value.low > above
+            settled = min(settled, float(np.min(value.low[is_done], initial=np.inf)))
+            kept = ~is_done & (value.low <= most)
+            boxes, low = boxes[kept], value.low[kept]
+            if not len(low) or most - np.min(low) <= _CLOSE * abs(most - base) or 2 * len(low) > _MOST_BOXES:
                 break
             boxes = halves(boxes, np.argmax(boxes.width / sides, axis=1))
-        return min(settled, float(np.min(self.over(boxes).low, initial=np.inf)))
+        return min(settled, float(np.min(low, initial=np.inf)))
 
 
 def is_positive(motion: Motion, expression: sp.Expr) -> bool:
@@ -92,3 +93,11 @@ def is_positive(motion: Motion, expression: sp.Expr) -> bool:
         return Bound(motion, expression).least(Interval(low, high), above=0.0) > 0.0
     except ModelError:
         return False
+
+
+def faces(low: Array, high: Array) -> Interval:
+    """Return the faces of a box (n,) as boxes (2 n, n)."""
+    n = len(low)
+    lows, highs, rows = np.tile(low, (2 * n, 1)), np.tile(high, (2 * n, 1)), np.arange(n)
+    highs[rows, rows], lows[n + rows, rows] = low, high
+    return Interval(lows, highs)

@@ -20,10 +20,12 @@ from masking.analysis.stability.equilibria import UNDECIDED, Box, equilibria, st
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.lasalle import Family, InvariantSet, invariant_set
 from masking.analysis.stability.motion import Motion
+from masking.analysis.stability.sublevel import Basin, basins
 from masking.errors import ModelError
 from masking.modelling.model import Model
 
 _MOST_POINTS = 64
+_MOST_SETS = 6  # of motions that a sentence lists
 _THIN = (
     "unstable, with an eigenvalue of positive real part (proved), so that motions that converge to them start from a "
     "set of measure zero"
@@ -69,6 +71,7 @@ class Certificate:
         invariant: the largest invariant set in V' = 0; None where it was not looked for.
         others: equilibria outside of the families of that set; None where they could not be found.
         reasons: what is missing for more, or must be known to read the conclusion.
+        basins: inner estimates of basins of attraction, where not every motion converges to one equilibrium.
     """
 
     name: str
@@ -81,6 +84,7 @@ class Certificate:
     invariant: InvariantSet | None = None
     others: tuple[RestPoint, ...] | None = None
     reasons: tuple[str, ...] = ()
+    basins: tuple[Basin, ...] = ()
 
     def __str__(self) -> str:
         lines = [f"{self.status}: {self.conclusion}"]
@@ -93,6 +97,7 @@ class Certificate:
         lines += [f"  {step}" for step in (self.invariant.steps if self.invariant else ())]
         lines += [f"  equilibrium {point}" for point in (self.others or ())[:_MOST_POINTS]]
         lines += [f"  {reason}" for reason in self.reasons]
+        lines += [f"  basin of attraction: {basin}" for basin in self.basins]
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
@@ -108,6 +113,7 @@ class Certificate:
             and {
                 **vars(d),
                 "rate": str(d.rate),
+                "forms": [str(form) for form in d.forms],
                 "squares": [{"coefficient": str(s.coefficient), "form": str(s.form)} for s in d.squares],
             },
             "boundedness": self.boundedness and asdict(self.boundedness),
@@ -120,6 +126,7 @@ class Certificate:
             },
             "other_equilibria": None if self.others is None else [asdict(point) for point in self.others],
             "reasons": list(self.reasons),
+            "basins": [asdict(basin) for basin in self.basins],
         }
 
 
@@ -141,21 +148,27 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
         text = (
             f"the energy can grow: V' >= {lost.growth:.3g} > 0 at {where}, at the declared values; it certifies nothing"
         )
-        return Certificate(model.name, "refuted", text, motion.energy, _values(given), lost)
+        return Certificate(model.name, "refuted", text, motion.energy, _values(given), lost, basins=basins(model, None))
     if lost.status != "proved":
         text = "whether the energy can grow is not shown"
-        return Certificate(model.name, lost.status, text, motion.energy, given.texts, lost)
-    return _withdrawn(_concluded(motion, lost, boundedness(motion)), motion)
+        return Certificate(model.name, lost.status, text, motion.energy, given.texts, lost, basins=basins(model, None))
+    proof = _withdrawn(_concluded(motion, lost, boundedness(motion)), motion)
+    if lost.box is not None:
+        return replace(proof, basins=basins(model, None))
+    only_rest = proof.invariant is not None and proof.invariant.equilibria and not proof.invariant.families
+    if not (proof.status == "proved" and only_rest and (proof.others is None or len(proof.others) > 1)):
+        return proof
+    return replace(proof, basins=basins(model, proof.boundedness))
 
 
 def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certificate:
     """Conclude where the energy does not grow."""
     found, others, reasons, status = None, None, tuple[str, ...](), lost.status
-    if lost.box is not None or not lost.squares:
+    if lost.box is not None or not lost.forms:
         text, further = _without_set(lost, bounded)
     else:
         found = invariant_set(motion, lost.forms)
-        others, reasons = _others(motion, found)
+        others, reasons = _others(motion, found, is_lone=bounded.is_lone)
         text, further = _conclusion(bounded, found, others)
         status = "proved" if found.is_found else "open"  # LaSalle's theorem by itself is no result
     reasons, hypotheses = (*reasons, *further), motion.given.texts
@@ -217,13 +230,14 @@ def _conclusion(  # noqa: PLR0911  # one way each
     bounded: Boundedness, found: InvariantSet, others: tuple[RestPoint, ...] | None
 ) -> tuple[str, tuple[str, ...]]:
     """Return what every motion does, and the open points."""
-    who = "every motion" if bounded.is_shown else "every motion that is bounded"
+    is_every = bounded.is_shown or (bounded.is_adrift and not found.is_of_bounded)
+    who = "every motion" if is_every else "every motion that is bounded"
     if not found.is_found:
         return (
             f"{who} converges to the largest invariant set on which V' = 0",
             ("What that set is, is open: it could not be eliminated.",),
         )
-    sets = " or to ".join(f"the set {family}" for family in found.families)
+    sets = _union(found.families)
     if not sets and others == ():
         return "no motion is bounded: there is no equilibrium to converge to", (
             "A motion that is bounded would converge to the largest invariant set on which V' = 0, which is empty.",
@@ -247,12 +261,23 @@ def _conclusion(  # noqa: PLR0911  # one way each
     return text, ("Some of these are not proved to be unstable: motion may end there instead of in the set.",)
 
 
-def _others(motion: Motion, found: InvariantSet) -> tuple[tuple[RestPoint, ...] | None, tuple[str, ...]]:
+def _union(families: tuple[Family, ...]) -> str:
+    """Name the sets that a motion converges to, taken together: where they meet, it may come near to several."""
+    if len(families) > _MOST_SETS:
+        return f"the union of {len(families)} sets that differ in what moves together, such as {families[0]}"
+    if len(families) > 1:
+        return f"the union of the sets {'; '.join(map(str, families))}"
+    return "".join(f"the set {family}" for family in families)
+
+
+def _others(
+    motion: Motion, found: InvariantSet, *, is_lone: bool
+) -> tuple[tuple[RestPoint, ...] | None, tuple[str, ...]]:
     """Return the equilibria outside of the families, and how they were found; None where that is open."""
     if not found.is_found or not found.equilibria:
         return (None if not found.is_found else ()), ()
     try:
-        exact = rest_points(motion, found.known)
+        exact = (dict.fromkeys(motion.q, sp.Integer(0)),) if is_lone else rest_points(motion, found.known)
     except NotIsolatedError as error:
         return None, (f"{error}.",)
     if exact is not None:

@@ -13,11 +13,12 @@ from typing import Literal
 import numpy as np
 import sympy as sp
 
-from masking.analysis.stability.algebra import normal
+from masking.analysis.stability.algebra import normal, without_void
 from masking.analysis.stability.boundedness import Square, squares
 from masking.analysis.stability.confirmation import enclosed_again
 from masking.analysis.stability.equilibria import Box, check_box, halves
 from masking.analysis.stability.growth import SAMPLES, Growth
+from masking.analysis.stability.hypotheses import factors
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.jumps import jumps_of
 from masking.analysis.stability.modes import state_matrix
@@ -30,6 +31,8 @@ Status = Literal["proved", "refuted", "supported numerically", "open"]
 
 _MOST_BOXES = 50_000
 _ROUNDS = 40
+_ODD = (sp.tanh, sp.atan, sp.sinh, sp.asinh)  # smooth, with the sign of their argument
+_KINKS = (sp.sign, sp.Heaviside, sp.Abs, sp.Min, sp.Max, sp.Piecewise, sp.floor, sp.ceiling)
 _MOST_CONFIRMED = 500  # boxes, spread evenly
 _ZERO = 1e-300  # where rounding outward has moved 0
 _FURTHER = (1.0, 10.0, 100.0)  # times a side that is not given: how far a state at which V' > 0 is looked for
@@ -45,6 +48,7 @@ class Dissipation:
             numerically': V' <= 0 at all sampled states; 'open' where it could not be looked at, or the energy jumps.
         method: how that was found.
         squares: of which -V' is the sum, where it is seen to be one.
+        forms: of the velocities, that are 0 along every motion on which V' is, as far as that is seen.
         box: where it holds; None for everywhere.
         counterexample: a state at which V' > 0, at the declared values, in the units of the model, and `growth`, the
             least V' there.
@@ -54,14 +58,10 @@ class Dissipation:
     status: Status
     method: str
     squares: tuple[Square, ...] = ()
+    forms: tuple[sp.Expr, ...] = ()
     box: dict[str, tuple[float, float]] | None = None
     counterexample: dict[str, float] | None = None
     growth: float = 0.0
-
-    @property
-    def forms(self) -> tuple[sp.Expr, ...]:
-        """Return the forms of the velocities that are 0 where V' is, as far as squares show them."""
-        return tuple(square.form.as_base_exp()[0] for square in self.squares)
 
 
 def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa: PLR0911  # one way each
@@ -84,11 +84,11 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
         return Dissipation(rate, "open", f"the energy may jump at the edge of {at}; declare one that is continuous")
     if rate == 0:
         return Dissipation(rate, "proved", "V' vanishes identically: the energy is constant")
-    terms = _sum_of_squares(rate, motion)
-    if terms is not None:
-        return Dissipation(rate, "proved", "a sum of squares of velocities", terms)
-    if _is_sum_of_resistances(rate, motion):
-        return Dissipation(rate, "proved", "a sum of velocities times forces against them")
+    losses = _losses(rate, motion)
+    if losses is not None:
+        is_plain = bool(losses.squares)
+        method = "a sum of squares of velocities" if is_plain else "a sum of velocities times forces against them"
+        return Dissipation(rate, "proved", method, losses.squares, losses.forms)
     sides = default_box(motion, box or {})
     try:
         growth = Growth(motion, rate)
@@ -108,36 +108,80 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
     return Dissipation(rate, "supported numerically", f"V' <= 0 at {SAMPLES} sampled states", box=sides)
 
 
-def _sum_of_squares(rate: sp.Expr, motion: Motion) -> tuple[Square, ...] | None:
-    """Return the squares of which -V' is the sum: of a quadratic form, or of monomials with even powers."""
-    v = motion.v
-    expanded = sp.expand(-rate, power_exp=False)  # exp(a + b) is not split: its parts may underflow
-    if not expanded.is_polynomial(*v):
-        return None
-    polynomial = sp.Poly(expanded, *v)
-    if polynomial.is_homogeneous and polynomial.total_degree() == 2:
-        return squares(sp.hessian(expanded, v) / 2, v, motion.given)
-    found = []
-    for powers, coefficient in polynomial.terms():
-        is_even = all(n % 2 == 0 for n in powers) and any(powers)
-        if not is_even or motion.given.declared_sign(normal(coefficient)) != 1:
-            return None
-        form = sp.Mul(*(x ** (n // 2) for x, n in zip(v, powers, strict=True)))
-        found.append(Square(coefficient, form))
-    return tuple(found)
+@dataclass(frozen=True)
+class _Losses:
+    """Terms of which -V' is the sum, none of them ever negative, and forms of the velocities that are 0 where they are.
 
-
-def _is_sum_of_resistances(rate: sp.Expr, motion: Motion) -> bool:
-    """Tell whether -V' is a sum of terms such as c v tanh(k v) or c |v|, which are never negative.
-
-    A term has the sign that it has with x for odd increasing functions of x, and x^2 for |x|.
+    A term may have no form. Squares are all terms, or none where some are of another kind.
     """
-    odd = {sp.tanh, sp.atan, sp.sinh, sp.asinh, sp.sign}
-    for term in sp.Add.make_args(sp.expand(-rate, power_exp=False)):
-        plain = term.replace(lambda x: x.func in odd, lambda x: x.args[0]).replace(sp.Abs, lambda x: x**2)
-        if motion.given.declared_sign(plain, strictly=False) not in {0, 1}:
-            return False
-    return True
+
+    squares: tuple[Square, ...]
+    forms: tuple[sp.Expr, ...]
+
+
+def _losses(rate: sp.Expr, motion: Motion) -> _Losses | None:
+    """Return -V' as a sum of terms even in the velocities, and of resistances such as c v tanh(k v) and c |v| v^2."""
+    v, given = motion.v, motion.given
+    left, forms = sp.expand(-rate, power_exp=False), list[sp.Expr]()  # exp(a + b) is not split: parts may underflow
+    held = [f for f in left.atoms(*_ODD, sp.sign, sp.Abs) if f.args[0].free_symbols & {*v}]
+    for resistance in sorted(held, key=sp.default_sort_key):
+        part = sum((term for term in sp.Add.make_args(left) if term.has(resistance)), sp.Integer(0))
+        (argument,) = resistance.args
+        by = normal(part / resistance / (1 if resistance.func == sp.Abs else argument))
+        if by.has(*held) or given.declared_sign(by, strictly=False) not in {0, 1}:
+            return None
+        left -= part
+        forms += _zeros(normal(by / argument**2), argument, motion) or _zeros(by, argument, motion)
+    if not left.is_polynomial(*v):
+        return None
+    found, by_degree = list[Square](), dict[int, sp.Expr]()
+    for powers, coefficient in sp.Poly(left, *v).terms() if left != 0 else ():
+        monomial = sp.Mul(*(x**n for x, n in zip(v, powers, strict=True)))
+        term = without_void(coefficient, given) * monomial
+        by_degree[sum(powers)] = by_degree.get(sum(powers), sp.Integer(0)) + term
+    for degree, part in by_degree.items():
+        terms = _even(part, degree, motion)
+        if terms is None:
+            return None
+        found += terms
+        forms += [z for term in terms for z in _zeros(term.coefficient, term.form.as_base_exp()[0], motion)]
+    is_lipschitz = not any(f.has(sp.sign, sp.Heaviside, sp.floor, sp.ceiling) for f in motion.force)
+    return _Losses(() if held else tuple(found), tuple(dict.fromkeys(forms)) if is_lipschitz else ())
+
+
+def _even(part: sp.Expr, degree: int, motion: Motion) -> list[Square] | None:
+    """Return a sum of terms of one degree in the velocities as squares, their coefficients nowhere negative."""
+    v, given = motion.v, motion.given
+    if degree == 2 and (whole := squares(sp.hessian(part, v) / 2, v, given)) is not None:
+        return list(whole)
+    terms = sp.Poly(part, *v).terms() if part != 0 else []
+    if any(n % 2 for powers, _ in terms for n in powers):  # perhaps a power of one form
+        held = [(f, n) for f, n in sp.factor_list(part)[1] if f.free_symbols & {*v}]
+        if len(held) != 1 or held[0][1] % 2:
+            return None
+        ((form, power),) = held
+        found = [Square(normal(part / form**power), form ** (power // 2))]
+    else:
+        found = [Square(c, sp.Mul(*(x ** (n // 2) for x, n in zip(v, n_, strict=True)))) for n_, c in terms]
+    is_fine = all(given.declared_sign(normal(x.coefficient), strictly=False) in {0, 1} and x.form != 1 for x in found)
+    return found if is_fine else None
+
+
+def _zeros(coefficient: sp.Expr, form: sp.Expr, motion: Motion) -> list[sp.Expr]:
+    """Return a form of the velocities if it vanishes along every motion on which coefficient * form^2 does.
+
+    So it does where the coefficient is positive. It may vanish, too, as an analytic function of the one coordinate
+    whose velocity the form is: either that is constant, or the form vanishes.
+    """
+    form = sp.Mul(*(f for f in sp.Mul.make_args(form) if f.free_symbols & {*motion.v}))
+    held = coefficient.free_symbols & {*motion.q, *motion.v}
+    own = {q for q, x in zip(motion.q, motion.v, strict=True) if x == form}
+    if motion.given.declared_sign(coefficient) == 1:
+        return [form]
+    fixed = [f for f, _ in factors(coefficient) if not f.free_symbols & {*motion.q, *motion.v}]
+    if held <= own and not coefficient.has(*_KINKS) and all(motion.given.is_nonzero(f) for f in fixed):
+        return [form]
+    return []
 
 
 def default_box(motion: Motion, box: Box) -> dict[str, tuple[float, float]]:
@@ -165,8 +209,7 @@ def _is_negative(motion: Motion, rate: sp.Expr, sides: dict[str, tuple[float, fl
     """
     state = [x for x in (*motion.q, *motion.v) if x in rate.free_symbols]
     used = [v for v in motion.v if v in state]
-    kinks = (sp.sign, sp.Heaviside, sp.Abs, sp.Min, sp.Max, sp.Piecewise, sp.floor, sp.ceiling)
-    if any(f.free_symbols & {*used} for f in rate.atoms(*kinks)):
+    if any(f.free_symbols & {*used} for f in rate.atoms(*_KINKS)):
         return False
     still = dict.fromkeys(used, 0)
     if not used or any(normal(x.subs(still)) != 0 for x in (rate, *(sp.diff(rate, v) for v in used))):

@@ -267,6 +267,9 @@ def factors(expression: sp.Expr) -> Iterable[tuple[sp.Expr, int]]:
     plain, back = without_exponentials(expression)
     numerator, denominator = sp.fraction(sp.together(plain))
     for part, sign in ((numerator, 1), (denominator, -1)):
+        if part.is_number:
+            yield part, sign
+            continue
         constant, factors = sp.factor_list(part)
         yield constant, sign
         for factor, power in factors:
@@ -274,12 +277,12 @@ def factors(expression: sp.Expr) -> Iterable[tuple[sp.Expr, int]]:
 
 
 def without_exponentials(expression: sp.Expr) -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr]]:
-    """Return an expression with a symbol for each exponential and power that is no fixed one, and what they stand for.
+    """Return an expression with a symbol for each exponential and root, and what they stand for.
 
     Else exp(10**8 x) is a power of exp(x) to sympy, and a polynomial with as many coefficients.
     """
     there = {}
     for power in sorted(expression.atoms(sp.Pow, sp.exp), key=sp.default_sort_key):
-        if power.func == sp.exp or power.exp.free_symbols:
+        if power.func == sp.exp or not power.exp.is_Integer:
             there[power] = sp.Dummy("e", positive=power.is_positive, real=True)
     return expression.xreplace(there), {symbol: power for power, symbol in there.items()}

@@ -21,9 +21,11 @@ from functools import cached_property
 import sympy as sp
 from sympy.simplify.fu import TR9
 
-from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants, without_void
+from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.motion import Motion
+from masking.analysis.stability.observability import unobserved
+from masking.analysis.stability.poles import Cancellation, oscillators
 from masking.errors import ModelError
 
 _MOST_RULES = 3  # applications of the first rule, one after the other
@@ -48,6 +50,7 @@ class InvariantSet:
         families: sets of motions in it.
         equilibria: whether all else in it are equilibria; False where there is nothing else.
         known: values of coordinates at those equilibria, as far as elimination determines them.
+        is_of_bounded: whether that is so of bounded motions alone.
         steps: the argument, sentence by sentence.
     """
 
@@ -55,6 +58,7 @@ class InvariantSet:
     families: tuple[Family, ...] = ()
     equilibria: bool = False
     known: dict[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    is_of_bounded: bool = False
     steps: tuple[str, ...] = ()
 
 
@@ -77,53 +81,21 @@ def invariant_set(motion: Motion, forms: Sequence[sp.Expr]) -> InvariantSet:
 
 
 def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> InvariantSet:
-    """Return the unobservable subspace of a linear model, outputs being the forms.
-
-    The states x with O x = 0 for O = [C; C A; C A^2; ...], by elimination of rows that are linearly dependent.
-    """
-    n = len(motion.q)
-    state = (*motion.q, *motion.v)
-    inverse = motion.mass.inv()
-    lower = (inverse * motion.force.jacobian(state)).applyfunc(normal)
-    a = sp.Matrix.vstack(sp.Matrix.hstack(sp.zeros(n), sp.eye(n)), lower)
-    rows, fresh = list[sp.Matrix](), [sp.Matrix([[sp.diff(form, x) for x in state]]) for form in forms]
-    pivots, determinant = list[int](), sp.Integer(1)
-    while fresh:
-        row = fresh.pop(0)
-        reduced = row
-        for pivot, other in zip(pivots, rows, strict=True):
-            reduced = (reduced - reduced[pivot] * other).applyfunc(normal)
-        reduced = reduced.applyfunc(lambda x: without_void(x, motion.given))
-        entry = _pivot(reduced, motion.given)
-        if entry is None:
-            continue
-        determinant *= reduced[entry]
-        reduced = (reduced / reduced[entry]).applyfunc(normal)
-        rows = [(r - r[entry] * reduced).applyfunc(normal) for r in rows]
-        rows.append(reduced)
-        pivots.append(entry)
-        fresh.append((row * a).applyfunc(normal))
-    # Earlier pivots are eliminated from later rows: the product is a minor of O; the result holds where it is not 0.
-    motion.given.is_nonzero(normal(determinant))
-    ordered = sorted(zip(pivots, rows, strict=True), key=lambda x: x[0])
-    plain = [row.applyfunc(lambda x: without_void(x, motion.given)) for _, row in ordered]
-    relations = tuple(sum((row[j] * x for j, x in enumerate(state)), sp.Integer(0)) for row in plain)
+    """Return what forms of the velocities of a linear model do not observe."""
+    relations = unobserved(motion, forms)
     family = Family(relations)
-    if len(relations) == 2 * n:
+    if len(relations) == 2 * len(motion.q):
         end = "Along a motion of this linear model that stays there, everything is 0: it is the equilibrium."
     else:
         end = f"Motions of this linear model that stay there, which these forms do not observe, have {family}."
     return InvariantSet(True, (family,), steps=(start, end))
 
 
-def _pivot(row: sp.Matrix, given: Hypotheses) -> int | None:
-    """Return the last entry of a row that is not 0, one with a sign first; None where all are 0."""
-    order = [j for j in reversed(range(row.cols)) if row[j] != 0]
-    return next((j for j in order if given.sign(row[j]) in {1, -1}), order[0] if order else None)
-
-
 class _OpenError(ModelError):
     """The rules do not go on from here."""
+
+
+_Further = tuple[tuple[sp.Expr, ...], str]
 
 
 @dataclass
@@ -135,6 +107,7 @@ class _Elimination:
     steps: list[str] = field(default_factory=list)
     families: list[Family] = field(default_factory=list)
     known: dict[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    is_of_bounded: bool = False
 
     @property
     def given(self) -> Hypotheses:
@@ -220,43 +193,112 @@ class _Elimination:
         values = ", ".join(f"{q[i]} = {x}" for i, x in zip(self.frozen[0], self._frozen_values(), strict=True))
         self.steps += [start, f"A motion that stays there has {values}, constant."]
         try:
-            if not self.moving:
-                self.steps.append("Nothing moves: it is an equilibrium.")
-            elif len(self.moving) == 1:
-                (r,) = (q[j] for j in self.moving)
-                self._vanishing([*self.reduced[1]], r, list(self.constants), {})
-            elif len(self.moving) == 2:
-                self._pair()
-            else:
-                raise _OpenError(f"{len(self.moving)} coordinates go on moving, the rules are for two")
+            further = self._eliminate()
         except ModelError as error:
             self.steps.append(f"Here the elimination ends: {error}.")
             return InvariantSet(False, steps=tuple(self.steps))
-        return InvariantSet(True, tuple(dict.fromkeys(self.families)), True, self.known, tuple(self.steps))
+        if further is not None:
+            forms, words = further
+            further_on = _Elimination(
+                self.motion, forms, self.steps, known=self.known, is_of_bounded=self.is_of_bounded
+            )
+            return further_on.run(words)
+        return InvariantSet(
+            True, tuple(dict.fromkeys(self.families)), True, self.known, self.is_of_bounded, tuple(self.steps)
+        )
+
+    def _eliminate(self) -> _Further | None:
+        """Find the families, or further forms that are 0, and why."""
+        moving = [self.motion.q[j] for j in self.moving]
+        if not moving:
+            self.steps.append("Nothing moves: it is an equilibrium.")
+            return None
+        left = [normal(x.subs(self._known_constants())) for x in self.reduced[1]]
+        if len(moving) == 1:
+            self._vanishing(left, moving[0], list(self.constants), {})
+            return None
+        if not left:
+            raise _OpenError("no equation is left over that ties what moves")
+        names = ", ".join(str(self.motion.q[i]) for i in self.frozen[0])
+        self.steps.append(f"The remaining equation of {names} is 0 = {' and 0 = '.join(map(str, left))}.")
+        for equation in left:
+            if (r := self._resting(equation)) is not None:
+                v = self.motion.v[self.motion.q.index(r)]
+                return (*self.forms, v), f"There {r} alone is left, which is constant: {v} = 0."
+        relation, constants = self._integrated(left[0], moving)
+        if len(moving) > 2:
+            return self._many(relation, left)
+        steps, families = len(self.steps), len(self.families)
+        try:
+            self._pair(relation, left, constants)
+        except _OpenError as error:
+            del self.steps[steps:], self.families[families:]
+            try:
+                return self._many(relation, left)
+            except ModelError:
+                raise error from None
+        return None
+
+    def _resting(self, equation: sp.Expr) -> sp.Symbol | None:
+        """Return the one coordinate that an equation holds, where it does not hold for every value of it."""
+        held = equation.free_symbols & {self.motion.q[j] for j in self.moving}
+        if len(held) != 1 or equation.free_symbols & {*self.motion.v}:
+            return None
+        (r,) = held
+        try:
+            parts = coefficients(equation, (r,))
+        except ModelError:
+            return None
+        fixed = [c for f, c in parts.items() if f != 1 and not c.free_symbols & {*self.constants}]
+        return r if any(self.given.is_nonzero(c) for c in fixed) else None
+
+    def _integrated(self, relation: sp.Expr, moving: Sequence[sp.Symbol]) -> tuple[sp.Expr, list[sp.Symbol]]:
+        """Apply the first rule as often as it can be; return the relation, and the constants that are not known."""
+        constants = list(self.constants)
+        for _ in range(_MOST_RULES):
+            if _is_affine(relation, moving):
+                break
+            found = self._constant_derivative(relation, moving, constants)
+            if found is None:
+                break
+            relation, constants = found
+        return normal(relation.subs(self._known_constants())), constants
+
+    def _many(self, relation: sp.Expr, left: Sequence[sp.Expr]) -> _Further | None:
+        """Apply the rule of poles where each of the others moves by itself; else eliminate by what is linear."""
+        moving = [self.motion.q[j] for j in self.moving]
+        known = self._known_constants()
+        rates = [normal(self.reduced[0][self.motion.v[j]].subs(known)) for j in self.moving]
+        if len(left) > 1:
+            raise _OpenError(f"{len(left)} equations are left over that tie {len(moving)} coordinates")
+        try:
+            found = oscillators(relation, dict(zip(moving, rates, strict=True)), self.motion.circles, self.given)
+        except ModelError:
+            rate = self.rate(relation)
+            if _is_affine(relation, moving) and len(moving) > 2 and not rate.free_symbols & {*moving}:
+                return (*self.forms, rate), f"Hence {rate} = 0, too."
+            raise
+        values, self.is_of_bounded = Cancellation(found, self.given).families(), True
+        names = ", ".join(str(x.place) for x in found if x.kind != "free")
+        self.steps.append(
+            f"Each of {names} moves by itself, and {relation} = 0 for all time: in complex time their poles cancel, "
+            "which they do only in groups that move together but for scale and sign; without a group the same holds "
+            "of the others, and what has no poles to cancel is at rest."
+        )
+        if not values:
+            self.steps.append("There is no such group: only equilibria are left.")
+        for tied in values:
+            self._add_family(known, tied)
+        return None
 
     def _frozen_values(self) -> list[sp.Expr]:
         tied = self._tied(self.motion.q, self.constants)
         return [tied[self.motion.q[i]] for i in self.frozen[0]]
 
-    def _pair(self) -> None:
+    def _pair(self, relation: sp.Expr, left: Sequence[sp.Expr], constants: list[sp.Symbol]) -> None:
         """Eliminate with two coordinates that move."""
         r1, r2 = (self.motion.q[j] for j in self.moving)
-        left = list(self.reduced[1])
-        if not left:
-            raise _OpenError("no equation is left over that ties what moves")
-        names = ", ".join(str(self.motion.q[i]) for i in self.frozen[0])
-        self.steps.append(f"The remaining equation of {names} is 0 = {' and 0 = '.join(map(str, left))}.")
-        relation, constants = left[0], list(self.constants)
-        for _ in range(_MOST_RULES):
-            if _is_affine(relation, (r1, r2)):
-                break
-            found = self._constant_derivative(relation, (r1, r2), constants)
-            if found is None:
-                break
-            relation, constants = found
-        solved = self._known_constants()
-        left = [normal(x.subs(solved)) for x in left]
-        relation = normal(relation.subs(solved))
+        left = [normal(x.subs(self._known_constants())) for x in left]
         if _is_affine(relation, (r1, r2)) and not self.given.is_nonzero(sp.diff(relation, r2)):
             raise _OpenError(f"{relation} = 0 does not give {r2}")
         for tied in _linear_relations(relation, r1, r2, self.bound, self.motion):
@@ -272,7 +314,7 @@ class _Elimination:
         return {c: self.known[q] for q, c in self._single_constants() if q in self.known}
 
     def _constant_derivative(
-        self, relation: sp.Expr, pair: tuple[sp.Symbol, sp.Symbol], constants: list[sp.Symbol]
+        self, relation: sp.Expr, pair: Sequence[sp.Symbol], constants: list[sp.Symbol]
     ) -> tuple[sp.Expr, list[sp.Symbol]] | None:
         """Apply the first rule: relation = D^2(sum a_j phi_j) + b with constant b; None where it is no such sum."""
         functions = [*pair, *(sp.sin(r) for r in pair), *(sp.cos(r) for r in pair)]
@@ -304,6 +346,7 @@ class _Elimination:
         unbounded = any(total.has(r) and not _only_in_waves(total, r) for r in pair if r in self.motion.circles)
         if constant == 0 and unbounded:
             return None
+        self.is_of_bounded = True
         words = ", ".join(f"{c} = {x}" for c, x in solved.values.items()) or "nothing new"
         what = f"the second derivative of {total} is {normal(-constant)}, constant, and its first derivative is bounded"
         self.steps.append(f"Hence {what}: the constant is 0, so {words}.")
@@ -337,10 +380,8 @@ class _Elimination:
         self, equations: Sequence[sp.Expr], r: sp.Symbol, unknown: Sequence[sp.Symbol], tied: dict[sp.Symbol, sp.Expr]
     ) -> None:
         """Apply the second rule: each expression of r vanishes for all r, or r is constant."""
-        for equation in equations:
-            if equation.free_symbols & {*self.motion.v}:
-                raise _OpenError(f"{equation} = 0 holds velocities, too")
-        conditions = [c for equation in equations for c in coefficients(equation, (r,)).values()]
+        equations, unknown = self._without_velocity(equations, r, unknown)
+        conditions = [c for equation in equations for c in coefficients(equation, (r,), self.given).values()]
         if conditions:
             shown = {radical(c, self.given): c for c in reversed(conditions)}
             words = (
@@ -359,6 +400,26 @@ class _Elimination:
                 words = ", ".join(f"{c} = {x}" for c, x in solved.values.items())
                 self.steps.append(f"It holds for {words}." if words else "It holds.")
             self._add_family(solved.values | self._known_constants(), tied)
+
+    def _without_velocity(
+        self, equations: Sequence[sp.Expr], r: sp.Symbol, unknown: Sequence[sp.Symbol]
+    ) -> tuple[list[sp.Expr], list[sp.Symbol]]:
+        """Put in the square of the velocity of r where r'' is a function of r: r'^2/2 less its integral is constant."""
+        v = self.motion.v[self.motion.q.index(r)]
+        if not any(equation.free_symbols & {*self.motion.v} for equation in equations):
+            return [*equations], [*unknown]
+        acceleration = self.reduced[0].get(v, v).subs(self._known_constants())
+        energy = self._new("E")
+        square = 2 * (energy + sp.integrate(sp.expand(acceleration), r))
+        found = []
+        for equation in equations:
+            is_even = equation.is_polynomial(v) and all(n % 2 == 0 for (n,) in sp.Poly(equation, v).monoms())
+            if not is_even or acceleration.free_symbols & {*self.motion.v} or square.has(sp.Integral):
+                raise _OpenError(f"{equation} = 0 holds velocities, too")
+            parts = sp.Poly(equation, v).terms()
+            found.append(normal(sum((c * square ** (n // 2) for (n,), c in parts), sp.Integer(0))))
+        self.steps.append(f"There {v}**2 = {square} with a constant {energy}.")
+        return found, [*unknown, energy]
 
     def _add_family(self, values: dict[sp.Symbol, sp.Expr], tied: dict[sp.Symbol, sp.Expr]) -> None:
         q, v = self.motion.q, self.motion.v

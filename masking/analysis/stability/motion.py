@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -102,7 +103,7 @@ class Motion:
             raise ModelError(f"{self.model.name} declares no energy; declare one, such as 'energy: x1'**2/2 + ...'")
         rate = sum(sp.diff(self.energy, q) * v for q, v in zip(self.q, self.v, strict=True))
         rate += sum(sp.diff(self.energy, v) * a for v, a in zip(self.v, self.accelerations, strict=True))
-        return normal(rate)
+        return normal(without_kinks(rate))
 
     def on(self, graph: Graph, state: Sequence[sp.Symbol]) -> tuple[dict[sp.Symbol, Node], dict[Node, float]]:
         """Return nodes of a graph for coordinates and velocities, first, and parameters, and the declared values."""
@@ -144,6 +145,40 @@ class Motion:
             for f in (sp.expand(f) for f in self.force)
             if f != 0
         )
+
+
+def without_kinks(expression: sp.Expr) -> sp.Expr:
+    """Return an expression in which steps cancel, as those of max(u, 0) and its slope do; as it is where they do not.
+
+    Steps H(u), which are 0 or 1, stand for all: |u| = u (2 H - 1), sign(u) = 2 H - 1, max(u, w) = w + (u - w) H(u - w).
+    At u = 0 the expression is taken to be continuous.
+    """
+    if not expression.has(sp.Max, sp.Min, sp.Abs, sp.sign, sp.Heaviside):
+        return expression
+    steps = dict[sp.Expr, sp.Symbol]()
+
+    def step(u: sp.Expr) -> sp.Expr:
+        u = sp.factor_terms(u)
+        if u.could_extract_minus_sign():
+            return 1 - step(-u)
+        return steps.setdefault(u, sp.Dummy("h", real=True))
+
+    def larger(u: sp.Expr, w: sp.Expr, sign: int) -> sp.Expr:
+        return w + (u - w) * step(sign * (u - w))
+
+    plain = expression.replace(sp.Max, lambda *x: _folded(x, lambda u, w: larger(u, w, 1)))
+    plain = plain.replace(sp.Min, lambda *x: _folded(x, lambda u, w: larger(u, w, -1)))
+    plain = plain.replace(sp.Abs, lambda u: u * (2 * step(u) - 1)).replace(sp.sign, lambda u: 2 * step(u) - 1)
+    plain = sp.expand(plain.replace(sp.Heaviside, lambda u, *_: step(u)))
+    for h in steps.values():
+        plain = sp.expand(plain.replace(lambda x, h=h: x.is_Pow and x.base == h and x.exp.is_Integer, lambda x: x.base))
+    return expression if plain.free_symbols & {*steps.values()} else plain
+
+
+def _folded(terms: Sequence[sp.Expr], larger: Callable[[sp.Expr, sp.Expr], sp.Expr]) -> sp.Expr:
+    """Return the largest, or least, of terms, two at a time."""
+    first, *others = terms
+    return functools.reduce(larger, others, first)
 
 
 def check_continuous(forces: Iterable[sp.Expr]) -> None:
