@@ -55,8 +55,14 @@ ANOTHER_FORM = {
     "duffing_si": ("duffing", {"w3": 0.5316 * 18.3157, "beta": 18.3157**2 / 0.005**2 / 3}, "setup_springs"),
     "huygens_lagrangian": ("huygens", {}, "setup_lagrangian"),
 }
-# Over-compensated damping of these is 0 as declared.
-DRIVEN = {"discs_driven": "discs_eccentric", "duffing_driven": "duffing", "setup_driven": "setup_undamped"}
+# What these have beside another system is 0 as declared.
+DAMPING = {"e1": 0.002, "e2": 0.001}
+DRIVEN = {
+    "discs_driven": ("discs_eccentric", DAMPING),
+    "duffing_driven": ("duffing", DAMPING),
+    "setup_driven": ("setup_undamped", DAMPING),
+    "setup_controlled": ("setup_identical", {"spring": 0.1, "of_sum": 0.05, "r": 0.02}),
+}
 ALONE = {"setup_oscillator"}  # one coordinate: no system of the rig's three
 VIRTUAL = [
     name
@@ -73,7 +79,8 @@ def test_ideal_rig_moves_as_each_virtual_system(name):
 
 @pytest.mark.parametrize("name", DRIVEN)
 def test_ideal_rig_moves_as_each_driven_system(name):
-    assert_exact(experiment(DRIVEN[name], virtual=name, parameters={"e1": 0.002, "e2": 0.001}))
+    other, values = DRIVEN[name]
+    assert_exact(experiment(other, virtual=name, parameters=values))
 
 
 @pytest.mark.parametrize("name", ANOTHER_FORM)

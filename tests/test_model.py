@@ -111,6 +111,7 @@ LOSSES = {
     "setup_undamped": setup_damping,
     "setup_shapes": setup_damping,
     "setup_springs": setup_damping,
+    "setup_springs_table": setup_damping,
     "setup_lagrangian": lambda s: (
         sum(s[f"b{i}"] * (s[f"x{i}'"] - s["x3'"]) ** 2 for i in (1, 2)) + s["b3"] * s["x3'"] ** 2
     ),
@@ -145,7 +146,7 @@ def test_the_measured_springs_are_the_polynomials_of_table_b_4():
              0.017105175330557],
         ]
     )  # fmt: skip
-    model = load("setup_springs")
+    model = load("setup_springs_table")
     p = model.parameter_values()
     values = {symbol: p[symbol.name] for symbol in model.equations.symbols.p}
     s = by_name(model)

@@ -326,13 +326,14 @@ def pushed(rig, which, low, high):
 def test_the_friction_element_of_the_red_oscillator_is_found_at_6_mm(rig, largest):
     """C.6.2: at about 6 mm, before a barrier was made at 5.8 mm; the twin declares 6 mm, over 0.2 mm.
 
-    The friction depends on speed, which shifts the edge by a part of these 0.2 mm; the red spring of Fig. 4.6 is softer
-    there than that of Table B.4, so that the friction slows the mass down more.
+    With the spring of Table B.4, which is stiffer there than friction falls off over these 0.2 mm. With the softer one
+    of Fig. 4.6 the mass snaps back through the edge, which widens what is found.
     """
-    found = locate_friction(*pushed(without(rig, "red_stop"), 1, -0.05, largest))
+    changes = {"table_spring2": schema.EffectChange(enabled=True), "red_stop": schema.EffectChange(enabled=False)}
+    found = locate_friction(*pushed(rig.changed(changes), 1, -0.05, largest))
     assert found.is_found
     assert found.side == 1
-    assert found.edge == pytest.approx(6e-3, abs=1.5e-4)
+    assert found.edge == pytest.approx(6e-3, abs=1e-4)
     assert found.width == pytest.approx(2e-4, abs=1e-4)
     assert found.step > 5 * found.level
 
