@@ -116,6 +116,12 @@ def observer_error(kind: str, order: str = "2") -> str:
 
 
 @slow_value
+def clocks_table(seeds: str) -> str:
+    """Return the table of the clocks over seeds, with errors that their controller does not know."""
+    return "\n".join(clocks.rows(int(seeds)))
+
+
+@slow_value
 def clocks_figure(which: str) -> str:
     """Return the amplitude over the ideal one (`amplitude`), or |th1 + th2| over the amplitude in % (`sum`)."""
     index, size = {"amplitude": (0, 1.0), "sum": (1, 100.0)}[which]
