@@ -102,7 +102,7 @@ class Screen:
         free = np.array(rig.twin.free, dtype=np.int64)
         start = self._of_intervals(self._spread(np.zeros((coarse, len(free))), np.zeros(len(free)), free))
         values, slopes = self._found(found)
-        own = self._rows(np.concatenate([of_parameters, start, slopes], axis=2))
+        own = _bounded(self._rows(np.concatenate([of_parameters, start, slopes], axis=2)))
         prior_rows = np.zeros((k, own.shape[1]))
         prior_rows[:, :k] = np.diag(1.0 / prior.deviation)
         whole = np.vstack([own, prior_rows])
@@ -256,7 +256,7 @@ class Screen:
             )
         ]
         sizes = [table.shape[2] for table in tables]
-        rows = self._rows(np.concatenate(tables, axis=2))
+        rows = _bounded(self._rows(np.concatenate(tables, axis=2)))
         # Products of the projected columns, without making these.
         known, possible = self.taken[: len(rows)].T @ rows, self.possible.T @ rows
         squares = np.einsum("ij,ij->j", rows, rows)
@@ -393,18 +393,19 @@ class Screen:
         return found
 
     def _rows(self, columns: Array) -> Array:
-        """Return columns (blocks, sensors, c) in standard deviations, as rows (blocks * sensors, c).
-
-        One along which the rig's motion runs away is 0, since it has no weight in a comparison.
-        """
-        with np.errstate(over="ignore"):
+        """Return columns (blocks, sensors, c) in standard deviations, as rows (blocks * sensors, c)."""
+        with np.errstate(over="ignore"):  # a force along which the rig's motion runs away is as good as infinite
             found: Array = (columns * self.scale[None, :, None]).reshape(-1, columns.shape[2])
-        found[:, ~(np.abs(found).max(axis=0, initial=0.0) < HUGE)] = 0.0
         return found
 
     def _out(self, x: Array) -> Array:
         """Return columns with the span of the responses of rig and prior projected out."""
         return x - self.taken @ (self.taken.T @ x)
+
+
+def _bounded(rows: Array) -> Array:
+    """Return responses (r, c) with 0 for those along which the rig's motion runs away: they have no weight."""
+    return np.where(np.abs(rows).max(axis=0, initial=0.0) < HUGE, rows, 0.0)
 
 
 def _apart(columns: Array, others: Array, rank: float) -> tuple[Array, Array]:
