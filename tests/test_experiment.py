@@ -210,15 +210,15 @@ def test_sections_of_an_experiment_are_changed_as_if_its_file_said_so():
 def test_a_controller_may_take_noise_and_delay_to_be_other_than_they_are():
     controller = {"rate": "1 kHz", "effects": {"delay": {"samples": 1}}}
     effects = {"delay": {"samples": 2}, "noise": {"sigma": 0.001}}
-    told = Experiment.load("huygens_rig").changed(effects=effects)
-    untold = told.changed(controller=controller)
-    assert (told.twin.delay, told.sampled.delay) == (2, 2)
-    assert (untold.twin.delay, untold.sampled.delay) == (2, 1)
-    assert untold.instruments.noise == told.instruments.noise
-    untold = told.changed(controller={"rate": "1 kHz", "effects": {"noise": {"sigma": 0.0002}, "steps": False}})
-    assert untold.instruments.noise["s1"] == pytest.approx(0.0002)
-    assert untold.twin.noise()["s1"] > 0.001
-    assert untold.sampled.delay == 2
+    aware = Experiment.load("huygens_rig").changed(effects=effects)
+    unaware = aware.changed(controller=controller)
+    assert (aware.twin.delay, aware.sampled.delay) == (2, 2)
+    assert (unaware.twin.delay, unaware.sampled.delay) == (2, 1)
+    assert unaware.instruments.noise == aware.instruments.noise
+    unaware = aware.changed(controller={"rate": "1 kHz", "effects": {"noise": {"sigma": 0.0002}, "steps": False}})
+    assert unaware.instruments.noise["s1"] == pytest.approx(0.0002)
+    assert unaware.twin.noise()["s1"] > 0.001
+    assert unaware.sampled.delay == 2
 
 
 @pytest.mark.parametrize(

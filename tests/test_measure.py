@@ -114,7 +114,7 @@ def test_springs_are_those_of_table_b_4(capsys, tmp_path, ramp):
     assert values["force_scale"]["value"] == VOLTS
     x = np.linspace(values["lowest"]["value"], values["highest"]["value"], 50) / STROKE
     found = np.polynomial.polynomial.polyval(x, [values[f"rho{j}"]["value"] for j in range(6)])
-    true = np.polynomial.polynomial.polyval(x, MEASURED[0]) / ACTING[0]  # volts that are told, not those that act
+    true = np.polynomial.polynomial.polyval(x, MEASURED[0]) / ACTING[0]  # volts of command, not those that act
     assert np.abs(found - true).max() < 0.01 * np.abs(true).max()
     assert values["stiffness"]["unit"] == "V/m"
     assert values["stiffness"]["std"] == pytest.approx(values["rho1"]["std"] * VOLTS / STROKE, rel=1e-6)

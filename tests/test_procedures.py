@@ -17,7 +17,7 @@ MEASURED = (
     (0.000234722612437, 0.091796394850297, -0.005071505003798, 0.001755823061963, -0.000495321921394, 0.00045535840959),
     (-0.003305403062789, 0.680504615284765, 0.089803957869115, 0.203236186622692, -0.064473933604213, 0.01710517533056),
 )  # fmt: skip
-ACTING = (1 / 1.078, 1 / 1.109, 1.0)  # volts that act on the model per volt that is told: C.5
+ACTING = (1 / 1.078, 1 / 1.109, 1.0)  # volts that act on the model per volt of command: C.5
 # Volts of each oscillator's actuator that push the beam as 1 V of its own does: Newton's third law, and C.5.
 BALANCE = (1.078 * 1.2589 / (0.0411 * 20.9218), 1.109 * 1.2589 / (0.0578 * 23.2465))
 

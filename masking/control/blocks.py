@@ -182,8 +182,7 @@ class DesiredDynamics:
             if held is None:
                 raise ModelError(f"{self.virtual.name} has no energy to regulate: declare energy, or a lagrangian")
             excess = graph.sub(graph.div(lowered.lower(held), energy), graph.number(1.0))
-            for i in moving:
-                wanted[i] = graph.sub(wanted[i], graph.mul(graph.mul(speed, excess), rate[i]))
+            wanted = self.damped(graph, wanted, rate, graph.mul(speed, excess))
         if self.regulation.phase is not None:
             mean = graph.div(graph.total([rate[i] for i in moving]), graph.number(float(len(moving))))
             for i in moving:
@@ -196,18 +195,16 @@ class DesiredDynamics:
     def _moving(self) -> tuple[int, ...]:
         return tuple(self.virtual.coordinates.index(name) for name in self.virtual.oscillators)
 
-    def damped(self, graph: Graph, wanted: Sequence[Node], rate: Sequence[Node], damping: Node | None) -> list[Node]:
+    def damped(self, graph: Graph, wanted: Sequence[Node], rate: Sequence[Node], damping: Node) -> list[Node]:
         """Return wanted accelerations (k,) with a damping of the oscillators, per unit of virtual time.
 
         Args:
             graph: the graph to add to.
             wanted: accelerations (k,).
             rate: rates of the virtual coordinates (k,).
-            damping: node of the damping; None for none.
+            damping: node of the damping.
         """
         found = list(wanted)
-        if damping is None:
-            return found
         for i in self._moving:
             found[i] = graph.sub(wanted[i], graph.mul(damping, rate[i]))
         return found

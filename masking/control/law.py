@@ -134,7 +134,8 @@ class ControlLaw:
             free = [graph.add(a, d) for a, d in zip(free, rig.disturbance, strict=True)]
         jacobian = [[graph.div(j, length) for j, length in zip(row, p.lengths, strict=True)] for row in mapped.jacobian]
         squared = graph.mul(p.time_scale, p.time_scale)
-        balanced = controller.desired.damped(graph, desired, rate, rig.damping)
+        damping = rig.damping
+        balanced = desired if damping is None else controller.desired.damped(graph, desired, rate, damping)
         wanted = [graph.sub(graph.div(d, squared), b) for d, b in zip(balanced, mapped.bias, strict=True)]
         if homing is not None:
             wanted = homing.lower(graph, rig, jacobian, wanted)
