@@ -182,7 +182,8 @@ def _lines(file: Path, heading: Sequence[str]) -> tuple[list[str], str | None, l
         raise RecordError(f"{file}: the table is empty")
     head = lines[0][1].lstrip("# ")
     separator = next((s for s in ("\t", ";", ",") if s in head), None)
-    names = [n.strip() for n in (next(csv.reader([head], delimiter=separator)) if separator else head.split())]
+    cells = csv.reader([head], delimiter=separator) if separator else csv.reader([" ".join(head.split())], delimiter=" ")
+    names = [name.strip() for name in next(cells)]
     is_bare = all(_is_number(name.replace(",", ".")) for name in names if name)
     if is_bare and not heading:
         raise RecordError(
