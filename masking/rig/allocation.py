@@ -56,4 +56,5 @@ def allocation(plant: PlantDeclaration, model: ModelDeclaration, parameters: Map
             problems.append(Problem(plant.place(path), path, message, "put anything else into effects"))
     if problems:
         raise DeclarationError(problems)
-    return rows * sizes
+    rows *= sizes
+    return rows
