@@ -90,7 +90,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
             )
         },
         cause="a pulse counter, an encoder with one track, a rectifier",
-        remedy="use a sensor that tells the direction, such as a second track",
+        remedy="use a sensor of direction, too, such as a second track",
         source="Wigren and Schoukens (2013), European Control Conference, 2933-2938",
     ),
     _sensor(
