@@ -7,7 +7,7 @@ import pytest
 
 import masking
 from masking import cli
-from masking.errors import ModelError, RecordError
+from masking.errors import DeclarationError, ModelError, RecordError
 
 W, Z, START, NOISE, RATE = 12.0, 0.02, 0.01, 1e-5, 200.0
 OSCILLATOR = """
@@ -36,6 +36,19 @@ def test_the_true_model_leaves_the_noise(folder):
     rms = np.sqrt(np.mean(made.record.readings**2))
     assert made.chi["x"] == pytest.approx(NOISE / rms, rel=0.05)
     assert made.floor["x"] == pytest.approx(NOISE / rms, rel=0.15)
+
+
+def test_the_initial_state_may_be_that_of_the_first_readings(folder):
+    """The last half of the record is shifted: a start that all readings decide is off, one of the first is not."""
+    record = np.loadtxt(folder / "decay.csv", delimiter=",", skiprows=1)
+    record[2000:, 1] += START
+    np.savetxt(folder / "decay.csv", record, delimiter=",", header="time,x", comments="")
+    model, early = folder / "oscillator.yaml", slice(0, 2000)
+    made = masking.simulate(model, folder / "decay.csv", columns={"t": "time"}, initial=2.0)
+    assert made.residual[early].std() == pytest.approx(NOISE, rel=0.1)
+    assert made.residual[2000:].mean() == pytest.approx(START, rel=0.01)
+    with pytest.raises(DeclarationError, match=r"initial: 99 s do not hold 2 readings or more of the record; give"):
+        masking.simulate(model, folder / "decay.csv", columns={"t": "time"}, initial=99.0)
 
 
 def test_a_wrong_model_is_said_in_a_sentence_a_table_and_a_page(folder, capsys):

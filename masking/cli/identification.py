@@ -71,6 +71,8 @@ def _add_simulate(sub: argparse.ArgumentParser) -> None:
     text = "sensors and actuators of a model (default: its outputs or coordinates, and its inputs)"
     sub.add_argument("--plant", metavar="PLANT", help=text)
     add_of_tables(sub)
+    text = "take the initial state from the readings of so many seconds (default: from all)"
+    sub.add_argument("--initial", type=float, metavar="SECONDS", help=text)
     add_out(sub, "results/simulated")
     add_json(sub, after="RECORD")
 
@@ -83,6 +85,7 @@ def _simulate(chosen: argparse.Namespace) -> int:
     out = Path(chosen.out or "results/simulated")
     prepare(chosen.json, out)
     settings = {"plant": chosen.plant, "hold": chosen.hold, "columns": columns(chosen), "dt": chosen.dt}
+    settings["initial"] = chosen.initial
     made = simulate(chosen.model, chosen.record, out=out, **settings)
     page = out / "simulation.html"
     return answer(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -92,13 +92,14 @@ def validated(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weight
     return relative(sensing.twin.sensors, unseen, squares)
 
 
-def simulate(twin: Twin, record: Data, shared: Sequence[str] = ()) -> Simulated:
+def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), first: int | None = None) -> Simulated:
     """Simulate a record from the initial state that reproduces it best; internal states of effects are at rest.
 
     Args:
         twin: the plant, with the values to simulate with.
         record: commands and readings.
         shared: parameters that a fit had free: its compiled functions are then used again.
+        first: samples that the initial state is estimated from; by default all.
 
     Raises:
         IntegrationError: the motion is not finite from any initial state that was tried.
@@ -106,7 +107,14 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = ()) -> Simulated:
     sensing = Sensitivity(twin, (), tuple(shared))
     size = np.maximum(np.abs(record.readings).max(axis=0), 1e-300)
     weights = np.maximum(record.noise, 1e-12 * size) ** -2.0
-    _, found = nearest(sensing, sensing.start(), record, weights)
+    beginning = replace(record, commands=record.commands[:first], readings=record.readings[:first])
+    state, found = nearest(sensing, sensing.start(), beginning, weights)
+    if first is not None:
+        try:
+            basis = sensing.basis(sensing.start())
+            found = sensing.normal_equations(basis, state, record, weights, twin.substeps(record.rate))
+        except IntegrationError:
+            raise IntegrationError(f"the simulated motion is no longer finite in {record.name}") from None
     plant = twin.declaration.sensors
     units = tuple("" if plant[name].unit == "1" else plant[name].unit for name in twin.sensors)
     return Simulated(record, twin.sensors, units, found.simulated)

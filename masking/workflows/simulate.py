@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from masking.declaration import catalogue
-from masking.errors import IntegrationError, ModelError
+from masking.errors import DeclarationError, IntegrationError, ModelError, Problem
 from masking.estimation import simulation
 from masking.estimation.data import Data
 from masking.estimation.simulation import Simulated
@@ -23,6 +23,7 @@ def simulate(
     hold: InputHold | None = None,
     columns: Names | None = None,
     dt: float | None = None,
+    initial: float | None = None,
     out: str | Path | None = None,
 ) -> Simulated:
     """Simulate a record with a model, from the initial state that fits best, and compare.
@@ -38,6 +39,7 @@ def simulate(
         columns: columns of the file by the names that they get, such as `{"t": "time", "V1": "u"}`; of a text without
             names, those of all its columns, in order.
         dt: time between samples in s, for a table without a clock.
+        initial: s from the beginning in which readings are taken for the initial state; by default all.
         out: folder to save `simulation.html`, its figures and `simulation.json` in; by default nothing is saved.
 
     Returns:
@@ -50,8 +52,13 @@ def simulate(
     alone = plant is None and catalogue.kind_of(model) == "plant"
     twin = inputs.rig(None, model) if alone else inputs.rig(model, plant)
     given = Data.read(record, twin, hold, columns, dt)
+    first = None if initial is None else round(initial * given.rate)
+    if first is not None and not 2 <= first <= len(given):
+        least, most = 2.0 / given.rate, len(given) / given.rate
+        message = f"{initial:g} s do not hold 2 readings or more of the record"
+        raise DeclarationError(Problem(None, "initial", message, f"give {least:g} ... {most:g} s"))
     try:
-        made = simulation.simulate(twin, given)
+        made = simulation.simulate(twin, given, first=first)
     except IntegrationError as error:
         raise ModelError(
             f"{model}: its motion over {record} is not finite; check signs and units of its parameters, "
