@@ -130,15 +130,15 @@ def _monotone(points: tuple[float, ...]) -> Powers:
     slopes.append(rise[-1])
     squares, cubes, square, cube, width = list[float](), list[float](), 0.0, 0.0, 0.0
     for i in range(len(x)):
-        before = square + 3.0 * cube * width, cube  # of the piece that ends here
+        square_before, cube_before = square + 3.0 * cube * width, cube  # of the piece that ends here
         if i < len(h):
             width, ends = h[i], slopes[i] + slopes[i + 1]
             square = (3.0 * rise[i] - slopes[i] - ends) / width
             cube = (ends - 2.0 * rise[i]) / width**2
         else:
             square = cube = 0.0
-        squares.append(square - before[0])
-        cubes.append(cube - before[1])
+        squares.append(square - square_before)
+        cubes.append(cube - cube_before)
     return Powers(x, y[0], slopes[0], tuple(squares), tuple(cubes))
 
 

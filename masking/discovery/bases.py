@@ -8,7 +8,6 @@ Source: de Boor (2001), A Practical Guide to Splines, chapter 9; Eilers and Marx
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,22 +25,22 @@ STRAIGHT = 1e3  # times: weight of a bend at an end
 DENSER = 1.5  # power of the spacing of pieces around rest, where laws have corners
 
 
-def pieces(x: Array, many: int = PIECES, *, even: bool = False, beside: int = BESIDE) -> Array:
+def pieces(x: Array, many: int = PIECES, *, is_even: bool = False, beside: int = BESIDE) -> Array:
     """Return the points between the pieces of a curve over a range (many + 2 beside + 1,), denser around 0.
 
     Args:
         x: displacement or rate along the motion (m,).
         many: pieces of the range.
-        even: whether they are evenly apart.
+        is_even: whether they are evenly apart.
         beside: further pieces on both sides of the range.
     """
     low, high = float(x.min()), float(x.max())
     pad = MARGIN * (high - low)
     low, high = low - pad, high + pad
-    if low < 0.0 < high and not even:
+    if low < 0.0 < high and not is_even:
         reach = max(-low, high)
-        ends = np.sign([low, high]) * (np.abs([low, high]) / reach) ** (1.0 / DENSER)
-        even = np.linspace(*ends, many + 1)
+        first, last = (np.sign(end) * (abs(end) / reach) ** (1.0 / DENSER) for end in (low, high))
+        even = np.linspace(first, last, many + 1)
         found = reach * np.sign(even) * np.abs(even) ** DENSER
     else:
         found = np.linspace(low, high, many + 1)
@@ -85,7 +84,7 @@ class Curve:
         near = np.concatenate([apart[:1], 0.5 * (apart[1:] + apart[:-1]), apart[-1:]])
         found = self.values(self.points, 2) * near[:, None] ** 2
         found[[0, -1]] *= STRAIGHT
-        return found
+        return np.asarray(found)
 
     def parameters(self) -> list[tuple[float, ...]]:
         """Return the five knots of each B-spline."""
@@ -140,7 +139,7 @@ class Term:
             bends = np.vstack([np.kron(a, np.eye(b.shape[1])), np.kron(np.eye(a.shape[1]), b)])
         return np.asarray(bends.T @ bends)
 
-    def instances(self, at: str, factors: Sequence[float]) -> list[EffectInstance]:
+    def instances(self, at: str, factors: Array) -> list[EffectInstance]:
         """Return the term as effects at a place, with their factors (f,) free."""
         entry = BASES[self.kind]
         match self.kind:

@@ -88,7 +88,7 @@ class FreeLaw:
     def deviation(self, x: Array, rate: Array) -> Array:
         """Return the standard deviation of the force (m,)."""
         at = self.rows(x, rate)
-        return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", at, self.covariance, at), 0.0))
+        return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", at, self.covariance, at), 0.0)))
 
 
 KINDS = frozenset({"free_spring", "free_damping", "free_friction", "free_resistance", "free_rub", "free_surface"})
@@ -158,8 +158,8 @@ def _forms(place: Place, x: Array, rate: Array) -> list[tuple[Term, ...]]:
     along = Term("free_spring", (Curve(pieces(x)),))
     moving = Term("free_damping", (Curve(pieces(rate)),))
     held = Term("free_resistance", (Curve(pieces(x, FEW)),), unit=high)
-    rubbed = Term("free_rub", (Curve(pieces(x, FEW, even=True)),), SHARP * high)
-    sides = (Curve(pieces(x, SIDE, beside=0, even=True)), Curve(pieces(rate, SIDE, beside=0, even=True)))
+    rubbed = Term("free_rub", (Curve(pieces(x, FEW, is_even=True)),), SHARP * high)
+    sides = (Curve(pieces(x, SIDE, beside=0, is_even=True)), Curve(pieces(rate, SIDE, beside=0, is_even=True)))
     surface = Term("free_surface", sides)
     if place.element.displacement is None:
         return [(moving,), (moving, turn)]
