@@ -191,7 +191,10 @@ def _starts(screen: Screen, place: Place, motion: tuple[Array, Array], high: flo
     for form in forms:
         rows_of = np.hstack([columns[term.kind] for term in form])
         penalty = linalg.block_diag(*(term.roughness() * (term.unit / max(BEND * high, 1e-300)) ** 2 for term in form))
-        gram, right = rows_of.T @ rows_of, rows_of.T @ screen.left
+        with np.errstate(over="ignore", invalid="ignore"):
+            gram, right = rows_of.T @ rows_of, rows_of.T @ screen.left
+        if not (np.isfinite(gram + penalty).all() and np.isfinite(right).all()):  # no force, or a response without end
+            continue
         size = np.sqrt(np.maximum(np.diag(gram + penalty), 1e-300))
         inverse = np.linalg.pinv((gram + penalty) / np.outer(size, size), rcond=COLLINEAR, hermitian=True)
         factors = inverse @ (right / size) / size

@@ -10,6 +10,7 @@ Models, AISTATS.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +58,12 @@ class Motion:
         """Return what an effect in an element follows at a place (m,): displacement and rate, or the acceleration."""
         x = self.acceleration if effect.is_inertia else self.displacement
         return x[:, at], self.rate[:, at]
+
+
+# Part by which states decay in a sample where the readings leave a direction of them undetermined that stays as it is,
+# such as a displacement less the elastic part of it, or a tank behind another that is at rest: a filter is steady then.
+FORGETTING = 1e-4
+WORST_CONDITION = 1e14  # of a covariance that is divided by
 
 
 @dataclass(frozen=True)
@@ -180,17 +187,24 @@ def _gains(rig: AugmentedModel, theta: Array, rate: float, sigma: Array, intensi
     scale = np.sqrt(np.maximum(np.diag(noise), 1e-300))
     size = np.maximum(scale, 1e-12 * scale.max())
     step = moved * size / size[:, None]
+    given = noise / np.outer(size, size), np.hstack([c, d]) * size / sigma[:, None]
     try:
-        found = steady_filter(step, noise / np.outer(size, size), np.hstack([c, d]) * size / sigma[:, None])
-    except (np.linalg.LinAlgError, ValueError) as error:
-        what = "coordinates" if rig.coordinates else ", ".join(rig.degrees)
-        raise IntegrationError(f"the sensors do not tell the motion of all {what} ({error})") from None
+        found = steady_filter(step, *given)
+    except (np.linalg.LinAlgError, ValueError):
+        step *= 1.0 - FORGETTING
+        try:
+            found = steady_filter(step, *given)
+        except (np.linalg.LinAlgError, ValueError) as error:
+            what = "coordinates" if rig.coordinates else ", ".join(rig.degrees)
+            raise IntegrationError(f"the sensors do not determine the motion of all {what} ({error})") from None
     ahead, now = found.predicted, found.corrected
-    try:
+    if np.linalg.cond(ahead) < WORST_CONDITION:
         backward = np.linalg.solve(ahead, step @ now).T
-    except np.linalg.LinAlgError:  # a state that nothing moves at rest, such as that of a friction, is known
-        backward = (np.linalg.pinv(ahead, hermitian=True) @ step @ now).T
-    steady = linalg.solve_discrete_lyapunov(backward, now - backward @ ahead @ backward.T)
+    else:  # a state that nothing moves at rest, such as that of a friction, is known
+        backward = (np.linalg.pinv(ahead, rcond=1.0 / WORST_CONDITION, hermitian=True) @ step @ now).T
+    with warnings.catch_warnings():  # a direction that nothing moves stays as it is: 1 is an eigenvalue
+        warnings.simplefilter("ignore", linalg.LinAlgWarning)
+        steady = linalg.solve_discrete_lyapunov(backward, now - backward @ ahead @ backward.T)
     deviation = np.sqrt(np.maximum(np.diag(steady)[n:], 0.0)) * size[n:]
     return _Gains(
         np.ascontiguousarray(found.gain * size[:, None] / sigma),

@@ -275,7 +275,7 @@ ELEMENTS: tuple[Effect, ...] = (
         source="Wen (1976), J. Eng. Mech. Div. 102; Ikhouane and Rodellar (2007), Systems with Hysteresis, (2.15)",
         states={
             "z": EffectState(
-                "d_rate - beta*abs(d_rate)*(z/zmax)*abs(z/zmax)**(n - 1) - (1 - beta)*d_rate*abs(z/zmax)**n",
+                "d_rate - (beta*abs(d_rate)*sign(z) + (1 - beta)*d_rate)*abs(z/zmax)**n",
                 "D",
                 "elastic part of the displacement",
                 "zmax",
@@ -305,7 +305,7 @@ ELEMENTS: tuple[Effect, ...] = (
         source="Wen (1976), J. Eng. Mech. Div. 102; Ismail et al. (2009), Arch. Comput. Methods Eng. 16",
         states={
             "z": EffectState(
-                "d_rate - abs(d_rate)*(z/x0)*abs(z/x0)**(n - 1) - delta*d_rate*abs(z/x0)**n",
+                "d_rate - (abs(d_rate)*sign(z) + delta*d_rate)*abs(z/x0)**n",
                 "D",
                 "elastic part of the displacement",
                 "x0",

@@ -1,0 +1,201 @@
+"""Measured benchmarks in the form in which they are published: `python -m tests.benchmarks.official [NAME ...]`.
+
+Each begins with the model in `examples/measured`, which an engineer would write. `discover` runs on its own answer
+until it names nothing more; `identify` then fits all parameters to the whole estimation part; `simulate` gives the
+error on the test parts, from an initial state of the first readings of each. Nothing is chosen by a test part.
+
+Source of the published figures: Champneys, Beintema, Toth, Schoukens and Rogers (2024), arXiv:2405.10779, and the
+sources that it names; Fakhrizadeh Esfahani et al. (2018), arXiv:1705.00178, for Bouc-Wen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import masking
+from masking.rig.twin import Twin
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT.parent / "shared" / "data"
+MOST_ROUNDS = 3  # runs of discover on its own answer
+MOST_PARAMETERS = 12
+HEAD = (
+    "| benchmark | test part | RMSE of ours | best published | of the model as declared | parameters | found | s |\n"
+    "|---|---|---|---|---|---|---|---|"
+)
+
+
+@dataclass(frozen=True)
+class Test:
+    """A test part: its name, record, samples of the initial state, and the best published RMSE in the unit."""
+
+    name: str
+    record: str
+    initial: int
+    published: float
+
+
+@dataclass(frozen=True)
+class Case:
+    """A benchmark.
+
+    Args:
+        name: of its model in `examples/measured`.
+        title: in the table.
+        record: that causes are sought in.
+        validation: that they are validated by.
+        estimation: that the parameters are fitted to at the end.
+        tests: the test parts.
+        unit: of the table, and its size in that of the readings.
+        settings: how the files are read.
+        search: further settings of discover.
+    """
+
+    name: str
+    title: str
+    record: str
+    validation: str
+    estimation: tuple[str, ...]
+    tests: tuple[Test, ...]
+    unit: tuple[str, float]
+    settings: Mapping[str, Any]
+    search: Mapping[str, Any] = field(default_factory=dict)
+
+
+def part(file: str, dt: float, first: int, end: int) -> str:
+    """Return the part of a record from one sample to before another."""
+    return f"{file}@{max(first - 0.5, 0.0) * dt:.9g}:{(end - 0.5) * dt:.9g}"
+
+
+def silverbox() -> Case:
+    """Ten multisines: the first 75 % for estimation, the last 25 % and the arrow for tests."""
+    file, dt = str(DATA / "silverbox" / "SNLS80mV.mat"), 2.0**14 / 1e7
+    tests = (
+        Test("multisine", part(file, dt, 105_712, 127_400), 50, 0.301),
+        Test("arrow", part(file, dt, 100, 40_575), 50, 0.26),
+        Test("arrow without extrapolation", part(file, dt, 100, 32_100), 50, 0.259),
+    )
+    return Case(
+        "silverbox",
+        "Silverbox",
+        part(file, dt, 40_650, 40_650 + 8192),
+        part(file, dt, 105_712 - 8192, 105_712),
+        (part(file, dt, 40_650, 105_712),),
+        tests,
+        ("mV", 1e-3),
+        {"columns": {"u": "V1", "y": "V2"}, "dt": dt, "hold": "band-limited"},
+    )
+
+
+def boucwen() -> Case:
+    """A multisine for estimation and one for the test, both simulated by the authors of the benchmark."""
+    train, dt = str(DATA / "boucwen" / "train.h5"), 1.0 / 750.0
+    tests = (Test("multisine", str(DATA / "boucwen" / "test.h5"), 50, 18.7),)
+    return Case(
+        "boucwen",
+        "Bouc-Wen",
+        part(train, dt, 0, 16_384),
+        part(train, dt, 16_384, 24_576),
+        (part(train, dt, 0, 40_960),),
+        tests,
+        ("µm", 1e-6),
+        {"columns": {"u": "multisine/u", "y": "multisine/y"}, "dt": dt, "hold": "band-limited"},
+    )
+
+
+def emps() -> Case:
+    """A trajectory for estimation, the same with pulses for the test, both simulated in open loop."""
+    train, test = str(DATA / "emps" / "DATA_EMPS.mat"), str(DATA / "emps" / "DATA_EMPS_PULSES.mat")
+    search = {"parameters": ["M", "Fv"], "shooting_interval": 0.2}
+    tests = (Test("pulses", test, 20, 2.64),)
+    settings = {"columns": {"u": "vir", "q": "qm"}}
+    return Case("emps", "EMPS", f"{train}@:17", f"{train}@17:", (train,), tests, ("mm", 1e-3), settings, search)
+
+
+def coupled_drives() -> Case:
+    """The first 400 samples of both records for estimation, the last 100 of each for tests."""
+    dt, files = 0.02, [DATA / "coupled_drives" / f"drives_{name}.npz" for name in ("train", "test")]
+    tests = tuple(
+        Test(f"record {number}", part(str(file), dt, 400, 500), 4, best)
+        for number, (file, best) in enumerate(zip(files, (0.096, 0.074), strict=True), 1)
+    )
+    first, second = (part(str(file), dt, 0, 400) for file in files)
+    return Case("coupled_drives", "Coupled drives", second, first, (first, second), tests, ("1/s", 1.0), {"dt": dt})
+
+
+def cascaded_tanks() -> Case:
+    """One record for estimation, one for the test."""
+    file = str(DATA / "cascaded_tanks" / "dataBenchmark.csv")
+    settings = {"dt": 4.0}
+    return Case("cascaded_tanks", "Cascaded tanks", file, file, (file,), (), ("V", 1.0), settings)
+
+
+CASES = {"silverbox": silverbox, "boucwen": boucwen, "emps": emps}
+
+
+def rows(case: Case, folder: Path) -> list[str]:
+    """Return the rows of a benchmark; its files are written to a folder."""
+    clock, model = time.perf_counter(), ROOT / "examples" / "measured" / f"{case.name}.yaml"
+    plant, names = None, list[str]()
+    for number in range(MOST_ROUNDS):
+        given = {"model": model} if plant is None else {"plant": plant}
+        out = folder / f"found{number}"
+        settings = {**case.settings, **case.search, "validation": case.validation}
+        found = masking.discover(case.record, **given, out=out, **settings)
+        causes = [cause for cause in found.effects if cause.name in found.twin.dictionary]
+        print(case.name, found.verdict, [(c.name, c.on, c.probability) for c in found.effects], flush=True)
+        if plant is not None and not causes:
+            break
+        plant = out / "plant.yaml"
+        names += [f"{cause.name.replace('_', ' ')} ({cause.on})" for cause in causes]
+        if found.closed:
+            break
+    fitted = masking.identify(*case.estimation, plant=plant, out=folder / "fitted", **case.settings)
+    taken, (unit, size) = time.perf_counter() - clock, case.unit
+    chain = Twin.load(folder / "fitted" / "plant.yaml").effects
+    parameters = len(fitted.names) + sum(len(effect.parameters) for effect in chain)
+    made = []
+    for test in case.tests:
+        errors = [rmse(case, which, test) / size for which in (folder / "fitted" / "plant.yaml", model)]
+        ours, declared = (f"{error:.3g} {unit}" for error in errors)
+        cells = (case.title, test.name, ours, f"{test.published:.3g} {unit}", declared, parameters, ", ".join(names))
+        made.append(f"| {' | '.join(map(str, cells))} | {taken:.0f} |")
+        print(made[-1], flush=True)
+    return made
+
+
+def rmse(case: Case, model: str | Path, test: Test) -> float:
+    """Return the root mean square of the error over a test part, without the samples of the initial state."""
+    dt = case.settings.get("dt", 1e-3)
+    made = masking.simulate(model, test.record, initial=test.initial * dt, **case.settings)
+    return float(np.sqrt(np.mean(made.residual[test.initial :] ** 2)))
+
+
+def table(names: Sequence[str]) -> str:
+    """Return the table of some benchmarks."""
+    with tempfile.TemporaryDirectory() as folder:
+        return "\n".join([HEAD, *(row for name in names for row in rows(CASES[name](), Path(folder) / name))])
+
+
+def main() -> int:
+    """Measure the chosen benchmarks."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(CASES)}; all by default")
+    chosen = parser.parse_args().names or [*CASES]
+    if not {*chosen} <= {*CASES}:
+        parser.error(f"the benchmarks are {', '.join(CASES)}")
+    print(table(chosen))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
