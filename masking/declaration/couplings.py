@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from masking.declaration.differentiate import rate_of
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Element, ModelDeclaration
 
@@ -45,6 +46,13 @@ def has_rate(model: ModelDeclaration, element: Element) -> bool:
     if element.rate is not None or element.displacement is None:
         return element.rate is not None
     return not element.displacement.names & {*model.states, *model.inputs}
+
+
+def motion_rate(model: ModelDeclaration, element: Element) -> Expression | None:
+    """Give how fast an element is stretched: as declared, or from its displacement of coordinates; None if unknown."""
+    if element.rate is not None or element.displacement is None or not has_rate(model, element):
+        return element.rate
+    return Expression(rate_of(element.displacement, model.coordinates))
 
 
 def is_fed(model: ModelDeclaration, measured: Expression) -> bool:

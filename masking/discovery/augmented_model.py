@@ -90,6 +90,30 @@ class EffectInstance:
         """Return the instance with its estimated parameters multiplied."""
         return self.with_values(self.free, (self.values[i] * factor for i in self.free))
 
+    def at_step(self, mobility: float, step: float) -> EffectInstance:
+        """Return the instance with the parameters that follow the step of integration, where it has such.
+
+        Args:
+            mobility: of its place, the acceleration of the displacement by a unit of force.
+            step: of integration, s.
+        """
+        rules = self.entry.by_step
+        known = {"mobility": mobility, "step": step}
+        return self.with_values(
+            self.entry.indices(tuple(rules)), (Expression(text).evaluate(known) for text in rules.values())
+        )
+
+    @property
+    def creeping(self) -> EffectInstance:
+        """Return the instance with a smooth law, as a controller can follow it, in the place of one that sticks."""
+        at = self.entry.indices(tuple(self.entry.by_step))
+        return self.with_values(at, np.zeros(len(at)))
+
+    @property
+    def sticks(self) -> bool:
+        """Return whether parameters that follow the step of integration have been given to it."""
+        return any(self.values[i] for i in self.entry.indices(tuple(self.entry.by_step)))
+
     @property
     def begins(self) -> tuple[float, ...]:
         """Return how far from 0 its state may begin; 0 where it begins there, and nothing where it has none."""
@@ -305,6 +329,23 @@ class AugmentedModel:
         return PortSizes(
             len(twin.state_names), len(self.coordinates), len(twin.sensors), *self.columns, twin.is_fed, MOST_STATES
         )
+
+    @cached_property
+    def mobilities(self) -> dict[str, float]:
+        """Return the acceleration of each displacement by a unit of force, at rest; 0 where the motion is given."""
+        twin, sizes = self._opened[0], self.sizes
+        n, many, u = len(twin.state_names), len(self.places), np.zeros(len(self.twin.actuators))
+        moved, by_state = np.zeros(2 * many), np.zeros((2 * many, n))
+        p, _ = self.basis(self.start)
+        self.equations.placed(0.0, self.rest, u, p, moved, by_state)
+        rates = np.zeros((n, self.affected))
+        self.equations.slopes(0.0, self.rest, u, p, np.zeros(n), np.zeros((n, n)), rates)
+        pushed = by_state[many:] @ rates[:, list(sizes.force_columns)]
+        return {place.name: abs(float(pushed[i, i])) for i, place in enumerate(self.places)}
+
+    def at_step(self, instance: EffectInstance, step: float) -> EffectInstance:
+        """Return an instance that sticks with the parameters that follow a step of integration, in s."""
+        return instance.at_step(self.mobilities[instance.at], step) if instance.sticks else instance
 
     def reading(self, theta: Array, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
         """Return what the sensors read in a state (sensors,), and how that depends on it (sensors, states).

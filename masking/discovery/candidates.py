@@ -24,6 +24,7 @@ class Candidate:
         factors: indices of the parameters that are factors.
         free: indices of all that are estimated.
         instances: one for each start, with factors 0 or as the start has them.
+        sticks: whether it is fitted with the parameters that follow the step of integration.
     """
 
     effect: str
@@ -31,6 +32,7 @@ class Candidate:
     factors: tuple[int, ...]
     free: tuple[int, ...]
     instances: tuple[EffectInstance, ...]
+    sticks: bool = False
 
     @property
     def key(self) -> tuple[str, str]:
@@ -59,13 +61,14 @@ def candidates(rig: AugmentedModel, spans: Mapping[str, Span], period: float) ->
         for effect in every:
             fits = effect.where == "element" and ((straight or not effect.is_inertia) if is_known else effect.joins)
             if fits and place.is_open and place.takes(effect):
-                for trial in effect.trials_at(rate_is_measured=not place.is_of_coordinates):
-                    yield from _candidate(effect, trial, place.name, spans[place.name])
+                for trial in effect.ways:
+                    if not trial.sticks or rig.mobilities[place.name] > 0.0:
+                        yield from _candidate(effect, trial, place.name, spans[place.name])
     commanded = tuple(name for name in rig.twin.actuators if name not in rig.twin.measured_actuators)
     for where, names in (("sensor", rig.twin.sensors), ("actuator", commanded)):
         for effect in [e for e in every if e.where == where]:
             for name in names:
-                for trial in effect.trials_at(rate_is_measured=False):
+                for trial in effect.ways:
                     yield from _candidate(effect, trial, name, spans[name])
     samples = DELAY.parameters[DELAY.grows_with].tried
     for at in ("", *commanded) if commanded == rig.twin.actuators else commanded:
@@ -82,4 +85,4 @@ def _candidate(effect: Effect, trial: Trial, at: str, span: Span) -> Iterator[Ca
     starts = [{**usual, **dict.fromkeys(names, 0.0), **start} for start in trial.starts(span)]
     if starts:
         instances = tuple(EffectInstance(effect.name, at, tuple(start.values()), free, effect) for start in starts)
-        yield Candidate(effect.name, at, factors, free, instances)
+        yield Candidate(effect.name, at, factors, free, instances, trial.sticks)

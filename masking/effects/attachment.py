@@ -169,7 +169,9 @@ def _with_effect(
     declaration: ModelDeclaration, attachment: Attachment, dimensions: Mapping[str, Dimension | None]
 ) -> ModelDeclaration:
     """Return a model with one more effect; `dimensions` are those of the symbols that its elements may use."""
-    entry, at, label = find(attachment.effect), attachment.at, attachment.label
+    whole, at, label = find(attachment.effect), attachment.at, attachment.label
+    entry = whole.reduced(attachment.parameters)
+    given = {n: x for n, x in attachment.parameters.items() if n in entry.parameters or n not in whole.parameters}
     element = _element(declaration, entry, at)
     label = f"{at}_{entry.name}" if label is None else label
     _check_label(declaration, label)
@@ -190,7 +192,7 @@ def _with_effect(
         Expression(f"{names[state]}'", path=label): Expression(rate.renamed(names), path=label)
         for state, rate in rates.items()
     }
-    all_parameters = parameters(entry, label, attachment.parameters, units)
+    all_parameters = parameters(entry, label, given, units)
     _check_free(declaration, label, [*new_states, *all_parameters, *definitions])
     return changed.model_copy(
         update={

@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 from masking.declaration.expression import Expression
@@ -34,12 +34,6 @@ FAMILIES: Final = (
     *("actuator gains", "actuator dynamics", SATURATION, "sensor errors", "quantisation", "noise", "delay"),
 )
 
-# Rates below which the smooth sign of a friction law is nearly linear: in m/s, or another unit of rate, if positions
-# are measured, and in parts of the rms rate if rates are. From the usual value downwards: a sharper sign needs finer
-# steps of integration, and a width between two of these changes the force at the turns alone.
-TURNS: Final = (1e-3, 1e-4, 1e-5)
-RELATIVE_TURNS: Final = (1e-2, 2e-3, 4e-4)
-
 
 @dataclass(frozen=True)
 class Span:
@@ -51,7 +45,6 @@ class Span:
         size: largest magnitude.
         rate: root mean square of its rate.
         tones: frequencies of the latent forces in Hz, the strongest first.
-        turns: rates below which the smooth sign of a friction law is nearly linear.
     """
 
     low: float
@@ -59,7 +52,6 @@ class Span:
     size: float
     rate: float
     tones: tuple[float, ...] = ()
-    turns: tuple[float, ...] = TURNS
 
 
 Start = Mapping[str, float]
@@ -123,11 +115,13 @@ class Trial:
         starts: values of other parameters than the factors, from which fits start, for the range of a place.
         free: parameters that are estimated beside the factors; the others are held at the start.
         factors: factors that are estimated; all of the effect's if none are named.
+        sticks: whether it is fitted with the parameters that follow the step of integration.
     """
 
     starts: Starts = lambda span: [{}]
     free: tuple[str, ...] = ()
     factors: tuple[str, ...] = ()
+    sticks: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +141,6 @@ class Effect:
         family: one of `FAMILIES`; '' gives it a row of its own in the error budget.
         label: its name in a sentence; by default the name with spaces.
         trials: the ways in which discovery fits it; by default one, with every parameter that has values to try.
-        trials_of_rates: the same at places whose rate is measured; by default as elsewhere.
         is_searched: whether discovery tries it at each place by these trials.
         joins: whether it is also tried between coordinates that no element joins.
         nested: simpler effects that are special cases of it, or nearly so.
@@ -159,6 +152,9 @@ class Effect:
         quantum: the parameter that is the step of a quantiser; '' if it is none.
         deviation: standard deviation of the white noise that it adds to a sensor, as an expression of its parameters.
         calibrated: parameters that a calibration fits where a plant file declares the effect.
+        at_zero: the law without states where a parameter is 0, by this parameter.
+        by_step: parameters that are no physics, but make a state as stiff as a step of integration bears: expressions
+            over `step`, in s, and `mobility`, the acceleration of the displacement by a unit of force.
     """
 
     name: str
@@ -173,7 +169,6 @@ class Effect:
     family: str = ""
     label: str = ""
     trials: tuple[Trial, ...] = ()
-    trials_of_rates: tuple[Trial, ...] = ()
     is_searched: bool = True
     joins: bool = False
     nested: tuple[str, ...] = ()
@@ -185,6 +180,8 @@ class Effect:
     quantum: str = ""
     deviation: str = ""
     calibrated: tuple[str, ...] = ()
+    at_zero: Mapping[str, str] = field(default_factory=dict)
+    by_step: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def spoken(self) -> str:
@@ -225,10 +222,19 @@ class Effect:
         every = list(self.parameters)
         return tuple(every.index(name) for name in names)
 
-    def trials_at(self, rate_is_measured: bool) -> tuple[Trial, ...]:
-        """Return the ways in which discovery fits it at a place."""
+    @property
+    def ways(self) -> tuple[Trial, ...]:
+        """Return the ways in which discovery fits it."""
         tried = tuple(name for name, parameter in self.parameters.items() if parameter.tried)
-        return (rate_is_measured and self.trials_of_rates) or self.trials or (Trial(self._combinations, tried),)
+        return self.trials or (Trial(self._combinations, tried),)
+
+    def reduced(self, given: Mapping[str, object]) -> Effect:
+        """Return the effect without states where a parameter, given or by default, is 0 that they need."""
+        for name, expression in self.at_zero.items():
+            if given.get(name, self.parameters[name].value) == 0.0:
+                left = {key: parameter for key, parameter in self.parameters.items() if key not in self.by_step}
+                return replace(self, expression=expression, parameters=left, states={}, at_zero={}, by_step={})
+        return self
 
     def _combinations(self, span: Span) -> list[Start]:
         """Return all combinations of the values that are tried."""
