@@ -17,7 +17,8 @@ _COHERENT = frozenset(
 )
 # The parts of an entry of each section that may be expressions.
 _FORMULAS = {
-    "parameters": ["value"], "outputs": ["expression"], "scales": ["value"], "elements": ["displacement", "rate", "force"],
+    "parameters": ["value"], "outputs": ["expression"], "scales": ["value"],
+    "elements": ["displacement", "rate", "force"],
 }  # fmt: skip
 
 
