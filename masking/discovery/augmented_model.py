@@ -53,7 +53,8 @@ class EffectInstance:
     Args:
         effect: its name in the dictionary, which may be `delay`.
         at: name of the place, sensor or actuator; '' for a delay of all actuators.
-        values: of its parameters, in the order of the dictionary, in coherent units of the place.
+        values: of its parameters, in the order of the dictionary, in coherent units of the place; the last may be left
+            out, and are then as usual.
         free: indices of those that are estimated.
         known: its entry in the dictionary; by default that which comes with the package.
     """
@@ -63,6 +64,11 @@ class EffectInstance:
     values: tuple[float, ...]
     free: tuple[int, ...]
     known: Effect | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.effect != laws.DELAY:
+            left = list(self.entry.parameters.values())[len(self.values) :]
+            object.__setattr__(self, "values", (*self.values, *(parameter.value or 0.0 for parameter in left)))
 
     @property
     def entry(self) -> Effect:
