@@ -48,6 +48,17 @@ def has_rate(model: ModelDeclaration, element: Element) -> bool:
     return not element.displacement.names & {*model.states, *model.inputs}
 
 
+def has_own_force(model: ModelDeclaration, element: Element) -> bool:
+    """Tell whether an element declares a force that follows nothing but its own motion."""
+    if element.force is None:
+        return False
+    seen, pending = set[str](), {*element.force.names} & {*model.definitions}
+    while pending:
+        seen |= pending
+        pending = set().union(*(model.definitions[name].names for name in pending)) & {*model.definitions} - seen
+    return not set().union(*(model.definitions[name].names for name in seen)) & {*model.coordinates, *model.inputs, "t"}
+
+
 def motion_rate(model: ModelDeclaration, element: Element) -> Expression | None:
     """Give how fast an element is stretched: as declared, or from its displacement of coordinates; None if unknown."""
     if element.rate is not None or element.displacement is None or not has_rate(model, element):

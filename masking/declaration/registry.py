@@ -225,8 +225,11 @@ def _extended(base: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
         elif key in _MERGED and isinstance(base.get(key), dict):
             result[key] = dict(base[key])
             for name, entry in value.items():
-                full = _full(key, result[key].get(name, {})) | _full(key, entry) if key in _SHORT else entry
-                result[key][name] = full
+                before = result[key].get(name, {})
+                if key in _SHORT:
+                    before, entry = _full(key, before), _full(key, entry)
+                is_block = isinstance(before, dict) and isinstance(entry, dict)
+                result[key][name] = before | entry if is_block else entry
         else:
             result[key] = value
     return result

@@ -97,7 +97,7 @@ class Element(Block):
     rate: Formula | None = None
     force: Formula | None = None
     unit: TextField = "1"
-    acts: dict[Name, Formula]
+    acts: dict[Name, Formula] = {}
     meaning: TextField = ""
 
 

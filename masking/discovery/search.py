@@ -34,6 +34,7 @@ from masking.numerics.arrays import Array
 Tell = Callable[[str, float], None]
 Job = Callable[[float], "Explanation"]  # given the cost of a rival
 
+REPLACED = (1.0, 0.3, 3.0)  # parts of an element's stiffness with which a law in its place begins
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
 
 
@@ -374,7 +375,10 @@ class Search:
         found, tones = {}, self._tones(motion.forces)
         for place, x, rate in zip(self.problem.rig.places, motion.displacement.T, motion.rate.T, strict=True):
             moved = x if place.element.displacement is not None else self._moved(rate)
-            found[place.name] = _span(moved, float(np.sqrt((rate**2).mean())) or 1.0, tones)
+            span = _span(moved, float(np.sqrt((rate**2).mean())) or 1.0, tones)
+            stiffness = self.problem.rig.stiffnesses.get(place.name, 0.0)
+            stiffnesses = tuple(part * (stiffness or 1.0) for part in REPLACED)
+            found[place.name] = replace(span, stiffnesses=stiffnesses)
         for names, table in (
             (self.problem.rig.twin.sensors, self.problem.record.readings),
             (self.problem.rig.twin.actuators, self.problem.record.commands),

@@ -21,6 +21,7 @@ from typing import Final, Literal
 
 from masking.declaration.expression import Expression
 
+Attaches = Literal["beside", "in_series", "instead"]
 Where = Literal["element", "sensor", "actuator", "loop"]
 Bounds = tuple[float | None, float | None]
 
@@ -45,6 +46,7 @@ class Span:
         size: largest magnitude.
         rate: root mean square of its rate.
         tones: frequencies of the latent forces in Hz, the strongest first.
+        stiffnesses: values of a stiffness in the place of the element's own force, where it declares one.
     """
 
     low: float
@@ -52,6 +54,7 @@ class Span:
     size: float
     rate: float
     tones: tuple[float, ...] = ()
+    stiffnesses: tuple[float, ...] = ()
 
 
 Start = Mapping[str, float]
@@ -131,7 +134,8 @@ class Effect:
     Args:
         name: in declarations and reports.
         meaning: one sentence.
-        expression: of the force of an element, or of the value of a sensor or actuator; '' if it sits in the loop.
+        expression: of the force of an element, or of the value of a sensor or actuator; '' if it sits in the loop. Of
+            an effect in series, of the displacement that it takes up.
         parameters: by their names.
         cause: usual causes on a rig.
         remedy: what helps.
@@ -153,6 +157,9 @@ class Effect:
         quantum: the parameter that is the step of a quantiser; '' if it is none.
         deviation: standard deviation of the white noise that it adds to a sensor, as an expression of its parameters.
         calibrated: parameters that a calibration fits where a plant file declares the effect.
+        attaches: beside the force of an element, in series with it, or instead of it; the latter two where the element
+            declares a force of its own.
+        takes_rate: of an effect in series, the rate of what it takes up.
         at_zero: the law without states where a parameter is 0, by this parameter.
         by_step: parameters that are no physics, but make a state as stiff as a step of integration bears: expressions
             over `step`, in s, and `mobility`, the acceleration of the displacement by a unit of force.
@@ -182,6 +189,8 @@ class Effect:
     quantum: str = ""
     deviation: str = ""
     calibrated: tuple[str, ...] = ()
+    attaches: Attaches = "beside"
+    takes_rate: str = ""
     at_zero: Mapping[str, str] = field(default_factory=dict)
     by_step: Mapping[str, str] = field(default_factory=dict)
 
@@ -215,7 +224,7 @@ class Effect:
     @property
     def follows(self) -> frozenset[str]:
         """Return the motion that it follows: some of displacement `d`, rate `d_rate` and acceleration `d_acc`."""
-        texts = filter(None, [self.expression, *(state.rate for state in self.states.values())])
+        texts = filter(None, [self.expression, self.takes_rate, *(state.rate for state in self.states.values())])
         used = {name for text in texts for name in Expression(text).names}
         return frozenset(used & {"d", "d_rate", "d_acc"})
 
@@ -246,4 +255,4 @@ class Effect:
     def structure(self) -> list[object]:
         """Return everything that compiled functions of it depend on."""
         rates = {name: state.rate for name, state in self.states.items()}
-        return [self.name, self.where, self.expression, [*self.parameters], rates]
+        return [self.name, self.where, self.expression, self.takes_rate, self.attaches, [*self.parameters], rates]
