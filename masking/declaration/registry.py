@@ -225,11 +225,10 @@ def _extended(base: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
         elif key in _MERGED and isinstance(base.get(key), dict):
             result[key] = dict(base[key])
             for name, entry in value.items():
-                before = result[key].get(name, {})
+                old, new = result[key].get(name, {}), entry
                 if key in _SHORT:
-                    before, entry = _full(key, before), _full(key, entry)
-                is_block = isinstance(before, dict) and isinstance(entry, dict)
-                result[key][name] = before | entry if is_block else entry
+                    old, new = _full(key, old), _full(key, new)
+                result[key][name] = old | new if isinstance(old, dict) and isinstance(new, dict) else new
         else:
             result[key] = value
     return result

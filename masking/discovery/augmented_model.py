@@ -111,7 +111,7 @@ class EffectInstance:
     @property
     def creeping(self) -> EffectInstance:
         """Return the instance with a smooth law, as a controller can follow it, in the place of one that sticks."""
-        at = self.entry.indices(tuple(self.entry.by_step))
+        at = self.entry.indices(tuple(self.entry.by_step) if self.entry.at_zero else ())
         return self.with_values(at, np.zeros(len(at)))
 
     @property

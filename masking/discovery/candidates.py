@@ -7,7 +7,7 @@ a fit starts in a record.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.places import is_of_one
@@ -63,7 +63,8 @@ def candidates(rig: AugmentedModel, spans: Mapping[str, Span], period: float) ->
             if fits and place.is_open and place.takes(effect):
                 for trial in effect.ways:
                     if not trial.sticks or rig.mobilities[place.name] > 0.0:
-                        yield from _candidate(effect, trial, place.name, spans[place.name])
+                        found = _candidate(effect, trial, place.name, spans[place.name])
+                        yield from (_ready(rig, candidate, period) for candidate in found)
     commanded = tuple(name for name in rig.twin.actuators if name not in rig.twin.measured_actuators)
     for where, names in (("sensor", rig.twin.sensors), ("actuator", commanded)):
         for effect in [e for e in every if e.where == where]:
@@ -74,6 +75,14 @@ def candidates(rig: AugmentedModel, spans: Mapping[str, Span], period: float) ->
     for at in ("", *commanded) if commanded == rig.twin.actuators else commanded:
         instances = tuple(EffectInstance(DELAY.name, at, (number * period,), (0,)) for number in samples)
         yield Candidate(DELAY.name, at, (), (0,), instances)
+
+
+def _ready(rig: AugmentedModel, candidate: Candidate, period: float) -> Candidate:
+    """Return a candidate whose law has no smooth form with the parameters that follow the step, here a sample."""
+    if not candidate.sticks or candidate.entry.at_zero:
+        return candidate
+    mobility = rig.mobilities[candidate.at]
+    return replace(candidate, instances=tuple(one.at_step(mobility, period) for one in candidate.instances))
 
 
 def _candidate(effect: Effect, trial: Trial, at: str, span: Span) -> Iterator[Candidate]:

@@ -180,19 +180,18 @@ def _with_effect(
     names |= {"d": f"{label}_d", "d_rate": f"{label}_v", "d_acc": f"{label}_acc"}
     force, taken = Expression(entry.expression, path=label), Expression(entry.takes_rate or "0", path=label)
     rates = {state: Expression(e.rate, path=label) for state, e in entry.states.items()}
-    used = force.names.union(taken.names, *(rate.names for rate in rates.values()))
-    definitions = {names[key]: e for key, e in _motion(declaration, entry, at, label, used).items() if key in used}
-    definitions[f"{label}_f"] = Expression(f"{label}_on*({force.renamed(names)})", path=label)
+    inner = frozenset[str]().union(*(rate.names for rate in rates.values()))
+    motion = _motion(declaration, entry, at, label, force.names | taken.names | inner)
+    # What is in series reads the motion in the force of its element; its states read it in equations of their own.
+    used = inner if entry.attaches == "in_series" else force.names | inner
+    definitions = {names[key]: e for key, e in motion.items() if key in used}
+    if entry.attaches != "in_series":
+        definitions[f"{label}_f"] = Expression(f"{label}_on*({force.renamed(names)})", path=label)
     if entry.attaches == "beside":
         changed = _with_force(declaration, element, f"{label}_f")
     else:
         law = _in_series(declaration, entry, at, label)
         changed = declaration.model_copy(update={"elements": {**declaration.elements, at: law}})
-        if entry.attaches == "in_series":
-            used = set().union(*(rate.names for rate in rates.values()))
-            definitions = {
-                name: x for name, x in definitions.items() if name in {names[key] for key in used & {*names}}
-            }
     new_states = {
         names[state]: State(meaning=f"{e.meaning}, {label}", unit=unit_of(e.unit, units))
         for state, e in entry.states.items()

@@ -13,7 +13,9 @@ _GAP = EffectParameter(
     "D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE, (0.02, 0.05, 0.15, 0.3, 0.5, 0.8, 1.2)
 )
 _TIMES = (3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)  # s, half-decades
-_TAKEN = "min(max(d - z, -gap/2), gap/2)"
+# How far the pin is beyond the gap of its slider, and the force with which it pushes in contact.
+_REACH = "(d - z - min(max(d - z, -gap/2), gap/2))"
+_PUSH = f"(c*(hold*{_REACH} + d_rate))"
 
 SERIES: tuple[Effect, ...] = (
     Effect(
@@ -29,22 +31,30 @@ SERIES: tuple[Effect, ...] = (
         takes_rate="where(abs(d) < gap/2, d_rate, 0)",
     ),
     Effect(
-        "lost_motion",
-        "Play with friction: after each reversal the element stays as it is until the gap is crossed.",
-        _TAKEN,
+        "play_with_friction",
+        "A slider under dry friction, dragged along with play: free after each reversal until the gap is crossed.",
+        f"where({_REACH} > 0, min(max({_PUSH}, 0), fc), where({_REACH} < 0, max(min({_PUSH}, 0), -fc), 0))",
         {
+            "fc": EffectParameter("F", "force while it is dragged", (1e-3, 2.0), 0.1, None, NOT_NEGATIVE),
             "gap": _GAP,
-            "hold": EffectParameter("1/s", "rate at which it is taken along", (10.0, 1e5), 1e3, 1e3, POSITIVE),
+            "c": EffectParameter("F*s/D", "resistance in contact, numerical", (1e-6, 1e9), 1e3, None, POSITIVE),
+            "hold": EffectParameter("1/s", "its stiffness over that, numerical", (1.0, 1e6), 1e3, 1e3, POSITIVE),
         },
-        cause="gears and spindles under friction, cables in a sheath, worn linkages",
-        remedy="preload the joint, or approach each position from the same side",
+        cause="a brush, seal or cable that is taken along by a worn pin, a carriage on a loose spindle nut",
+        remedy="take up the play, or remove what rubs",
         source="Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 2",
-        states={"z": EffectState(f"hold*(d - z - {_TAKEN})", "D", "where the middle of the gap is", "gap/2")},
-        family="backlash",
+        states={
+            "z": EffectState(
+                f"where({_REACH} > 0, max({_PUSH} - fc, 0), where({_REACH} < 0, min({_PUSH} + fc, 0), 0))/c",
+                "D",
+                "where the slider is",
+                "gap/2",
+            )
+        },
+        family="friction",
         trials=(Trial(lambda span: [{"gap": gap} for gap in _GAP.starts(span)], ("gap",), sticks=True),),
-        attaches="in_series",
-        takes_rate="where(abs(d - z) < gap/2, d_rate, 0)",
-        by_step={"hold": "1/(1.75*step)"},
+        nested=("dry_friction",),
+        by_step={"c": "1/(0.55*mobility*step)", "hold": "1/(1.75*step)"},
     ),
     Effect(
         "maxwell_element",
