@@ -85,6 +85,7 @@ def fit(
     rounds: int = MOST_ROUNDS,
     frozen: bool = False,
     rival: float = np.inf,
+    penalty: Array | None = None,
 ) -> Hypothesis:
     """Fit a rig with effects to a record.
 
@@ -96,13 +97,14 @@ def fit(
         rounds: most rounds.
         frozen: whether only the initial state is estimated.
         rival: cost of another hypothesis; a fit that no longer comes near it is abandoned.
+        penalty: a' penalty a is added to the cost for free parameters a of the effects (f, f); 0 if not given.
 
     Raises:
         IntegrationError: the motion is not finite from where it begins.
     """
     x = problem.prior.mean.copy() if theta is None else theta.copy()
     state = first_states(problem, x) if start is None else start.copy()
-    return _LeastSquares(problem, tuple(instances), state, frozen=frozen).solve(x, rounds, rival)
+    return _LeastSquares(problem, tuple(instances), state, frozen=frozen, penalty=penalty).solve(x, rounds, rival)
 
 
 def together(
@@ -178,6 +180,7 @@ class _LeastSquares:
         start: initial states of each record in turn (w, states); those that are not free stay as they are.
         others: other records.
         frozen: whether only initial states are estimated.
+        penalty: on the free parameters of the effects (f, f); None for none.
     """
 
     problem: EstimationProblem
@@ -185,6 +188,7 @@ class _LeastSquares:
     start: Array
     others: tuple[EstimationProblem, ...] = ()
     frozen: bool = False
+    penalty: Array | None = None
 
     @property
     def records(self) -> tuple[EstimationProblem, ...]:
@@ -258,12 +262,16 @@ class _LeastSquares:
             len(inner) // len(self.records),
             [one.weights / self.problem.weights for one in self.records],
         )
-        (k, first, last), prior = self.edges, self.problem.prior
+        (k, first, last), prior, rough = self.edges, self.problem.prior, 0.0
+        if self.penalty is not None:
+            found.matrix[k:first, k:first] += self.penalty
+            found.gradient[k:first] -= self.penalty @ added
+            rough = float(added @ self.penalty @ added)
         off, deviation, fixed = np.zeros(len(x)), np.full(len(x), np.inf), np.zeros(len(x), dtype=bool)
         off[:k], deviation[:k], fixed[:first] = prior.mean - theta, prior.deviation, self.frozen
         known = self.begins == 0.0
         off[first:last], deviation[first:last], fixed[first:last] = -inner, np.where(known, np.inf, self.begins), known
-        cost = float(found.squares @ self.problem.weights + ((off / deviation) ** 2).sum())
+        cost = float(found.squares @ self.problem.weights + ((off / deviation) ** 2).sum()) + rough
         return Linearised(cost, Dense(found.matrix, found.gradient, fixed).with_prior(off, deviation), found)
 
 
