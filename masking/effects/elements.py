@@ -370,8 +370,8 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="stay within the stroke: smaller amplitudes, or the limits of the plant",
         source="Hunt and Crossley (1975), J. Appl. Mech. 42, 440-445",
         family="end stop",
-        trials=(Trial(starts.edges, ("edge",)),),
-        nested=("constant_force",),
+        trials=(Trial(starts.edges, ("edge",)), Trial(starts.damped_edges, ("edge", "c"))),
+        nested=("constant_force", "bilinear_spring"),
     ),
     Effect(
         "local_friction",

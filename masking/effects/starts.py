@@ -8,6 +8,7 @@ from masking.effects.entry import Span, Start, Starts
 # moves an edge by about half the distance to the next.
 EDGES = (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)
 EDGE_WIDTH = 0.04  # of the largest displacement: below half the distance of two edges, so that starts stay distinct
+LOSS = 0.3  # of the force of a contact at the rms rate
 # Displacements at which bristles let go, in parts of the travel: hardly seen, seen at reversals, and nearly a spring.
 BRISTLES = (0.005, 0.02, 0.08)
 BRISTLE_DAMPING = 3e-3  # s, per stiffness: less than the time in which they let go at the rms rate
@@ -25,6 +26,11 @@ def edges(span: Span) -> list[Start]:
     up = [{"side": 1.0, "edge": part * span.high} for part in EDGES if span.high > 0]
     down = [{"side": -1.0, "edge": part * span.low} for part in EDGES if span.low < 0]
     return [*up, *down, {"side": 1.0, "edge": 0.0}, {"side": -1.0, "edge": 0.0}]
+
+
+def damped_edges(span: Span) -> list[Start]:
+    """Return the same edges of a contact that loses energy."""
+    return [{**edge, "c": LOSS / span.rate} for edge in edges(span)]
 
 
 def local_edges(span: Span) -> list[Start]:

@@ -21,7 +21,7 @@ def judged(case: Case) -> tuple[str, str]:
     u, x = case.told
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "model.yaml").write_text(case.rig.model())
-        np.savez(Path(folder) / "record.npz", **case.rig.columns(u, x))
+        np.savez(Path(folder) / "record.npz", **case.rig.columns(case.times, u, x))
         try:
             found = discover(Path(folder) / "record.npz", model=Path(folder) / "model.yaml")
         except MaskingError as error:

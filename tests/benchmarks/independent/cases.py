@@ -15,7 +15,6 @@ from scipy import signal
 
 from tests.benchmarks.independent.machine import Array, Contact, Element, Machine, simulated
 
-RATE, SECONDS = 500.0, 20.0
 OFF = 0.01  # standard deviation of the parameters about what the model declares
 PIECES = 4
 Key = tuple[str, str]
@@ -45,11 +44,20 @@ class Case:
         seed: of all that is random.
         effect: its name.
         noise: standard deviation of the readings, in parts of their rms.
+        rate: samples per second.
+        seconds: length of the record.
     """
 
     seed: int
     effect: str
     noise: float = 1e-3
+    rate: float = 500.0
+    seconds: float = 20.0
+
+    @property
+    def times(self) -> Array:
+        """Return the times of the samples (m,)."""
+        return np.arange(round(self.rate * self.seconds)) / self.rate
 
     @cached_property
     def random(self) -> np.random.Generator:
@@ -65,9 +73,9 @@ class Case:
     def told(self) -> tuple[Array, Array]:
         """Return inputs (m, n) and the readings of each coordinate (m, n), in the unit of the record."""
         rig, rng = self.rig, self.random
-        u = rig.excitation(rng)
+        u = rig.excitation(rng, self.times)
         machine, late = self._machine(u)
-        motion = simulated(machine, u, RATE, start=np.zeros(rig.size), late=late, pieces=PIECES)
+        motion = simulated(machine, u, self.rate, start=np.zeros(rig.size), late=late, pieces=PIECES)
         x = motion.displacement
         return u, rig.scale * (x + self.noise * x.std(axis=0) * rng.standard_normal(x.shape))
 
@@ -84,7 +92,8 @@ class Case:
     def _machine(self, u: Array) -> tuple[Machine, list[float]]:
         rig, rng, i = self.rig, self.random, self.at
         k, c, row = rig.stiffness[i], rig.damping[i], rig.rows[i]
-        d, v = rig.linear(u) @ row, np.gradient(rig.linear(u) @ row) * RATE
+        d = rig.linear(u, self.rate) @ row
+        v = np.gradient(d) * self.rate
         size, speed, most = float(d.std()), float(v.std()), float(np.abs(d).max())
         force = float((k * d + c * v).std())
         elements = [rig.element(j) for j in range(rig.size)]
@@ -93,7 +102,7 @@ class Case:
         if made is not None:
             elements[i] = made(Drawn(row, k, c, size, speed, most, rng))
         elif self.effect == "delay":
-            late[i] = float(rng.integers(2, 9)) / (RATE * PIECES) * 2.0
+            late[i] = float(rng.integers(2, 9)) / (self.rate * PIECES) * 2.0
         else:
             sliding = float(rng.uniform(0.05, 0.5)) * force
             more, fall = (
@@ -238,29 +247,29 @@ class Rig:
         k, c = float(self.stiffness[i]), float(self.damping[i])
         return Element(self.rows[i], lambda d, v, z, t: k * d + c * v)
 
-    def excitation(self, rng: np.random.Generator) -> Array:
+    def excitation(self, rng: np.random.Generator, t: Array) -> Array:
         """Return multisines (m, n) around the resonances, with displacements of some millimetres."""
-        t = np.arange(round(RATE * SECONDS)) / RATE
+        seconds = len(t) * t[1]
         w = np.sqrt(self.declared[1] / self.declared[0]) / (2.0 * np.pi)
-        lines = np.arange(max(1, int(0.2 * w.min() * SECONDS)), int(2.5 * w.max() * SECONDS))
+        lines = np.arange(max(1, int(0.2 * w.min() * seconds)), int(2.5 * w.max() * seconds))
         u = np.empty((len(t), self.size))
         for i in range(self.size):
             own = lines[i :: self.size]
             phases = rng.uniform(0.0, 2.0 * np.pi, len(own))
-            wave = np.cos(2.0 * np.pi * np.outer(t, own) / SECONDS + phases).sum(axis=1)
+            wave = np.cos(2.0 * np.pi * np.outer(t, own) / seconds + phases).sum(axis=1)
             u[:, i] = wave / wave.std()
         u *= 3e-3 * self.declared[1].max() * 0.5
         return np.asarray(u)
 
-    def linear(self, u: Array) -> Array:
+    def linear(self, u: Array, rate: float) -> Array:
         """Return the coordinates (m, n) without any effect."""
         n, rows = self.size, self.rows
         inverse = np.diag(1.0 / self.masses)
         stiffness, damping = (rows.T @ np.diag(x) @ rows for x in (self.stiffness, self.damping))
         a = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])
         b = np.vstack([np.zeros((n, n)), inverse])
-        system = signal.cont2discrete((a, b, np.eye(n, 2 * n), np.zeros((n, n))), 1.0 / RATE)
-        return np.asarray(signal.dlsim((*system[:4], 1.0 / RATE), u)[1])
+        system = signal.cont2discrete((a, b, np.eye(n, 2 * n), np.zeros((n, n))), 1.0 / rate)
+        return np.asarray(signal.dlsim((*system[:4], 1.0 / rate), u)[1])
 
     def model(self) -> str:
         """Return the model file that an engineer would write; inputs are forces in the unit of the record."""
@@ -283,8 +292,8 @@ class Rig:
             )
         return "\n".join(lines) + "\n"
 
-    def columns(self, u: Array, x: Array) -> dict[str, Array]:
+    def columns(self, t: Array, u: Array, x: Array) -> dict[str, Array]:
         """Return the record, by columns."""
-        found = {"t": np.arange(len(u)) / RATE}
+        found = {"t": t}
         found |= {f"u{i + 1}": self.scale * u[:, i] for i in range(self.size)}
         return found | {f"x{i + 1}": x[:, i] for i in range(self.size)}
