@@ -50,9 +50,8 @@ def test_the_force_acts_on_outputs_and_rates_of_states_too(declared):
         states={"w": {"initial": 1.0}}, parameters={"b": 3.0}, equations={"w'": "0"}, outputs={"torque": "0"},
         elements={"shaft": {"rate": "w", "force": "b*d_rate", "acts": {"w": -1, "torque": 2}}},
     )  # fmt: skip
-    found = model.simulate([0.0, 0.5])
-    assert found["w"][-1] == pytest.approx(math.exp(-1.5), rel=1e-8)
-    assert found["torque"][-1] == pytest.approx(6.0 * math.exp(-1.5), rel=1e-8)
+    assert model.simulate([0.0, 0.5])["w"][-1] == pytest.approx(math.exp(-1.5), rel=1e-8)
+    assert str(model.equations.output("torque")) == "2*b*w"
 
 
 def test_play_lengthens_the_period_by_the_time_in_its_gap(spring):
@@ -93,7 +92,7 @@ def test_what_needs_a_force_of_the_element_is_refused_without(spring):
 
 
 def test_a_force_of_another_unit_than_its_element_is_refused(declared):
-    with pytest.raises(DeclarationError, match="the unit of the element is N, its force is"):
+    with pytest.raises(DeclarationError, match=r"the unit of the element is kg\*m/s\*\*2, its force is kg\*m\*\*2"):
         declared(
             coordinates={"x": {"unit": "m"}},
             parameters={"m": {"value": 1, "unit": "kg"}, "k": {"value": 1, "unit": "N"}},

@@ -45,12 +45,12 @@ class Candidate:
         return self.instances[0].entry
 
 
-def candidates(rig: AugmentedModel, spans: Mapping[str, Span], period: float) -> Iterator[Candidate]:
+def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], period: float) -> Iterator[Candidate]:
     """Give every candidate.
 
     Args:
         rig: the rig.
-        spans: of each place, sensor and actuator by name.
+        spans: of each place, sensor and actuator: of an element, sensor or actuator with a name.
         period: time between samples, s.
     """
     every = [effect for effect in rig.twin.dictionary.values() if effect.is_searched]
@@ -63,14 +63,14 @@ def candidates(rig: AugmentedModel, spans: Mapping[str, Span], period: float) ->
             if fits and place.is_open and place.takes(effect):
                 for trial in effect.ways:
                     if not trial.sticks or rig.mobilities[place.name] > 0.0:
-                        found = _candidate(effect, trial, place.name, spans[place.name])
+                        found = _candidate(effect, trial, place.name, spans["element", place.name])
                         yield from (_ready(rig, candidate, period) for candidate in found)
     commanded = tuple(name for name in rig.twin.actuators if name not in rig.twin.measured_actuators)
     for where, names in (("sensor", rig.twin.sensors), ("actuator", commanded)):
         for effect in [e for e in every if e.where == where]:
             for name in names:
                 for trial in effect.ways:
-                    yield from _candidate(effect, trial, name, spans[name])
+                    yield from _candidate(effect, trial, name, spans[where, name])
     samples = DELAY.parameters[DELAY.grows_with].tried
     for at in ("", *commanded) if commanded == rig.twin.actuators else commanded:
         instances = tuple(EffectInstance(DELAY.name, at, (number * period,), (0,)) for number in samples)

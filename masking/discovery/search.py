@@ -371,20 +371,20 @@ class Search:
         found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
         return np.where(variance < 1.0 - 1e-9, found, 0.0)
 
-    def _spans(self, motion: Motion) -> dict[str, Span]:
-        found, tones = {}, self._tones(motion.forces)
+    def _spans(self, motion: Motion) -> dict[tuple[str, str], Span]:
+        found, tones = dict[tuple[str, str], Span](), self._tones(motion.forces)
         for place, x, rate in zip(self.problem.rig.places, motion.displacement.T, motion.rate.T, strict=True):
             moved = x if place.element.displacement is not None else self._moved(rate)
             span = _span(moved, float(np.sqrt((rate**2).mean())) or 1.0, tones)
             stiffness = self.problem.rig.stiffnesses.get(place.name, 0.0)
             stiffnesses = tuple(part * (stiffness or 1.0) for part in REPLACED)
-            found[place.name] = replace(span, stiffnesses=stiffnesses)
-        for names, table in (
-            (self.problem.rig.twin.sensors, self.problem.record.readings),
-            (self.problem.rig.twin.actuators, self.problem.record.commands),
+            found["element", place.name] = replace(span, stiffnesses=stiffnesses)
+        for where, names, table in (
+            ("sensor", self.problem.rig.twin.sensors, self.problem.record.readings),
+            ("actuator", self.problem.rig.twin.actuators, self.problem.record.commands),
         ):
             for name, x in zip(names, table.T, strict=True):
-                found[name] = _span(x)
+                found[where, name] = _span(x)
         return found
 
     def _moved(self, rate: Array) -> Array:
