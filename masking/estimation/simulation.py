@@ -93,7 +93,7 @@ def validated(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weight
 
 
 def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), first: int | None = None) -> Simulated:
-    """Simulate a record from the initial state that reproduces it best; internal states of effects are at rest.
+    """Simulate a record from the initial state that reproduces it best; those of the plant's effects begin at rest.
 
     Args:
         twin: the plant, with the values to simulate with.
@@ -123,7 +123,7 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), first: int | 
 def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) -> tuple[Array, NormalEquations]:
     """Return the initial state (states,) from which a record is reproduced best, and what is simulated from there.
 
-    Internal states of effects begin at rest.
+    Internal states of effects of the plant begin at rest, those of its model anywhere.
 
     Args:
         sensing: the twin.
@@ -134,7 +134,9 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
     Raises:
         IntegrationError: the motion is not finite.
     """
-    free, first, basis = np.array(sensing.twin.free, dtype=int), first_start(sensing, record), sensing.basis(theta)
+    names, internal = sensing.twin.state_names, sensing.twin.base.states
+    free = np.array([i for i, name in enumerate(names) if i in sensing.twin.free or name in internal], dtype=int)
+    first, basis = first_start(sensing, record), sensing.basis(theta)
     substeps, at = sensing.twin.substeps(record.rate), len(theta) + free
 
     def linearised(x: Array) -> Linearised[Dense, NormalEquations]:
