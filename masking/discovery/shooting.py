@@ -34,7 +34,7 @@ def interval(problem: EstimationProblem, seconds: float | None) -> int:
         if not ((np.abs(speeds) < rules.settling_rates) | (speeds.real > 1.0)).any():
             return 0
         seconds = count / rate / rules.intervals
-    elif not seconds * rate >= rules.fewest_samples:
+    elif not seconds * rate >= rules.fewest_samples - 0.5:
         few = rules.fewest_samples
         raise RecordError(f"the shooting interval is {seconds:g} s; give {few / rate:g} s or more: {few} samples")
     if seconds * rate >= count:
