@@ -6,13 +6,14 @@ is estimated. Source: as `masking.estimation.least_squares`.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from masking.discovery import laws
+from masking.discovery import continuation, laws
 from masking.discovery.augmented_model import EffectInstance, Equations
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import RULES, DecisionRules
@@ -81,7 +82,10 @@ def fit(
     frozen: bool = False,
     rival: float = np.inf,
 ) -> Hypothesis:
-    """Fit a rig with effects to a record.
+    """Fit a rig with effects to a record; no fit costs more than the values that it begins from.
+
+    If the simulated motion loses phase with the record, the fit begins again from those in shorter intervals, which
+    grow. Where no initial states are given, those that suit the values to begin from best count.
 
     Args:
         problem: the record and the rig.
@@ -95,9 +99,85 @@ def fit(
     Raises:
         IntegrationError: the motion is not finite from where it begins.
     """
-    x = problem.prior.mean.copy() if theta is None else theta.copy()
-    state = first_states(problem, x) if start is None else start.copy()
-    return _LeastSquares(problem, tuple(instances), state, frozen=frozen).solve(x, rounds, rival)
+    x = problem.prior.mean if theta is None else theta
+    begun = _Begun(tuple(instances), x, first_states(problem, x) if start is None else start)
+    found, is_fresh = _solved(problem, begun, rounds, frozen=frozen, rival=rival), start is None and not frozen
+    if is_fresh:  # the initial states that suit the parameters to begin from best count
+        first = _solved(problem, begun, rounds, frozen=True)
+        found = _better(first, found)
+        if found is first and first is not None:
+            found = _better(first, _solved(problem, _Begun.at(first), rounds, rival=rival))
+    for fixed in (False, True) if is_fresh else (frozen,):
+        if found is None or _is_doubtful(problem, found, fresh=is_fresh and not fixed):
+            nearer = _continued(problem, begun, frozen=fixed)
+            found = _better(found, _solved(problem, nearer, rounds, frozen=frozen, rival=rival) if nearer else None)
+    if found is None:
+        raise IntegrationError("the simulated motion is no longer finite")
+    return found
+
+
+def _is_doubtful(problem: EstimationProblem, found: Hypothesis, *, fresh: bool) -> bool:
+    """Return whether a fit may have ended in a wrong minimum; if fresh, of a model that rings, by any error."""
+    left = float(found.squares @ problem.weights)
+    if left <= problem.rules.small_residual * found.residuals.size:
+        return False
+    rings = fresh and continuation.rings(problem)
+    return rings or continuation.loses_phase(problem, found.residuals)
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """Values that a fit begins from: effects, parameters of the rig (k,) and initial states (w, states)."""
+
+    instances: tuple[EffectInstance, ...]
+    theta: Array
+    start: Array
+
+    @classmethod
+    def at(cls, known: Hypothesis) -> _Begun:
+        """Return those of a hypothesis."""
+        return cls(known.instances, known.theta, known.start)
+
+
+def _solved(
+    problem: EstimationProblem, begun: _Begun, rounds: int, *, frozen: bool = False, rival: float = np.inf
+) -> Hypothesis | None:
+    """Return a fit; None if the motion is not finite from where it begins."""
+    try:
+        return _LeastSquares(problem, begun.instances, begun.start.copy(), frozen=frozen).solve(
+            begun.theta.copy(), rounds, rival
+        )
+    except IntegrationError:
+        return None
+
+
+def _better(one: Hypothesis | None, other: Hypothesis | None) -> Hypothesis | None:
+    """Return the fit that costs less; the other one if one is none."""
+    if one is None or other is None:
+        return one or other
+    return other if other.cost < one.cost else one
+
+
+def _continued(problem: EstimationProblem, begun: _Begun, *, frozen: bool) -> _Begun | None:
+    """Return where a fit in growing shooting intervals ends; None if the intervals cannot be shorter."""
+    stages = [*continuation.stages(problem), problem]
+    if len(stages) == 1:
+        return None
+    states = list[Array]()
+    for part in continuation.parts(stages[0]):  # the parameters are those of the first
+        guess = first_states(part, begun.theta, max(4, min(20, part.interval_samples // continuation.LINE)))
+        found = _solved(part, replace(begun, start=guess), continuation.ROUNDS, frozen=frozen or bool(states))
+        states.append(guess if found is None else found.start)
+        begun = begun if found is None else _Begun.at(found)
+    every = np.concatenate(states)
+    for before, stage in itertools.pairwise(stages):
+        every = continuation.grown(every, before, stage)
+        if stage is not problem:
+            part = next(continuation.parts(stage))
+            found = _solved(part, replace(begun, start=every[: part.intervals]), continuation.ROUNDS, frozen=frozen)
+            if found is not None:
+                begun, every[: part.intervals] = _Begun.at(found), found.start
+    return replace(begun, start=every)
 
 
 def together(
