@@ -155,7 +155,7 @@ def test_files_that_hold_no_vectors_are_refused(runs, tmp_path):
     assert refusal(tmp_path / "scalars.h5") == f"{tmp_path / 'scalars.h5'}: it holds no vectors of numbers"
     (tmp_path / "none.mat").write_bytes(HEADER.ljust(512, b"\0"))
     assert "the HDF5 file cannot be read" in refusal(tmp_path / "none.mat")
-    assert "or a .parquet, .csv, .mat, .h5, .npz or .json file" in refusal(tmp_path / "a.xlsx")
+    assert "or a .parquet, .csv, .mat, .h5, .npz, .json, .tdms, .mf4 or .mcap file" in refusal(tmp_path / "a.xlsx")
 
 
 def test_structures_cells_and_matrices_of_matlab_are_named_by_their_paths(tmp_path):
@@ -167,6 +167,56 @@ def test_structures_cells_and_matrices_of_matlab_are_named_by_their_paths(tmp_pa
     made = readers.read(tmp_path / "nested.mat", names)
     for name, values in {"t": T, "x": T**2, "s": np.sin(T), "c": np.cos(T), "a3": 3 * T}.items():
         np.testing.assert_array_equal(made[name], values)
+
+
+def _tdms(path):
+    nptdms = pytest.importorskip("nptdms", reason="nptdms is not installed")
+    clock = {"wf_increment": 0.01, "wf_start_offset": 0.0}
+    with nptdms.TdmsWriter(str(path)) as writer:
+        writer.write_segment([nptdms.ChannelObject("rig", "x", np.sin(T), clock), nptdms.ChannelObject("rig", "u", T)])
+
+
+def _mf4(path):
+    asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed")
+    with asammdf.MDF() as file:
+        for name, values in (("x", np.sin(T)), ("slow", T[::10])):
+            group = file.append([asammdf.Signal(values, T[: len(values)], name=name)])
+            file.groups[group].channel_group.acq_name = "rig" if name == "x" else "other"
+        file.append([asammdf.Signal(T, T, name="u")])
+        file.save(path)
+
+
+def _mcap(path):
+    writers = pytest.importorskip("mcap.writer", reason="mcap is not installed")
+    with path.open("wb") as stream:
+        writer = writers.Writer(stream)
+        writer.start()
+        channel = writer.register_channel(topic="/rig", message_encoding="json", schema_id=0)
+        for t in T:
+            when = 10**12 + round(t * 1e9)
+            writer.add_message(channel, when, json.dumps({"x": float(np.sin(t)), "at": {"u": t}}).encode(), when)
+        writer.finish()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # asammdf's, of a file cut off
+@pytest.mark.parametrize(("write", "u"), [(_tdms, "rig/u"), (_mf4, "3/u"), (_mcap, "rig/at/u")])
+def test_files_of_data_loggers(tmp_path, write, u):
+    file = tmp_path / f"run.{write.__name__[1:]}"
+    write(file)
+    found = readers.read(file, {"t": "rig/time", "x": "rig/x", "u": u}, needed=("x", "u"))
+    np.testing.assert_allclose(found.columns["t"], T, atol=1e-9)
+    np.testing.assert_allclose(found.columns["x"], np.sin(T), atol=1e-12)
+    np.testing.assert_allclose(found.columns["u"], T, atol=1e-12)
+    file.write_bytes(file.read_bytes()[:20])
+    with pytest.raises(RecordError, match=str(file)):
+        readers.read(file)
+
+
+def test_a_package_that_is_not_installed_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "nptdms", None)
+    (tmp_path / "run.tdms").write_bytes(b"TDSm")
+    with pytest.raises(RecordError, match=r"read by the package nptdms: pip install 'masking\[loggers\]'"):
+        readers.read(tmp_path / "run.tdms")
 
 
 def test_numpy_and_json(tmp_path):

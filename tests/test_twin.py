@@ -206,6 +206,22 @@ def test_allocation_of_the_packaged_rigs():
     np.testing.assert_allclose(packaged("tue_rig").allocation, np.diag([1 / 1.078, 1 / 1.109, 1.0]), rtol=1e-14)
 
 
+def test_commands_are_in_the_units_of_their_actuators():
+    """A mass of 2 kg under 3000 mN, or under an amplifier of 1.5 N/V that gets 2000 mV, is accelerated by 1.5 m/s^2."""
+    model = schema.ModelDeclaration.model_validate(
+        {"name": "mass", "coordinates": {"x": {"unit": "mm"}}, "inputs": {"f": {"unit": "mN"}},
+         "parameters": {"m": {"value": 2000, "unit": "g"}, "g": {"value": 1500, "unit": "mN/V"}},
+         "equations": {"x''": "f/m"}}
+    )  # fmt: skip
+    alone = {"name": "bench", "model": "mass", "sensors": {"s": {"measures": "x", "unit": "mm"}}}
+    wired = alone | {"actuators": {"V": {"unit": "mV"}}, "allocation": {"f": "g*V"}}
+    for plant, command in ((alone, 3000.0), (wired, 2000.0)):
+        twin = Twin(schema.PlantDeclaration.model_validate(plant), model)
+        out = np.empty(2)
+        twin.kernels.twin_derivative(0.0, np.zeros(2), np.array([command]), twin.values(), out)
+        assert out == pytest.approx([0.0, 1.5])
+
+
 # Elements.
 
 

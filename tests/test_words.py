@@ -209,6 +209,7 @@ def test_numbers_read_as_people_write_them():
 def test_powers_have_units():
     assert power(5.4e-5, ("m/s**2", "m", "m/s")) == "54 µW/kg"
     assert power(2.0, ("N", "m", "m/s")) == "2 W"
-    assert power(3.0, ("N*m", "rad", "rad/s")) == "3 N m rad/s"
-    assert power(3.0, ("", "", "")) == "3"
+    assert power(3.0, ("N*m", "rad", "rad/s")) == "3 W"
+    assert power(3.0, ("N", "mm", "mm/s")) == "3 mW"
+    assert power(3.0, ("V/s**2", "V", "V/s")) == power(3.0, ("", "", "")) == ""
     assert power(0.0, ("N", "m", "m/s")) == "0 W"

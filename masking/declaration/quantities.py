@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 
-from masking.declaration.units import RAISED, combined, pretty
+from masking.declaration.units import RAISED, combined, dimension_of, factor_of, pretty
 
 if TYPE_CHECKING:
     import uncertainties
@@ -54,14 +54,15 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 
 
 def power(value: float, units: Sequence[str]) -> str:
-    """Write a power.
+    """Write a power in W, or in W/kg of a force per mass; '' where force times rate is neither.
 
     Args:
         value: of it, in the units of the force and the rate.
         units: of the force, of the displacement and of its rate.
     """
     unit = combined("F*V", {"F": units[0] or "1", "V": units[2] or "1"})
-    return quantity(value, {"m**2/s**3": "W/kg", "N*m/s": "W"}.get(unit, unit))
+    shown = next((watt for watt in ("W", "W/kg") if dimension_of(unit) == dimension_of(watt)), "")
+    return quantity(value * factor_of(unit), shown) if shown else ""
 
 
 def with_deviation(value: float, std: float, unit: str) -> str:

@@ -53,6 +53,8 @@ class Place:
     def takes(self, effect: Effect) -> bool:
         """Return whether an effect finds here what it follows: a displacement, a rate, or neither."""
         used = effect.follows
+        if effect.is_flow and self.has_rate:
+            return False
         return ("d" not in used or self.element.displacement is not None) and (
             self.has_rate or not used & {"d_rate", "d_acc"}
         )

@@ -10,7 +10,7 @@ Imports: declaration.
 """
 
 from masking.effects.attachment import Attachment, Setting, attach, attach_all, expressions, find, parameters, unit_of
-from masking.effects.dictionary import DELAY, EFFECTS, FORCE, LAG, OFFSET, ROUNDING, dictionary, load, own
+from masking.effects.dictionary import DELAY, EFFECTS, FORCE, LATE, OFFSET, ROUNDING, dictionary, load, own
 from masking.effects.entry import (
     FAMILIES,
     RELATIVE_TURNS,
@@ -27,7 +27,7 @@ __all__ = [
     "EFFECTS",
     "FAMILIES",
     "FORCE",
-    "LAG",
+    "LATE",
     "OFFSET",
     "RELATIVE_TURNS",
     "ROUNDING",

@@ -22,7 +22,7 @@ EFFECTS: Final[dict[str, Effect]] = {effect.name: effect for effect in (*ELEMENT
 
 # Effects that the package itself puts into a rig or reads out of a record.
 FORCE, OFFSET = EFFECTS["constant_force"], EFFECTS["actuator_offset"]
-LAG, DELAY, ROUNDING = EFFECTS["actuator_lag"], EFFECTS["delay"], EFFECTS["quantisation"]
+LATE, DELAY, ROUNDING = EFFECTS["actuator_delay"], EFFECTS["delay"], EFFECTS["quantisation"]
 
 
 def load(name_or_path: str | Path) -> dict[str, Effect]:

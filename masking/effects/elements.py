@@ -114,6 +114,46 @@ ELEMENTS: tuple[Effect, ...] = (
         family="damping",
     ),
     Effect(
+        "eddy_current_drag",
+        "A drag that is proportional to small rates, has its largest value at the rate vc, and falls beyond it.",
+        "c*d_rate/(1 + (d_rate/vc)**2)",
+        {
+            "c": EffectParameter("F*s/D", "damping at small rates", (0.0, 10.0), 0.5, None, NOT_NEGATIVE),
+            "vc": EffectParameter(
+                "D/s", "rate at which the drag is largest", (1e-2, 10.0), 1.0, None, POSITIVE, (0.3, 0.7, 1.5)
+            ),
+        },
+        cause="a conductor that moves through the field of a magnet, an eddy current brake",
+        remedy="remove conductors from the field, or let the controller cancel the force",
+        source="Wouterse (1991), IEE Proc. B 138(4), 153-158",
+        family="damping",
+        nested=("viscous_damping",),
+    ),
+    Effect(
+        "displacement_damping",
+        "A damping that grows with the square of the displacement.",
+        "c*d**2*d_rate",
+        {"c": EffectParameter("F*s/D**3", "coefficient", (-1e6, 1e6), 1e3)},
+        cause="squeezed films, joints that are loaded more when they are bent, large rotations",
+        remedy="measure the decay at several amplitudes and add it to the model",
+        source="Nayfeh and Mook (1979), Nonlinear Oscillations, section 3.3.4",
+        family="damping",
+    ),
+    Effect(
+        "overflow",
+        "A flow that begins where a level exceeds an edge.",
+        "k*max(d - edge, 0)",
+        {
+            "k": EffectParameter("F/D", "flow per level beyond the edge", (1e-3, 1e3), 1.0, None, NOT_NEGATIVE),
+            "edge": EffectParameter("D", "level at which it begins", (0.0, 1.0), 0.5, tried=(0.5, 0.7, 0.85, 0.95)),
+        },
+        cause="a tank that is full, a relief valve, a bypass",
+        remedy="stay below the edge",
+        source="Schoukens, Mattson, Wigren and Noel (2016), Cascaded tanks benchmark, Workshop NSI Benchmarks",
+        family="overflow",
+        is_flow=True,
+    ),
+    Effect(
         "added_mass",
         "More inertia than declared, by m; between two coordinates, an inerter.",
         "m*d_acc",

@@ -30,7 +30,7 @@ NOT_NEGATIVE: Final[Bounds] = (0.0, None)
 # Effects of one family share a row of the error budget, in this order.
 SATURATION: Final = "saturation"
 FAMILIES: Final = (
-    *("springs", "damping", "friction", "hysteresis", "mass", "backlash", "end stop", "periodic force"),
+    *("springs", "damping", "friction", "hysteresis", "mass", "backlash", "end stop", "overflow", "periodic force"),
     *("actuator gains", "actuator dynamics", SATURATION, "sensor errors", "quantisation", "noise", "delay"),
 )
 
@@ -153,6 +153,7 @@ class Effect:
         nested: simpler effects that are special cases of it, or nearly so.
         absorbed_by: the parameter of a model that would do the same; '' if none would.
         is_linear: whether a system with it is linear if it was so without it.
+        is_flow: whether it is a flow of a level, and no force of a motion: tried at places without a rate alone.
         is_sum: whether it is there as soon as any factor differs from 0, not only if the first does.
         scaled: parameters that scale its force together, if no parameter does so alone.
         grows_with: the time constant to which its effect is in proportion, as long as that is short.
@@ -179,6 +180,7 @@ class Effect:
     nested: tuple[str, ...] = ()
     absorbed_by: str = ""
     is_linear: bool = False
+    is_flow: bool = False
     is_sum: bool = False
     scaled: tuple[str, ...] = ()
     grows_with: str = ""

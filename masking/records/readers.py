@@ -1,4 +1,4 @@
-"""Formats: records that other programs wrote, as recordings: parquet, csv, mat and HDF5 beside our own folders.
+"""Formats: records that other programs wrote, as recordings, beside our own folders.
 
 A table needs numbers in columns and a clock in seconds under the name `t`; columns may be renamed, and a clock that is
 missing is made of the time between samples. A part of a long record is a record, too: `record.csv@10:20`.
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError, nearest
+from masking.records import loggers
 from masking.records.hold import Names
 from masking.records.nested import vectors
 from masking.records.recording import MANIFEST, TABLE, Recording
@@ -38,7 +39,7 @@ Column = NDArray[np.float64]
 CLOCK = "t"
 PREFIXES = ("input", "sensor")
 _TEXT = {".csv", ".txt", ".tsv", ".dat"}
-_KNOWN = "a folder of a recording, or a .parquet, .csv, .mat, .h5, .npz or .json file"
+_KNOWN = "a folder of a recording, or a .parquet, .csv, .mat, .h5, .npz, .json, .tdms, .mf4 or .mcap file"
 
 
 def read(
@@ -50,7 +51,7 @@ def read(
     """Read a record, or a part of one.
 
     Args:
-        path: a folder of a recording, or a .parquet, .csv, .txt, .tsv, .dat, .mat, .h5 or .hdf5 file; behind it,
+        path: a folder of a recording, or a file of a table, MATLAB, HDF5, numpy, JSON or a data logger; behind it,
             `@10:20` takes what lies from 10 s to 20 s of its clock, `@10:` the rest of it; times stay as they are.
         names: the columns of the file by the names that they get, such as `{"t": "time", "u1": "V1"}`; vectors in
             groups, structures, cells and matrices have their path, such as `{"u1": "multisine/V1", "y1": "y/1"}`. For
@@ -182,7 +183,10 @@ def _lines(file: Path, heading: Sequence[str]) -> tuple[list[str], str | None, l
         raise RecordError(f"{file}: the table is empty")
     head = lines[0][1].lstrip("# ")
     separator = next((s for s in ("\t", ";", ",") if s in head), None)
-    names = [n.strip() for n in (next(csv.reader([head], delimiter=separator)) if separator else head.split())]
+    cells = (
+        csv.reader([head], delimiter=separator) if separator else csv.reader([" ".join(head.split())], delimiter=" ")
+    )
+    names = [name.strip() for name in next(cells)]
     is_bare = all(_is_number(name.replace(",", ".")) for name in names if name)
     if is_bare and not heading:
         raise RecordError(
@@ -331,6 +335,7 @@ _NESTED: Mapping[str, Callable[[Path], dict[str, Column]]] = {
     ".npz": _npz,
     ".json": _json,
     **dict.fromkeys((".h5", ".hdf5"), _hdf5),
+    **dict.fromkeys((".tdms", ".mf4", ".mcap"), loggers.read),
 }
 
 __all__ = ["CLOCK", "digest", "mapping", "read"]

@@ -20,7 +20,7 @@ from masking.discovery import laws
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.places import identifier, opened
-from masking.effects import LAG, attach
+from masking.effects import LATE, attach
 from masking.modelling.model import Model
 from masking.records.json_text import json_text
 from masking.reports import discovery_text, html, model_files
@@ -259,7 +259,7 @@ def _terms(found: Discovery, whole: ModelDeclaration) -> dict[str, str]:
 
 
 def _add_delay(found: Discovery, instance: EffectInstance, effects: dict[str, Any], taken: set[str]) -> None:
-    """Add a delay in whole samples; its remainder, or a delay of a single actuator, becomes a lag of the same time."""
+    """Add a delay in whole samples; its remainder, or that of a single actuator, is a dead time of actuators."""
     rate, seconds = found.record.rate, instance.values[0]
     whole = 0 if instance.at else int(seconds * rate + WHOLE)
     rest = seconds - whole / rate
@@ -267,8 +267,8 @@ def _add_delay(found: Discovery, instance: EffectInstance, effects: dict[str, An
         effects[_free("delay_found", taken)] = {"effect": laws.DELAY, "parameters": {"samples": whole}}
     if rest * rate > WHOLE:
         at = [instance.at] if instance.at else list(found.twin.actuators)
-        lag = {"effect": LAG.name, "at": at, "parameters": {LAG.grows_with: model_files.rounded(rest)}}
-        effects[_free("rest_of_delay", {*taken, *effects})] = lag
+        late = {"effect": LATE.name, "at": at, "parameters": {LATE.grows_with: model_files.rounded(rest)}}
+        effects[_free("rest_of_delay", {*taken, *effects})] = late
 
 
 def _uncertain(found: Discovery) -> dict[str, tuple[float, str]]:

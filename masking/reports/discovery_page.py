@@ -137,8 +137,9 @@ def _places(latent: LatentForces) -> Iterator[tuple[str, ...]]:
             odd = "" if parts.odd is None else percent(parts.odd)
             regions = discovery_text.regions(place)
             at = listed(regions) if regions else ""
-        loss = f"{'-' if force.loss < 0.0 else ''}{power(abs(force.loss), place.units)}"
-        yield place.name, percent(place.share), *energy, odd, loss if abs(force.taken) > LITTLE else "little", at
+        watts = power(abs(force.loss), place.units) or f"{percent(abs(force.taken))} of the most"
+        loss = f"{'-' if force.loss < 0.0 else ''}{watts}" if abs(force.taken) > LITTLE else "little"
+        yield place.name, percent(place.share), *energy, odd, loss, at
 
 
 def _sides(latent: LatentForces) -> str:

@@ -352,7 +352,8 @@ def portrayed(place: LocatedForce) -> str:
     sentences.extend(regions(place))
     if abs(place.decomposition.taken) > TAKEN:
         way = ("takes", "out of") if place.decomposition.loss > 0.0 else ("puts", "into")
-        sentences.append(f"it {way[0]} {power(abs(place.decomposition.loss), place.units)} {way[1]} the motion")
+        watts = power(abs(place.decomposition.loss), place.units) or "energy"
+        sentences.append(f"it {way[0]} {watts} {way[1]} the motion")
     return "; ".join(sentences)
 
 

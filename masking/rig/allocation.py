@@ -8,12 +8,13 @@ import numpy as np
 
 from masking.declaration.expression import Expression
 from masking.declaration.schema import ModelDeclaration, PlantDeclaration
+from masking.declaration.units import factor_of
 from masking.errors import DeclarationError, Problem, nearest
 from masking.numerics.arrays import Array
 
 
 def allocation(plant: PlantDeclaration, model: ModelDeclaration, parameters: Mapping[str, float]) -> Array:
-    """Return what each input of a model gets of each actuator (inputs, actuators), as a plant file declares it.
+    """Return what each input of a model, in SI units, gets of each actuator, in its unit (inputs, actuators).
 
     Args:
         plant: the plant file; without `actuators`, each input is an actuator.
@@ -23,8 +24,9 @@ def allocation(plant: PlantDeclaration, model: ModelDeclaration, parameters: Map
     Raises:
         DeclarationError: an input is not wired, or not linear in the actuators.
     """
+    sizes = np.array([factor_of(channel.unit) for channel in (plant.actuators or model.inputs).values()])
     if not plant.actuators:
-        return np.eye(len(model.inputs))
+        return np.diag(sizes)
     problems = []
     rows = np.zeros((len(model.inputs), len(plant.actuators)))
     for name in plant.allocation.keys() - model.inputs.keys():
@@ -54,4 +56,5 @@ def allocation(plant: PlantDeclaration, model: ModelDeclaration, parameters: Map
             problems.append(Problem(plant.place(path), path, message, "put anything else into effects"))
     if problems:
         raise DeclarationError(problems)
+    rows *= sizes
     return rows

@@ -1,0 +1,106 @@
+"""Files of data loggers: TDMS of LabVIEW, MDF 4 of vehicle buses, MCAP of robots; each by its own optional package.
+
+A channel is named by its group or topic: `rig/x`. The clock of each is beside its channels: `rig/time`, in s.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.errors import RecordError
+from masking.records.nested import vectors
+
+Column = NDArray[np.float64]
+Nested = Mapping[str, object]
+TIME = "time"
+
+
+def read(file: Path) -> dict[str, Column]:
+    """Read the channels of numbers in a .tdms, .mf4 or .mcap file.
+
+    Raises:
+        RecordError: the package for it is not installed, or the file cannot be read.
+    """
+    package, reader = {".tdms": ("nptdms", _tdms), ".mf4": ("asammdf", _mdf), ".mcap": ("mcap.reader", _mcap)}[
+        file.suffix.lower()
+    ]
+    try:
+        module = importlib.import_module(package)
+    except ImportError:
+        name = package.partition(".")[0]
+        raise RecordError(f"{file}: it is read by the package {name}: pip install 'masking[loggers]'") from None
+    try:
+        found = dict(vectors("", reader(file, module)))
+    except RecordError:
+        raise
+    except Exception as error:  # these packages raise what their parsers meet, struct.error among them
+        raise RecordError(f"{file}: the file cannot be read ({error})") from error
+    if not found:
+        raise RecordError(f"{file}: it holds no channels of numbers")
+    return found
+
+
+def _tdms(file: Path, nptdms: ModuleType) -> Nested:
+    """Return the channels by group; the clock is that of the first with a waveform's increment."""
+    made: dict[str, dict[str, object]] = {}
+    for group in nptdms.TdmsFile.read(file).groups():
+        made[group.name] = channels = {c.name: c[:] for c in group.channels()}
+        for channel in group.channels():
+            if TIME not in channels and "wf_increment" in channel.properties:
+                channels[TIME] = channel.time_track()
+    return made
+
+
+def _mdf(file: Path, asammdf: ModuleType) -> Nested:
+    """Return the channels of each group that has a name of its own by that, of the others by their numbers from 1."""
+    with asammdf.MDF(file) as opened:
+        named = [group.channel_group.acq_name for group in opened.groups]
+        often = Counter(named)
+        groups = [n if n and often[n] == 1 else str(i) for i, n in enumerate(named, 1)]
+        made: dict[str, dict[str, object]] = defaultdict(dict)
+        for signal in opened.iter_channels():
+            made[groups[signal.group_index]] |= {signal.name: signal.samples, TIME: signal.timestamps}
+        return made if len(made) > 1 else next(iter(made.values()), {})
+
+
+def _mcap(file: Path, reader: ModuleType) -> Nested:
+    """Return the fields of the JSON messages of each topic, on a clock that begins with the record."""
+    samples: dict[str, list[dict[str, object]]] = defaultdict(list)
+    others = set()
+    with file.open("rb") as stream:
+        for _, channel, message in reader.make_reader(stream).iter_messages():
+            if channel.message_encoding != "json":
+                others.add(f"{channel.topic} ({channel.message_encoding or 'no encoding'})")
+                continue
+            content = json.loads(message.data)
+            fields = content if isinstance(content, dict) else {"value": content}
+            samples[channel.topic.strip("/")].append({TIME: message.log_time, **_flat("", fields)})
+    if others and not samples:
+        raise RecordError(
+            f"{file}: only messages in JSON are read, not {', '.join(sorted(others))}; export them as csv"
+        )
+    start = min((int(str(rows[0][TIME])) for rows in samples.values()), default=0)
+    made: dict[str, dict[str, object]] = {}
+    for topic, rows in samples.items():
+        made[topic] = {name: [row.get(name) for row in rows] for name in rows[0]}
+        made[topic][TIME] = [(int(str(row[TIME])) - start) * 1e-9 for row in rows]
+    return made
+
+
+def _flat(path: str, fields: Mapping[str, object]) -> dict[str, object]:
+    """Return nested fields of numbers by their paths."""
+    made: dict[str, object] = {}
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            made |= _flat(f"{path}{name}/", value)
+        elif isinstance(value, int | float):
+            made[f"{path}{name}"] = value
+    return made
