@@ -88,7 +88,8 @@ def grown(states: Array, before: EstimationProblem, after: EstimationProblem) ->
         after: the problem with the longer ones.
     """
     begins = np.arange(after.intervals) * after.interval_samples
-    return states[np.minimum(np.rint(begins / before.interval_samples).astype(int), len(states) - 1)]
+    found: Array = states[np.minimum(np.rint(begins / before.interval_samples).astype(int), len(states) - 1)]
+    return found
 
 
 def _period(problem: EstimationProblem) -> float:
