@@ -18,6 +18,7 @@ import lazy_loader as lazy
 
 from masking.declaration.operations import CONSTANTS, LARGEST_EXPONENT, OPERATIONS, Step
 from masking.declaration.syntax import parse
+from masking.declaration.tables import TABLES, trouble
 from masking.errors import DeclarationError, Place, Problem, nearest
 
 if TYPE_CHECKING:
@@ -216,6 +217,9 @@ class _Bounds:
             if degree > LARGEST_EXPONENT:
                 message = f"the exponent is larger than {LARGEST_EXPONENT}"
                 raise DeclarationError(self.expression.problem(step, message, "nested powers count as their product"))
+        if step.operation in TABLES and (wrong := trouble(constants[1:])):
+            mend = f"write {step.operation}(x, x1, y1, x2, y2)"
+            raise DeclarationError(self.expression.problem(step, wrong, mend))
         known = [value for value in constants if value is not None]
         if len(known) < len(constants):
             return None, degree

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 
+from masking.declaration import tables
+
 if TYPE_CHECKING:
     import sympy as sp
 else:
@@ -89,6 +91,8 @@ OPERATIONS: dict[str, Operation] = {
         3,
         3,
     ),
+    "interpolate": Operation(tables.spline, tables.symbolic_spline, 1 + 2 * tables.FEWEST, _MANY),
+    "interpolate_monotone": Operation(tables.monotone, tables.symbolic_monotone, 1 + 2 * tables.FEWEST, _MANY),
     "heaviside": Operation(_heaviside, lambda x: sp.Heaviside(x, sp.Rational(1, 2))),
 }
 FUNCTIONS = frozenset(name for name in OPERATIONS if name.isidentifier() and name != "negative")

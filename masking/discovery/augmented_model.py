@@ -149,10 +149,12 @@ class AugmentedModel:
     Args:
         twin: the rig with its declared values.
         names: its parameters that may be adjusted.
+        tried: the effects that are tried; by default those of the dictionary.
     """
 
     twin: Twin
     names: tuple[str, ...]
+    tried: tuple[Effect, ...] = ()
 
     @cached_property
     def _opened(self) -> tuple[Twin, tuple[Place, ...]]:
@@ -168,7 +170,7 @@ class AugmentedModel:
     @cached_property
     def laws(self) -> dict[str, Effect]:
         """Return the effects that can be tried, in the order of their numbers."""
-        return laws.known(self.twin.dictionary)
+        return laws.known({one.name: one for one in self.tried} or self.twin.dictionary)
 
     @property
     def places(self) -> tuple[Place, ...]:

@@ -26,6 +26,7 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.search import Search, SearchResult, Tell
 from masking.discovery.settings import DiscoverySettings
+from masking.discovery.unnamed import law_of
 from masking.discovery.verdict import Scored
 from masking.effects import ROUNDING
 from masking.errors import IntegrationError
@@ -81,6 +82,9 @@ def discover(
             if again.verdict != "unknown":
                 found = again
                 break
+    if found.verdict == "unknown" and not found.is_hidden:
+        say("fitting a law without a name", 0.97)
+        found = replace(found, law=law_of(found, found.validation, found.adjusted))
     return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
 
 

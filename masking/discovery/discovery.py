@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,7 +14,9 @@ from masking.discovery.localisation import Localisation, localise
 from masking.discovery.next_experiment import NextExperiment
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
+from masking.discovery.unnamed import UnnamedLaw
 from masking.discovery.verdict import at_noise_floor, is_closed
+from masking.effects import Effect
 from masking.estimation.data import Data
 from masking.estimation.whiteness import Whiteness, whiteness
 from masking.numerics.arrays import Array
@@ -83,6 +86,7 @@ class Discovery(Explained):
         next_experiment: that separates the two likeliest explanations, if the record does not.
         first_order_hold: relative error of each sensor with adjusted parameters alone and inputs in straight lines
             between samples; None unless that is far less than what was found leaves.
+        law: the law without a name, where no name explains the record.
     """
 
     effects: tuple[Named, ...]
@@ -96,10 +100,13 @@ class Discovery(Explained):
     adjusted: Hypothesis
     next_experiment: NextExperiment | None = None
     first_order_hold: dict[str, float] | None = None
+    law: UnnamedLaw | None = None
 
     def __repr__(self) -> str:
         causes = ", ".join(f"{one.name} in {one.on}" if one.on else one.name for one in self.effects)
         before, after = self.simulation_error.validation
+        if self.law is not None:
+            causes, after = f"a law without a name in {self.law.place}", self.law.error[1]
         errors = ", ".join(f"{name} {before[name]:.2g} to {after[name]:.2g}" for name in after)
         return f"<Discovery: {self.verdict}{f', {causes}' if causes else ''}; error on unseen data: {errors}>"
 
@@ -112,6 +119,24 @@ class Discovery(Explained):
     def deviations(self) -> Array:
         """Return the standard deviations of the rig's parameters and of those of the effects (k + f,)."""
         return self.explanation.deviations(self.tempering)
+
+    @property
+    def written(self) -> Explanation:
+        """Return the explanation that is written into the model: the law without a name where there is one."""
+        return self.explanation if self.law is None else self.law.explanation
+
+    @property
+    def dictionary(self) -> Mapping[str, Effect]:
+        """Return the effects that are known here, the law without a name among them."""
+        known = self.twin.dictionary
+        return known if self.law is None else {**known, self.law.instance.effect: self.law.instance.entry}
+
+    @property
+    def written_deviations(self) -> Array:
+        """Return the standard deviations of the rig's parameters and of those of the effects that are written."""
+        if self.law is None:
+            return self.deviations
+        return self.written.deviations(self.problem.tempering(self.written.hypothesis.residuals))
 
     @cached_property
     def whiteness(self) -> dict[str, Whiteness]:
@@ -161,6 +186,7 @@ class Discovery(Explained):
             "unexplained_fraction": self.unexplained,
             "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
             "first_order_hold": self.first_order_hold,
+            "law": self.law and self.law.as_dict(),
         }
 
 

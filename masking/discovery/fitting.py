@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -81,6 +81,7 @@ def fit(
     rounds: int = MOST_ROUNDS,
     frozen: bool = False,
     rival: float = np.inf,
+    penalty: Array | None = None,
 ) -> Hypothesis:
     """Fit a rig with effects to a record; no fit costs more than the values that it begins from.
 
@@ -95,22 +96,23 @@ def fit(
         rounds: most rounds.
         frozen: whether only the initial state is estimated.
         rival: cost of another hypothesis; a fit that no longer comes near it is abandoned.
+        penalty: a' penalty a is added to the cost for free parameters a of the effects (f, f); 0 if not given.
 
     Raises:
         IntegrationError: the motion is not finite from where it begins.
     """
     x = problem.prior.mean if theta is None else theta
     begun = _Begun(tuple(instances), x, first_states(problem, x) if start is None else start)
-    found, is_fresh = _solved(problem, begun, rounds, frozen=frozen, rival=rival), start is None and not frozen
+    solved = partial(_solved, problem, rounds=rounds, rival=rival, penalty=penalty)
+    found, is_fresh = solved(begun, frozen=frozen), start is None and not frozen
     if is_fresh:  # the initial states that suit the parameters to begin from best count
-        first = _solved(problem, begun, rounds, frozen=True)
-        found = _better(first, found)
-        if found is first and first is not None:
-            found = _better(first, _solved(problem, _Begun.at(first), rounds, rival=rival))
+        first = solved(begun, frozen=True)
+        if first is not None and _better(first, found) is first:
+            found = _better(first, solved(_Begun.at(first)))
     for fixed in (False, True) if is_fresh else (frozen,):
         if found is None or _is_doubtful(problem, found, fresh=is_fresh and not fixed):
             nearer = _continued(problem, begun, frozen=fixed)
-            found = _better(found, _solved(problem, nearer, rounds, frozen=frozen, rival=rival) if nearer else None)
+            found = _better(found, solved(nearer, frozen=frozen) if nearer else None)
     if found is None:
         raise IntegrationError("the simulated motion is no longer finite")
     return found
@@ -140,13 +142,18 @@ class _Begun:
 
 
 def _solved(
-    problem: EstimationProblem, begun: _Begun, rounds: int, *, frozen: bool = False, rival: float = np.inf
+    problem: EstimationProblem,
+    begun: _Begun,
+    *,
+    rounds: int = MOST_ROUNDS,
+    frozen: bool = False,
+    rival: float = np.inf,
+    penalty: Array | None = None,
 ) -> Hypothesis | None:
     """Return a fit; None if the motion is not finite from where it begins."""
+    whole = _LeastSquares(problem, begun.instances, begun.start.copy(), frozen=frozen, penalty=penalty)
     try:
-        return _LeastSquares(problem, begun.instances, begun.start.copy(), frozen=frozen).solve(
-            begun.theta.copy(), rounds, rival
-        )
+        return whole.solve(begun.theta.copy(), rounds, rival)
     except IntegrationError:
         return None
 
@@ -166,7 +173,7 @@ def _continued(problem: EstimationProblem, begun: _Begun, *, frozen: bool) -> _B
     states = list[Array]()
     for part in continuation.parts(stages[0]):  # the parameters are those of the first
         guess = first_states(part, begun.theta, max(4, min(20, part.interval_samples // continuation.LINE)))
-        found = _solved(part, replace(begun, start=guess), continuation.ROUNDS, frozen=frozen or bool(states))
+        found = _solved(part, replace(begun, start=guess), rounds=continuation.ROUNDS, frozen=frozen or bool(states))
         states.append(guess if found is None else found.start)
         begun = begun if found is None else _Begun.at(found)
     every = np.concatenate(states)
@@ -174,7 +181,9 @@ def _continued(problem: EstimationProblem, begun: _Begun, *, frozen: bool) -> _B
         every = continuation.grown(every, before, stage)
         if stage is not problem:
             part = next(continuation.parts(stage))
-            found = _solved(part, replace(begun, start=every[: part.intervals]), continuation.ROUNDS, frozen=frozen)
+            found = _solved(
+                part, replace(begun, start=every[: part.intervals]), rounds=continuation.ROUNDS, frozen=frozen
+            )
             if found is not None:
                 begun, every[: part.intervals] = _Begun.at(found), found.start
     return replace(begun, start=every)
@@ -253,6 +262,7 @@ class _LeastSquares:
         start: initial states of each record in turn (w, states); those that are not free stay as they are.
         others: other records.
         frozen: whether only initial states are estimated.
+        penalty: on the free parameters of the effects (f, f); None for none.
     """
 
     problem: EstimationProblem
@@ -260,6 +270,7 @@ class _LeastSquares:
     start: Array
     others: tuple[EstimationProblem, ...] = ()
     frozen: bool = False
+    penalty: Array | None = None
 
     @property
     def records(self) -> tuple[EstimationProblem, ...]:
@@ -333,12 +344,16 @@ class _LeastSquares:
             len(inner) // len(self.records),
             [one.weights / self.problem.weights for one in self.records],
         )
-        (k, first, last), prior = self.edges, self.problem.prior
+        (k, first, last), prior, rough = self.edges, self.problem.prior, 0.0
+        if self.penalty is not None:
+            found.matrix[k:first, k:first] += self.penalty
+            found.gradient[k:first] -= self.penalty @ added
+            rough = float(added @ self.penalty @ added)
         off, deviation, fixed = np.zeros(len(x)), np.full(len(x), np.inf), np.zeros(len(x), dtype=bool)
         off[:k], deviation[:k], fixed[:first] = prior.mean - theta, prior.deviation, self.frozen
         known = self.begins == 0.0
         off[first:last], deviation[first:last], fixed[first:last] = -inner, np.where(known, np.inf, self.begins), known
-        cost = float(found.squares @ self.problem.weights + ((off / deviation) ** 2).sum())
+        cost = float(found.squares @ self.problem.weights + ((off / deviation) ** 2).sum()) + rough
         return Linearised(cost, Dense(found.matrix, found.gradient, fixed).with_prior(off, deviation), found)
 
 

@@ -34,15 +34,60 @@ FIRST_PARAMETER = 4
 LAW = "_law"
 SIGNATURE = f"{LAW}(kind: int, t: float, x: float, rate: float, z: float, theta, rows: Matrix)"
 SUBJECTS = {"element": "d", "sensor": "s", "actuator": "u"}
+_AT = effects.EffectParameter("D", "knot")
+_KNOTS = {f"t{i}": _AT for i in range(5)}
+_RATES = {name: effects.EffectParameter("D/s", "knot") for name in _KNOTS}
+_FACTOR = {"a": effects.EffectParameter("F", "factor")}
+_EVEN = {"x0": effects.EffectParameter("D", "middle"), "w": effects.EffectParameter("D", "width")}
+_ALONG = {"v0": effects.EffectParameter("D/s", "middle"), "wv": effects.EffectParameter("D/s", "width")}
+_TURN = {"vs": effects.EffectParameter("D/s", "rate at which a sign has 76 % of its size")}
+
+
+def _spline(x: str) -> str:
+    """Return a cubic B-spline on five knots, a divided difference of truncated cubes."""
+    parts = []
+    for i in range(5):
+        apart = "*".join(f"(t{i} - t{j})" for j in range(5) if j != i)
+        parts.append(f"max({x} - t{i}, 0)**3/({apart})")
+    return f"(t4 - t0)*({' + '.join(parts)})"
+
+
+def _even(x: str) -> str:
+    """Return a cubic B-spline on knots that are evenly apart, of x over that."""
+    return f"(max(2 - abs({x}), 0)**3 - 4*max(1 - abs({x}), 0)**3)/6"
+
+
+def _basis(name: str, meaning: str, expression: str, parameters: Mapping[str, effects.EffectParameter]) -> Effect:
+    return Effect(name, meaning, expression, {**_FACTOR, **parameters}, is_searched=False)
+
+
+# Functions that a law without a name is made of, see `bases`.
+BASES: Mapping[str, Effect] = {
+    effect.name: effect
+    for effect in (
+        _basis("free_spring", "A piece of a curve over the displacement.", f"a*{_spline('d')}", _KNOTS),
+        _basis("free_damping", "A piece of a curve over the rate.", f"a*{_spline('d_rate')}", _RATES),
+        _basis("free_friction", "The sign of the rate.", "a*tanh(d_rate/vs)", _TURN),
+        _basis("free_resistance", "The rate times a piece of a curve over the displacement.",
+               f"a*d_rate*{_spline('d')}", _KNOTS),
+        _basis("free_rub", "The sign of the rate times a piece of a curve over the displacement.",
+               f"a*tanh(d_rate/vs)*{_even('((d - x0)/w)')}", {**_EVEN, **_TURN}),
+        _basis("free_surface", "A piece of a surface over displacement and rate.",
+               f"a*{_even('((d - x0)/w)')}*{_even('((d_rate - v0)/wv)')}", {**_EVEN, **_ALONG}),
+    )
+}  # fmt: skip
 DELAY = effects.DELAY.name  # has no expression: the commands are read earlier
 DEAD_TIME = "tau"  # what is estimated of a delay, in s; a plant file has whole samples
 
 
 def known(dictionary: Mapping[str, Effect]) -> dict[str, Effect]:
-    """Return the effects that can be tried, in the order of their numbers: at most one state, and an expression."""
+    """Return the effects that can be tried, in the order of their numbers: at most one state, and an expression.
+
+    The bases of a law without a name are among them.
+    """
     return {
         name: effect
-        for name, effect in dictionary.items()
+        for name, effect in {**dictionary, **BASES}.items()
         if effect.where in SUBJECTS and len(effect.states) <= MOST_STATES and len(effect.parameters) <= MOST_PARAMETERS
     }
 

@@ -165,6 +165,12 @@ class Screen:
                 found[i][:, int(at[i][0])] = self._means(table, self.every // self.thin)
         return found
 
+    def responses(self, instances: Sequence[EffectInstance]) -> Array:
+        """Return what a unit of each free parameter does to `left`, to first order (r, f)."""
+        tables = [made[:, :, 1:] for made in self._effects(instances)]
+        rows = _bounded(self._rows(np.concatenate(tables, axis=2)))
+        return self._out(np.vstack([rows, np.zeros((len(self.left) - len(rows), rows.shape[1]))]))
+
     def around(self, instance: EffectInstance) -> tuple[Array, Array]:
         """Return parameters of the rig (k,) and initial states (w, states) that go best with an effect."""
         (table,) = self._effects([instance])

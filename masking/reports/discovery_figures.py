@@ -51,7 +51,7 @@ def _gap(found: Discovery) -> CaptionedFigure:
             axes.plot([noise, noise], [i - 0.32, i + 0.32], color=INK, lw=1.4, zorder=5)
             axes.plot(declared, i, "o", color="white", mec=MUTED, mew=1.4, ms=6.5, zorder=2)
             axes.plot(adjusted, i, "o", color=BEFORE, ms=7, zorder=3)
-            if found.effects:
+            if found.effects or found.law:
                 axes.plot(after, i, "o", color=AFTER, ms=7, zorder=4)
         axes.set_xscale("log")
         axes.set(xlim=(low, high), ylim=(len(names) - 0.5, -0.5))
@@ -65,7 +65,7 @@ def _gap(found: Discovery) -> CaptionedFigure:
         parts.marker_key("as declared", "white", mec=MUTED, mew=1.4),
         parts.marker_key("adjusted parameters", BEFORE),
     ]
-    if found.effects:
+    if found.effects or found.law:
         handles.append(parts.marker_key("with the finding", AFTER))
     handles.append(parts.marker_key("noise floor", INK, "|", 11.0, mew=1.4))
     parts.legend(figure, row[-1], handles, above=0.28)
@@ -179,7 +179,7 @@ def _residual(found: Discovery) -> CaptionedFigure:
     rows[-1][0].set_xlabel("time (s)")
     rows[-1][1].set_xlabel("frequency (Hz)")
     handles = [parts.line_key("adjusted parameters", BEFORE)]
-    if found.effects:
+    if found.effects or found.law:
         handles.append(parts.line_key("with the finding", AFTER))
     handles.append(parts.line_key("noise: 95 % of it, and its spectrum", INK, 1, dashed=True))
     parts.legend(figure, rows[0][1], handles)
@@ -269,9 +269,10 @@ def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
 def errors(found: Discovery) -> dict[str, tuple[Mapping[str, float], ...]]:
     """Return relative errors by sensor of each record: as declared, adjusted, with the finding, and the noise floor."""
     gap, size = found.simulation_error, (found.record.readings**2).sum(axis=0)
+    fitted, validated = (gap.estimation[1], gap.validation[1]) if found.law is None else found.law.error
     own = np.sqrt(found.search.base.hypothesis.squares / np.maximum(size, 1e-300))
     adjusted = dict(zip(found.twin.sensors, map(float, own), strict=True))
     return {
-        "record": (gap.estimation[0], adjusted, gap.estimation[1], gap.noise_floor),
-        "validation record": (gap.validation[0], gap.adjusted, gap.validation[1], gap.validation_noise_floor),
+        "record": (gap.estimation[0], adjusted, fitted, gap.noise_floor),
+        "validation record": (gap.validation[0], gap.adjusted, validated, gap.validation_noise_floor),
     }

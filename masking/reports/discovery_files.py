@@ -97,11 +97,12 @@ def save(
 
 def paths(found: Discovery, out: Path) -> Files:
     """Return where the files of a discovery lie."""
-    if not found.effects:
+    if not found.effects and found.law is None:
         return Files(out / NUMBERS, out / PAGE, None, None)
     base = found.twin.declaration.model
     stem = base if base in catalogue.names("model") else Path(base).stem
-    causes = "+".join(dict.fromkeys(cause.name for cause in found.effects))
+    names = [name for name, _ in found.written.names] if found.law else [cause.name for cause in found.effects]
+    causes = "+".join(dict.fromkeys(names))
     return Files(out / NUMBERS, out / PAGE, out / "models" / f"{Path(stem).name}+{causes}.yaml", out / PLANT)
 
 
@@ -130,10 +131,10 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
 
 def refitted(found: Discovery) -> list[tuple[str, float, float]]:
     """Return the parameters of the rig with their values and deviations, in declared units."""
-    count, theta = len(found.rig.names), found.explanation.hypothesis.theta
+    count, theta = len(found.rig.names), found.written.hypothesis.theta
     return [
         (name, float(value), float(std))
-        for name, value, std in zip(found.rig.names, theta, found.deviations[:count], strict=True)
+        for name, value, std in zip(found.rig.names, theta, found.written_deviations[:count], strict=True)
     ]
 
 
@@ -197,14 +198,15 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
         label = _free(f"{effect}_{at}", {*before, *first, *last})
         target[label] = {"effect": effect, "at": at, "parameters": rounded}
 
-    for instance in found.explanation.hypothesis.instances:
+    for instance in found.written.hypothesis.instances:
         if instance.effect == laws.DELAY:
             _add_delay(found, instance, first, {*before, *first, *last})
         elif instance.where != "element":
             # Commands pass what was found first; readings pass it last.
             values = dict(zip(instance.entry.parameters, instance.values, strict=True))
             add(first if instance.where == "actuator" else last, instance.effect, instance.at, values)
-    for cause in found.effects[len(found.explanation.hypothesis.instances) or found.explanation.kind == "parameter" :]:
+    beside = len(found.explanation.hypothesis.instances) or found.explanation.kind == "parameter"
+    for cause in found.effects[beside:]:
         add(last, cause.name, cause.on, {n: value for n, (value, _) in cause.parameters.items()})
     heading = {
         "name": f"{twin.declaration.name} with {_causes(found)}",
@@ -218,7 +220,7 @@ def labels(found: Discovery) -> dict[EffectInstance, str]:
     """Return the label of each cause in the equations."""
     made: dict[EffectInstance, str] = {}
     base = found.twin.attached
-    for instance in found.explanation.hypothesis.instances:
+    for instance in found.written.hypothesis.instances:
         if instance.where != "element":
             continue
         taken = {*made.values(), *(n.removesuffix("_on") for n in base.parameters if n.endswith("_on"))}
@@ -275,8 +277,8 @@ def _uncertain(found: Discovery) -> dict[str, tuple[float, str]]:
     """Return standard deviation and unit of the parameters of causes in the equations, by the names they have there."""
     made: dict[str, tuple[float, str]] = {}
     known = labels(found)
-    deviations = iter(found.deviations[len(found.rig.names) :])
-    for instance in found.explanation.hypothesis.instances:
+    deviations = iter(found.written_deviations[len(found.rig.names) :])
+    for instance in found.written.hypothesis.instances:
         free = {name: float(next(deviations)) for name in instance.names}
         if instance in known:
             values = dict.fromkeys(instance.entry.parameters, (0.0, 0.0))
@@ -294,6 +296,9 @@ def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:
 
 
 def _causes(found: Discovery) -> str:
+    if found.law is not None:
+        others = [discovery_text.spoken(found, *name) for name in found.law.explanation.names[:-1]]
+        return " and ".join([*others, f"a law without a name in {found.law.place}"])
     if found.explanation.kind == "parameter":
         return f"another {found.effects[0].name}"
     return " and ".join(discovery_text.spoken(found, cause.name, cause.on) for cause in found.effects)

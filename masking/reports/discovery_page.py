@@ -240,7 +240,7 @@ def summary(found: Discovery, files: Files | None) -> str:
     table = [("validation error", *found.twin.sensors)]
     what = ("as declared", "adjusted parameters", "with the finding", "noise floor")
     for label, part in zip(what, discovery_figures.errors(found)["validation record"], strict=True):
-        if found.effects or label != "with the finding":
+        if found.effects or found.law or label != "with the finding":
             table.append((label, *(percent(part[name]) for name in found.twin.sensors)))
     lines += aligned(table)
     for one in discovery_text.offered(found):

@@ -45,7 +45,7 @@ def sentence(found: Discovery) -> str:
         first = "The model misses an effect that is not in the dictionary"
         if found.is_hidden:
             first = "The record shows no missing effect, but the validation record does: run discover on that one"
-        sentences = [first, hardly(found), near, gap(found) if found.is_hidden else look(found)]
+        sentences = [first, hardly(found), near, gap(found) if found.is_hidden else look(found), unnamed(found)]
     elif is_open(found):
         before = [cause(found, one) for one in found.effects[:-1]]
         known = [f"{listed(before, '; ')} {'is' if len(before) == 1 else 'are'} missing"] if before else []
@@ -58,6 +58,20 @@ def sentence(found: Discovery) -> str:
         first = f"{capital(what)}{pause} {'is' if len(found.effects) == 1 else 'are'} missing"
         sentences = [first, hardly(found), gap(found), moved(found)]
     return ". ".join(filter(None, [*sentences, measured(found)]))
+
+
+def unnamed(found: Discovery) -> str:
+    """Say what the law without a name leaves; '' where there is none."""
+    if found.law is None:
+        return ""
+    name, after = worst(found), found.law.error[1]
+    floor = found.simulation_error.validation_noise_floor
+    does = "explains the record" if found.law.closed else "explains a part of it"
+    alone, noise = found.simulation_error.adjusted[name], floor[name]
+    return (
+        f"A law without a name in {found.law.place} {does}: the validation error of {name} is {percent(after[name])} "
+        f"with it, and {percent(alone)} with adjusted parameters alone; the noise floor is {percent(noise)}"
+    )
 
 
 def measured(found: Discovery) -> str:
@@ -414,11 +428,11 @@ def units(found: Discovery, named: Named) -> dict[str, str]:
 
 def plain_units(found: Discovery, named: Named) -> dict[str, str]:
     """Return the units of the parameters of a cause, such as N/m**3."""
-    if named.name not in found.twin.dictionary:
+    if named.name not in found.dictionary:
         return {n: found.twin.base.parameters[n].unit for n in named.parameters}
     if named.name == laws.DELAY:
         return {laws.DEAD_TIME: "s"}
-    effect, twin = found.twin.dictionary[named.name], found.twin
+    effect, twin = found.dictionary[named.name], found.twin
     if effect.where == "element":
         force, displacement, _ = latent_force.element_units(found, named.on)
         known = {"F": force or "1", "D": displacement or "1", "s": "s" if displacement else "1"}

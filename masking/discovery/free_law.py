@@ -1,0 +1,232 @@
+"""Free law: the law at a place without a name, fitted as a curve or a surface over displacement and rate.
+
+Its form is the one that explains most to first order along the measured motion, as candidates are screened. It is then
+fitted to the record by least squares, together with the parameters of the model.
+Source: as `bases`; Masri and Caughey (1979), J. Appl. Mech. 46, 433-447, for forces over displacement and rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from masking.discovery import fitting
+from masking.discovery.augmented_model import MOST_COLUMNS, EffectInstance
+from masking.discovery.bases import FEW, Curve, Term, pieces
+from masking.discovery.fitting import Hypothesis
+from masking.discovery.latent_force import Explained, directions, projected
+from masking.discovery.places import Place
+from masking.discovery.problem import EstimationProblem
+from masking.discovery.screening import COLLINEAR, Screen
+from masking.discovery.smoothing import Motion
+from masking.errors import IntegrationError
+from masking.numerics.arrays import Array
+
+SHARP = 2e-3  # of the largest rate: width of the sign of a rate
+BEND = 0.3  # of the largest force: standard deviation of a bend between neighbouring pieces before the record
+SIDE = 5  # pieces of each side of a surface
+MOST_FORMS = 3  # forms that are fitted
+ROUNDS = 25  # of a fit
+ALIKE = 1.1  # cost over that of noise from which no richer form is fitted
+
+
+@dataclass(frozen=True)
+class FreeLaw:
+    """A law without a name, fitted.
+
+    Args:
+        place: where it sits.
+        terms: what it is made of.
+        hypothesis: the model with it, fitted to the record.
+        x, rate: displacement and rate along the record (m,).
+        penalty: on its factors (f, f).
+    """
+
+    place: Place
+    terms: tuple[Term, ...]
+    hypothesis: Hypothesis
+    x: Array
+    rate: Array
+    penalty: Array
+
+    @property
+    def score(self) -> float:
+        """Return the cost with Schwarz's penalty for each factor."""
+        return self.hypothesis.cost + self.size * float(np.log(self.hypothesis.residuals.size))
+
+    @property
+    def size(self) -> int:
+        """Return the number of factors."""
+        return sum(len(instance.free) for instance in self.instances)
+
+    @property
+    def instances(self) -> tuple[EffectInstance, ...]:
+        """Return the instances that the law is made of."""
+        return tuple(one for one in self.hypothesis.instances if one.effect in KINDS)
+
+    @property
+    def factors(self) -> Array:
+        """Return the factors (f,)."""
+        return fitting.estimated(self.instances)
+
+    @property
+    def covariance(self) -> Array:
+        """Return the covariance of the factors (f, f)."""
+        return self.hypothesis.covariance[-self.size :, -self.size :]
+
+    def rows(self, x: Array, rate: Array) -> Array:
+        """Return what the factors are multiplied by at displacements and rates (m, f)."""
+        return rows(self.terms, x, rate)
+
+    def force(self, x: Array, rate: Array) -> Array:
+        """Return the force at displacements and rates (m,)."""
+        return np.asarray(self.rows(x, rate) @ self.factors)
+
+    def deviation(self, x: Array, rate: Array) -> Array:
+        """Return the standard deviation of the force (m,)."""
+        at = self.rows(x, rate)
+        return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", at, self.covariance, at), 0.0)))
+
+
+KINDS = frozenset({"free_spring", "free_damping", "free_friction", "free_resistance", "free_rub", "free_surface"})
+
+
+def rows(terms: Sequence[Term], x: Array, rate: Array) -> Array:
+    """Return the functions of terms along a motion (m, f)."""
+    return np.hstack([term.values(x, rate) for term in terms])
+
+
+def fit(found: Explained, known: Sequence[EffectInstance] = ()) -> FreeLaw | None:
+    """Return the law that leaves least, at the place where it does; None where none can be fitted.
+
+    Args:
+        found: the record with its explanation.
+        known: effects elsewhere that are fitted beside it, with values to begin from.
+    """
+    problem, motion, base = found.problem, found.search.motion, found.search.base.hypothesis
+    screen = Screen(problem, base, motion, known)
+    room = MOST_COLUMNS - len(found.rig.names) - len(fitting.estimated(known)) - 2 * len(found.twin.state_names)
+    starts: list[_Start] = []
+    for at, place in enumerate(found.rig.places):
+        if not place.is_open or not (place.declared or place.coordinate):
+            continue
+        x, rate = motion.displacement[:, at], motion.rate[:, at]
+        force, _ = projected(motion, directions(found, found.rig.columns[1][at]))
+        starts += _starts(screen, place, (x, rate), float(np.abs(force).max()), room)
+    best: FreeLaw | None = None
+    noise = float(problem.record.readings.size)
+    for one in _ranked(starts, len(screen.left))[:MOST_FORMS]:
+        law = _fitted(problem, motion, one, known)
+        if law is not None and (best is None or law.score < best.score):
+            best = law
+        if best is not None and best.hypothesis.cost < ALIKE * noise:
+            break
+    return best
+
+
+@dataclass(frozen=True)
+class _Start:
+    """A form at a place, to first order.
+
+    Args:
+        place: where it sits.
+        form: its terms.
+        x, rate: displacement and rate there (m,).
+        factors: (f,).
+        penalty: on these (f, f).
+        cost: that is left.
+        used: effective number of factors.
+    """
+
+    place: Place
+    form: tuple[Term, ...]
+    x: Array
+    rate: Array
+    factors: Array
+    penalty: Array
+    cost: float
+    used: float
+
+
+def _forms(place: Place, x: Array, rate: Array) -> list[tuple[Term, ...]]:
+    """Return the forms of a law, as far as the place has a displacement and a rate."""
+    high = float(np.abs(rate).max())
+    turn = Term("free_friction", (), SHARP * high)
+    along = Term("free_spring", (Curve(pieces(x)),))
+    moving = Term("free_damping", (Curve(pieces(rate)),))
+    held = Term("free_resistance", (Curve(pieces(x, FEW)),), unit=high)
+    rubbed = Term("free_rub", (Curve(pieces(x, FEW, is_even=True)),), SHARP * high)
+    sides = (Curve(pieces(x, SIDE, beside=0, is_even=True)), Curve(pieces(rate, SIDE, beside=0, is_even=True)))
+    surface = Term("free_surface", sides)
+    if place.element.displacement is None:
+        return [(moving,), (moving, turn)]
+    if not place.has_rate:
+        return [(along,)]
+    return [
+        (along,), (moving,), (moving, turn), (along, moving), (held,), (rubbed,), (along, held), (along, moving, turn),
+        (along, rubbed), (moving, rubbed), (moving, held), (surface,), (surface, turn),
+    ]  # fmt: skip
+
+
+def _starts(screen: Screen, place: Place, motion: tuple[Array, Array], high: float, room: int) -> list[_Start]:
+    """Return the forms of a law at a place, fitted to first order.
+
+    Args:
+        screen: of the record.
+        place: where they sit.
+        motion: displacement and rate there (m,).
+        high: the largest latent force there.
+        room: factors that a fit has room for.
+
+    Source: Hastie and Tibshirani (1990), Generalized Additive Models, section 3.5, for the effective number of factors.
+    """
+    x, rate = motion
+    forms = [form for form in _forms(place, x, rate) if sum(term.size for term in form) <= room]
+    terms = {term.kind: term for form in forms for term in form}
+    columns = {kind: screen.responses(_instances([term], place.name)) for kind, term in terms.items()}
+    found = []
+    for form in forms:
+        rows_of = np.hstack([columns[term.kind] for term in form])
+        penalty = linalg.block_diag(*(term.roughness() * (term.unit / max(BEND * high, 1e-300)) ** 2 for term in form))
+        gram, right = rows_of.T @ rows_of, rows_of.T @ screen.left
+        size = np.sqrt(np.maximum(np.diag(gram + penalty), 1e-300))
+        inverse = np.linalg.pinv((gram + penalty) / np.outer(size, size), rcond=COLLINEAR, hermitian=True)
+        factors = inverse @ (right / size) / size
+        used = float(np.einsum("ij,ji->", inverse, gram / np.outer(size, size)))
+        left = screen.total - 2.0 * float(factors @ right) + float(factors @ (gram + penalty) @ factors)
+        found.append(_Start(place, form, x, rate, factors, penalty, left, used))
+    return found
+
+
+def _ranked(starts: Sequence[_Start], many: int) -> list[_Start]:
+    """Return forms by what they leave of rows, with a penalty for each factor.
+
+    Costs are divided by what the best form leaves, if that is more than noise.
+    """
+    tempering = max(1.0, min((one.cost / max(many - one.used, 1.0) for one in starts), default=1.0))
+    return sorted(starts, key=lambda one: one.cost / tempering + one.used * np.log(many))
+
+
+def _instances(form: Sequence[Term], at: str, factors: Array | None = None) -> tuple[EffectInstance, ...]:
+    """Return a form at a place as effects, with factors (f,); 0 if none are given."""
+    sizes = [term.size for term in form]
+    given = np.zeros(sum(sizes)) if factors is None else factors
+    parts = np.split(given, np.cumsum(sizes)[:-1])
+    return tuple(one for term, part in zip(form, parts, strict=True) for one in term.instances(at, part))
+
+
+def _fitted(problem: EstimationProblem, motion: Motion, one: _Start, known: Sequence[EffectInstance]) -> FreeLaw | None:
+    """Return a form with effects elsewhere, fitted to the record from where the smoothed motion is."""
+    start = np.ascontiguousarray(motion.states[:: problem.interval_samples][: problem.intervals])
+    instances = (*known, *_instances(one.form, one.place.name, one.factors))
+    many = len(fitting.estimated(instances))
+    whole = np.zeros((many, many))
+    whole[-len(one.penalty) :, -len(one.penalty) :] = one.penalty
+    try:
+        fitted = fitting.fit(problem, instances, start=start, rounds=ROUNDS, penalty=whole)
+    except IntegrationError:
+        return None
+    return FreeLaw(one.place, one.form, fitted, one.x, one.rate, one.penalty)

@@ -1,0 +1,107 @@
+"""Unnamed: the law that a record shows where no name of the dictionary explains it, as a part of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from masking.discovery import fitting, free_law, verdict
+from masking.discovery.augmented_model import EffectInstance
+from masking.discovery.explanation import Explanation
+from masking.discovery.fitting import Hypothesis
+from masking.discovery.free_law import ALIKE, KINDS, FreeLaw
+from masking.discovery.latent_force import Explained
+from masking.discovery.problem import EstimationProblem
+from masking.discovery.tabulated import tabulated
+from masking.errors import IntegrationError
+from masking.estimation.simulation import relative
+
+
+@dataclass(frozen=True)
+class UnnamedLaw:
+    """A law without a name.
+
+    Args:
+        free: the law as curves, fitted.
+        explanation: the model with the law as it is written, and with effects elsewhere.
+        validated: the same on the validation record.
+        error: relative error of each sensor with it, in the estimation and in the validation record.
+        closed: whether it leaves no more than noise in the validation record.
+    """
+
+    free: FreeLaw
+    explanation: Explanation
+    validated: Hypothesis
+    error: tuple[dict[str, float], dict[str, float]]
+    closed: bool
+
+    @property
+    def instance(self) -> EffectInstance:
+        """Return the law as it is written into the model."""
+        return self.explanation.hypothesis.instances[-1]
+
+    @property
+    def place(self) -> str:
+        """Return the name of the place where it sits."""
+        return self.free.place.name
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the law as JSON can hold it."""
+        known = dict(zip(self.instance.entry.parameters, self.instance.values, strict=True))
+        estimation, validation = self.error
+        return {
+            "on": self.place,
+            "expression": self.instance.entry.expression,
+            "parameters": known,
+            "closed": self.closed,
+            "simulation_error": {"estimation": estimation, "validation": validation},
+        }
+
+
+def law_of(found: Explained, validation: EstimationProblem, adjusted: Hypothesis) -> UnnamedLaw | None:
+    """Return the law of a record without a name; None where none makes the simulation of unseen data better.
+
+    Args:
+        found: the record with its explanation.
+        validation: the validation record.
+        adjusted: the model without causes on it.
+    """
+    problem = found.problem
+    with threadpool_limits(1):
+        law = free_law.fit(found)
+        if law is None:
+            return None
+        if law.hypothesis.cost > ALIKE * problem.record.readings.size:
+            others = [one for one in found.explanation.hypothesis.instances if one.at != law.place.name]
+            again = free_law.fit(found, others) if others else None
+            law = again if again is not None and again.score < law.score else law
+        try:
+            validated = fitting.validated(validation, law.hypothesis)
+        except IntegrationError:
+            return None
+    if not validated.squares @ validation.weights < adjusted.squares @ validation.weights:
+        return None
+    twin, rules = found.twin, problem.rules
+    errors = (
+        relative(twin.sensors, [problem.record], law.hypothesis.squares),
+        relative(twin.sensors, [validation.record], validated.squares),
+    )
+    floor = relative(twin.sensors, [validation.record], len(validation.record) * validation.sigma**2)
+    closed = verdict.at_noise_floor(errors[1].values(), floor.values(), len(validation.record), rules)
+    return UnnamedLaw(law, _written(law, tabulated(law)), validated, errors, closed)
+
+
+def _written(law: FreeLaw, instance: EffectInstance) -> Explanation:
+    """Return the model with the law as one effect, and with effects elsewhere."""
+    fitted = law.hypothesis
+    others = tuple(one for one in fitted.instances if one.effect not in KINDS)
+    many = len(fitted.theta) + len(fitting.estimated(others))
+    return _explanation(replace(fitted, covariance=fitted.covariance[:many, :many]), (*others, instance))
+
+
+def _explanation(fitted: Hypothesis, instances: Sequence[EffectInstance]) -> Explanation:
+    names = tuple((one.effect, one.at) for one in instances)
+    return Explanation("effects", names, replace(fitted, instances=tuple(instances)))
