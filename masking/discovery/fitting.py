@@ -210,6 +210,28 @@ def together(
     return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
 
 
+def tempered(problem: EstimationProblem, known: Hypothesis) -> Hypothesis:
+    """Return a hypothesis with the record weighted as its residual allows, and the prior as it is.
+
+    The cost takes all of a residual for white noise. What a missing force leaves is far larger, and its likelihood is
+    divided by the tempering factor. Directions that the record hardly determines then go back to the prior.
+
+    Args:
+        problem: the record and the rig.
+        known: the hypothesis, fitted.
+    """
+    factor = problem.tempering(known.residuals)
+    if factor <= problem.rules.slow_excess:
+        return known
+    begun = _Begun.at(known)
+    found = _solved(replace(problem, sigma=np.sqrt(factor) * problem.sigma), begun)
+    if found is None:
+        return known
+    pull = (found.theta - problem.prior.mean) / problem.prior.deviation
+    cost = float(found.squares @ problem.weights + pull @ pull)
+    return replace(found, cost=cost, covariance=found.covariance / factor)
+
+
 def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:
     """Return a hypothesis on a validation record: only its initial state is estimated."""
     return fit(problem, hypothesis.instances, theta=hypothesis.theta, frozen=True)
