@@ -51,6 +51,11 @@ class Hypothesis:
     rules: DecisionRules = RULES
 
     @property
+    def creeping(self) -> Hypothesis:
+        """Return the hypothesis with smooth laws in the place of those that stick."""
+        return replace(self, instances=tuple(instance.creeping for instance in self.instances))
+
+    @property
     def added(self) -> Array:
         """Return the free parameters of the effects (f,)."""
         return estimated(self.instances)
