@@ -26,6 +26,7 @@ from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
 SHARP = 2e-3  # of the largest rate: width of the sign of a rate
+NEGLIGIBLE = 1e-9  # of its standard deviation: a force that is not seen at all
 BEND = 0.3  # of the largest force: standard deviation of a bend between neighbouring pieces before the record
 SIDE = 5  # pieces of each side of a surface
 MOST_FORMS = 3  # forms that are fitted
@@ -114,9 +115,10 @@ def fit(found: Explained, known: Sequence[EffectInstance] = ()) -> FreeLaw | Non
         if not place.is_open or not (place.declared or place.coordinate):
             continue
         x, rate = motion.displacement[:, at], motion.rate[:, at]
-        force, _ = projected(motion, directions(found, found.rig.columns[1][at]))
-        if force.any():
-            starts += _starts(screen, place, (x, rate), float(np.abs(force).max()), room)
+        force, deviation = projected(motion, directions(found, found.rig.columns[1][at]))
+        high = float(np.abs(force).max())
+        if high > NEGLIGIBLE * deviation:
+            starts += _starts(screen, place, (x, rate), high, room)
     best: FreeLaw | None = None
     noise = float(problem.record.readings.size)
     for one in _ranked(starts, len(screen.left))[:MOST_FORMS]:
@@ -191,10 +193,10 @@ def _starts(screen: Screen, place: Place, motion: tuple[Array, Array], high: flo
     found = []
     for form in forms:
         rows_of = np.hstack([columns[term.kind] for term in form])
-        penalty = linalg.block_diag(*(term.roughness() * (term.unit / max(BEND * high, 1e-300)) ** 2 for term in form))
+        penalty = linalg.block_diag(*(term.roughness() * (term.unit / (BEND * high)) ** 2 for term in form))
         with np.errstate(over="ignore", invalid="ignore"):
             gram, right = rows_of.T @ rows_of, rows_of.T @ screen.left
-        if not (np.isfinite(gram + penalty).all() and np.isfinite(right).all()):  # no force, or a response without end
+        if not (np.isfinite(gram).all() and np.isfinite(right).all()):  # a response that runs away
             continue
         size = np.sqrt(np.maximum(np.diag(gram + penalty), 1e-300))
         inverse = np.linalg.pinv((gram + penalty) / np.outer(size, size), rcond=COLLINEAR, hermitian=True)

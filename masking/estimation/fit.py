@@ -32,7 +32,8 @@ REWEIGHTED = 3  # rounds in which the noise of each sensor is estimated from the
 FLAT = 1e-7  # eigenvalue of the scaled information below which the record does not determine a direction
 INDEPENDENT = 1e-6  # part of its information that a parameter has for itself, to be fitted beside others
 CLOSE = 0.999  # correlation from which two parameters are hardly distinguished
-COARSE = 30.0  # s of the first record that the fit of a longer one begins with
+COARSE = 30.0  # s of the first record that the fit of a longer one begins with,
+COARSE_SAMPLES = 2000  # and samples at least: processes that are sampled slowly move slowly
 FEWEST = 5  # samples of each sensor for each unknown
 
 
@@ -154,8 +155,8 @@ def fit(
     stages = [list(records)]
     if shooting_interval:
         stages.insert(0, [window for record in records for window in record.windows(shooting_interval)])
-    elif records and len(records[0]) > 2 * COARSE * records[0].rate:
-        stages.insert(0, [records[0].first(COARSE)])
+    elif records and len(records[0]) > 2 * len(_beginning(records[0])):
+        stages.insert(0, [_beginning(records[0])])
     done = [0.0]
 
     def tell(part: float) -> None:
@@ -185,7 +186,7 @@ def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ..
         names: of parameters.
     """
     order = tuple(reversed(names))
-    problem = _Problem(Sensitivity(twin, order), [record.first(COARSE)])
+    problem = _Problem(Sensitivity(twin, order), [_beginning(record)])
     information = problem.linearised(problem.unknowns(problem.sensitivity.start())).equations.information()
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     left = information / np.outer(scale, scale)
@@ -196,6 +197,10 @@ def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ..
             kept.append(name)
             left = left - np.outer(left[:, i], left[i]) / left[i, i]
     return tuple(name for name in names if name in kept)
+
+
+def _beginning(record: Data) -> Data:
+    return record.first(max(COARSE, COARSE_SAMPLES / record.rate))
 
 
 def several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
