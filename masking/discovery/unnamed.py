@@ -61,13 +61,13 @@ class UnnamedLaw:
         }
 
 
-def law_of(found: Explained, validation: EstimationProblem, adjusted: Hypothesis) -> UnnamedLaw | None:
+def law_of(found: Explained, validation: EstimationProblem, without: Sequence[Hypothesis]) -> UnnamedLaw | None:
     """Return the law of a record without a name; None where none makes the simulation of unseen data better.
 
     Args:
         found: the record with its explanation.
         validation: the validation record.
-        adjusted: the model without causes on it.
+        without: the model without causes on it, as declared and with adjusted parameters.
     """
     problem = found.problem
     with threadpool_limits(1):
@@ -82,7 +82,7 @@ def law_of(found: Explained, validation: EstimationProblem, adjusted: Hypothesis
             validated = fitting.validated(validation, law.hypothesis)
         except IntegrationError:
             return None
-    if not validated.squares @ validation.weights < adjusted.squares @ validation.weights:
+    if not validated.squares @ validation.weights < min(one.squares @ validation.weights for one in without):
         return None
     twin, rules = found.twin, problem.rules
     errors = (
