@@ -70,10 +70,10 @@ def discover(
     rules = settings.rules
     train, unseen = train_validation_split(record, rules.held_out) if validation is None else (record, validation)
     prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
-    whole = EstimationProblem(rig, train, prior, noise_of(rig, train, rules), most, rules=rules)
+    whole = EstimationProblem(rig, train, prior, noise_of(twin, train), most, rules=rules)
     problem = replace(whole, interval=shooting.interval(whole, settings.shooting_interval))
     problem = replace(problem, substeps=shooting.substeps(problem))
-    noise = noise_of(rig, unseen, rules)
+    noise = noise_of(twin, unseen)
     found = _explained(problem, unseen, noise, say)
     if settings.shooting_interval is None and not problem.interval and _loses_phase(found):
         for seconds in shooting.shorter(whole):
@@ -302,7 +302,7 @@ def _rounded(problem: EstimationProblem, hypothesis: Hypothesis) -> list[tuple[N
     known = {effect.at for effect in twin.effects if effect.kind == ROUNDING.name and effect.enabled}
     left = hypothesis.squares / len(problem.record)
     found = []
-    steps = steps_of(problem.record, problem.rules.rounded_values)
+    steps = steps_of(problem.record)
     for i, (name, step) in enumerate(zip(twin.sensors, steps, strict=True)):
         variance = step**2 / 12.0
         if name not in known and variance > least * problem.sigma[i] ** 2:

@@ -115,7 +115,8 @@ def fit(found: Explained, known: Sequence[EffectInstance] = ()) -> FreeLaw | Non
             continue
         x, rate = motion.displacement[:, at], motion.rate[:, at]
         force, _ = projected(motion, directions(found, found.rig.columns[1][at]))
-        starts += _starts(screen, place, (x, rate), float(np.abs(force).max()), room)
+        if force.any():
+            starts += _starts(screen, place, (x, rate), float(np.abs(force).max()), room)
     best: FreeLaw | None = None
     noise = float(problem.record.readings.size)
     for one in _ranked(starts, len(screen.left))[:MOST_FORMS]:
