@@ -138,6 +138,16 @@ class Discovery(Explained):
             return self.deviations
         return self.written.deviations(self.problem.tempering(self.written.hypothesis.residuals))
 
+    @property
+    def unnamed(self) -> Named | None:
+        """Return the law without a name as a cause, with its parameters and their standard deviations."""
+        if self.law is None:
+            return None
+        one = self.law.instance
+        stds = self.written_deviations[len(self.written_deviations) - len(one.free) :]
+        values = zip(one.estimated, map(float, stds), strict=True)
+        return Named(one.effect, one.at, dict(zip(one.names, values, strict=True)), 1.0)
+
     @cached_property
     def whiteness(self) -> dict[str, Whiteness]:
         """Return the whiteness of the validation residual of each sensor."""

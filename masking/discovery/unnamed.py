@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import fitting, free_law, verdict
+from masking.discovery import closed_form, fitting, free_law, verdict
 from masking.discovery.augmented_model import EffectInstance
+from masking.discovery.closed_form import ClosedForm
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.free_law import ALIKE, KINDS, FreeLaw
@@ -30,6 +32,8 @@ class UnnamedLaw:
         validated: the same on the validation record.
         error: relative error of each sensor with it, in the estimation and in the validation record.
         closed: whether it leaves no more than noise in the validation record.
+        form: its closed form; None where none was found.
+        is_formula: whether the closed form is what is written; else tables are.
     """
 
     free: FreeLaw
@@ -37,6 +41,8 @@ class UnnamedLaw:
     validated: Hypothesis
     error: tuple[dict[str, float], dict[str, float]]
     closed: bool
+    form: ClosedForm | None = None
+    is_formula: bool = False
 
     @property
     def instance(self) -> EffectInstance:
@@ -56,6 +62,7 @@ class UnnamedLaw:
             "on": self.place,
             "expression": self.instance.entry.expression,
             "parameters": known,
+            "closed_form": self.form and self.form.as_dict(self.is_formula),
             "closed": self.closed,
             "simulation_error": {"estimation": estimation, "validation": validation},
         }
@@ -78,28 +85,41 @@ def law_of(found: Explained, validation: EstimationProblem, adjusted: Hypothesis
             others = [one for one in found.explanation.hypothesis.instances if one.at != law.place.name]
             again = free_law.fit(found, others) if others else None
             law = again if again is not None and again.score < law.score else law
+        validation = replace(validation, interval=law.problem.interval)
         try:
             validated = fitting.validated(validation, law.hypothesis)
         except IntegrationError:
             return None
+        form = closed_form.fitted(law, law.problem, validation)
+    is_formula = form is not None and form.score <= _score(law, validated, problem, validation)
+    fitted = law.hypothesis
+    if form is not None and is_formula:
+        fitted, validated = form.hypothesis, form.validated
     if not validated.squares @ validation.weights < adjusted.squares @ validation.weights:
         return None
     twin, rules = found.twin, problem.rules
     errors = (
-        relative(twin.sensors, [problem.record], law.hypothesis.squares),
+        relative(twin.sensors, [problem.record], fitted.squares),
         relative(twin.sensors, [validation.record], validated.squares),
     )
     floor = relative(twin.sensors, [validation.record], len(validation.record) * validation.sigma**2)
     closed = verdict.at_noise_floor(errors[1].values(), floor.values(), len(validation.record), rules)
-    return UnnamedLaw(law, _written(law, tabulated(law)), validated, errors, closed)
+    written = _explanation(fitted, fitted.instances) if is_formula else _in_tables(law)
+    return UnnamedLaw(law, written, validated, errors, closed, form, is_formula)
 
 
-def _written(law: FreeLaw, instance: EffectInstance) -> Explanation:
+def _score(law: FreeLaw, validated: Hypothesis, problem: EstimationProblem, validation: EstimationProblem) -> float:
+    """Return the cost of a free law in both records, with Schwarz's penalty for each factor."""
+    readings = problem.record.readings.size + validation.record.readings.size
+    return law.hypothesis.cost + float(validated.squares @ validation.weights) + law.size * float(np.log(readings))
+
+
+def _in_tables(law: FreeLaw) -> Explanation:
     """Return the model with the law as one effect, and with effects elsewhere."""
     fitted = law.hypothesis
     others = tuple(one for one in fitted.instances if one.effect not in KINDS)
     many = len(fitted.theta) + len(fitting.estimated(others))
-    return _explanation(replace(fitted, covariance=fitted.covariance[:many, :many]), (*others, instance))
+    return _explanation(replace(fitted, covariance=fitted.covariance[:many, :many]), (*others, tabulated(law)))
 
 
 def _explanation(fitted: Hypothesis, instances: Sequence[EffectInstance]) -> Explanation:
