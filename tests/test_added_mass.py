@@ -85,8 +85,8 @@ def test_several_at_once_are_a_mass_matrix(rig):
 
 
 def test_it_is_a_candidate_where_the_displacement_is_linear(rig):
-    spans = {name: Span(-1.0, 1.0, 1.0, 1.0) for name in (*(p.name for p in rig.places), *rig.twin.sensors)}
-    spans |= {name: Span(-1.0, 1.0, 1.0, 1.0) for name in rig.twin.actuators}
+    names = {"element": [p.name for p in rig.places], "sensor": rig.twin.sensors, "actuator": rig.twin.actuators}
+    spans = {(where, name): Span(-1.0, 1.0, 1.0, 1.0) for where in names for name in names[where]}
     found = [c.at for c in candidates(rig, spans, 1.0 / RATE) if c.effect == "added_mass"]
     assert found == ["spring1", "spring2", "beam", "x1", "x2"]
 

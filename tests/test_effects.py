@@ -134,6 +134,22 @@ class TestLaws:
         times = 2.0 * np.pi / math.sqrt(k) * np.arange(6)
         np.testing.assert_allclose(model.simulate(times)["x"], 1.0 - 4.0 * fc / k * np.arange(6), atol=1e-8)
 
+    @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+    def test_what_sticks_rests_where_friction_holds_it_and_never_creeps(self, oscillator, scale):
+        # Coulomb: extremes fall by 2 fc/k from one to the next, and one within fc/k of 0 is the last
+        k, fc, step = 4.0, 0.15, 1e-3
+        held = {"c": 1.0 / (0.55 * step), "hold": 1.0 / (1.75 * step)}
+        model = oscillator.with_parameters(k=k).attach("dry_friction", "spring", fc=scale * fc, **held)
+        times = np.array([0.0, 25.0, 2000.0])
+        x = model.simulate(times, {"x": scale}, tolerance=1e-8)["x"]
+        assert x[1] == pytest.approx(scale * (-1.0) ** 13 * (1.0 - 13 * 2.0 * fc / k), abs=2e-5 * scale)
+        assert x[2] == pytest.approx(x[1], abs=1e-9 * scale)
+
+    def test_what_does_not_stick_is_attached_without_a_memory(self, oscillator):
+        smooth = oscillator.attach("dry_friction", "spring", fc=1.0)
+        assert not smooth.declaration.states
+        assert force("dry_friction", d_rate=2e-3, fc=3.0) == pytest.approx(3.0 * math.tanh(2.0))
+
     @pytest.mark.parametrize("k3", [3.0, -0.6])
     def test_a_cubic_spring_has_the_period_of_the_elliptic_integral(self, oscillator, k3):
         # Kovacic and Brennan (2011): T = 4 K(m)/sqrt(k + k3 A^2), m = k3 A^2/(2 (k + k3 A^2))
@@ -416,7 +432,11 @@ class TestAttach:
         np.testing.assert_array_equal(again.values(), attached.values())
 
     def test_elements_are_inherited(self):
-        assert load_model("setup_springs").declaration.elements == load_model("setup").declaration.elements
+        inherited, first = (load_model(name).declaration.elements for name in ("setup_springs", "setup"))
+        assert {name: (e.displacement, e.acts) for name, e in inherited.items()} == {
+            name: (e.displacement, e.acts) for name, e in first.items()
+        }
+        assert inherited["beam"].force.text == "w3**2*eta3*d + 2*z3*w3*sigma3*d_rate"  # field by field
 
 
 class TestErrors:
@@ -786,9 +806,8 @@ def test_what_an_entry_names_is_there():
     for effect in EFFECTS.values():
         named = {*effect.factors, *effect.scaled, *effect.calibrated, effect.grows_with, effect.quantum} - {""}
         span = Span(-1.0, 1.0, 1.0, 1.0, (1.0,))
-        for is_measured in (True, False):
-            for trial in effect.trials_at(is_measured):
-                named |= {*trial.factors, *trial.free}.union(*trial.starts(span))
+        for trial in effect.ways:
+            named |= {*trial.factors, *trial.free, *effect.by_step, *effect.at_zero}.union(*trial.starts(span))
         assert named <= effect.parameters.keys()
         assert all(EFFECTS[simpler].where == effect.where for simpler in effect.nested)
         assert effect.is_linear or not effect.absorbed_by

@@ -17,7 +17,8 @@ _COHERENT = frozenset(
 )
 # The parts of an entry of each section that may be expressions.
 _FORMULAS = {
-    "parameters": ["value"], "outputs": ["expression"], "scales": ["value"], "elements": ["displacement", "rate"],
+    "parameters": ["value"], "outputs": ["expression"], "scales": ["value"],
+    "elements": ["displacement", "rate", "force"],
 }  # fmt: skip
 
 
@@ -142,6 +143,8 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
         stretched = [*static, *coordinates, *model.states, *model.inputs]
         if path.endswith(".rate") and section == "elements":
             stretched += velocities(coordinates)
+        if path.endswith(".force") and section == "elements":
+            stretched = ["d", "d_rate", "t", *static, *model.states, *model.definitions]
         allowed = {"parameters": static, "scales": static, "elements": stretched}.get(section, moving)
         yield from check_symbols(expression, [*allowed, *rates], coordinates, known=moving)
         where = section if section in {"lagrangian", "dissipation", "energy"} else ""

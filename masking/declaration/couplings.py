@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from masking.declaration.differentiate import rate_of
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Element, ModelDeclaration
 
@@ -45,6 +46,24 @@ def has_rate(model: ModelDeclaration, element: Element) -> bool:
     if element.rate is not None or element.displacement is None:
         return element.rate is not None
     return not element.displacement.names & {*model.states, *model.inputs}
+
+
+def has_own_force(model: ModelDeclaration, element: Element) -> bool:
+    """Tell whether an element declares a force that follows nothing but its own motion."""
+    if element.force is None:
+        return False
+    seen, pending = set[str](), {*element.force.names} & {*model.definitions}
+    while pending:
+        seen |= pending
+        pending = set().union(*(model.definitions[name].names for name in pending)) & {*model.definitions} - seen
+    return not set().union(*(model.definitions[name].names for name in seen)) & {*model.coordinates, *model.inputs, "t"}
+
+
+def motion_rate(model: ModelDeclaration, element: Element) -> Expression | None:
+    """Give how fast an element is stretched: as declared, or from its displacement of coordinates; None if unknown."""
+    if element.rate is not None or element.displacement is None or not has_rate(model, element):
+        return element.rate
+    return Expression(rate_of(element.displacement, model.coordinates))
 
 
 def is_fed(model: ModelDeclaration, measured: Expression) -> bool:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 else:
     sp = lazy.load("sympy")
 
-MOST_PARAMETERS = 6
+MOST_PARAMETERS = 7
 MOST_STATES = 1
 MOST_STARTS = 60
 SYMBOLS = {"element": ("d", "d_rate", "t"), "sensor": ("s",), "actuator": ("u",)}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 from masking.declaration.checks import equation_of, formulas
@@ -221,6 +221,11 @@ class _Checker:
         if element.rate is not None:
             wanted = None if moved is None else _times(moved, time, -1)
             self.same(wanted, element.rate, "the rate of this displacement is in {}, not in {}")
+        if element.force is not None:
+            moved = displacement_dimension(element, self.symbols)
+            motion = {"d": moved, "d_rate": None if moved is None else _times(moved, time, -1)}
+            law = replace(self, symbols=self.symbols | motion)
+            law.same(force, element.force, "the unit of the element is {}, its force is {}")
         message = f"the force in {element.unit} must be multiplied by {{}} to act here, not by {{}}"
         for coordinate, factor in element.acts.items():
             wanted = self.on(coordinate, action)

@@ -225,8 +225,10 @@ def _extended(base: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
         elif key in _MERGED and isinstance(base.get(key), dict):
             result[key] = dict(base[key])
             for name, entry in value.items():
-                full = _full(key, result[key].get(name, {})) | _full(key, entry) if key in _SHORT else entry
-                result[key][name] = full
+                old, new = result[key].get(name, {}), entry
+                if key in _SHORT:
+                    old, new = _full(key, old), _full(key, new)
+                result[key][name] = old | new if isinstance(old, dict) and isinstance(new, dict) else new
         else:
             result[key] = value
     return result

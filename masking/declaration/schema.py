@@ -89,12 +89,15 @@ class Element(Block):
     `displacement` is how far it is stretched and `rate` how fast, by default the time derivative of a displacement of
     coordinates. A force f in it, in `unit`, adds acts[c] * f to the right-hand side of the equation of each coordinate
     or internal state c, and to each output c. A positive force resists a positive displacement where `acts` says so.
+    `force` is its own, over its displacement `d`, its rate `d_rate` and parameters: it acts in the same way, the
+    equations do not hold it again, and effects may stand in series with it or in its place.
     """
 
     displacement: Formula | None = None
     rate: Formula | None = None
+    force: Formula | None = None
     unit: TextField = "1"
-    acts: dict[Name, Formula]
+    acts: dict[Name, Formula] = {}
     meaning: TextField = ""
 
 

@@ -7,7 +7,7 @@ Source: as `masking.numerics.augmented`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -16,18 +16,17 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.codegen import store
-from masking.codegen.graph import Node
 from masking.codegen.kernels import Kernels, linked
 from masking.codegen.source import Module
-from masking.codegen.tangent import derivatives, jacobian
+from masking.codegen.tangent import jacobian
 from masking.declaration.dictionary import MOST_PARAMETERS
 from masking.declaration.expression import Expression
-from masking.declaration.schema import EffectUse
 from masking.discovery import laws
-from masking.discovery.places import Place, degrees, identifier, opened
+from masking.discovery.places import Place, degrees, identifier, opened, taken
+from masking.discovery.ports import Instances, followed, port, rates
 from masking.effects import EFFECTS, FORCE, OFFSET, Effect
 from masking.estimation.sensitivity import SIGNATURES, Sensitivity, add_slopes
-from masking.numerics.arrays import Array, IntMatrix, IntVector
+from masking.numerics.arrays import Array, IntVector
 from masking.numerics.instances import ACTUATOR, COLUMNS, ELEMENT, INERTIA, SENSOR
 from masking.numerics.rig_sizes import PortSizes
 from masking.rig.twin import LoweredTwin, Twin
@@ -53,7 +52,8 @@ class EffectInstance:
     Args:
         effect: its name in the dictionary, which may be `delay`.
         at: name of the place, sensor or actuator; '' for a delay of all actuators.
-        values: of its parameters, in the order of the dictionary, in coherent units of the place.
+        values: of its parameters, in the order of the dictionary, in coherent units of the place; the last may be left
+            out, and are then as usual.
         free: indices of those that are estimated.
         known: its entry in the dictionary; by default that which comes with the package.
     """
@@ -63,6 +63,11 @@ class EffectInstance:
     values: tuple[float, ...]
     free: tuple[int, ...]
     known: Effect | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.effect != laws.DELAY:
+            left = list(self.entry.parameters.values())[len(self.values) :]
+            object.__setattr__(self, "values", (*self.values, *(parameter.value or 0.0 for parameter in left)))
 
     @property
     def entry(self) -> Effect:
@@ -89,6 +94,30 @@ class EffectInstance:
     def with_free_times(self, factor: float) -> EffectInstance:
         """Return the instance with its estimated parameters multiplied."""
         return self.with_values(self.free, (self.values[i] * factor for i in self.free))
+
+    def at_step(self, mobility: float, step: float) -> EffectInstance:
+        """Return the instance with the parameters that follow the step of integration, where it has such.
+
+        Args:
+            mobility: of its place, the acceleration of the displacement by a unit of force.
+            step: of integration, s.
+        """
+        rules = self.entry.by_step
+        known = {"mobility": mobility, "step": step}
+        return self.with_values(
+            self.entry.indices(tuple(rules)), (Expression(text).evaluate(known) for text in rules.values())
+        )
+
+    @property
+    def creeping(self) -> EffectInstance:
+        """Return the instance with a smooth law, as a controller can follow it, in the place of one that sticks."""
+        at = self.entry.indices(tuple(self.entry.by_step) if self.entry.at_zero else ())
+        return self.with_values(at, np.zeros(len(at)))
+
+    @property
+    def sticks(self) -> bool:
+        """Return whether parameters that follow the step of integration have been given to it."""
+        return any(self.values[i] for i in self.entry.indices(tuple(self.entry.by_step)))
 
     @property
     def begins(self) -> tuple[float, ...]:
@@ -120,29 +149,6 @@ class Equations:
 
 
 @dataclass(frozen=True)
-class Instances:
-    """Tables of effect instances, as kernels read them.
-
-    Args:
-        table: a row for each instance, those of sensors last (i, 5); columns as `numerics.instances` says.
-        estimated: the column of each parameter in the normal equations, or -1 (i, parameters).
-        values: all parameters, one after the other.
-        acts: 1 where an effect acts, of places, then of actuators (places + actuators,).
-        late: delay of each actuator, s (actuators,).
-        late_columns: column of this delay, or -1 (actuators,).
-        states: how many states the effects have.
-    """
-
-    table: IntMatrix
-    estimated: IntMatrix
-    values: Array
-    acts: IntVector
-    late: Array
-    late_columns: IntVector
-    states: int
-
-
-@dataclass(frozen=True)
 class AugmentedModel:
     """A twin with open places.
 
@@ -159,10 +165,8 @@ class AugmentedModel:
     @cached_property
     def _opened(self) -> tuple[Twin, tuple[Place, ...]]:
         base, found = opened(self.twin.base)
-        ports = {
-            f"port_{identifier(p.name)}": _port(FORCE, p.name if p.declared else identifier(p.name)) for p in found
-        }
-        commands = {f"port_{name}": _port(OFFSET, name) for name in self.twin.actuators}
+        ports = {f"port_{identifier(p.name)}": port(FORCE, p.name if p.declared else identifier(p.name)) for p in found}
+        commands = {f"port_{name}": port(OFFSET, name) for name in self.twin.actuators}
         effects = {**commands, **ports, **self.twin.declaration.effects}
         declaration = self.twin.declaration.model_copy(update={"effects": effects})
         return Twin(declaration, base, self.twin.changes, self.twin.chosen), found
@@ -207,7 +211,50 @@ class AugmentedModel:
         twin, found = self._opened
         forces = [f"port_{identifier(p.name)}_{FORCE.factors[0]}" for p in found]
         commands = [f"port_{name}_{OFFSET.factors[0]}" for name in self.twin.actuators]
-        return Sensitivity(twin, (*self.names, *forces, *commands))
+        series = [name for i in self._yielding for name in taken(found[i].name)]
+        return Sensitivity(twin, (*self.names, *forces, *series, *commands))
+
+    @cached_property
+    def _yielding(self) -> tuple[int, ...]:
+        """Return the places whose elements declare a force of their own, with which an effect may be in series."""
+        return tuple(i for i, place in enumerate(self.places) if place.has_force)
+
+    @property
+    def _seats(self) -> list[Place]:
+        """Return where the laws of elements act: at the places, and in what each element's own force follows."""
+        return [*self.places, *(self.places[i] for i in self._yielding for _ in range(2))]
+
+    @cached_property
+    def _all_taken(self) -> list[int]:
+        return [list(self.laws).index(name) for name in laws.ALL_TAKEN]
+
+    def parts(self, instance: EffectInstance) -> list[tuple[int, int]]:
+        """Return the laws of an effect in an element by their numbers, and the seats where they act."""
+        at, known = self.index(instance), list(self.laws)
+        beside, attaches = (known.index(instance.effect), at), instance.entry.attaches
+        if attaches == "beside":
+            return [beside]
+        first = len(self.places) + 2 * self._yielding.index(at)
+        if attaches == "in_series":
+            return [(beside[0], first), (known.index(laws.rate_of(instance.effect)), first + 1)]
+        return [*((known.index(name), first + i) for i, name in enumerate(laws.ALL_TAKEN)), beside]
+
+    @cached_property
+    def _forces(self) -> tuple[float, ...]:
+        """Return what a unit at each seat is as a force at its place, to first order at rest."""
+        _, by = self._slopes_at_rest
+        columns, many = self._ports[1], len(self.places)
+        found = [1.0] * many
+        for seat in range(many, len(columns)):
+            force = by[:, columns[self._yielding[(seat - many) // 2]]]
+            found.append(float(force @ by[:, columns[seat]]) / max(float(force @ force), 1e-300))
+        return tuple(found)
+
+    @property
+    def stiffnesses(self) -> dict[str, float]:
+        """Return the stiffness at rest of each element that declares a force of its own."""
+        many = len(self.places)
+        return {self.places[i].name: abs(self._forces[many + 2 * j]) for j, i in enumerate(self._yielding)}
 
     @cached_property
     def start(self) -> Array:
@@ -233,10 +280,16 @@ class AugmentedModel:
         made[affected] += columns[:, :k] @ (theta - self.start)
         return made, np.ascontiguousarray(np.hstack([columns[:, :k], np.zeros((len(affected), more))]))
 
-    @cached_property
+    @property
     def columns(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
         """Return p-indices of the force ports, and columns of force ports and commands among the affected entries."""
-        sensitivity, k, many = self._sensitivity, len(self.names), len(self.places)
+        (entries, forces, commands), many = self._ports, len(self.places)
+        return entries[:many], forces[:many], commands
+
+    @cached_property
+    def _ports(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+        """Return the same of all seats."""
+        sensitivity, k, many = self._sensitivity, len(self.names), len(self._seats)
         _, basis = self._basis
         at = [int(np.flatnonzero(basis[:, k + i])[0]) for i in range(basis.shape[1] - k)]
         return tuple(sensitivity.affected[i] for i in at[:many]), tuple(at[:many]), tuple(at[many:])
@@ -259,7 +312,7 @@ class AugmentedModel:
         return Kernels(store.load(store.key(made_from), self._build))
 
     def _build(self) -> Module:
-        twin, found = self._opened
+        twin, _ = self._opened
         module = Module(f"{twin.declaration.name}, augmented", {"kind": "augmented", **twin.state_kinds})
         lowered = LoweredTwin(twin)
         graph, loads = lowered.graph, lowered.loads
@@ -268,7 +321,7 @@ class AugmentedModel:
         by_text = {text: name for name, text in loads.items()}
         at = [i for i in range(len(twin.state_names)) if f"y[{i}]" in by_text]
         y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
-        nodes = [*_followed(lowered, found), *_rates(lowered, found, by_text)]
+        nodes = [*followed(lowered, self._seats), *rates(lowered, self._seats, by_text)]
         results = [(f"d[{i}]", node) for i, node in enumerate(nodes)]
         module.add(PLACED, graph, [*results, *jacobian(graph, "jy", nodes, y, at)], loads)
         return module
@@ -278,7 +331,7 @@ class AugmentedModel:
         """Return the compiled functions; from the cache on disk where they have been made before."""
         width = max(
             len(self.names) + 4 * MOST_PARAMETERS + self.sizes.states + MOST_STATES, self.affected,
-            2 * len(self.places), MOST_COLUMNS,
+            2 * len(self._seats), MOST_COLUMNS,
         )  # fmt: skip
         links = {laws.SIGNATURE: laws.library(self.laws), **self.equations.by_signature(*SIGNATURES, PLACED)}
 
@@ -305,8 +358,29 @@ class AugmentedModel:
         """Return the sizes of the rig with ports, as kernels read them."""
         twin = self._opened[0]
         return PortSizes(
-            len(twin.state_names), len(self.coordinates), len(twin.sensors), *self.columns, twin.is_fed, MOST_STATES
+            len(twin.state_names), len(self.coordinates), len(twin.sensors), *self._ports, twin.is_fed, MOST_STATES
         )
+
+    @cached_property
+    def mobilities(self) -> dict[str, float]:
+        """Return the acceleration of each displacement by a unit of force, at rest; 0 where the motion is given."""
+        rates, by = self._slopes_at_rest
+        pushed = rates @ by[:, list(self._ports[1])]
+        return {place.name: abs(float(pushed[i, i])) for i, place in enumerate(self.places)}
+
+    @cached_property
+    def _slopes_at_rest(self) -> tuple[Array, Array]:
+        """Return how rates of seats depend on the state (seats, n), and rates of the state on affected entries."""
+        n, many, u = len(self._opened[0].state_names), len(self._seats), np.zeros(len(self.twin.actuators))
+        by_state, by_entry = np.zeros((2 * many, n)), np.zeros((n, self.affected))
+        p, _ = self.basis(self.start)
+        self.equations.placed(0.0, self.rest, u, p, np.zeros(2 * many), by_state)
+        self.equations.slopes(0.0, self.rest, u, p, np.zeros(n), np.zeros((n, n)), by_entry)
+        return by_state[many:], by_entry
+
+    def at_step(self, instance: EffectInstance, step: float) -> EffectInstance:
+        """Return an instance that sticks with the parameters that follow a step of integration, in s."""
+        return instance.at_step(self.mobilities[instance.at], step) if instance.sticks else instance
 
     def reading(self, theta: Array, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
         """Return what the sensors read in a state (sensors,), and how that depends on it (sensors, states).
@@ -339,7 +413,8 @@ class AugmentedModel:
             theta: their free parameters, one after the other (f,).
         """
         channels, used, states = len(self.twin.actuators), len(self.names), 0
-        acts, late = np.zeros(len(self.places) + channels, dtype=np.int64), np.zeros(channels)
+        seats = len(self._seats)
+        acts, late = np.zeros(seats + channels, dtype=np.int64), np.zeros(channels)
         late_columns = np.full(channels, -1)
         rows, columns, values = [], [], list[float]()
         for instance in instances:
@@ -354,15 +429,18 @@ class AugmentedModel:
                 for channel in at:
                     late[channel] += values[first]
                     late_columns[channel] = estimated[0]
-                    acts[len(self.places) + channel] |= estimated[0] >= 0
+                    acts[seats + channel] |= estimated[0] >= 0
                 continue
             kind, place = INERTIA if instance.entry.is_inertia else KINDS[instance.where], self.index(instance)
-            if kind != SENSOR:
-                acts[place + len(self.places) * (kind == ACTUATOR)] = 1
             state = len(self.twin.state_names) + states if instance.entry.states else -1
             states += len(instance.entry.states)
-            rows.append((self._number(instance), kind, place, first, state))
-            columns.append(estimated)
+            acting = self.parts(instance) if kind == ELEMENT else [(self._number(instance), place)]
+            for number, seat in acting:
+                if kind != SENSOR:
+                    acts[seat + seats * (kind == ACTUATOR)] = 1
+                of_effect = number not in self._all_taken
+                rows.append((number, kind, seat, first, state if of_effect else -1))
+                columns.append(estimated if of_effect else [-1] * MOST_PARAMETERS)
         # Sensors last: they may read what the others do.
         order = sorted(range(len(rows)), key=lambda i: rows[i][1] == SENSOR)
         # Laws read as many parameters as they have from where theirs begin.
@@ -374,6 +452,8 @@ class AugmentedModel:
     def along(self, instance: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
         """Return what an effect gives along a known motion, and its derivatives by some parameters (m, 1 + c).
 
+        Of one in series with an element or in its place, the force that it adds to the element's, to first order.
+
         Args:
             instance: the effect with its values.
             x: displacement, command or reading that it acts on (m,).
@@ -381,13 +461,17 @@ class AugmentedModel:
             dt: time between samples, s.
             by: indices of these parameters.
         """
-        features = np.empty((len(x), 1 + len(by)))
         values = np.array([*instance.values, *np.zeros(MOST_PARAMETERS)])
-        number, has_state = self._number(instance), bool(instance.entry.states)
-        x, rate = np.ascontiguousarray(x), np.ascontiguousarray(rate)
+        x, rate, has_state = np.ascontiguousarray(x), np.ascontiguousarray(rate), bool(instance.entry.states)
         parameters = np.array([*by, 0], dtype=np.int64)  # of none, nothing is read
-        self.kernels.along(len(x), dt, number, has_state, x, rate, parameters, values, features)
-        return features
+        parts = [(self._number(instance), 1.0)]
+        if instance.entry.attaches != "beside":
+            parts = [(number, self._forces[seat]) for number, seat in self.parts(instance)]
+        total, features = np.zeros((len(x), 1 + len(by))), np.empty((len(x), 1 + len(by)))
+        for number, factor in parts:
+            self.kernels.along(len(x), dt, number, has_state, x, rate, parameters, values, features)
+            total += factor * features
+        return total
 
     def index(self, instance: EffectInstance) -> int:
         """Return the index of an instance's place among the places, sensors or actuators."""
@@ -397,31 +481,3 @@ class AugmentedModel:
     def _number(self, instance: EffectInstance) -> int:
         """Return the number of an instance's effect among the laws."""
         return list(self.laws).index(instance.effect)
-
-
-def _followed(lowered: LoweredTwin, places: Sequence[Place]) -> list[Node]:
-    """Return the displacement of each place as a node; 0 where it has none."""
-    equations, zero = lowered.equations.equations, lowered.graph.number(0.0)
-    every = [place.element.displacement for place in places]
-    return [zero if one is None else lowered.equations.lower(equations.symbolic(one)) for one in every]
-
-
-def _rates(lowered: LoweredTwin, places: Sequence[Place], loads: Mapping[str, str]) -> list[Node]:
-    """Return the rate of each place as a node: as declared, or by the chain rule from coordinates; 0 where unknown."""
-    graph, equations = lowered.graph, lowered.equations.equations
-    moving = len(equations.coordinates)
-    velocities = [graph.symbol(loads[f"y[{moving + i}]"], varying=True) for i in range(moving)]
-    positions = [graph.symbol(loads[f"y[{i}]"], varying=True) for i in range(moving)]
-    found = []
-    for place, row in zip(places, derivatives(graph, _followed(lowered, places), positions), strict=True):
-        if place.element.rate is not None:
-            found.append(lowered.equations.lower(equations.symbolic(place.element.rate)))
-        elif place.has_rate:
-            found.append(graph.total([graph.mul(by, v) for by, v in zip(row, velocities, strict=True)]))
-        else:
-            found.append(graph.number(0.0))
-    return found
-
-
-def _port(effect: Effect, at: str) -> EffectUse:
-    return EffectUse(effect=effect.name, at=(at,), parameters=dict.fromkeys(effect.factors, 0.0))

@@ -7,7 +7,7 @@ a fit starts in a record.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.places import is_of_one
@@ -24,6 +24,7 @@ class Candidate:
         factors: indices of the parameters that are factors.
         free: indices of all that are estimated.
         instances: one for each start, with factors 0 or as the start has them.
+        sticks: whether it is fitted with the parameters that follow the step of integration.
     """
 
     effect: str
@@ -31,6 +32,7 @@ class Candidate:
     factors: tuple[int, ...]
     free: tuple[int, ...]
     instances: tuple[EffectInstance, ...]
+    sticks: bool = False
 
     @property
     def key(self) -> tuple[str, str]:
@@ -43,12 +45,12 @@ class Candidate:
         return self.instances[0].entry
 
 
-def candidates(rig: AugmentedModel, spans: Mapping[str, Span], period: float) -> Iterator[Candidate]:
+def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], period: float) -> Iterator[Candidate]:
     """Give every candidate.
 
     Args:
         rig: the rig.
-        spans: of each place, sensor and actuator by name.
+        spans: of each place, sensor and actuator: of an element, sensor or actuator with a name.
         period: time between samples, s.
     """
     every = [effect for effect in rig.twin.dictionary.values() if effect.is_searched]
@@ -59,18 +61,28 @@ def candidates(rig: AugmentedModel, spans: Mapping[str, Span], period: float) ->
         for effect in every:
             fits = effect.where == "element" and ((straight or not effect.is_inertia) if is_known else effect.joins)
             if fits and place.is_open and place.takes(effect):
-                for trial in effect.trials_at(rate_is_measured=not place.is_of_coordinates):
-                    yield from _candidate(effect, trial, place.name, spans[place.name])
+                for trial in effect.ways:
+                    if not trial.sticks or rig.mobilities[place.name] > 0.0:
+                        found = _candidate(effect, trial, place.name, spans["element", place.name])
+                        yield from (_ready(rig, candidate, period) for candidate in found)
     commanded = tuple(name for name in rig.twin.actuators if name not in rig.twin.measured_actuators)
     for where, names in (("sensor", rig.twin.sensors), ("actuator", commanded)):
         for effect in [e for e in every if e.where == where]:
             for name in names:
-                for trial in effect.trials_at(rate_is_measured=False):
-                    yield from _candidate(effect, trial, name, spans[name])
+                for trial in effect.ways:
+                    yield from _candidate(effect, trial, name, spans[where, name])
     samples = DELAY.parameters[DELAY.grows_with].tried
     for at in ("", *commanded) if commanded == rig.twin.actuators else commanded:
         instances = tuple(EffectInstance(DELAY.name, at, (number * period,), (0,)) for number in samples)
         yield Candidate(DELAY.name, at, (), (0,), instances)
+
+
+def _ready(rig: AugmentedModel, candidate: Candidate, period: float) -> Candidate:
+    """Return a candidate whose law has no smooth form with the parameters that follow the step, here a sample."""
+    if not candidate.sticks or candidate.entry.at_zero:
+        return candidate
+    mobility = rig.mobilities[candidate.at]
+    return replace(candidate, instances=tuple(one.at_step(mobility, period) for one in candidate.instances))
 
 
 def _candidate(effect: Effect, trial: Trial, at: str, span: Span) -> Iterator[Candidate]:
@@ -82,4 +94,4 @@ def _candidate(effect: Effect, trial: Trial, at: str, span: Span) -> Iterator[Ca
     starts = [{**usual, **dict.fromkeys(names, 0.0), **start} for start in trial.starts(span)]
     if starts:
         instances = tuple(EffectInstance(effect.name, at, tuple(start.values()), free, effect) for start in starts)
-        yield Candidate(effect.name, at, factors, free, instances)
+        yield Candidate(effect.name, at, factors, free, instances, trial.sticks)

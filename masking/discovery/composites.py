@@ -23,7 +23,7 @@ def are_composite(causes: Sequence[Key], rig: AugmentedModel, rules: DecisionRul
         rules: how many linear effects are too many.
     """
     known = rig.twin.dictionary
-    laws = [Law(known[n].is_linear, _seat(rig, at), _kind(known[n])) for n, at in causes if n in known]
+    laws = [Law(known[n].is_linear, _seat(rig, at), _kind(known[n].reduced({}))) for n, at in causes if n in known]
     return verdict.is_composite(laws, rules)
 
 

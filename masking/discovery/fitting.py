@@ -7,7 +7,7 @@ is estimated. Source: as `masking.estimation.least_squares`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -48,6 +48,11 @@ class Hypothesis:
     covariance: Array
     residuals: Array
     rules: DecisionRules = RULES
+
+    @property
+    def creeping(self) -> Hypothesis:
+        """Return the hypothesis with smooth laws in the place of those that stick."""
+        return replace(self, instances=tuple(instance.creeping for instance in self.instances))
 
     @property
     def added(self) -> Array:

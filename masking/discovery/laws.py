@@ -9,6 +9,7 @@ parameters. They do not know any model, so that an effect is put anywhere in one
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
@@ -77,16 +78,25 @@ BASES: Mapping[str, Effect] = {
     )
 }  # fmt: skip
 DELAY = effects.DELAY.name  # has no expression: the commands are read earlier
+# What an effect takes from an element in whose place it stands: the whole displacement and the whole rate.
+ALL_TAKEN = {f"all_{x}": Effect(f"all_{x}", "", x, {}) for x in ("d", "d_rate")}
 DEAD_TIME = "tau"  # what is estimated of a delay, in s; a plant file has whole samples
 
 
 def known(dictionary: Mapping[str, Effect]) -> dict[str, Effect]:
     """Return the effects that can be tried, in the order of their numbers: at most one state, and an expression."""
-    return {
+    found = {
         name: effect
         for name, effect in dictionary.items()
         if effect.where in SUBJECTS and len(effect.states) <= MOST_STATES and len(effect.parameters) <= MOST_PARAMETERS
     }
+    rates = {name: replace(e, expression=e.takes_rate) for name, e in found.items() if e.takes_rate}
+    return {**found, **{rate_of(name): effect for name, effect in rates.items()}, **ALL_TAKEN}
+
+
+def rate_of(name: str) -> str:
+    """Return the name of the law by which an effect in series takes up a rate."""
+    return f"{name}_rate"
 
 
 def library(kinds: Mapping[str, Effect]) -> NativeFunction:

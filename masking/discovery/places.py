@@ -14,10 +14,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from masking.declaration.checks import equation_of, no_equation
-from masking.declaration.couplings import driven_outputs, driven_states, has_rate, motions
-from masking.declaration.dimensions import force_dimensions, is_plain
+from masking.declaration.couplings import driven_outputs, driven_states, has_own_force, has_rate, motions
+from masking.declaration.dimensions import displacement_dimension, force_dimensions, is_plain, symbol_dimensions
 from masking.declaration.expression import Expression
-from masking.declaration.schema import Element, ModelDeclaration
+from masking.declaration.schema import Element, ModelDeclaration, Parameter
 from masking.declaration.units import Dimension, describe, dimension_of
 from masking.effects import Effect
 from masking.errors import DeclarationError, Problem
@@ -36,6 +36,7 @@ class Place:
         coordinate: the degree that it is a place of, if one.
         has_rate: whether it is known how fast it is stretched.
         is_of_coordinates: whether coordinates alone stretch it.
+        has_force: whether it declares a force of its own, with which effects may be in series.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Place:
     coordinate: str | None = None
     has_rate: bool = True
     is_of_coordinates: bool = True
+    has_force: bool = False
 
     @property
     def is_open(self) -> bool:
@@ -53,6 +55,8 @@ class Place:
     def takes(self, effect: Effect) -> bool:
         """Return whether an effect finds here what it follows: a displacement, a rate, or neither."""
         used = effect.follows
+        if effect.attaches != "beside" and not self.has_force:
+            return False
         if effect.is_flow and self.has_rate:
             return False
         return ("d" not in used or self.element.displacement is not None) and (
@@ -101,10 +105,29 @@ def places(model: ModelDeclaration) -> tuple[Place, ...]:
 
 
 def opened(model: ModelDeclaration) -> tuple[ModelDeclaration, tuple[Place, ...]]:
-    """Return a model in which every place is an element, and the places."""
+    """Return a model in which every place is an element, and the places.
+
+    Of the motion of an element with a force of its own, the parameters `taken(name)` are taken away.
+    """
     found = places(model)
     elements = {**model.elements, **{identifier(p.name): p.element for p in found if not p.declared}}
-    return model.model_copy(update={"elements": elements}), found
+    parameters = dict(model.parameters)
+    symbols = symbol_dimensions(model) or {}
+    for name, element in ((p.name, p.element) for p in found if p.has_force):
+        if element.force is not None:
+            moved, time = displacement_dimension(element, symbols), symbols["t"]
+            unit = "1" if moved is None else describe(moved)
+            per_second = unit if time is None else f"({unit})/({describe(time)})"
+            lost, lost_rate = taken(name)
+            parameters |= {lost: Parameter(value=0.0, unit=unit), lost_rate: Parameter(value=0.0, unit=per_second)}
+            text = element.force.renamed({"d": f"(d - {lost})", "d_rate": f"(d_rate - {lost_rate})"})
+            elements[name] = element.model_copy(update={"force": Expression(text)})
+    return model.model_copy(update={"elements": elements, "parameters": parameters}), found
+
+
+def taken(element: str) -> tuple[str, str]:
+    """Return the names of what is taken from the displacement and from the rate that an element's own force follows."""
+    return f"taken_{element}", f"taken_rate_{element}"
 
 
 def identifier(name: str) -> str:
@@ -122,7 +145,8 @@ def is_of_one(displacement: Expression | None, coordinates: Collection[str]) -> 
 
 def _place(model: ModelDeclaration, name: str, element: Element, degree: str | None, *, declared: bool) -> Place:
     moved = {name for x in motions(element) for name in x.names}
-    return Place(name, element, declared, degree, has_rate(model, element), not moved & {*model.states, *model.inputs})
+    known = has_rate(model, element), not moved & {*model.states, *model.inputs}
+    return Place(name, element, declared, degree, *known, declared and has_own_force(model, element))
 
 
 def _degree(model: ModelDeclaration, element: Element) -> str | None:

@@ -191,6 +191,7 @@ class Screen:
             later, _ = self._late(instance.with_values((0,), (instance.values[0] + half,)))
             return np.hstack([late, (later - late) / half]), np.concatenate([at, at])
         x, rate, column = self._subject(instance)
+        instance = self.rig.at_step(instance, 1.0 / self.record.rate)  # a motion that is known is followed in samples
         made = self.rig.along(instance, x, rate, 1.0 / self.record.rate, instance.free)
         if instance.where != "element":
             made[:, 0] -= x

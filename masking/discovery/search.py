@@ -27,13 +27,14 @@ from masking.discovery.rules import DecisionRules
 from masking.discovery.screening import Along, Score, Screen
 from masking.discovery.smoothing import Motion, smooth
 from masking.discovery.verdict import Key
-from masking.effects import RELATIVE_TURNS, Span
+from masking.effects import Span
 from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
 Tell = Callable[[str, float], None]
 Job = Callable[[float], "Explanation"]  # given the cost of a rival
 
+REPLACED = (1.0, 0.3, 3.0)  # parts of an element's stiffness with which a law in its place begins
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
 
 
@@ -297,7 +298,7 @@ class Search:
     def _in_place(self, best: Explanation, i: int, score: Score, rival: float) -> Explanation:
         """Return a fit with an effect in the place of one."""
         names, others = _without(best, i)
-        found = self._fit((score.instance, *others), best.hypothesis, rival)
+        found = self._fit((self._ready(score), *others), best.hypothesis, rival)
         return Explanation("effects", (score.candidate.key, *names), found, min(best.unique, score.unique))
 
     def _is_better(self, base: Explanation, other: Explanation, best: Explanation, i: int) -> bool:
@@ -332,7 +333,7 @@ class Search:
 
         Where that ends worse than without the effect, as where a resonance is sharp, it begins again with less of it.
         """
-        here = (now.hypothesis.theta, now.hypothesis.start)
+        here, ready = (now.hypothesis.theta, now.hypothesis.start), self._ready(score)
 
         def cost(instance: EffectInstance, at: tuple[Array, Array]) -> float:
             return fitting.cost(self.problem, (*now.hypothesis.instances, instance), *at)
@@ -342,12 +343,18 @@ class Search:
             found = fitting.fit(self.problem, instances, theta=at[0], start=at[1], rival=rival)
             return Explanation("effects", (*now.names, score.candidate.key), found, score.unique)
 
-        found = fitted(score.instance, min((here, screen.around(score.instance)), key=partial(cost, score.instance)))
+        found = fitted(ready, min((here, screen.around(score.instance)), key=partial(cost, ready)))
         if found.hypothesis.cost <= now.hypothesis.cost:
             return found
-        less = (_scaled(score.instance, part) for part in LESS)
+        less = (_scaled(ready, part) for part in LESS)
         better = (fitted(instance, here) for instance in less if cost(instance, here) < now.hypothesis.cost)
         return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
+
+    def _ready(self, score: Score) -> EffectInstance:
+        """Return the instance of a score as a fit begins with it: what sticks, with the step of integration."""
+        rig, step = self.problem.rig, self.problem.dt / self.problem.substeps
+        at = score.instance.at
+        return score.instance.at_step(rig.mobilities[at], step) if score.candidate.sticks else score.instance
 
     def _freed(self, now: Explanation, index: int, rival: float) -> Explanation:
         names = ((self.problem.rig.names[index], ""),)
@@ -364,20 +371,20 @@ class Search:
         found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
         return np.where(variance < 1.0 - 1e-9, found, 0.0)
 
-    def _spans(self, motion: Motion) -> dict[str, Span]:
-        found, tones = {}, self._tones(motion.forces)
+    def _spans(self, motion: Motion) -> dict[tuple[str, str], Span]:
+        found, tones = dict[tuple[str, str], Span](), self._tones(motion.forces)
         for place, x, rate in zip(self.problem.rig.places, motion.displacement.T, motion.rate.T, strict=True):
             moved = x if place.element.displacement is not None else self._moved(rate)
-            found[place.name] = _span(moved, float(rate.std()), tones)
-            if not place.is_of_coordinates:
-                turns = tuple(part * float(np.sqrt((rate**2).mean())) or 1.0 for part in RELATIVE_TURNS)
-                found[place.name] = replace(found[place.name], turns=turns)
-        for names, table in (
-            (self.problem.rig.twin.sensors, self.problem.record.readings),
-            (self.problem.rig.twin.actuators, self.problem.record.commands),
+            span = _span(moved, float(np.sqrt((rate**2).mean())) or 1.0, tones)
+            stiffness = self.problem.rig.stiffnesses.get(place.name, 0.0)
+            stiffnesses = tuple(part * (stiffness or 1.0) for part in REPLACED)
+            found["element", place.name] = replace(span, stiffnesses=stiffnesses)
+        for where, names, table in (
+            ("sensor", self.problem.rig.twin.sensors, self.problem.record.readings),
+            ("actuator", self.problem.rig.twin.actuators, self.problem.record.commands),
         ):
             for name, x in zip(names, table.T, strict=True):
-                found[name] = _span(x)
+                found[where, name] = _span(x)
         return found
 
     def _moved(self, rate: Array) -> Array:

@@ -79,7 +79,8 @@ def finer(problem: EstimationProblem, found: Hypothesis) -> int:
 
     def residuals(number: int) -> Array:
         fine = replace(problem, substeps=number)
-        return fitting.fit(fine, found.instances, theta=found.theta, start=found.start, frozen=True).residuals
+        instances = [problem.rig.at_step(one, fine.dt / number) for one in found.instances]
+        return fitting.fit(fine, instances, theta=found.theta, start=found.start, frozen=True).residuals
 
     least, rules = problem.substeps, problem.rules
     return _steps(residuals, least, rules.most_refinement * least, rules.law_error * problem.sigma, ahead=4)

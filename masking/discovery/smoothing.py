@@ -91,11 +91,12 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     innovations, states, predicted = _filter(problem, theta, start, gains)
     rig.kernels.smooth_backward(len(record), gains.backward, states, predicted)
     n = len(rig.twin.state_names)
-    placed = np.empty((len(record), 3 * len(rig.places)))
+    placed = np.empty((len(record), 3 * len(rig.sizes.force_entries)))
     acting = np.ascontiguousarray(record.acting)
     p = rig.basis(theta)[0]
     rig.kernels.motions(len(record), 1.0 / record.rate, rig.sizes.coordinates, rig.latent, p, states, acting, placed)
-    displacement, rate, acceleration = (np.ascontiguousarray(part) for part in np.split(placed, 3, axis=1))
+    parts = (part[:, : len(rig.places)] for part in np.split(placed, 3, axis=1))
+    displacement, rate, acceleration = (np.ascontiguousarray(part) for part in parts)
     return Motion(
         np.ascontiguousarray(states[:, :n]), states[:, n:], gains.deviation,
         innovations / np.sqrt(np.diag(gains.spread)), displacement, rate, acceleration,

@@ -13,7 +13,6 @@ from masking.effects.attachment import Attachment, Setting, attach, attach_all, 
 from masking.effects.dictionary import DELAY, EFFECTS, FORCE, LATE, OFFSET, ROUNDING, dictionary, load, own
 from masking.effects.entry import (
     FAMILIES,
-    RELATIVE_TURNS,
     SATURATION,
     Effect,
     EffectParameter,
@@ -29,7 +28,6 @@ __all__ = [
     "FORCE",
     "LATE",
     "OFFSET",
-    "RELATIVE_TURNS",
     "ROUNDING",
     "SATURATION",
     "Attachment",

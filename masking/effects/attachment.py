@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from masking.declaration.checks import check_model, equation_of, no_equation, velocities
-from masking.declaration.couplings import driven_outputs, has_rate
+from masking.declaration.couplings import driven_outputs, has_own_force, has_rate
 from masking.declaration.differentiate import rate_of
 from masking.declaration.dimensions import check_dimensions, displacement_dimension, is_plain, symbol_dimensions
 from masking.declaration.expression import Expression
@@ -169,19 +169,29 @@ def _with_effect(
     declaration: ModelDeclaration, attachment: Attachment, dimensions: Mapping[str, Dimension | None]
 ) -> ModelDeclaration:
     """Return a model with one more effect; `dimensions` are those of the symbols that its elements may use."""
-    entry, at, label = find(attachment.effect), attachment.at, attachment.label
+    whole, at, label = find(attachment.effect), attachment.at, attachment.label
+    entry = whole.reduced(attachment.parameters)
+    given = {n: x for n, x in attachment.parameters.items() if n in entry.parameters or n not in whole.parameters}
     element = _element(declaration, entry, at)
     label = f"{at}_{entry.name}" if label is None else label
     _check_label(declaration, label)
     units = _units(declaration, element, at, dimensions)
     names = {key: f"{label}_{key}" for key in (*entry.parameters, *entry.states)}
     names |= {"d": f"{label}_d", "d_rate": f"{label}_v", "d_acc": f"{label}_acc"}
-    force = Expression(entry.expression, path=label)
+    force, taken = Expression(entry.expression, path=label), Expression(entry.takes_rate or "0", path=label)
     rates = {state: Expression(e.rate, path=label) for state, e in entry.states.items()}
-    used = force.names.union(*(rate.names for rate in rates.values()))
-    definitions = {names[key]: e for key, e in _motion(declaration, entry, at, label, used).items() if key in used}
-    definitions[f"{label}_f"] = Expression(f"{label}_on*({force.renamed(names)})", path=label)
-    changed = _with_force(declaration, element, f"{label}_f")
+    inner = frozenset[str]().union(*(rate.names for rate in rates.values()))
+    motion = _motion(declaration, entry, at, label, force.names | taken.names | inner)
+    # What is in series reads the motion in the force of its element; its states read it in equations of their own.
+    used = inner if entry.attaches == "in_series" else force.names | inner
+    definitions = {names[key]: e for key, e in motion.items() if key in used}
+    if entry.attaches != "in_series":
+        definitions[f"{label}_f"] = Expression(f"{label}_on*({force.renamed(names)})", path=label)
+    if entry.attaches == "beside":
+        changed = _with_force(declaration, element, f"{label}_f")
+    else:
+        law = _in_series(declaration, entry, at, label)
+        changed = declaration.model_copy(update={"elements": {**declaration.elements, at: law}})
     new_states = {
         names[state]: State(meaning=f"{e.meaning}, {label}", unit=unit_of(e.unit, units))
         for state, e in entry.states.items()
@@ -190,7 +200,7 @@ def _with_effect(
         Expression(f"{names[state]}'", path=label): Expression(rate.renamed(names), path=label)
         for state, rate in rates.items()
     }
-    all_parameters = parameters(entry, label, attachment.parameters, units)
+    all_parameters = parameters(entry, label, given, units)
     _check_free(declaration, label, [*new_states, *all_parameters, *definitions])
     return changed.model_copy(
         update={
@@ -200,6 +210,27 @@ def _with_effect(
             "equations": {**changed.equations, **new_equations},
         }
     )
+
+
+def _in_series(declaration: ModelDeclaration, effect: Effect, at: str, label: str) -> Element:
+    """Return an element whose own force an effect takes part of its motion from, or takes the place of."""
+    element = declaration.elements[at]
+    what = "in series with" if effect.attaches == "in_series" else "in the place of"
+    message = f"the effect '{effect.name}' stands {what} an element's own force, and "
+    if element.force is None:
+        mend = f"give elements.{at}.force, such as k*d + c*d_rate, and take these terms out of the equations"
+        raise _refusal(at, f"{message}'{at}' declares none", mend)
+    if not has_own_force(declaration, element):
+        mend = "write it over d, d_rate and parameters alone"
+        raise _refusal(at, f"{message}that of '{at}' has definitions that hold coordinates", mend)
+    if effect.attaches == "instead":
+        text = f"(1 - {label}_on)*({element.force.text}) + {label}_f"
+    else:
+        names = {key: f"{label}_{key}" for key in (*effect.parameters, *effect.states)}
+        lost = [Expression(part).renamed(names) for part in (effect.expression, effect.takes_rate)]
+        motion = {key: f"({key} - {label}_on*({x}))" for key, x in zip(("d", "d_rate"), lost, strict=True)}
+        text = element.force.renamed(motion)
+    return element.model_copy(update={"force": Expression(text, path=f"elements.{at}.force")})
 
 
 def _motion(

@@ -16,9 +16,10 @@ from masking.declaration.schema import DictionaryDeclaration, OwnEffect
 from masking.effects.elements import ELEMENTS
 from masking.effects.entry import FAMILIES, Effect, EffectParameter, EffectState
 from masking.effects.instruments import INSTRUMENTS
+from masking.effects.series import SERIES
 from masking.errors import DeclarationError, Problem, nearest
 
-EFFECTS: Final[dict[str, Effect]] = {effect.name: effect for effect in (*ELEMENTS, *INSTRUMENTS)}
+EFFECTS: Final[dict[str, Effect]] = {effect.name: effect for effect in (*ELEMENTS, *SERIES, *INSTRUMENTS)}
 
 # Effects that the package itself puts into a rig or reads out of a record.
 FORCE, OFFSET = EFFECTS["constant_force"], EFFECTS["actuator_offset"]

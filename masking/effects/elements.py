@@ -6,9 +6,10 @@ One is a force of the acceleration of the displacement, `d_acc`: an inertia.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from masking.effects import starts
-from masking.effects.entry import NOT_NEGATIVE, POSITIVE, TURNS, Effect, EffectParameter, EffectState, Trial
+from masking.effects.entry import NOT_NEGATIVE, POSITIVE, Effect, EffectParameter, EffectState, Trial
 
 _SLIDING = EffectParameter(
     "D/s", "rate of displacement at which the force has 76 % of its size", (1e-5, 1e-2), 1e-3, 1e-3, POSITIVE
@@ -27,10 +28,36 @@ _CLAMPED = "clamp joints tighter and avoid rubber; the force can be cancelled on
 _SIDE = EffectParameter("1", "1: it is beyond the edge upwards, -1: downwards", (-1.0, 1.0), 1.0, 1.0, (-1.0, 1.0))
 # The square alone, with the cube, and all powers: the fewer are estimated, the weaker a force is still found.
 _POWERS = (Trial(factors=("k2",)), Trial(factors=("k2", "k3")), Trial(factors=("k2", "k3", "k4", "k5")))
-# Without a measured rate the width of the sign is hardly observable: each width is a candidate of its own.
-_TURNS = tuple(Trial(starts.turn(number)) for number in range(len(TURNS)))
+# First a contact that sticks; then a smooth sign, where the record shows its width.
+_STUCK, _SMOOTH = Trial(starts.turn, sticks=True), Trial(starts.turns, ("vs",))
 # Breaking loose takes a little more than sliding, or twice as much.
 _BRISTLES = tuple(Trial(starts.bristles(static), ("fc", "fs", "vst", "s1")) for static in (1.2, 2.0))
+
+# While a contact sticks, resistance and memory hold it, as stiff as a step of integration bears; the memory of one that
+# slides leads a little, so that it turns round neither late nor early on average.
+_HELD = {
+    "c": EffectParameter("F*s/D", "resistance while it sticks; 0 lets it creep", (0.0, 1e6), 1e3, 0.0, NOT_NEGATIVE),
+    "hold": EffectParameter("1/s", "rate at which its memory follows", (0.0, 1e5), 1e3, 0.0, NOT_NEGATIVE),
+}
+_FALLING = "fc + (fs - fc)*exp(-(d_rate/vst)**2)"
+_BEYOND = "(1 + tanh(side*(d - edge)/width))"
+_BY_STEP = {"c": "1/(0.55*mobility*step)", "hold": "1/(1.75*step)"}
+
+
+def _sliding(level: str, smooth: str, first: str) -> dict[str, Any]:
+    """Return the law of friction of a `level` as fields of its entry.
+
+    Args:
+        level: of the force while it slides.
+        smooth: the law with a smooth sign, which lets it creep.
+        first: how large the force may be where a record begins.
+    """
+    s, level = "(z + c*d_rate)", f"({level})"
+    target = f"min(min(max({s}, -2*{level} - {s}), max(2*{level} - {s}, -{level})), {level})"
+    state = EffectState(f"hold*({target} - z)", "F", "force that it remembers", f"where(c > 0, {first}, 0)")
+    expression = f"where(c > 0, min(max({s}, -{level}), {level}), {smooth})"
+    return {"expression": expression, "states": {"z": state}, "at_zero": {"c": smooth}, "by_step": _BY_STEP}
+
 
 ELEMENTS: tuple[Effect, ...] = (
     Effect(
@@ -167,48 +194,46 @@ ELEMENTS: tuple[Effect, ...] = (
     ),
     Effect(
         "dry_friction",
-        "Coulomb friction: a force of constant size against the motion; its smooth sign allows creep at rest.",
-        "fc*tanh(d_rate/vs)",
-        {"fc": _COULOMB, "vs": _SLIDING},
+        "Coulomb friction: a force of constant size against the motion, and up to that size at rest.",
+        **_sliding("fc", "fc*tanh(d_rate/vs)", "fc"),
+        parameters={"fc": _COULOMB, "vs": _SLIDING, **_HELD},
         cause="sliding bearings, a coil that touches its magnet, cables that rub",
         remedy="align the coil and its guide, use leaf springs or air bearings; a disturbance observer follows it",
         source="Olsson, Astrom, Canudas de Wit, Gafvert and Lischinsky (1998), Eur. J. Control 4, section 2",
         family="friction",
-        trials=_TURNS,
-        trials_of_rates=(Trial(starts.turns, ("vs",)),),
+        trials=(_STUCK, _SMOOTH),
         joins=True,
         calibrated=("fc",),
     ),
     Effect(
         "asymmetric_friction",
         "Dry friction of different size in each direction.",
-        "where(d_rate > 0, fp, fm)*tanh(d_rate/vs)",
-        {
+        **_sliding("where(z + c*d_rate > 0, fp, fm)", "where(d_rate > 0, fp, fm)*tanh(d_rate/vs)", "max(fp, fm)"),
+        parameters={
             "fp": EffectParameter("F", "force while the displacement grows", (1e-3, 2.0), 0.1, None, NOT_NEGATIVE),
             "fm": EffectParameter("F", "force while it shrinks", (1e-3, 2.0), 0.05, None, NOT_NEGATIVE),
             "vs": _SLIDING,
+            **_HELD,
         },
         cause="a guide that is loaded in one direction, wear, a cable that pulls along",
         remedy="look for what touches in one direction only; a disturbance observer follows it",
         source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, section 2.1",
         family="friction",
-        trials=(Trial(starts.turn(0)),),
-        trials_of_rates=(Trial(starts.turns, ("vs",)),),
+        trials=(_STUCK, _SMOOTH),
         nested=("dry_friction", "constant_force"),
         is_sum=True,
     ),
     Effect(
         "stribeck_friction",
         "Dry friction that is larger at small rates, at which the lubricant does not carry yet.",
-        "(fc + (fs - fc)*exp(-(d_rate/vst)**2))*tanh(d_rate/vs)",
-        {"fc": _COULOMB, "fs": _STATIC, "vst": _STRIBECK, "vs": _SLIDING},
+        **_sliding(_FALLING, f"({_FALLING})*tanh(d_rate/vs)", "max(fc, fs)"),
+        parameters={"fc": _COULOMB, "fs": _STATIC, "vst": _STRIBECK, "vs": _SLIDING, **_HELD},
         cause="lubricated sliding contacts and ball bearings at low speed",
         remedy="a lubricant with friction modifiers, a dither on the input, or a guide without contact",
         source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, (2)",
         family="friction",
         label="Stribeck friction",
-        trials=(Trial(starts.falls, ("vst",)),),
-        trials_of_rates=(Trial(starts.falls, ("vst", "vs")),),
+        trials=(Trial(starts.falls, ("vst",), sticks=True), Trial(starts.falls, ("vst", "vs"))),
         nested=("dry_friction",),
         calibrated=("fc",),
     ),
@@ -345,26 +370,29 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="stay within the stroke: smaller amplitudes, or the limits of the plant",
         source="Hunt and Crossley (1975), J. Appl. Mech. 42, 440-445",
         family="end stop",
-        trials=(Trial(starts.edges, ("edge",)),),
-        nested=("constant_force",),
+        trials=(Trial(starts.edges, ("edge",)), Trial(starts.damped_edges, ("edge", "c"))),
+        nested=("constant_force", "bilinear_spring"),
     ),
     Effect(
         "local_friction",
         "Dry friction in one part of the stroke only, beyond an edge.",
-        "fc*tanh(d_rate/vs)*(1 + tanh(side*(d - edge)/width))/2",
-        {
+        **_sliding(f"fc*{_BEYOND}/2", f"fc*tanh(d_rate/vs)*{_BEYOND}/2", "fc"),
+        parameters={
             "fc": _COULOMB,
             "edge": EffectParameter("D", "displacement at which it begins", (-0.02, 0.02), 5.8e-3),
             "width": EffectParameter("D", "over which it begins", (1e-5, 1e-3), 2e-4, 2e-4, POSITIVE),
             "vs": _SLIDING,
             "side": _SIDE,
+            **_HELD,
         },
         cause="a coil that touches its magnet in one part of the stroke, a burr, a cable that is caught",
         remedy="align the coil and look for marks at that position; otherwise keep the motion on the free side",
         source="Olsson, Astrom, Canudas de Wit, Gafvert and Lischinsky (1998), Eur. J. Control 4, position dependence",
         family="friction",
-        trials=(Trial(starts.local_edges, ("edge", "width")),),
-        trials_of_rates=(Trial(starts.local_edges_and_turns, ("edge", "width", "vs")),),
+        trials=(
+            Trial(starts.local_edges, ("edge", "width"), sticks=True),
+            Trial(starts.local_edges, ("edge", "width", "vs")),
+        ),
         nested=("dry_friction",),
     ),
     Effect(

@@ -16,11 +16,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 from masking.declaration.expression import Expression
 
+Attaches = Literal["beside", "in_series", "instead"]
 Where = Literal["element", "sensor", "actuator", "loop"]
 Bounds = tuple[float | None, float | None]
 
@@ -34,12 +35,6 @@ FAMILIES: Final = (
     *("actuator gains", "actuator dynamics", SATURATION, "sensor errors", "quantisation", "noise", "delay"),
 )
 
-# Rates below which the smooth sign of a friction law is nearly linear: in m/s, or another unit of rate, if positions
-# are measured, and in parts of the rms rate if rates are. From the usual value downwards: a sharper sign needs finer
-# steps of integration, and a width between two of these changes the force at the turns alone.
-TURNS: Final = (1e-3, 1e-4, 1e-5)
-RELATIVE_TURNS: Final = (1e-2, 2e-3, 4e-4)
-
 
 @dataclass(frozen=True)
 class Span:
@@ -51,7 +46,7 @@ class Span:
         size: largest magnitude.
         rate: root mean square of its rate.
         tones: frequencies of the latent forces in Hz, the strongest first.
-        turns: rates below which the smooth sign of a friction law is nearly linear.
+        stiffnesses: values of a stiffness in the place of the element's own force, where it declares one.
     """
 
     low: float
@@ -59,7 +54,7 @@ class Span:
     size: float
     rate: float
     tones: tuple[float, ...] = ()
-    turns: tuple[float, ...] = TURNS
+    stiffnesses: tuple[float, ...] = ()
 
 
 Start = Mapping[str, float]
@@ -123,11 +118,13 @@ class Trial:
         starts: values of other parameters than the factors, from which fits start, for the range of a place.
         free: parameters that are estimated beside the factors; the others are held at the start.
         factors: factors that are estimated; all of the effect's if none are named.
+        sticks: whether it is fitted with the parameters that follow the step of integration.
     """
 
     starts: Starts = lambda span: [{}]
     free: tuple[str, ...] = ()
     factors: tuple[str, ...] = ()
+    sticks: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +134,8 @@ class Effect:
     Args:
         name: in declarations and reports.
         meaning: one sentence.
-        expression: of the force of an element, or of the value of a sensor or actuator; '' if it sits in the loop.
+        expression: of the force of an element, or of the value of a sensor or actuator; '' if it sits in the loop. Of
+            an effect in series, of the displacement that it takes up.
         parameters: by their names.
         cause: usual causes on a rig.
         remedy: what helps.
@@ -147,7 +145,6 @@ class Effect:
         family: one of `FAMILIES`; '' gives it a row of its own in the error budget.
         label: its name in a sentence; by default the name with spaces.
         trials: the ways in which discovery fits it; by default one, with every parameter that has values to try.
-        trials_of_rates: the same at places whose rate is measured; by default as elsewhere.
         is_searched: whether discovery tries it at each place by these trials.
         joins: whether it is also tried between coordinates that no element joins.
         nested: simpler effects that are special cases of it, or nearly so.
@@ -160,6 +157,12 @@ class Effect:
         quantum: the parameter that is the step of a quantiser; '' if it is none.
         deviation: standard deviation of the white noise that it adds to a sensor, as an expression of its parameters.
         calibrated: parameters that a calibration fits where a plant file declares the effect.
+        attaches: beside the force of an element, in series with it, or instead of it; the latter two where the element
+            declares a force of its own.
+        takes_rate: of an effect in series, the rate of what it takes up.
+        at_zero: the law without states where a parameter is 0, by this parameter.
+        by_step: parameters that are no physics, but make a state as stiff as a step of integration bears: expressions
+            over `step`, in s, and `mobility`, the acceleration of the displacement by a unit of force.
     """
 
     name: str
@@ -174,7 +177,6 @@ class Effect:
     family: str = ""
     label: str = ""
     trials: tuple[Trial, ...] = ()
-    trials_of_rates: tuple[Trial, ...] = ()
     is_searched: bool = True
     joins: bool = False
     nested: tuple[str, ...] = ()
@@ -187,6 +189,10 @@ class Effect:
     quantum: str = ""
     deviation: str = ""
     calibrated: tuple[str, ...] = ()
+    attaches: Attaches = "beside"
+    takes_rate: str = ""
+    at_zero: Mapping[str, str] = field(default_factory=dict)
+    by_step: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def spoken(self) -> str:
@@ -218,7 +224,7 @@ class Effect:
     @property
     def follows(self) -> frozenset[str]:
         """Return the motion that it follows: some of displacement `d`, rate `d_rate` and acceleration `d_acc`."""
-        texts = filter(None, [self.expression, *(state.rate for state in self.states.values())])
+        texts = filter(None, [self.expression, self.takes_rate, *(state.rate for state in self.states.values())])
         used = {name for text in texts for name in Expression(text).names}
         return frozenset(used & {"d", "d_rate", "d_acc"})
 
@@ -227,10 +233,19 @@ class Effect:
         every = list(self.parameters)
         return tuple(every.index(name) for name in names)
 
-    def trials_at(self, rate_is_measured: bool) -> tuple[Trial, ...]:
-        """Return the ways in which discovery fits it at a place."""
+    @property
+    def ways(self) -> tuple[Trial, ...]:
+        """Return the ways in which discovery fits it."""
         tried = tuple(name for name, parameter in self.parameters.items() if parameter.tried)
-        return (rate_is_measured and self.trials_of_rates) or self.trials or (Trial(self._combinations, tried),)
+        return self.trials or (Trial(self._combinations, tried),)
+
+    def reduced(self, given: Mapping[str, object]) -> Effect:
+        """Return the effect without states where a parameter, given or by default, is 0 that they need."""
+        for name, expression in self.at_zero.items():
+            if given.get(name, self.parameters[name].value) == 0.0:
+                left = {key: parameter for key, parameter in self.parameters.items() if key not in self.by_step}
+                return replace(self, expression=expression, parameters=left, states={}, at_zero={}, by_step={})
+        return self
 
     def _combinations(self, span: Span) -> list[Start]:
         """Return all combinations of the values that are tried."""
@@ -240,4 +255,4 @@ class Effect:
     def structure(self) -> list[object]:
         """Return everything that compiled functions of it depend on."""
         rates = {name: state.rate for name, state in self.states.items()}
-        return [self.name, self.where, self.expression, [*self.parameters], rates]
+        return [self.name, self.where, self.expression, self.takes_rate, self.attaches, [*self.parameters], rates]

@@ -8,9 +8,12 @@ from masking.effects.entry import Span, Start, Starts
 # moves an edge by about half the distance to the next.
 EDGES = (0.15, 0.3, 0.45, 0.6, 0.75, 0.85, 0.93)
 EDGE_WIDTH = 0.04  # of the largest displacement: below half the distance of two edges, so that starts stay distinct
+LOSS = 0.3  # of the force of a contact at the rms rate
 # Displacements at which bristles let go, in parts of the travel: hardly seen, seen at reversals, and nearly a spring.
 BRISTLES = (0.005, 0.02, 0.08)
 BRISTLE_DAMPING = 3e-3  # s, per stiffness: less than the time in which they let go at the rms rate
+# Rates below which a smooth sign is nearly linear, in parts of the rms rate: as a sign, and where a record shows them.
+TURN, TURNS = 0.01, (0.1, 0.03, 0.01, 2e-3)
 STRIBECK_RATE = 0.2  # of the rms rate: the force falls within the motion, not only at reversals
 # Steps of a quantiser from the middle to the end of its range: from less than one, which is a dead zone, to as many as
 # still show in averages of the readings.
@@ -25,14 +28,14 @@ def edges(span: Span) -> list[Start]:
     return [*up, *down, {"side": 1.0, "edge": 0.0}, {"side": -1.0, "edge": 0.0}]
 
 
+def damped_edges(span: Span) -> list[Start]:
+    """Return the same edges of a contact that loses energy."""
+    return [{**edge, "c": LOSS / span.rate} for edge in edges(span)]
+
+
 def local_edges(span: Span) -> list[Start]:
-    """Return edges of friction in one part of the stroke, with the first width of its sign."""
-    return [{**edge, "width": EDGE_WIDTH * span.size, "vs": span.turns[0]} for edge in edges(span)]
-
-
-def local_edges_and_turns(span: Span) -> list[Start]:
-    """Return the same edges with each width of the sign."""
-    return [{**edge, "vs": turn} for edge in local_edges(span) for turn in span.turns]
+    """Return edges of friction in one part of the stroke."""
+    return [{**edge, "width": EDGE_WIDTH * span.size, **turn(span)[0]} for edge in edges(span)]
 
 
 def bristles(static: float) -> Starts:
@@ -49,19 +52,19 @@ def bristles(static: float) -> Starts:
     return starts
 
 
-def turn(number: int) -> Starts:
-    """Return one width of a sign: that with this number."""
-    return lambda span: [{"vs": span.turns[number]}]
+def turn(span: Span) -> list[Start]:
+    """Return one width of a sign."""
+    return [{"vs": TURN * span.rate}]
 
 
 def turns(span: Span) -> list[Start]:
-    """Return each width of a sign."""
-    return [{"vs": each} for each in span.turns]
+    """Return widths of a sign that a record may show."""
+    return [{"vs": part * span.rate} for part in TURNS]
 
 
 def falls(span: Span) -> list[Start]:
     """Return rates at which friction has fallen: from near reversals to nearly the rms rate."""
-    return [{"vst": part * span.rate, "vs": span.turns[0]} for part in (0.05, 0.15, 0.4, 0.8)]
+    return [{"vst": part * span.rate, **turn(span)[0]} for part in (0.05, 0.15, 0.4, 0.8)]
 
 
 def tones(span: Span) -> list[Start]:

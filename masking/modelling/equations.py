@@ -15,6 +15,8 @@ import lazy_loader as lazy
 
 from masking.codegen.linear import solve
 from masking.declaration import schema
+from masking.declaration.checks import equation_of
+from masking.declaration.couplings import driven_outputs, motion_rate
 from masking.declaration.expression import Expression
 from masking.errors import ModelError
 
@@ -96,12 +98,36 @@ class Equations:
         """Return a declared expression in symbols of the model."""
         return expression.to_sympy(self.symbols.by_name | self.definitions)
 
+    @cached_property
+    def laws(self) -> dict[str, sp.Expr]:
+        """Return the force that each element with a law of its own makes, in symbols of the model."""
+        found, names = {}, self.symbols.by_name | self.definitions
+        for name, element in self.declaration.elements.items():
+            if element.force is not None:
+                moved = {"d": element.displacement, "d_rate": motion_rate(self.declaration, element)}
+                motion = {key: self.symbolic(x) for key, x in moved.items() if x is not None}
+                found[name] = element.force.to_sympy(names | motion)
+        return found
+
+    def acting(self, name: str) -> sp.Expr:
+        """Return what elements by their own laws add to the equation of a coordinate or state, or to an output."""
+        elements = self.declaration.elements
+        acts = [(law, elements[e].acts[name]) for e, law in self.laws.items() if name in elements[e].acts]
+        return sum((law * self.symbolic(factor) for law, factor in acts), start=sp.Integer(0))
+
+    def output(self, name: str) -> sp.Expr:
+        """Return an output in symbols of the model, with the elements that act on it."""
+        return self.symbolic(self.declaration.outputs[name].expression) + self._on_output(name)
+
+    def _on_output(self, name: str) -> sp.Expr:
+        return self.acting(name) if name in driven_outputs(self.declaration) else sp.Integer(0)
+
     def measured(self, expression: Expression) -> sp.Expr:
         """Return what a sensor measures in symbols of the model: outputs may stand in it by their names."""
         named = self.symbols.by_name | self.definitions
         outputs = {
-            name: self.symbolic(output.expression)
-            for name, output in self.declaration.outputs.items()
+            name: self.output(name)
+            for name in self.declaration.outputs
             if name in expression.names and name not in named
         }
         return expression.to_sympy(named | outputs)
@@ -134,7 +160,7 @@ class Equations:
     @cached_property
     def rates(self) -> tuple[sp.Expr, ...]:
         """Return the rates of the internal states as expressions of time, state, inputs and parameters."""
-        return tuple(self.symbolic(right) for right in self.declaration.rates.values())
+        return tuple(self.symbolic(right) + self.acting(name) for name, right in self.declaration.rates.items())
 
     @cached_property
     def energy(self) -> sp.Expr | None:
@@ -167,11 +193,13 @@ class Equations:
     def _collect_accelerations(self) -> tuple[sp.ImmutableMatrix, sp.ImmutableMatrix]:
         residuals: list[sp.Expr] = []
         pure: dict[int, int] = {}
+        own = {equation_of(self.declaration, name): name for name in self.coordinates}
         for left, right in self.declaration.motion.items():
             side = self.symbolic(left)
             if side in self.symbols.a:
                 pure[self.symbols.a.index(side)] = len(residuals)
-            residuals.append(side - self.symbolic(right))
+            force = self.acting(own[left]) if left in own else sp.Integer(0)
+            residuals.append(side - self.symbolic(right) - force)
         others = [i for i in range(len(residuals)) if i not in pure.values()]
         order = [pure[i] if i in pure else others.pop(0) for i in range(len(self.coordinates))]
         residual = sp.Matrix([residuals[i] for i in order])
@@ -202,6 +230,7 @@ class Equations:
             for j in range(len(s.q)):
                 mass[i, j] = sp.diff(momentum, s.v[j])
             applied = self.symbolic(declaration.forces[name]) if name in declaration.forces else sp.Integer(0)
+            applied += self.acting(name)
             inertia[i, :] = sp.Matrix([[-sp.diff(applied, a) for a in s.a]])
             applied = applied.subs(dict.fromkeys(s.a, 0))
             gyroscopic = sum(sp.diff(momentum, q) * v for q, v in zip(s.q, s.v, strict=True)) + sp.diff(momentum, s.t)

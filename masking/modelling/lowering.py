@@ -130,7 +130,7 @@ def module(equations: Equations) -> Module:
         and degree(graph, derivatives) < order
     )
     energy = equations.energy
-    outputs = {name: equations.symbolic(output.expression) for name, output in equations.declaration.outputs.items()}
+    outputs = {name: equations.output(name) for name in equations.declaration.outputs}
     meta = {
         "kind": "model",
         "coordinates": list(equations.coordinates),

@@ -20,6 +20,7 @@ from masking.codegen import store
 from masking.codegen.kernels import Kernels, Trajectory
 from masking.codegen.source import Module
 from masking.declaration import registry, schema
+from masking.declaration.couplings import motions
 from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.effects import Effect, Setting, attach
 from masking.errors import DeclarationError, ModelError
@@ -178,6 +179,11 @@ class Model:
             "equations": [[left.text, right.text] for left, right in d.equations.items()],
             **{kind: getattr(getattr(d, kind), "text", None) for kind in ("lagrangian", "dissipation", "energy")},
             "outputs": {n: o.expression.text for n, o in d.outputs.items()},
+            "laws": {
+                n: [e.force.text, *(x.text for x in motions(e)), *((on, x.text) for on, x in e.acts.items())]
+                for n, e in d.elements.items()
+                if e.force is not None
+            },
             "scales": {n: s.unit for n, s in d.scales.items()},
         }
 

@@ -161,7 +161,8 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
     known = _uncertain(found)
 
     def new(section: str) -> dict[str, Any]:
-        return {n: x for n, x in getattr(whole, section).items() if n not in getattr(twin.base, section)}
+        before = getattr(twin.base, section)
+        return {n: x for n, x in getattr(whole, section).items() if n not in before or x != before[n]}
 
     def written(section: str) -> dict[str, Any]:
         return {n: x.model_dump(mode="json", exclude_defaults=True) for n, x in new(section).items()}
@@ -250,6 +251,8 @@ def _terms(found: Discovery, whole: ModelDeclaration) -> dict[str, str]:
     """Return what the causes add to each equation."""
     terms: dict[str, str] = {}
     for instance, label in labels(found).items():
+        if instance.entry.attaches != "beside":  # they are in the force of their element
+            continue
         for coordinate, factor in whole.elements[_element(found, instance)].acts.items():
             left = equation_of(whole, coordinate)
             key = coordinate if left is None else left.text  # a Lagrangian has forces instead

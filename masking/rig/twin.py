@@ -102,10 +102,9 @@ class Twin:
         """
         equations, d = self.model.equations, self.base
         held = equations.mass.free_symbols | equations.force.free_symbols
-        held |= {x for z in couplings.free_states(d) for x in equations.symbolic(d.rates[z]).free_symbols}
-        held |= {
-            x for n in couplings.driven_outputs(d) for x in equations.symbolic(d.outputs[n].expression).free_symbols
-        }
+        rates = dict(zip(d.rates, equations.rates, strict=False))  # those of effects come last
+        held |= {x for z in couplings.free_states(d) for x in rates[z].free_symbols}
+        held |= {x for n in couplings.driven_outputs(d) for x in equations.output(n).free_symbols}
         own = self.base.parameters.keys() & self.parameter_names.keys()  # without the switches of effects
         return tuple(s.name for s in equations.symbols.p if s in held and s.name in own)
 

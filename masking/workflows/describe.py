@@ -114,7 +114,7 @@ def effect(subject: Effect) -> Description:
     lines += _table("parameters (unit of the place, usual range)", rows)
     lines += [f"usual causes: {subject.cause}"] if subject.cause else []
     lines += [f"what helps: {subject.remedy}"] if subject.remedy else []
-    content = asdict(replace(subject, trials=(), trials_of_rates=()))
+    content = asdict(replace(subject, trials=()))
     return Description("\n".join(lines).rstrip(), {k: v for k, v in content.items() if not k.startswith("trials")})
 
 

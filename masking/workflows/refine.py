@@ -190,6 +190,9 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
         named,
         tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part),
     )
+    # What sticks is stiffer than the samples of a controller.
+    explained = found.explanation
+    found = replace(found, explanation=replace(explained, hypothesis=explained.hypothesis.creeping))
     folder = None if out is None else Path(out)
     with html.staged(folder) as made:
         files = discovery_page.save(found, made, given.origin, lies=folder)

@@ -15,6 +15,7 @@ its eleven parameters are free and it starts from rest in equilibrium. In the li
    z' = v - |v| z/zmax; and LuGre's with fs = fc, s0 = fc/x0, s1 = s2 = 0. (Not the other way round: LuGre's is hidden
    with fs > fc, and hysteresis with n = 2 and beta = 1/2.)
 5. A bilinear_spring is a stop at edge 0 with c = 0.
+6. What the dictionary calls by another name is the same: relaxation, displacement_damping.
 
 No twins, though one might think so: a gain of s3 is the inverse gain of s1 and s2 together (c1, c2 and c3 take up the
 common factor), and a gain of V3 the inverse gain of V1 and V2 together, each two effects; a lag of all sensors is a lag
@@ -46,6 +47,8 @@ IMPERFECT = 0.004  # chi of all the imperfections of a dirty record together
 COUNTS = {"none": 20, "dirty_none": 20, "parameter": 44, "two": 40}
 OFF = (0.05, 0.2)  # relative error of the parameter that is off
 TIMED = ("actuator_lag", "delay")  # at most one of them in a record
+
+SAME_LAW = {"relaxing_spring": "relaxation", "position_damping": "displacement_damping"}  # by its other name
 
 # Streams of random numbers of a case
 RIG, TRAINING, VALIDATION, NOISE, VALIDATION_NOISE, DIRT = range(6)
@@ -139,6 +142,8 @@ def twins(effect: str, at: str) -> set[tuple[str, str]]:
         same |= {("hysteresis", at), ("lugre_friction", at)}
     if effect == "bilinear_spring":
         same.add(("stop", at))
+    if effect in SAME_LAW:
+        same.add((SAME_LAW[effect], at))
     if effect == "parameter" and at[0] in "wz":
         same.add(({"w": "linear_spring", "z": "viscous_damping"}[at[0]], ELEMENTS[int(at[1]) - 1]))
     return same

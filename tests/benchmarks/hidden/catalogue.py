@@ -128,7 +128,7 @@ EFFECTS: tuple[Entry, ...] = (
     Entry("quantisation", _S, _scaled("step"), 1e-2, fixed=(5e-3, 1e-2, 2e-2)),
 )
 
-OTHERS: tuple[Entry, ...] = (  # laws that no dictionary of effects has, but for the bilinear spring: see `equivalence`
+OTHERS: tuple[Entry, ...] = (  # laws that are not those of a usual rig; some are in the dictionary by now
     Entry("bilinear_spring", _E, _scaled("k"), 5.0),
     Entry("position_damping", _E, _scaled("c"), 2e5, -2),
     Entry("saturating_spring", _E, lambda a, sign, phase: {"k": a, "d0": 1.5e-3}, 20.0),
