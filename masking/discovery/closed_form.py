@@ -33,6 +33,7 @@ FITS = {1: 2, 2: 2, 3: 1}  # forms of so many terms that are fitted to the recor
 SAMPLES = 240  # of the motion at which forms are compared
 NAME = "unnamed_law"
 PLUS = "  +  "  # between the terms of a form
+STUCK, BEGINNING = 4.0, 12  # cost per reading from which an initial state is sought in such a part of a record
 ALIKE = 1e-6  # one less the cosine of two terms that are the same
 EXACT = 2e-3  # of a force: how exactly splines of few pieces hold a formula
 
@@ -325,6 +326,27 @@ class ClosedForm:
         }
 
 
+def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:
+    """Return a hypothesis on a validation record, with the initial state of its beginning where that is better.
+
+    Args:
+        problem: of the record.
+        hypothesis: to validate.
+
+    Raises:
+        IntegrationError: the motion is not finite.
+    """
+    found = fitting.validated(problem, hypothesis)
+    if problem.interval or found.cost < STUCK * problem.record.readings.size:
+        return found
+    begin = problem.record.first(len(problem.record) / problem.record.rate / BEGINNING)
+    with suppress(IntegrationError):
+        first = fitting.validated(replace(problem, record=begin), hypothesis)
+        other = fitting.fit(problem, hypothesis.instances, theta=hypothesis.theta, start=first.start, frozen=True)
+        found = min(found, other, key=lambda one: one.cost)
+    return found
+
+
 def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProblem) -> ClosedForm | None:
     """Return the closed form of a free law that explains both records best; None where none can be simulated.
 
@@ -346,7 +368,7 @@ def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProbl
             rig = replace(problem.rig, tried=(one.entry, *(other.entry for other in others)))
             with suppress(IntegrationError):
                 made = fitting.fit(replace(problem, rig=rig), (*others, one), theta=known.theta, start=known.start)
-                checked = fitting.validated(replace(validation, rig=rig), made)
+                checked = validated(replace(validation, rig=rig), made)
                 score = made.cost + float(checked.squares @ validation.weights) + both * form.size + evidence * many
                 if best is None or score < best.score:
                     best = ClosedForm(form, made, checked, score)

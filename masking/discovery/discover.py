@@ -82,10 +82,30 @@ def discover(
             if again.verdict != "unknown":
                 found = again
                 break
-    if found.verdict == "unknown" and not found.is_hidden:
-        say("fitting a law without a name", 0.97)
-        found = replace(found, law=law_of(found, found.validation, found.adjusted))
+    found = _beside_names(found, say)
     return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
+
+
+def _beside_names(found: Discovery, say: Tell) -> Discovery:
+    """Return a discovery with the probability that no name is right, and with the law without a name where it is not.
+
+    Where the names leave more than noise, that law is fitted, as their rival.
+    """
+    if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
+        law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation)
+        return replace(found, law=law, none_of_these=1.0 if law else 0.0)
+    law, left, rules = None, 0.0, found.problem.rules
+    if found.verdict == "unknown" or not found.closed:
+        say("fitting a law without a name", 0.97)
+        law = law_of(found, found.validation)
+        left = 0.0 if law is None else law.unexplained(found)
+    none = verdict.none_of_these(left, rules, refused=found.verdict == "unknown")
+    *first, last = found.effects
+    others = tuple((name, on, part * (1.0 - none)) for name, on, part in last.alternatives)
+    last = replace(last, probability=last.probability * (1.0 - none), alternatives=others)
+    answer = "unknown" if none > verdict.LIKELIER else found.verdict
+    kept = law if answer == "unknown" else None
+    return replace(found, verdict=answer, law=kept, none_of_these=none, effects=(*first, last))
 
 
 def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:

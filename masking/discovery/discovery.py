@@ -87,6 +87,7 @@ class Discovery(Explained):
         first_order_hold: relative error of each sensor with adjusted parameters alone and inputs in straight lines
             between samples; None unless that is far less than what was found leaves.
         law: the law without a name, where no name explains the record.
+        none_of_these: probability that none of the names is right.
     """
 
     effects: tuple[Named, ...]
@@ -101,6 +102,7 @@ class Discovery(Explained):
     next_experiment: NextExperiment | None = None
     first_order_hold: dict[str, float] | None = None
     law: UnnamedLaw | None = None
+    none_of_these: float = 0.0
 
     def __repr__(self) -> str:
         causes = ", ".join(f"{one.name} in {one.on}" if one.on else one.name for one in self.effects)
@@ -197,6 +199,7 @@ class Discovery(Explained):
             "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
             "first_order_hold": self.first_order_hold,
             "law": self.law and self.law.as_dict(),
+            "none_of_these": self.none_of_these,
         }
 
 

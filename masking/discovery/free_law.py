@@ -133,7 +133,7 @@ def fit(found: Explained, known: Sequence[EffectInstance] = ()) -> FreeLaw | Non
         for at, place in enumerate(found.rig.places):
             if place.is_open and (place.declared or place.coordinate):
                 force, _ = projected(ground.motion, directions(found, found.rig.columns[1][at]))
-                starts += _starts(screen, ground, place, at, float(np.abs(force).max()), room)
+                starts += _starts(screen, ground, at, float(np.abs(force).max()), room)
     best: FreeLaw | None = None
     noise = float(problem.record.readings.size)
     for one in _ranked(starts, many)[:MOST_FORMS]:
@@ -210,7 +210,7 @@ def _forms(place: Place, x: Array, rate: Array) -> list[tuple[Term, ...]]:
     ]  # fmt: skip
 
 
-def _starts(screen: Screen, ground: _Ground, place: Place, at: int, high: float, room: int) -> list[_Start]:
+def _starts(screen: Screen, ground: _Ground, at: int, high: float, room: int) -> list[_Start]:
     """Return the forms of a law at a place, fitted to first order.
 
     Args:
@@ -223,7 +223,7 @@ def _starts(screen: Screen, ground: _Ground, place: Place, at: int, high: float,
 
     Source: Hastie and Tibshirani (1990), Generalized Additive Models, section 3.5, for the effective number of factors.
     """
-    x, rate = ground.motion.displacement[:, at], ground.motion.rate[:, at]
+    place, x, rate = screen.rig.places[at], ground.motion.displacement[:, at], ground.motion.rate[:, at]
     forms = [form for form in _forms(place, x, rate) if sum(term.size for term in form) <= room]
     terms = {term.kind: term for form in forms for term in form}
     columns = {kind: screen.responses(_instances([term], place.name)) for kind, term in terms.items()}

@@ -70,10 +70,13 @@ def unnamed(found: Discovery) -> str:
     name, after = worst(found), law.error[1]
     does = "explains the record" if law.closed else "explains a part of it"
     alone, noise = found.simulation_error.adjusted[name], found.simulation_error.validation_noise_floor[name]
+    short = law.problem.interval and law.problem.interval != found.validation.interval
+    seconds = law.problem.interval / law.problem.record.rate
+    within = f" in shooting intervals of {quantity(seconds, 's', 2)}, beyond which the motion is lost" if short else ""
     return (
         f"A law without a name in {law.place} {does}: {form(found, law)}. The validation error of {name} is "
-        f"{percent(after[name])} with it, and {percent(alone)} with adjusted parameters alone; the noise floor is "
-        f"{percent(noise)}"
+        f"{percent(after[name])} with it{within}, and {percent(alone)} with adjusted parameters alone; the noise floor "
+        f"is {percent(noise)}"
     )
 
 
