@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from masking.discovery import fitting, shooting, verdict
 from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.composites import are_composite
-from masking.discovery.discovery import Discovery, Named, SimulationError
+from masking.discovery.discovery import Discovery, Named, SimulationError, Withheld
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis, by_instance
 from masking.discovery.next_experiment import next_experiment
@@ -100,12 +100,14 @@ def _beside_names(found: Discovery, say: Tell) -> Discovery:
         law = law_of(found, found.validation)
         left = 0.0 if law is None else law.unexplained(found)
     none = verdict.none_of_these(left, rules, refused=found.verdict == "unknown")
-    *first, last = found.effects
+    at = len(found.explanation.hypothesis.instances) - 1
+    last = found.effects[at]
     others = tuple((name, on, part * (1.0 - none)) for name, on, part in last.alternatives)
     last = replace(last, probability=last.probability * (1.0 - none), alternatives=others)
+    effects = (*found.effects[:at], last, *found.effects[at + 1 :])
     answer = "unknown" if none > verdict.LIKELIER else found.verdict
     kept = law if answer == "unknown" else None
-    return replace(found, verdict=answer, law=kept, none_of_these=none, effects=(*first, last))
+    return replace(found, verdict=answer, law=kept, none_of_these=none, effects=effects)
 
 
 def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
@@ -155,14 +157,15 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) ->
         is_demoted = verdict.is_demoted([_scored(rival, problem, tempering) for rival in rivals], size, rules)
         if is_demoted:
             rivals = tuple(sorted(rivals, key=lambda rival: rival.score(tempering)))
-        chosen = rivals[0]
-        declared = fitting.fit(problem, theta=problem.prior.mean, frozen=True)
-        before, after = fitting.validated(validation, declared), fitting.validated(validation, chosen.hypothesis)
+        declared = Explanation("none", (), fitting.fit(problem, theta=problem.prior.mean, frozen=True))
+        before = fitting.validated(validation, declared.hypothesis)
+        rivals, chosen, after, withheld = _no_worse((rivals, (found.base,), (declared,)), problem, validation, before)
+        adjusted = after if rivals[0] is found.base else adjusted
     tempering = problem.tempering(chosen.hypothesis.residuals)
     excess, left = (verdict.excess_cost(one.cost, size) for one in (found.base, chosen))
     unexplained = left / excess if excess > 0.0 else 0.0
     errors = SimulationError(
-        (_chi(problem, declared), _chi(problem, chosen.hypothesis)),
+        (_chi(problem, declared.hypothesis), _chi(problem, chosen.hypothesis)),
         (_chi(validation, before), _chi(validation, after)),
         _floor(problem),
         _floor(validation),
@@ -170,7 +173,10 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) ->
     )
     scored = [_scored(rival, problem, tempering) for rival in rivals]
     decision = verdict.decide(scored, unexplained, size, rules, composite=are_composite(chosen.names, rig, rules))
-    effects, rounded = _causes(rig, rivals, tempering, scored, rules), _rounded(problem, chosen.hypothesis)
+    effects, rounded = (
+        _causes(rig, (chosen, *rivals[1:]), tempering, scored, rules),
+        _rounded(problem, chosen.hypothesis),
+    )
     answer = verdict.revised(
         decision,
         demoted=is_demoted,
@@ -188,8 +194,44 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) ->
     return Discovery(
         verdict=answer, twin=rig.twin, problem=problem, explanation=chosen, search=found, effects=causes,
         simulation_error=errors, unexplained=unexplained, rivals=rivals, tempering=tempering, validation=validation,
-        before=before, after=after, adjusted=adjusted, next_experiment=coming,
+        before=before, after=after, adjusted=adjusted, next_experiment=coming, withheld=withheld,
     )  # fmt: skip
+
+
+def _no_worse(
+    offered: Sequence[tuple[Explanation, ...]],
+    problem: EstimationProblem,
+    validation: EstimationProblem,
+    before: Hypothesis,
+) -> tuple[tuple[Explanation, ...], Explanation, Hypothesis, Withheld | None]:
+    """Return the first rivals of which the best is no worse on unseen data than the model as declared.
+
+    Args:
+        offered: rivals, the model with adjusted parameters, and the model as declared, which is no worse than itself.
+        problem: of the estimation record.
+        validation: of the validation record.
+        before: the model as declared on that.
+
+    Returns:
+        The rivals; the best of them, the prior holding what the record hardly determines, here and on the validation
+        record; and what was worse before these.
+    """
+    withheld, declared = None, float(before.squares @ validation.weights)
+    for rivals in offered[:-1]:
+        chosen = _tempered(rivals[0], problem)
+        after = fitting.validated(validation, chosen.hypothesis)
+        cost = float(after.squares @ validation.weights)
+        if not verdict.is_worse(cost, declared, after.residuals.size, problem.rules):
+            return rivals, chosen, after, withheld
+        withheld = withheld or Withheld(chosen.names, _chi(validation, after))
+    return offered[-1], offered[-1][0], before, withheld
+
+
+def _tempered(explanation: Explanation, problem: EstimationProblem) -> Explanation:
+    """Return an explanation with its parameters where the prior holds those that the record hardly determines."""
+    return replace(
+        explanation, hypothesis=fitting.tempered(explanation.with_prior(problem), explanation.hypothesis), joint=None
+    )
 
 
 def _name(explanation: Explanation) -> str:

@@ -15,7 +15,7 @@ from masking.discovery.next_experiment import NextExperiment
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.unnamed import UnnamedLaw
-from masking.discovery.verdict import at_noise_floor, is_closed
+from masking.discovery.verdict import Key, at_noise_floor, is_closed
 from masking.effects import Effect
 from masking.estimation.data import Data
 from masking.estimation.whiteness import Whiteness, whiteness
@@ -41,6 +41,23 @@ class Named:
             "probability": self.probability,
             "alternatives": [{"name": n, "on": on, "probability": p} for n, on, p in self.alternatives],
         }
+
+
+@dataclass(frozen=True)
+class Withheld:
+    """What fits the estimation record best, but is worse on unseen data than the model as declared: it is not given.
+
+    Args:
+        names: (parameter, '') or (effect, place) of each cause; none for adjusted parameters alone.
+        error: relative error of each sensor in the validation record, by name.
+    """
+
+    names: tuple[Key, ...]
+    error: dict[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON can hold it."""
+        return {"causes": [{"name": name, "on": on} for name, on in self.names], "validation_error": self.error}
 
 
 @dataclass(frozen=True)
@@ -88,6 +105,7 @@ class Discovery(Explained):
             between samples; None unless that is far less than what was found leaves.
         law: the law without a name, where no name explains the record.
         none_of_these: probability that none of the names is right.
+        withheld: what is worse on unseen data than the model as declared, and was found before this.
     """
 
     effects: tuple[Named, ...]
@@ -103,6 +121,7 @@ class Discovery(Explained):
     first_order_hold: dict[str, float] | None = None
     law: UnnamedLaw | None = None
     none_of_these: float = 0.0
+    withheld: Withheld | None = None
 
     def __repr__(self) -> str:
         causes = ", ".join(f"{one.name} in {one.on}" if one.on else one.name for one in self.effects)
@@ -200,6 +219,7 @@ class Discovery(Explained):
             "first_order_hold": self.first_order_hold,
             "law": self.law and self.law.as_dict(),
             "none_of_these": self.none_of_these,
+            "withheld": self.withheld and self.withheld.as_dict(),
         }
 
 

@@ -6,13 +6,14 @@ is estimated. Source: as `masking.estimation.least_squares`.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
-from masking.discovery import laws
+from masking.discovery import continuation, laws
 from masking.discovery.augmented_model import EffectInstance, Equations
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import RULES, DecisionRules
@@ -87,7 +88,10 @@ def fit(
     rival: float = np.inf,
     penalty: Array | None = None,
 ) -> Hypothesis:
-    """Fit a rig with effects to a record.
+    """Fit a rig with effects to a record; no fit costs more than the values that it begins from.
+
+    If the simulated motion loses phase with the record, the fit begins again from those in shorter intervals, which
+    grow. Where no initial states are given, those that suit the values to begin from best count.
 
     Args:
         problem: the record and the rig.
@@ -102,9 +106,92 @@ def fit(
     Raises:
         IntegrationError: the motion is not finite from where it begins.
     """
-    x = problem.prior.mean.copy() if theta is None else theta.copy()
-    state = first_states(problem, x) if start is None else start.copy()
-    return _LeastSquares(problem, tuple(instances), state, frozen=frozen, penalty=penalty).solve(x, rounds, rival)
+    x = problem.prior.mean if theta is None else theta
+    begun = _Begun(tuple(instances), x, first_states(problem, x) if start is None else start)
+    solved = partial(_solved, problem, rounds=rounds, rival=rival, penalty=penalty)
+    found, is_fresh = solved(begun, frozen=frozen), start is None and not frozen
+    if is_fresh:  # the initial states that suit the parameters to begin from best count
+        first = solved(begun, frozen=True)
+        if first is not None and _better(first, found) is first:
+            found = _better(first, solved(_Begun.at(first)))
+    for fixed in (False, True) if is_fresh else (frozen,):
+        if found is None or _is_doubtful(problem, found, fresh=is_fresh and not fixed):
+            nearer = _continued(problem, begun, frozen=fixed)
+            found = _better(found, solved(nearer, frozen=frozen) if nearer else None)
+    if found is None:
+        raise IntegrationError("the simulated motion is no longer finite")
+    return found
+
+
+def _is_doubtful(problem: EstimationProblem, found: Hypothesis, *, fresh: bool) -> bool:
+    """Return whether a fit may have ended in a wrong minimum; if fresh, of a model that rings, by any error."""
+    left = float(found.squares @ problem.weights)
+    if left <= problem.rules.small_residual * found.residuals.size:
+        return False
+    rings = fresh and continuation.rings(problem)
+    return rings or continuation.loses_phase(problem, found.residuals)
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """Values that a fit begins from: effects, parameters of the rig (k,) and initial states (w, states)."""
+
+    instances: tuple[EffectInstance, ...]
+    theta: Array
+    start: Array
+
+    @classmethod
+    def at(cls, known: Hypothesis) -> _Begun:
+        """Return those of a hypothesis."""
+        return cls(known.instances, known.theta, known.start)
+
+
+def _solved(
+    problem: EstimationProblem,
+    begun: _Begun,
+    *,
+    rounds: int = MOST_ROUNDS,
+    frozen: bool = False,
+    rival: float = np.inf,
+    penalty: Array | None = None,
+) -> Hypothesis | None:
+    """Return a fit; None if the motion is not finite from where it begins."""
+    whole = _LeastSquares(problem, begun.instances, begun.start.copy(), frozen=frozen, penalty=penalty)
+    try:
+        return whole.solve(begun.theta.copy(), rounds, rival)
+    except IntegrationError:
+        return None
+
+
+def _better(one: Hypothesis | None, other: Hypothesis | None) -> Hypothesis | None:
+    """Return the fit that costs less; the other one if one is none."""
+    if one is None or other is None:
+        return one or other
+    return other if other.cost < one.cost else one
+
+
+def _continued(problem: EstimationProblem, begun: _Begun, *, frozen: bool) -> _Begun | None:
+    """Return where a fit in growing shooting intervals ends; None if the intervals cannot be shorter."""
+    stages = [*continuation.stages(problem), problem]
+    if len(stages) == 1:
+        return None
+    states = list[Array]()
+    for part in continuation.parts(stages[0]):  # the parameters are those of the first
+        guess = first_states(part, begun.theta, max(4, min(20, part.interval_samples // continuation.LINE)))
+        found = _solved(part, replace(begun, start=guess), rounds=continuation.ROUNDS, frozen=frozen or bool(states))
+        states.append(guess if found is None else found.start)
+        begun = begun if found is None else _Begun.at(found)
+    every = np.concatenate(states)
+    for before, stage in itertools.pairwise(stages):
+        every = continuation.grown(every, before, stage)
+        if stage is not problem:
+            part = next(continuation.parts(stage))
+            found = _solved(
+                part, replace(begun, start=every[: part.intervals]), rounds=continuation.ROUNDS, frozen=frozen
+            )
+            if found is not None:
+                begun, every[: part.intervals] = _Begun.at(found), found.start
+    return replace(begun, start=every)
 
 
 def together(
@@ -126,6 +213,28 @@ def together(
     """
     start = np.concatenate([known.start, first_states(other, known.theta)])
     return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
+
+
+def tempered(problem: EstimationProblem, known: Hypothesis) -> Hypothesis:
+    """Return a hypothesis with the record weighted as its residual allows, and the prior as it is.
+
+    The cost takes all of a residual for white noise. What a missing force leaves is far larger, and its likelihood is
+    divided by the tempering factor. Directions that the record hardly determines then go back to the prior.
+
+    Args:
+        problem: the record and the rig.
+        known: the hypothesis, fitted.
+    """
+    factor = problem.tempering(known.residuals)
+    if factor <= problem.rules.slow_excess:
+        return known
+    begun = _Begun.at(known)
+    found = _solved(replace(problem, sigma=np.sqrt(factor) * problem.sigma), begun)
+    if found is None:
+        return known
+    pull = (found.theta - problem.prior.mean) / problem.prior.deviation
+    cost = float(found.squares @ problem.weights + pull @ pull)
+    return replace(found, cost=cost, covariance=found.covariance / factor)
 
 
 def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:

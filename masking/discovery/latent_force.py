@@ -207,9 +207,10 @@ def along(found: Explained, instance: EffectInstance, x: Array, rate: Array) -> 
 def smoothed(found: Explained) -> Smoothed:
     """Return the latent forces along the record, with the parameters found, before and after the causes."""
     chosen, base = found.explanation.hypothesis, found.search.base.hypothesis
-    if chosen is base:
-        return Smoothed(found.search.motion, None, base.residuals)
     record, problem = found.record, found.problem
+    if found.explanation.kind == "none":
+        motion = found.search.motion if chosen is base else smooth(problem, chosen.theta, chosen.start)
+        return Smoothed(motion, None, chosen.residuals)
     try:
         if problem.interval:  # readings without causes would jump between shooting intervals
             before = smooth(problem, chosen.theta, chosen.start)

@@ -55,8 +55,8 @@ def prior_of(twin: Twin, rig: AugmentedModel, tolerance: float, rules: DecisionR
         deviations.append(std or tolerance * (abs(float(value)) or 1.0))
     mean, deviation, (low, high) = rig.start.copy(), np.array(deviations), rig.bounds
     least = rules.sign_deviations * deviation
-    low = np.where(mean > least, np.maximum(low, 0.0), low)
-    high = np.where(mean < -least, np.minimum(high, 0.0), high)
+    low = np.where((mean > 0.0) & (mean >= least), np.maximum(low, 0.0), low)
+    high = np.where((mean < 0.0) & (mean <= -least), np.minimum(high, 0.0), high)
     return Prior(mean, deviation, low, high)
 
 

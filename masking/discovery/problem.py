@@ -119,7 +119,7 @@ class EstimationProblem:
         found, block = 1.0, self.rules.tempering_block
         for column, sigma in zip(residuals.T, self.sigma, strict=True):
             found = max(found, float((column**2).mean() / sigma**2))
-            for length in {block, self.interval or block}:
+            for length in {min(block, len(column)), min(self.interval or block, len(column))}:
                 blocks = column[: len(column) // length * length].reshape(-1, length).mean(axis=1)
                 slow = float((blocks**2).mean() * length / sigma**2)
                 found = max(found, slow if slow > self.rules.slow_excess else 1.0)

@@ -167,6 +167,14 @@ class DecisionRules:
     remainder may have another cause, which the richer law would imitate.
     """
 
+    # Hard facts
+
+    excluded_deviations: float = 6.0
+    """Deviations of the noise beyond the range of a sensor's law from which a reading excludes the law.
+
+    Why: of a billion readings with normal noise, two.
+    """
+
     # Which candidates are fitted
 
     fewest_fits: int = 3
@@ -359,6 +367,12 @@ class DecisionRules:
     Why: the error of what was fitted before shows there, too; 5 % of the cost is 2.5 % of the rms.
     """
 
+    worse_fraction: float = 1e-3
+    """Part of the cost of the model as declared, on unseen data, by which an answer may exceed it, beside chance.
+
+    Why: 0.05 % of the error: effects that unseen data do not excite change it by less.
+    """
+
     validation_margin: float = 60.0
     """Difference of scores up to which alternatives are fitted to both records together.
 
@@ -381,6 +395,14 @@ class DecisionRules:
     size and random phase.
     """
 
+    ringing_periods: float = 10.0
+    """Periods in which a mode decays to 1/e from which a fit that is not at the noise floor is repeated in growing
+    intervals.
+
+    Why: an error of 5 % in a frequency, 10 % in a stiffness, adds up to pi within ten periods, where the cost has
+    further minima; below, the motion has forgotten them.
+    """
+
     first_order_hold_fraction: float = 0.2
     """Part of the excess cost that inputs with first-order hold may leave for the answer to suggest them.
 
@@ -401,10 +423,11 @@ class DecisionRules:
     Why: ten times the declared value at the default tolerance of 1 %: no information, and still a proper prior.
     """
 
-    sign_deviations: float = 3.0
+    sign_deviations: float = 1.0
     """Prior standard deviations from 0 from which a parameter keeps its sign.
 
-    Why: three standard deviations; masses and stiffnesses do not change sign.
+    Why: masses, stiffnesses and dampings do not change sign. A deviation as large as the value says that it may be far
+    smaller or larger, and only one that is larger than the value, that the sign is open.
     """
 
     # Shooting intervals

@@ -20,6 +20,7 @@ from masking.discovery import fitting, verdict
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import Candidate, candidates
 from masking.discovery.composites import are_composite
+from masking.discovery.exclusion import is_excluded
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
@@ -208,6 +209,9 @@ class Search:
         again = [partial(self._added, now, score, screen) for score in variants if score.candidate.key in near]
         found += [e for e in self._fitted(again, rival) if e is not None]
         found += self._simpler(found)
+        found = [e for e in found if self._is_possible(e)]
+        if not found:
+            return []
         tempering = self.problem.tempering(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
         merged: dict[tuple[Key, ...], Explanation] = {}
         for explanation in sorted(found, key=lambda e: e.score(tempering)):
@@ -286,9 +290,8 @@ class Search:
             scores = [p for p in screen.scores(ground.every) if p.candidate.key not in best.names]
             chosen = [p for p in scores if screen.total - p.gain < most][: self.rules.most_exchanges]
             jobs = [partial(self._in_place, best, i, score) for score in chosen]
-            others = [
-                e for e in self._fitted(jobs, best.hypothesis.cost) if e and self._is_better(ground.base, e, best, i)
-            ]
+            fitted = [e for e in self._fitted(jobs, best.hypothesis.cost) if e and self._is_possible(e)]
+            others = [e for e in fitted if self._is_better(ground.base, e, best, i)]
             if others:
                 tempering = self.problem.tempering(min(others, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
                 best = min(others, key=lambda e: e.score(tempering))
@@ -300,6 +303,10 @@ class Search:
         names, others = _without(best, i)
         found = self._fit((self._ready(score), *others), best.hypothesis, rival)
         return Explanation("effects", (score.candidate.key, *names), found, min(best.unique, score.unique))
+
+    def _is_possible(self, explanation: Explanation) -> bool:
+        """Return whether the readings do not exclude an explanation by themselves."""
+        return not is_excluded(self.problem, explanation.hypothesis.instances)
 
     def _is_better(self, base: Explanation, other: Explanation, best: Explanation, i: int) -> bool:
         """Return whether an explanation is better than the best with another effect in the place of one."""

@@ -115,7 +115,9 @@ def law_of(found: Explained, validation: EstimationProblem) -> UnnamedLaw | None
         validation = _followed(validation, law)
         try:
             validated = closed_form.validated(validation, law.hypothesis)
-            adjusted = fitting.validated(validation, found.search.base.hypothesis)
+            base = found.search.base.hypothesis
+            declared = replace(base, theta=problem.prior.mean)
+            without = [fitting.validated(validation, one) for one in (base, declared)]
         except IntegrationError:
             return None
         form = closed_form.fitted(law, law.problem, validation)
@@ -123,7 +125,7 @@ def law_of(found: Explained, validation: EstimationProblem) -> UnnamedLaw | None
     fitted = law.hypothesis
     if form is not None and is_formula:
         fitted, validated = form.hypothesis, form.validated
-    if not validated.squares @ validation.weights < adjusted.squares @ validation.weights:
+    if not validated.squares @ validation.weights < min(one.squares @ validation.weights for one in without):
         return None
     twin, rules = found.twin, problem.rules
     errors = (

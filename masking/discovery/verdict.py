@@ -190,6 +190,19 @@ def is_excess(cost: float, readings: int, rules: DecisionRules) -> bool:
     return cost - readings > rules.excess_deviations * float(np.sqrt(2.0 * readings))
 
 
+def is_worse(cost: float, declared: float, readings: int, rules: DecisionRules) -> bool:
+    """Return whether an answer is worse on unseen data than the model as declared.
+
+    Args:
+        cost: of the answer on the validation record.
+        declared: of the model as declared.
+        readings: of the validation record.
+        rules: the thresholds.
+    """
+    chance = rules.excess_deviations * float(np.sqrt(2.0 * readings))
+    return not cost <= declared + max(chance, rules.worse_fraction * declared)
+
+
 def is_composite(laws: Sequence[Law], rules: DecisionRules) -> bool:
     """Return whether laws together imitate one that is not in the dictionary.
 

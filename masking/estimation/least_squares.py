@@ -19,14 +19,20 @@ from masking.numerics.arrays import Array
 
 SINGULAR = 1e-13  # of the largest singular value of the scaled matrix: what is smaller is rounding
 TOWARDS = 0.7  # of the way to a bound that a step may go: values stay inside
+HELD = 1e-9  # of a step: a bound that takes more of it determines it
 GROWTH = 2.0  # times its size that a positive value may take in a step
 
 
 class NormalEquations(Protocol):
     """Normal equations that a damped step can be found from."""
 
-    def step(self, damping: float) -> tuple[Array, float]:
-        """Return the step of all unknowns (n,), and the reduction of the cost that it should give."""
+    def step(self, damping: float, given: Array | None = None) -> tuple[Array, float]:
+        """Return the step of all unknowns (n,), and the reduction of the cost that it should give.
+
+        Args:
+            damping: relative to the diagonal.
+            given: steps of the first unknowns that bounds determine (b,); not a number where they do not.
+        """
 
 
 @dataclass(frozen=True)
@@ -53,12 +59,18 @@ class Dense:
         weights = deviation**-2.0
         return replace(self, matrix=self.matrix + np.diag(weights), gradient=self.gradient + off * weights)
 
-    def step(self, damping: float) -> tuple[Array, float]:
+    def step(self, damping: float, given: Array | None = None) -> tuple[Array, float]:
         """Return the step of all unknowns (n,), and the reduction of the cost that it should give."""
-        free = np.arange(len(self.gradient)) if self.fixed is None else np.flatnonzero(~self.fixed)
-        step, matrix = np.zeros(len(self.gradient)), self.matrix[np.ix_(free, free)]
-        step[free], gain = _scaled_solution(matrix, self.gradient[free], damping)
-        return step, gain
+        step = np.full(len(self.gradient), np.nan)
+        if given is not None:
+            step[: len(given)] = given
+        if self.fixed is not None:
+            step[self.fixed] = 0.0
+        free = np.flatnonzero(np.isnan(step))
+        step[free] = 0.0
+        right = (self.gradient - self.matrix @ step)[free]
+        step[free] = _scaled_solution(self.matrix[np.ix_(free, free)], right, damping)
+        return step, float(self.gradient @ step)
 
     def covariance(self) -> Array:
         """Return the covariance of the unknowns (n, n)."""
@@ -81,10 +93,10 @@ class Arrow:
     gradient: Array
     blocks: Sequence[tuple[Array, Array, Array]]
 
-    def step(self, damping: float) -> tuple[Array, float]:
+    def step(self, damping: float, given: Array | None = None) -> tuple[Array, float]:
         """Return the step of all unknowns (k + b + b ...,), and the reduction of the cost that it should give."""
         matrix, gradient, inverses = self._condensed(damping)
-        shared = _scaled_solution(matrix, gradient, 0.0)[0]
+        shared = Dense(matrix, gradient).step(0.0, given)[0]
         pairs = zip(inverses, self.blocks, strict=True)
         steps = [inverse @ (slope - cross @ shared) for inverse, (_, cross, slope) in pairs]
         gain = self.gradient @ shared + sum(slope @ s for (_, _, slope), s in zip(self.blocks, steps, strict=True))
@@ -140,6 +152,17 @@ class Box:
         doubled = np.where(self.growing & (self.low >= 0.0) & (x > 0.0), GROWTH * x, np.inf)
         farther[:count] = np.minimum(np.clip(farther[:count], least, most), doubled)
         return farther
+
+    def given(self, step: Array, taken: Array) -> Array | None:
+        """Return the steps of the first unknowns that bounds determine (b,), not a number for others; None if none are.
+
+        Args:
+            step: without bounds (n,).
+            taken: within them (n,).
+        """
+        count = len(self.low)
+        is_held = np.abs(taken - step)[:count] > HELD * np.abs(step[:count])
+        return np.where(is_held, taken[:count], np.nan) if is_held.any() else None
 
 
 NO_BOUNDS = Box(np.empty(0), np.empty(0))
@@ -212,10 +235,13 @@ def minimise(
         if progress is not None:
             progress((number - 1) / rounds)
         step, gain = at.equations.step(damping.value)
-        enough = tolerance(at)
+        farther, enough = box.after(x, step), tolerance(at)
+        given = box.given(step, farther - x)
+        if given is not None:  # the others take the step that suits what bounds leave of these
+            step, gain = at.equations.step(damping.value, given)
+            farther = box.after(x, step)
         if gain < enough:
             return Minimum(x, at, number, converged=True)
-        farther = box.after(x, step)
         try:
             tried = linearise(farther)
         except (IntegrationError, ModelError):
@@ -237,11 +263,10 @@ def _scale(matrix: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.diag(matrix), 1e-300)))
 
 
-def _scaled_solution(matrix: Array, right: Array, damping: float) -> tuple[Array, float]:
-    """Return the damped solution (n,) with a diagonal scaled to 1, and its product with the right side."""
+def _scaled_solution(matrix: Array, right: Array, damping: float) -> Array:
+    """Return the damped solution (n,) with a diagonal scaled to 1."""
     if not len(right):
-        return right, 0.0
+        return right
     scale = _scale(matrix)
     scaled = matrix / np.outer(scale, scale) + damping * np.eye(len(right))
-    found = np.linalg.lstsq(scaled, right / scale, rcond=SINGULAR)[0]
-    return found / scale, float((right / scale) @ found)
+    return np.asarray(np.linalg.lstsq(scaled, right / scale, rcond=SINGULAR)[0] / scale)

@@ -54,6 +54,7 @@ def white_noise(readings: Array) -> Array:
     starts = np.arange(bands) * lines // bands
     levels = np.sort(np.add.reduceat(power, starts, axis=1) / np.diff(np.append(starts, lines)), axis=1)
     means = np.cumsum(levels, axis=1) / np.arange(1, bands + 1)
-    louder = levels[:, 1:] > means[:, :-1] * (1.0 + LOUDER * np.sqrt(ALIKE * bands / lines))
+    chance = np.sqrt(ALIKE * bands / lines * (1.0 + 1.0 / np.arange(1, bands)))  # of a band, and of the mean before it
+    louder = levels[:, 1:] > means[:, :-1] * (1.0 + LOUDER * chance)
     quiet = np.where(louder.any(axis=1), louder.argmax(axis=1), bands - 1)
     return np.asarray(np.sqrt(means[np.arange(len(means)), quiet]))

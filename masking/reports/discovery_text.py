@@ -59,7 +59,21 @@ def sentence(found: Discovery) -> str:
         pause = "," if ", " in what else ""
         first = f"{capital(what)}{pause} {'is' if len(found.effects) == 1 else 'are'} missing"
         sentences = [first, hardly(found), gap(found), moved(found)]
-    return ". ".join(filter(None, [*sentences, measured(found)]))
+    return ". ".join(filter(None, [*sentences, withheld(found), measured(found)]))
+
+
+def withheld(found: Discovery) -> str:
+    """Say what is not given since it is worse on unseen data than the model as declared; '' if nothing is."""
+    if found.withheld is None:
+        return ""
+    before, after = found.simulation_error.validation[0], found.withheld.error
+    name = max(after, key=lambda sensor: after[sensor] / max(before[sensor], 1e-300))
+    causes = [labelled(found, *one) for one in found.withheld.names]
+    what = f"{listed(causes)} would explain more of this record, but the" if causes else "With adjusted parameters, the"
+    return (
+        f"{what} error of {name} on unseen data is {percent(after[name])} then, against {percent(before[name])} as "
+        "declared: that is not given"
+    )
 
 
 def unnamed(found: Discovery) -> str:
