@@ -11,9 +11,8 @@ from scipy.interpolate import CubicSpline
 
 import masking
 from masking.declaration.expression import Expression
-from masking.discovery import grammar, verdict
+from masking.discovery import calibration, grammar
 from masking.discovery.bases import Curve, pieces
-from masking.discovery.rules import RULES
 from masking.discovery.tabulated import tabulated
 from masking.reports import discovery_text
 from tests.benchmarks.laws import records, scoring
@@ -101,11 +100,11 @@ def test_every_shape_of_the_grammar_is_a_safe_expression_of_zero_and_one():
 
 
 def test_what_names_leave_makes_none_of_them_likelier():
-    values = [verdict.none_of_these(left, RULES) for left in (0.0, 0.01, 0.1, 0.5, 1.0)]
+    values = [calibration.none_of_these(left) for left in (0.0, 0.01, 0.1, 0.5, 1.0)]
     assert values == sorted(values)
-    assert values[0] == RULES.none_least
-    assert verdict.none_of_these(RULES.none_half, RULES) == pytest.approx(0.5 * (1.0 + RULES.none_least))
-    assert verdict.none_of_these(0.0, RULES, refused=True) > verdict.LIKELIER
+    assert values[0] == calibration.LEAST
+    assert calibration.none_of_these(calibration.HALF) == pytest.approx(0.5 * (1.0 + calibration.LEAST))
+    assert calibration.none_of_these(0.0, refused=True) > calibration.LIKELIER
 
 
 def test_scores_of_probabilities_are_those_of_their_definitions():

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import fitting, shooting, verdict
+from masking.discovery import calibration, fitting, shooting, verdict
 from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.composites import are_composite
 from masking.discovery.discovery import Discovery, Named, SimulationError, Withheld
@@ -94,18 +94,18 @@ def _beside_names(found: Discovery, say: Tell) -> Discovery:
     if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
         law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation)
         return replace(found, law=law, none_of_these=1.0 if law else 0.0)
-    law, left, rules = None, 0.0, found.problem.rules
+    law, left = None, 0.0
     if found.verdict == "unknown" or not found.closed:
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation)
         left = 0.0 if law is None else law.unexplained(found)
-    none = verdict.none_of_these(left, rules, refused=found.verdict == "unknown")
+    none = calibration.none_of_these(left, refused=found.verdict == "unknown")
     at = len(found.explanation.hypothesis.instances) - 1
     last = found.effects[at]
     others = tuple((name, on, part * (1.0 - none)) for name, on, part in last.alternatives)
     last = replace(last, probability=last.probability * (1.0 - none), alternatives=others)
     effects = (*found.effects[:at], last, *found.effects[at + 1 :])
-    answer = "unknown" if none > verdict.LIKELIER else found.verdict
+    answer = "unknown" if none > calibration.LIKELIER else found.verdict
     kept = law if answer == "unknown" else None
     return replace(found, verdict=answer, law=kept, none_of_these=none, effects=effects)
 

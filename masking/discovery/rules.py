@@ -297,31 +297,6 @@ class DecisionRules:
     Why: one wrong in ten among those that are just named is accepted; stated in the documentation.
     """
 
-    none_least: float = 0.01
-    """Probability that no name is right where the names leave no more than noise.
-
-    Why: a logistic regression on the records of `tests.benchmarks.laws`; see `verdict.none_of_these`.
-    """
-
-    none_half: float = 0.1
-    """Part of the rms of the model error that names leave, and a law without a name explains, at which they are right
-    with a probability of one half.
-
-    Why: as `none_least`. A law whose shape is a tenth off is no longer called by its name.
-    """
-
-    none_sharpness: float = 3.0
-    """Power by which the odds change with this part.
-
-    Why: as `none_least`.
-    """
-
-    none_refused: float = 0.6
-    """Probability that no name is right where names are refused for what they leave, at least.
-
-    Why: beyond one half, as the verdict says.
-    """
-
     listed_probability: float = 1e-4
     """Posterior probability from which an alternative is listed.
 

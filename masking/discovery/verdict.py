@@ -154,26 +154,6 @@ def probabilities(scores: Sequence[float]) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-LIKELIER = 0.5  # probability from which none of the names is likelier than all of them
-
-
-def none_of_these(left: float, rules: DecisionRules, *, refused: bool = False) -> float:
-    """Return the probability that none of the names is right, of which a law without a name is the rival.
-
-        p = p0 + (1 - p0)/(1 + (l0/l)**s)
-
-    It is a logistic regression on log l, fitted to records that are not those of its diagram in the documentation.
-
-    Args:
-        left: l, what the names leave and the law without a name explains, as part of the rms of the model error.
-        rules: p0, l0 and s.
-        refused: whether the names are refused for what they leave; then this is likelier than not.
-    """
-    least, half, sharp = rules.none_least, rules.none_half, rules.none_sharpness
-    found = least + (1.0 - least) / (1.0 + (half / left) ** sharp) if left > 0.0 else least
-    return max(found, rules.none_refused) if refused else found
-
-
 def excess_cost(cost: float, readings: int) -> float:
     """Return the part of a cost beyond that of noise, which is the number of readings."""
     return max(cost - readings, 0.0)
