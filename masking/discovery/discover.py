@@ -70,10 +70,10 @@ def discover(
     rules = settings.rules
     train, unseen = train_validation_split(record, rules.held_out) if validation is None else (record, validation)
     prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
-    whole = EstimationProblem(rig, train, prior, noise_of(rig, train, rules), most, rules=rules)
+    whole = EstimationProblem(rig, train, prior, noise_of(twin, train), most, rules=rules)
     problem = replace(whole, interval=shooting.interval(whole, settings.shooting_interval))
     problem = replace(problem, substeps=shooting.substeps(problem))
-    noise = noise_of(rig, unseen, rules)
+    noise = noise_of(twin, unseen)
     found = _explained(problem, unseen, noise, say)
     if settings.shooting_interval is None and not problem.interval and _loses_phase(found):
         for seconds in shooting.shorter(whole):
@@ -133,14 +133,28 @@ def _loses_phase(found: Discovery) -> bool:
 def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) -> Discovery:
     """Return what explains a record, simulated in steps that are fine enough for the law that is found."""
     found = _found(problem, unseen, noise, say)
-    if found.verdict == "unknown":
+    known = _near(found)
+    if known is None:
         return found
     with threadpool_limits(1):
-        steps = shooting.finer(problem, found.explanation.hypothesis)
+        steps = shooting.finer(problem, known)
     if steps == problem.substeps:
         return found
     say(f"again, with {steps} steps between samples", 0.0)
     return _found(replace(problem, substeps=steps), unseen, noise, say)
+
+
+def _near(found: Discovery) -> Hypothesis | None:
+    """Return the hypothesis whose law steps of integration are to resolve; None if none is near.
+
+    Of an unknown law, that is the first cause if it leaves hardly anything: the remainder may be errors of integration.
+    """
+    if found.verdict != "unknown":
+        return found.explanation.hypothesis
+    base, size = found.search.base, found.problem.record.readings.size
+    first = found.search.steps[0][0] if found.search.steps else base
+    left, excess = (verdict.excess_cost(one.cost, size) for one in (first, base))
+    return first.hypothesis if left < found.problem.rules.trace_fraction * excess else None
 
 
 def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) -> Discovery:
@@ -310,7 +324,7 @@ def _rounded(problem: EstimationProblem, hypothesis: Hypothesis) -> list[tuple[N
     known = {effect.at for effect in twin.effects if effect.kind == ROUNDING.name and effect.enabled}
     left = hypothesis.squares / len(problem.record)
     found = []
-    steps = steps_of(problem.record, problem.rules.rounded_values)
+    steps = steps_of(problem.record)
     for i, (name, step) in enumerate(zip(twin.sensors, steps, strict=True)):
         variance = step**2 / 12.0
         if name not in known and variance > least * problem.sigma[i] ** 2:

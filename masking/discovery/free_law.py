@@ -133,7 +133,8 @@ def fit(found: Explained, known: Sequence[EffectInstance] = ()) -> FreeLaw | Non
         for at, place in enumerate(found.rig.places):
             if place.is_open and (place.declared or place.coordinate):
                 force, _ = projected(ground.motion, directions(found, found.rig.columns[1][at]))
-                starts += _starts(screen, ground, at, float(np.abs(force).max()), room)
+                if force.any():
+                    starts += _starts(screen, ground, at, float(np.abs(force).max()), room)
     best: FreeLaw | None = None
     noise = float(problem.record.readings.size)
     for one in _ranked(starts, many)[:MOST_FORMS]:

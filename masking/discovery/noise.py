@@ -7,60 +7,72 @@ from __future__ import annotations
 
 import numpy as np
 
-from masking.discovery.augmented_model import AugmentedModel
-from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import RecordError
 from masking.estimation.data import Data
 from masking.numerics.arrays import Array
-from masking.records.noise import third_differences, white_noise
+from masking.records.noise import FEWEST, third_differences, white_noise
+from masking.rig.twin import Twin
 
+EXACT = 1e-12  # of the largest reading: a smaller difference is rounding of double precision
+NEAR, MOST = 0.1, 0.95  # of a step, and of the gaps between values: as near to its multiples, and as many of them
 MEDIAN = 0.6745  # magnitude that half of all samples of a standard normal distribution stay below
 
 
-def noise_of(rig: AugmentedModel, record: Data, rules: DecisionRules = RULES) -> Array:
+def noise_of(twin: Twin, record: Data) -> Array:
     """Return the standard deviation of the noise of each reading (sensors,), from the record.
 
     What a force changes at once may jump, as that of a friction does: there the noise is that of most readings, and
-    that of measured inputs counts with what it makes of the readings.
+    that of measured inputs counts with what the readings have of these by linear regression. Parameters of the model
+    have no part in it. Rounding to steps q makes q / sqrt(12) at least.
 
     Args:
-        rig: the augmented model.
+        twin: the rig.
         record: commands and readings.
-        rules: from how few different values readings are rounded.
 
     Raises:
         RecordError: readings carry no noise, so that nothing can be said to be beyond it.
     """
-    twin, found = rig.twin, record.noise
+    found = record.noise
     if twin.is_fed:
-        at = [twin.actuators.index(name) for name in twin.measured_actuators]
-        by = rig.direct(rig.start)[:, [rig.columns[2][i] for i in at]]
-        found = np.hypot(_smooth(record.readings), np.linalg.norm(by * _smooth(record.commands[:, at]), axis=1))
+        inputs = record.commands[:, [twin.actuators.index(name) for name in twin.measured_actuators]]
+        by = np.linalg.lstsq(inputs - inputs.mean(axis=0), record.readings - record.readings.mean(axis=0))[0]
+        found = np.hypot(_smooth(record.readings), np.linalg.norm(_smooth(inputs)[:, None] * by, axis=0))
     size = np.sqrt((record.readings**2).mean(axis=0))
     for name, value in zip(twin.sensors, size, strict=True):
         if value == 0.0:
             raise RecordError(
                 f"{record.name}: {name} reads 0 throughout; look at its cable, or leave it out of the plant"
             )
-    rounding = np.array([step / np.sqrt(12.0) for step in steps_of(record, rules.rounded_values)])
-    floor: Array = np.maximum.reduce([found, 1e-6 * size, rounding])
+    floor: Array = np.maximum.reduce([found, 1e-6 * size, steps_of(record) / np.sqrt(12.0)])
     return floor
 
 
 def _smooth(table: Array) -> Array:
     """Return the noise of columns (m, c) that are smooth but for jumps: what is usual of it, if less than its mean."""
-    usual = np.median(np.abs(third_differences(table)), axis=0) / MEDIAN
-    return np.asarray(np.minimum(usual, white_noise(table)))
+    columns = [_measured(column)[:, None] for column in table.T]
+    usual = [float(np.median(np.abs(third_differences(column)))) / MEDIAN for column in columns]
+    return np.array([min(one, float(white_noise(column)[0])) for one, column in zip(usual, columns, strict=True)])
 
 
-def steps_of(record: Data, rounded_values: float = RULES.rounded_values) -> Array:
-    """Return the step of which all readings of a sensor are multiples (sensors,); 0 where they are not rounded."""
-    steps = []
-    for column in record.readings.T:
-        values = np.unique(column)
-        apart = np.diff(values)
-        step = float(np.median(apart[apart <= 1.5 * apart.min()])) if len(apart) else 0.0
-        is_coarse = len(values) < rounded_values * len(column)
-        rounded = is_coarse and np.allclose(values / step, np.round(values / step), atol=1e-3)
-        steps.append(step if rounded else 0.0)
-    return np.array(steps)
+def _measured(column: Array) -> Array:
+    """Return the readings of a column (m,) that was interpolated between fewer; all of them if it was not."""
+    kinks = np.flatnonzero(np.abs(np.diff(column, n=2)) > EXACT * np.abs(column).max()) + 1
+    every = round(len(column) / max(len(kinks), 1))
+    return column if every < 2 or len(kinks) < FEWEST else column[kinks[0] :: every]
+
+
+def steps_of(record: Data) -> Array:
+    """Return the step to which readings of each sensor are rounded (sensors,); 0 where they are not.
+
+    It is what lies between neighbouring values, or a part of it.
+    """
+    return np.array([_step(column) for column in record.readings.T])
+
+
+def _step(column: Array) -> float:
+    gaps = np.diff(np.unique(column))
+    gaps = gaps[gaps > EXACT * np.abs(column).max()]  # values that differ by rounding of numbers are the same
+    if not len(gaps):
+        return 0.0
+    step = float(np.median(gaps[gaps <= 1.5 * gaps.min()]))
+    return step if (np.abs(gaps / step - np.round(gaps / step)) < NEAR).mean() > MOST else 0.0

@@ -478,14 +478,6 @@ class DecisionRules:
     Why: three lines of the record, just beyond the main lobe of the window (von Hann: two lines).
     """
 
-    # Noise of a record
-
-    rounded_values: float = 0.1
-    """Different values per reading below which readings may be rounded.
-
-    Why: readings with noise finer than their resolution are nearly all different.
-    """
-
     # Experiment that separates
 
     separation: float = 40.0

@@ -26,6 +26,8 @@ from masking.numerics.steady_kalman import discretised, steady_filter
 WALKS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # intensities that are tried, of that which moves the sensors as their noise does
 QUICK = 0.3  # rad, times the rate of a record: how fast forces on states and outputs are followed, to begin with
 FURTHER = (1e-6, 1e-4)  # intensities that are tried before the others if latent forces act on nothing else
+FADING = 1e-3  # rad, times the rate of a record: how fast forces fade that the sensors do not separate
+UNSEEN = 1e-200  # intensity of a force that no sensor shows at once: it is not estimated
 SHORT = 8.0  # s of the record by which the intensity is chosen
 
 
@@ -91,6 +93,7 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     innovations, states, predicted = _filter(problem, theta, start, gains)
     rig.kernels.smooth_backward(len(record), gains.backward, states, predicted)
     n = len(rig.twin.state_names)
+    states[:, n:] = np.where(unit > UNSEEN, states[:, n:], 0.0)
     placed = np.empty((len(record), 3 * len(rig.sizes.force_entries)))
     acting = np.ascontiguousarray(record.acting)
     p = rig.basis(theta)[0]
@@ -176,6 +179,10 @@ def _gains(rig: AugmentedModel, theta: Array, rate: float, sigma: Array, intensi
     n, m = len(a), b.shape[1]
     flow = np.zeros((n + m, n + m))
     flow[:n, :n], flow[:n, n:] = a, b
+    if np.linalg.matrix_rank(np.vstack([np.hstack([a, b]), np.hstack([c, d])])) < n + m:
+        flow[n:, n:] = (
+            -FADING * rate * np.eye(m)
+        )  # sensors do not separate the forces: what they leave open stays small
     moved, noise = discretised(flow, np.concatenate([np.zeros(n), intensity]), 1.0 / rate)
     # In scaled states, and in readings of unit variance, the equation is well conditioned.
     scale = np.sqrt(np.maximum(np.diag(noise), 1e-300))
