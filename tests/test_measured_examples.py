@@ -81,6 +81,8 @@ if __name__ == "__main__":
     for path in [one for one in EXAMPLES if not sys.argv[1:] or one.stem in sys.argv[1:]]:
         with tempfile.TemporaryDirectory() as place:
             told = sentence(found(path, place))
-        text = [f"{RESULT}{told}" if line.startswith(RESULT.strip()) else line for line in path.read_text().splitlines()]
+        text = [
+            f"{RESULT}{told}" if line.startswith(RESULT.strip()) else line for line in path.read_text().splitlines()
+        ]
         path.write_text("\n".join(text) + "\n", encoding="utf-8")
         print(path.stem, told, flush=True)
