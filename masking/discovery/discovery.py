@@ -14,6 +14,7 @@ from masking.discovery.localisation import Localisation, localise
 from masking.discovery.next_experiment import NextExperiment
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
+from masking.discovery.unit_check import UnitDoubt
 from masking.discovery.unnamed import UnnamedLaw
 from masking.discovery.verdict import Key, at_noise_floor, is_closed
 from masking.effects import Effect
@@ -105,6 +106,7 @@ class Discovery(Explained):
             between samples; None unless that is far less than what was found leaves.
         law: the law without a name, where no name explains the record.
         withheld: what is worse on unseen data than the model as declared, and was found before this.
+        unit: that of a channel which is probably another than declared; the record is converted then.
     """
 
     effects: tuple[Named, ...]
@@ -120,6 +122,7 @@ class Discovery(Explained):
     first_order_hold: dict[str, float] | None = None
     law: UnnamedLaw | None = None
     withheld: Withheld | None = None
+    unit: UnitDoubt | None = None
 
     def __repr__(self) -> str:
         causes = ", ".join(f"{one.name} in {one.on}" if one.on else one.name for one in self.effects)
@@ -206,6 +209,8 @@ class Discovery(Explained):
             "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
             "first_order_hold": self.first_order_hold,
             "law": self.law and self.law.as_dict(),
+            "unit": self.unit
+            and {"channels": [*self.unit.names], "unit": self.unit.unit, "declared": self.unit.declared},
             "withheld": self.withheld and self.withheld.as_dict(),
         }
 
