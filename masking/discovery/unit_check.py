@@ -82,7 +82,8 @@ def doubted(problem: EstimationProblem) -> UnitDoubt | None:
     Args:
         problem: the record and the rig, simulated whole.
     """
-    few = replace(problem, record=problem.record.first(SAMPLES / problem.record.rate))
+    part = problem.record.first(SAMPLES / problem.record.rate)
+    few = replace(problem, record=part, substeps=min(problem.substeps, STEPS))
     before, rules = _error(few), problem.rules
     if before < rules.phase_loss:
         return None
