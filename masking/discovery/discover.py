@@ -117,14 +117,28 @@ def _loses_phase(found: Discovery) -> bool:
 def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) -> Discovery:
     """Return what explains a record, simulated in steps that are fine enough for the law that is found."""
     found = _found(problem, unseen, noise, say)
-    if found.verdict == "unknown":
+    known = _near(found)
+    if known is None:
         return found
     with threadpool_limits(1):
-        steps = shooting.finer(problem, found.explanation.hypothesis)
+        steps = shooting.finer(problem, known)
     if steps == problem.substeps:
         return found
     say(f"again, with {steps} steps between samples", 0.0)
     return _found(replace(problem, substeps=steps), unseen, noise, say)
+
+
+def _near(found: Discovery) -> Hypothesis | None:
+    """Return the hypothesis whose law steps of integration are to resolve; None if none is near.
+
+    Of an unknown law, that is the first cause if it leaves hardly anything: the remainder may be errors of integration.
+    """
+    if found.verdict != "unknown":
+        return found.explanation.hypothesis
+    base, size = found.search.base, found.problem.record.readings.size
+    first = found.search.steps[0][0] if found.search.steps else base
+    left, excess = (verdict.excess_cost(one.cost, size) for one in (first, base))
+    return first.hypothesis if left < found.problem.rules.trace_fraction * excess else None
 
 
 def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) -> Discovery:

@@ -132,6 +132,9 @@ class Search:
                 if now is not before:
                     steps[-1] = (now,)
                 continue
+            if now.kind == "effects":
+                wider = self._widened(now, ground)
+                steps[-1], now = (steps[-1], now) if wider is now else ((wider, *steps[-1][1:]), wider)
             self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
             near = now.cost < self.rules.small_residual * self.size
             screen = self._screen(
@@ -315,6 +318,33 @@ class Search:
             return False
         tempering = self.problem.tempering(other.hypothesis.residuals)
         return other.score(tempering) < best.score(tempering) - self.rules.indifferent
+
+    def _widened(self, now: Explanation, ground: _Ground) -> Explanation:
+        """Free further parameters of the shape of each effect, where another trial of it estimates them."""
+        rules = self.rules
+        if verdict.reaches_noise(now.cost, self.size, rules) and not verdict.is_excess(now.cost, self.size, rules):
+            return now
+        jobs = []
+        for i, instance in enumerate(now.hypothesis.instances):
+            for other in ground.every:
+                more = tuple(sorted({*other.free} - {*instance.free}))
+                is_same = other.key == now.names[i] and other.sticks == instance.sticks
+                if is_same and {*instance.free} < {*other.free} and not {*more} & {*other.factors}:
+                    starts = {tuple(one.values[j] for j in more): None for one in other.instances}
+                    freed = replace(instance, free=other.free)
+                    jobs += [partial(self._with_shape, now, i, freed.with_values(more, start)) for start in starts]
+        found = [one for one in self._fitted(jobs, now.hypothesis.cost) if one is not None]
+        if not found:
+            return now
+        best = min(found, key=lambda e: e.hypothesis.cost)
+        tempering = self.problem.tempering(best.hypothesis.residuals)
+        return best if best.score(tempering) < now.score(tempering) - rules.effect_evidence else now
+
+    def _with_shape(self, now: Explanation, i: int, instance: EffectInstance, rival: float) -> Explanation:
+        """Return a fit with other parameters of one effect estimated."""
+        known = now.hypothesis.instances
+        found = self._fit((*known[:i], instance, *known[i + 1 :]), now.hypothesis, rival)
+        return replace(now, hypothesis=found)
 
     def _reduced(self, best: Explanation) -> Explanation:
         """Leave out each cause in turn: if the others do as well without it, it goes."""

@@ -223,7 +223,8 @@ def simplest_first(
     """Return ranked explanations with a nested model of the best first if it takes nearly as much of the cost.
 
     The remainder may have another cause, which the richer law would imitate; all laws that contain the nested one at
-    its place are left out. If the best reaches the noise floor, it stays the best.
+    its place are left out. If the best reaches the noise floor, or leaves hardly anything of what the nested one does,
+    it stays the best.
 
     Args:
         ranked: explanations with one more cause, the best first.
@@ -239,10 +240,15 @@ def simplest_first(
     simpler = {(name, at) for name in nested.get(effect, ())}
     least = rules.nested_fraction * (now - best.cost)
     chosen = next((one for one in ranked if one.names[-1] in simpler and now - one.cost > least), None)
-    if chosen is None:
+    if chosen is None or _excess_part(best.cost, chosen.cost, readings) < rules.trace_fraction:
         return [*ranked]
     richer = {(name, at) for name, inside in nested.items() if chosen.names[-1][0] in inside}
     return [chosen, *(one for one in ranked if one is not chosen and one.names[-1] not in richer)]
+
+
+def _excess_part(cost: float, other: float, readings: int) -> float:
+    """Return the excess cost of one explanation as a part of that of another."""
+    return excess_cost(cost, readings) / max(excess_cost(other, readings), 1.0)
 
 
 def is_too_little(base: float, now: Fitted, then: Fitted, readings: int, rules: DecisionRules) -> bool:

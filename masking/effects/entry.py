@@ -237,7 +237,7 @@ class Effect:
     def ways(self) -> tuple[Trial, ...]:
         """Return the ways in which discovery fits it."""
         tried = tuple(name for name, parameter in self.parameters.items() if parameter.tried)
-        return self.trials or (Trial(self._combinations, tried),)
+        return self.trials or (Trial(self._combinations, tried, sticks=bool(self.by_step)),)
 
     def reduced(self, given: Mapping[str, object]) -> Effect:
         """Return the effect without states where a parameter, given or by default, is 0 that they need."""

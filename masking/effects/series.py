@@ -6,16 +6,21 @@ element's force follows what remains.
 
 from __future__ import annotations
 
-from masking.effects.entry import NOT_NEGATIVE, POSITIVE, Effect, EffectParameter, EffectState, Trial
+from masking.effects.entry import NOT_NEGATIVE, POSITIVE, Effect, EffectParameter, EffectState, Span, Start, Trial
 
 # From a play that hardly shows up to one in which contact is rare.
 _GAP = EffectParameter(
     "D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE, (0.02, 0.05, 0.15, 0.3, 0.5, 0.8, 1.2)
 )
+SOFT = 0.02  # of the largest displacement
 _TIMES = (3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)  # s, half-decades
-# How far the pin is beyond the gap of its slider, and the force with which it pushes in contact.
-_REACH = "(d - z - min(max(d - z, -gap/2), gap/2))"
-_PUSH = f"(c*(hold*{_REACH} + d_rate))"
+_REACH = "(d - z - min(max(d - z, -gap/2), gap/2))"  # how far a pin is beyond the gap of its slider
+
+
+def _reaches(span: Span) -> list[Start]:
+    """Return gaps with a contact that is soft enough for a fit to see where it begins."""
+    return [{"gap": gap, "x0": SOFT * span.size} for gap in _GAP.starts(span)]
+
 
 SERIES: tuple[Effect, ...] = (
     Effect(
@@ -33,28 +38,23 @@ SERIES: tuple[Effect, ...] = (
     Effect(
         "play_with_friction",
         "A slider under dry friction, dragged along with play: free after each reversal until the gap is crossed.",
-        f"where({_REACH} > 0, min(max({_PUSH}, 0), fc), where({_REACH} < 0, max(min({_PUSH}, 0), -fc), 0))",
+        f"fc*min(max({_REACH}/x0, -1), 1)",
         {
             "fc": EffectParameter("F", "force while it is dragged", (1e-3, 2.0), 0.1, None, NOT_NEGATIVE),
             "gap": _GAP,
-            "c": EffectParameter("F*s/D", "resistance in contact, numerical", (1e-6, 1e9), 1e3, None, POSITIVE),
-            "hold": EffectParameter("1/s", "its stiffness over that, numerical", (1.0, 1e6), 1e3, 1e3, POSITIVE),
+            "x0": EffectParameter("D", "displacement over which it builds up", (1e-6, 1e-2), 1e-4, None, POSITIVE),
+            "hold": EffectParameter("1/s", "rate at which the slider follows", (1.0, 1e6), 1e3, 1e3, POSITIVE),
         },
         cause="a brush, seal or cable that is taken along by a worn pin, a carriage on a loose spindle nut",
         remedy="take up the play, or remove what rubs",
         source="Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 2",
         states={
-            "z": EffectState(
-                f"where({_REACH} > 0, max({_PUSH} - fc, 0), where({_REACH} < 0, min({_PUSH} + fc, 0), 0))/c",
-                "D",
-                "where the slider is",
-                "gap/2",
-            )
+            "z": EffectState(f"hold*({_REACH} - min(max({_REACH}, -x0), x0))", "D", "where the slider is", "gap/2")
         },
         family="friction",
-        trials=(Trial(lambda span: [{"gap": gap} for gap in _GAP.starts(span)], ("gap",), sticks=True),),
-        nested=("dry_friction",),
-        by_step={"c": "1/(0.55*mobility*step)", "hold": "1/(1.75*step)"},
+        trials=(Trial(_reaches, ("gap",), ("fc",), True), Trial(_reaches, ("gap", "x0"), ("fc",), True)),
+        nested=("dahl_friction",),
+        by_step={"hold": "1/(1.75*step)"},
     ),
     Effect(
         "maxwell_element",
