@@ -222,9 +222,8 @@ class TestDiscovery:
     def test_what_is_tried_is_part_of_the_motion(self, folder, own):
         twin = inputs.with_effects(inputs.rig(folder / "leaf.yaml", None), own)
         span = Span(-2e-3, 1e-3, 2e-3, 0.03)
-        found = {
-            c.key: c for c in candidates(AugmentedModel(twin, ("k", "c")), {"leaf": span, "x": span, "u": span}, 2e-3)
-        }
+        spans = dict.fromkeys([("element", "leaf"), ("sensor", "x"), ("actuator", "u")], span)
+        found = {c.key: c for c in candidates(AugmentedModel(twin, ("k", "c")), spans, 2e-3)}
         made = found["magnet", "leaf"]
         assert [instance.values for instance in made.instances] == [(0.0, part * 2e-3) for part in (1.2, 2.0, 4.0)]
         assert (made.factors, made.free) == ((0,), (0, 1))

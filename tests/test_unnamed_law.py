@@ -11,8 +11,11 @@ from scipy.interpolate import CubicSpline
 
 import masking
 from masking.declaration.expression import Expression
+from masking.discovery import calibration, grammar
 from masking.discovery.bases import Curve, pieces
-from tests.benchmarks.laws import records
+from masking.discovery.tabulated import tabulated
+from masking.reports import discovery_text
+from tests.benchmarks.laws import records, scoring
 
 CASE = records.Case("fluid 1.7", 1)
 
@@ -40,17 +43,31 @@ def found(tmp_path_factory):
     return masking.discover(folder / "train.csv", **given, out=folder / "found"), rig, folder
 
 
-def test_a_law_without_a_name_leaves_no_more_than_noise(found):
+def along(discovery, instance):
+    """Return displacement and rate along the record, and the force of an effect there."""
+    x, rate = (table[::20, 0] for table in (discovery.search.motion.displacement, discovery.search.motion.rate))
+    known, force = dict(zip(instance.entry.parameters, instance.values, strict=True)), instance.entry.expression
+    made = [Expression(force).evaluate({**known, "d": d, "d_rate": v}) for d, v in zip(x, rate, strict=True)]
+    return x, rate, np.array(made)
+
+
+def test_a_law_without_a_name_is_found_in_its_closed_form(found):
     discovery, rig, _ = found
     assert (discovery.verdict, discovery.law.place, discovery.law.closed) == ("unknown", "spring1", True)
+    assert discovery.none_of_these > 0.5
     assert discovery.law.error[1]["q1"] == pytest.approx(records.NOISE, rel=0.1)
-    law = discovery.law.instance
-    x, rate = (discovery.search.motion.displacement[::20, 0], discovery.search.motion.rate[::20, 0])
+    assert [atom.name for atom, _, _ in discovery.law.form.terms] == ["odd power of v"]
+    assert discovery.law.instance.values[discovery.law.instance.names.index("n")] == pytest.approx(1.7, abs=0.01)
+    x, rate, made = along(discovery, discovery.law.instance)
     truth = np.array([rig.hidden(d, v) for d, v in zip(x, rate, strict=True)])
-    known, force = dict(zip(law.entry.parameters, law.values, strict=True)), Expression(law.entry.expression)
-    made = [force.evaluate({**known, "d": d, "d_rate": v}) for d, v in zip(x, rate, strict=True)]
-    # A stiffness that is off by 1 % and a force of the displacement are one and the same.
-    assert np.abs(made - truth).max() < 0.05 * np.abs(truth).max()
+    assert np.abs(made - truth).max() < 0.01 * np.abs(truth).max()
+
+
+def test_the_tables_of_a_free_law_hold_its_force(found):
+    discovery, _, _ = found
+    x, rate, made = along(discovery, tabulated(discovery.law.free))
+    force = discovery.law.free.force(x, rate)
+    assert np.abs(made - force).max() < 1e-5 * np.abs(force).max()
 
 
 def test_the_written_model_reproduces_what_is_promised(found):
@@ -60,6 +77,44 @@ def test_the_written_model_reproduces_what_is_promised(found):
         assert made.chi["q1"] == pytest.approx(promised["q1"], rel=0.01)
     content = json.loads((folder / "found" / "discovery.json").read_text())
     assert (content["verdict"], content["law"]["on"], content["law"]["closed"]) == ("unknown", "spring1", True)
+    assert content["law"]["closed_form"]["terms"][0]["shape"] == "odd power of v"
     assert content["model"].endswith("model+unnamed_law.yaml")
-    page = (folder / "found" / "discovery.html").read_text()
-    assert "A law without a name in spring1 explains the record" in page
+    said = "A law without a name in spring1 explains the record: a force that grows with the 1.7th power of the rate"
+    assert said in discovery_text.sentence(discovery)
+    assert "law without a name" in (folder / "found" / "discovery.html").read_text()
+
+
+def test_every_shape_of_the_grammar_is_a_safe_expression_of_zero_and_one():
+    for atom in grammar.atoms(True, True):
+        names = [f"p{i}" for i in range(atom.count)]
+        for values in atom.starts():
+            known = {"d": np.array([0.0, 0.5]), "d_rate": np.array([0.0, -0.3]), "x0": 1.0, "v0": 1.0}
+            made = grammar.evaluated(atom.text(names), {**known, **dict(zip(names, values, strict=True))})
+            exact = [
+                Expression(atom.text(names)).evaluate(
+                    {**dict(zip(names, values, strict=True)), "d": d, "d_rate": v, "x0": 1.0, "v0": 1.0}
+                )
+                for d, v in ((0.0, 0.0), (0.5, -0.3))
+            ]
+            np.testing.assert_allclose(np.broadcast_to(made, 2), exact, rtol=1e-12, atol=1e-15)
+
+
+def test_what_names_leave_makes_none_of_them_likelier():
+    values = [calibration.none_of_these(left) for left in (0.0, 0.01, 0.1, 0.5, 1.0)]
+    assert values == sorted(values)
+    assert values[0] == calibration.LEAST
+    assert calibration.none_of_these(calibration.HALF) == pytest.approx(0.5 * (1.0 + calibration.LEAST))
+    assert calibration.none_of_these(0.0, refused=True) > calibration.LIKELIER
+
+
+def test_scores_of_probabilities_are_those_of_their_definitions():
+    made = [outcome(p, right) for p, right in ((0.95, True), (0.95, True), (0.95, False), (0.6, True))]
+    assert scoring.brier(made) == pytest.approx((2 * 0.05**2 + 0.95**2 + 0.4**2) / 4)
+    assert scoring.reliability(made) == [
+        (pytest.approx(0.6), 1.0, 1),
+        (pytest.approx(0.95), pytest.approx(2 / 3), 3),
+    ]
+
+
+def outcome(probability, is_right):
+    return scoring.Outcome("", "cubic", "named", "", "", probability, is_right, 0.0, 1.0, None, "", 1.0)

@@ -155,7 +155,7 @@ class AugmentedModel:
     Args:
         twin: the rig with its declared values.
         names: its parameters that may be adjusted.
-        tried: the effects that are tried; by default those of the dictionary.
+        tried: the effects that are tried; by default those of the dictionary, and the bases of laws without a name.
     """
 
     twin: Twin
@@ -174,7 +174,7 @@ class AugmentedModel:
     @cached_property
     def laws(self) -> dict[str, Effect]:
         """Return the effects that can be tried, in the order of their numbers."""
-        return laws.known({one.name: one for one in self.tried} or self.twin.dictionary)
+        return laws.known({one.name: one for one in self.tried} or {**self.twin.dictionary, **laws.BASES})
 
     @property
     def places(self) -> tuple[Place, ...]:

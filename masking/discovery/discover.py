@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import fitting, shooting, unit_check, verdict
+from masking.discovery import calibration, fitting, shooting, unit_check, verdict
 from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.composites import are_composite
 from masking.discovery.discovery import Discovery, Named, SimulationError, Withheld
@@ -87,11 +87,32 @@ def discover(
             if again.verdict != "unknown":
                 found = again
                 break
-    if found.verdict == "unknown" and not found.is_hidden:
-        say("fitting a law without a name", 0.97)
-        found = replace(found, law=law_of(found, found.validation, (found.before, found.adjusted)))
-    found = replace(found, unit=doubt)
+    found = replace(_beside_names(found, say), unit=doubt)
     return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
+
+
+def _beside_names(found: Discovery, say: Tell) -> Discovery:
+    """Return a discovery with the probability that no name is right, and with the law without a name where it is not.
+
+    Where the names leave more than noise, that law is fitted, as their rival.
+    """
+    if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
+        law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation)
+        return replace(found, law=law, none_of_these=1.0 if law else 0.0)
+    law, left = None, 0.0
+    if found.verdict == "unknown" or not found.closed:
+        say("fitting a law without a name", 0.97)
+        law = law_of(found, found.validation)
+        left = 0.0 if law is None else law.unexplained(found)
+    none = calibration.none_of_these(left, refused=found.verdict == "unknown")
+    at = len(found.explanation.hypothesis.instances) - 1
+    last = found.effects[at]
+    others = tuple((name, on, part * (1.0 - none)) for name, on, part in last.alternatives)
+    last = replace(last, probability=last.probability * (1.0 - none), alternatives=others)
+    effects = (*found.effects[:at], last, *found.effects[at + 1 :])
+    answer = "unknown" if none > calibration.LIKELIER else found.verdict
+    kept = law if answer == "unknown" else None
+    return replace(found, verdict=answer, law=kept, none_of_these=none, effects=effects)
 
 
 def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:

@@ -105,6 +105,7 @@ class Discovery(Explained):
         first_order_hold: relative error of each sensor with adjusted parameters alone and inputs in straight lines
             between samples; None unless that is far less than what was found leaves.
         law: the law without a name, where no name explains the record.
+        none_of_these: probability that none of the names is right.
         withheld: what is worse on unseen data than the model as declared, and was found before this.
         unit: that of a channel which is probably another than declared; the record is converted then.
     """
@@ -121,6 +122,7 @@ class Discovery(Explained):
     next_experiment: NextExperiment | None = None
     first_order_hold: dict[str, float] | None = None
     law: UnnamedLaw | None = None
+    none_of_these: float = 0.0
     withheld: Withheld | None = None
     unit: UnitDoubt | None = None
 
@@ -159,6 +161,16 @@ class Discovery(Explained):
         if self.law is None:
             return self.deviations
         return self.written.deviations(self.problem.tempering(self.written.hypothesis.residuals))
+
+    @property
+    def unnamed(self) -> Named | None:
+        """Return the law without a name as a cause, with its parameters and their standard deviations."""
+        if self.law is None:
+            return None
+        one = self.law.instance
+        stds = self.written_deviations[len(self.written_deviations) - len(one.free) :]
+        values = zip(one.estimated, map(float, stds), strict=True)
+        return Named(one.effect, one.at, dict(zip(one.names, values, strict=True)), 1.0)
 
     @cached_property
     def whiteness(self) -> dict[str, Whiteness]:
@@ -209,8 +221,8 @@ class Discovery(Explained):
             "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
             "first_order_hold": self.first_order_hold,
             "law": self.law and self.law.as_dict(),
-            "unit": self.unit
-            and {"channels": [*self.unit.names], "unit": self.unit.unit, "declared": self.unit.declared},
+            "none_of_these": self.none_of_these,
+            "unit": self.unit and self.unit.as_dict(),
             "withheld": self.withheld and self.withheld.as_dict(),
         }
 

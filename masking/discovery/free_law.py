@@ -8,7 +8,8 @@ Source: as `bases`; Masri and Caughey (1979), J. Appl. Mech. 46, 433-447, for fo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -21,7 +22,7 @@ from masking.discovery.latent_force import Explained, directions, projected
 from masking.discovery.places import Place
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import COLLINEAR, Screen
-from masking.discovery.smoothing import Motion
+from masking.discovery.smoothing import Motion, smooth
 from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
@@ -30,6 +31,9 @@ BEND = 0.3  # of the largest force: standard deviation of a bend between neighbo
 SIDE = 5  # pieces of each side of a surface
 MOST_FORMS = 3  # forms that are fitted
 ROUNDS = 25  # of a fit
+PARTS, FEWEST = (60, 12), 20  # of a record in a shooting interval to begin with, and samples in it
+FAR = 3.0  # deviations of the prior
+LOST = 1.5  # times the cost of shorter shooting intervals, from which the motion has lost the record
 ALIKE = 1.1  # cost over that of noise from which no richer form is fitted
 
 
@@ -43,6 +47,7 @@ class FreeLaw:
         hypothesis: the model with it, fitted to the record.
         x, rate: displacement and rate along the record (m,).
         penalty: on its factors (f, f).
+        problem: the record in the shooting intervals of the fit.
     """
 
     place: Place
@@ -51,6 +56,7 @@ class FreeLaw:
     x: Array
     rate: Array
     penalty: Array
+    problem: EstimationProblem
 
     @property
     def score(self) -> float:
@@ -66,6 +72,11 @@ class FreeLaw:
     def instances(self) -> tuple[EffectInstance, ...]:
         """Return the instances that the law is made of."""
         return tuple(one for one in self.hypothesis.instances if one.effect in KINDS)
+
+    @property
+    def words(self) -> str:
+        """Say what the law is made of."""
+        return f"a force that is {' plus '.join(KINDS[term.kind] for term in self.terms)}"
 
     @property
     def factors(self) -> Array:
@@ -91,7 +102,14 @@ class FreeLaw:
         return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", at, self.covariance, at), 0.0)))
 
 
-KINDS = frozenset({"free_spring", "free_damping", "free_friction", "free_resistance", "free_rub", "free_surface"})
+KINDS = {
+    "free_spring": "a curve over the displacement",
+    "free_damping": "a curve over the rate",
+    "free_friction": "a dry friction",
+    "free_resistance": "a damping that changes with the displacement",
+    "free_rub": "a dry friction that changes with the displacement",
+    "free_surface": "a surface over displacement and rate",
+}
 
 
 def rows(terms: Sequence[Term], x: Array, rate: Array) -> Array:
@@ -106,21 +124,21 @@ def fit(found: Explained, known: Sequence[EffectInstance] = ()) -> FreeLaw | Non
         found: the record with its explanation.
         known: effects elsewhere that are fitted beside it, with values to begin from.
     """
-    problem, motion, base = found.problem, found.search.motion, found.search.base.hypothesis
-    screen = Screen(problem, base, motion, known)
+    problem = found.problem
     room = MOST_COLUMNS - len(found.rig.names) - len(fitting.estimated(known)) - 2 * len(found.twin.state_names)
-    starts: list[_Start] = []
-    for at, place in enumerate(found.rig.places):
-        if not place.is_open or not (place.declared or place.coordinate):
-            continue
-        x, rate = motion.displacement[:, at], motion.rate[:, at]
-        force, _ = projected(motion, directions(found, found.rig.columns[1][at]))
-        if force.any():
-            starts += _starts(screen, place, (x, rate), float(np.abs(force).max()), room)
+    starts, many = list[_Start](), 0
+    for ground in _grounds(found):
+        screen = Screen(problem, ground.base, ground.motion, known)
+        many = len(screen.left)
+        for at, place in enumerate(found.rig.places):
+            if place.is_open and (place.declared or place.coordinate):
+                force, _ = projected(ground.motion, directions(found, found.rig.columns[1][at]))
+                if force.any():
+                    starts += _starts(screen, ground, at, float(np.abs(force).max()), room)
     best: FreeLaw | None = None
     noise = float(problem.record.readings.size)
-    for one in _ranked(starts, len(screen.left))[:MOST_FORMS]:
-        law = _fitted(problem, motion, one, known)
+    for one in _ranked(starts, many)[:MOST_FORMS]:
+        law = _fitted(problem, one, known)
         if law is not None and (best is None or law.score < best.score):
             best = law
         if best is not None and best.hypothesis.cost < ALIKE * noise:
@@ -129,10 +147,30 @@ def fit(found: Explained, known: Sequence[EffectInstance] = ()) -> FreeLaw | Non
 
 
 @dataclass(frozen=True)
+class _Ground:
+    """The model without a law: a fit of it, and the motion that is smoothed with its parameters."""
+
+    base: Hypothesis
+    motion: Motion
+
+
+def _grounds(found: Explained) -> list[_Ground]:
+    """Return the model as it was fitted, and as it is declared where the fit went far from that."""
+    problem, base = found.problem, found.search.base.hypothesis
+    grounds = [_Ground(base, found.search.motion)]
+    if (np.abs(base.theta - problem.prior.mean) > FAR * problem.prior.deviation).any():
+        with suppress(IntegrationError):
+            declared = fitting.fit(problem, theta=problem.prior.mean, frozen=True)
+            grounds.append(_Ground(declared, smooth(problem, declared.theta, declared.start)))
+    return grounds
+
+
+@dataclass(frozen=True)
 class _Start:
     """A form at a place, to first order.
 
     Args:
+        ground: the model without a law.
         place: where it sits.
         form: its terms.
         x, rate: displacement and rate there (m,).
@@ -142,6 +180,7 @@ class _Start:
         used: effective number of factors.
     """
 
+    ground: _Ground
     place: Place
     form: tuple[Term, ...]
     x: Array
@@ -172,19 +211,20 @@ def _forms(place: Place, x: Array, rate: Array) -> list[tuple[Term, ...]]:
     ]  # fmt: skip
 
 
-def _starts(screen: Screen, place: Place, motion: tuple[Array, Array], high: float, room: int) -> list[_Start]:
+def _starts(screen: Screen, ground: _Ground, at: int, high: float, room: int) -> list[_Start]:
     """Return the forms of a law at a place, fitted to first order.
 
     Args:
         screen: of the record.
+        ground: the model without a law.
         place: where they sit.
-        motion: displacement and rate there (m,).
+        at: index of the place.
         high: the largest latent force there.
         room: factors that a fit has room for.
 
     Source: Hastie and Tibshirani (1990), Generalized Additive Models, section 3.5, for the effective number of factors.
     """
-    x, rate = motion
+    place, x, rate = screen.rig.places[at], ground.motion.displacement[:, at], ground.motion.rate[:, at]
     forms = [form for form in _forms(place, x, rate) if sum(term.size for term in form) <= room]
     terms = {term.kind: term for form in forms for term in form}
     columns = {kind: screen.responses(_instances([term], place.name)) for kind, term in terms.items()}
@@ -198,7 +238,7 @@ def _starts(screen: Screen, place: Place, motion: tuple[Array, Array], high: flo
         factors = inverse @ (right / size) / size
         used = float(np.einsum("ij,ji->", inverse, gram / np.outer(size, size)))
         left = screen.total - 2.0 * float(factors @ right) + float(factors @ (gram + penalty) @ factors)
-        found.append(_Start(place, form, x, rate, factors, penalty, left, used))
+        found.append(_Start(ground, place, form, x, rate, factors, penalty, left, used))
     return found
 
 
@@ -219,15 +259,27 @@ def _instances(form: Sequence[Term], at: str, factors: Array | None = None) -> t
     return tuple(one for term, part in zip(form, parts, strict=True) for one in term.instances(at, part))
 
 
-def _fitted(problem: EstimationProblem, motion: Motion, one: _Start, known: Sequence[EffectInstance]) -> FreeLaw | None:
-    """Return a form with effects elsewhere, fitted to the record from where the smoothed motion is."""
-    start = np.ascontiguousarray(motion.states[:: problem.interval_samples][: problem.intervals])
-    instances = (*known, *_instances(one.form, one.place.name, one.factors))
+def _fitted(problem: EstimationProblem, one: _Start, known: Sequence[EffectInstance]) -> FreeLaw | None:
+    """Return a form with effects elsewhere, fitted to the record from where the smoothed motion is.
+
+    Shooting intervals grow from a fraction of the record to those of the problem: with the first factors the simulated
+    motion would lose the record. If it loses it with the last ones, too, as chaotic motions do, shorter ones are kept.
+    """
+    instances: tuple[EffectInstance, ...] = (*known, *_instances(one.form, one.place.name, one.factors))
     many = len(fitting.estimated(instances))
     whole = np.zeros((many, many))
     whole[-len(one.penalty) :, -len(one.penalty) :] = one.penalty
-    try:
-        fitted = fitting.fit(problem, instances, start=start, rounds=ROUNDS, penalty=whole)
-    except IntegrationError:
-        return None
-    return FreeLaw(one.place, one.form, fitted, one.x, one.rate, one.penalty)
+    theta, best = one.ground.base.theta, None
+    most, noise = problem.interval_samples, float(problem.record.readings.size)
+    for samples in (*(n for part in PARTS if FEWEST < (n := len(problem.record) // part) < most), most):
+        stage = replace(problem, interval=0 if samples == len(problem.record) else samples)
+        start = np.ascontiguousarray(one.ground.motion.states[::samples][: stage.intervals])
+        try:
+            fitted = fitting.fit(stage, instances, theta=theta, start=start, rounds=ROUNDS, penalty=whole)
+        except IntegrationError:
+            break
+        if best is not None and fitted.cost > LOST * max(best.hypothesis.cost, noise):
+            break
+        instances, theta = fitted.instances, fitted.theta
+        best = FreeLaw(one.place, one.form, fitted, one.x, one.rate, one.penalty, stage)
+    return best

@@ -84,13 +84,10 @@ DEAD_TIME = "tau"  # what is estimated of a delay, in s; a plant file has whole 
 
 
 def known(dictionary: Mapping[str, Effect]) -> dict[str, Effect]:
-    """Return the effects that can be tried, in the order of their numbers: at most one state, and an expression.
-
-    The bases of a law without a name are among them.
-    """
+    """Return the effects that can be tried, in the order of their numbers: at most one state, and an expression."""
     found = {
         name: effect
-        for name, effect in {**dictionary, **BASES}.items()
+        for name, effect in dictionary.items()
         if effect.where in SUBJECTS and len(effect.states) <= MOST_STATES and len(effect.parameters) <= MOST_PARAMETERS
     }
     rates = {name: replace(e, expression=e.takes_rate) for name, e in found.items() if e.takes_rate}

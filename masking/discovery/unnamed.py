@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import fitting, free_law, verdict
+from masking.discovery import closed_form, fitting, free_law, verdict
 from masking.discovery.augmented_model import EffectInstance
+from masking.discovery.closed_form import ClosedForm
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.free_law import ALIKE, KINDS, FreeLaw
+from masking.discovery.free_law import ALIKE, KINDS, PARTS, FreeLaw
 from masking.discovery.latent_force import Explained
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.tabulated import tabulated
@@ -30,6 +33,9 @@ class UnnamedLaw:
         validated: the same on the validation record.
         error: relative error of each sensor with it, in the estimation and in the validation record.
         closed: whether it leaves no more than noise in the validation record.
+        form: its closed form; None where none was found.
+        is_formula: whether the closed form is what is written; else tables are.
+        problem: the validation record in the shooting intervals of `validated`.
     """
 
     free: FreeLaw
@@ -37,6 +43,9 @@ class UnnamedLaw:
     validated: Hypothesis
     error: tuple[dict[str, float], dict[str, float]]
     closed: bool
+    problem: EstimationProblem
+    form: ClosedForm | None = None
+    is_formula: bool = False
 
     @property
     def instance(self) -> EffectInstance:
@@ -44,9 +53,33 @@ class UnnamedLaw:
         return self.explanation.hypothesis.instances[-1]
 
     @property
+    def fitted(self) -> Hypothesis:
+        """Return the model with the law, fitted to the record."""
+        return self.explanation.hypothesis
+
+    @property
     def place(self) -> str:
         """Return the name of the place where it sits."""
         return self.free.place.name
+
+    def unexplained(self, found: Explained) -> float:
+        """Return what the names leave and this law explains in both records, as part of the rms of the model error."""
+        costs = np.zeros(3)
+        every = found.search.base.hypothesis, found.explanation.hypothesis
+        with threadpool_limits(1):
+            for part, law in ((self.free.problem, self.fitted), (self.problem, self.validated)):
+                noise = part.record.readings.size
+                costs[2] += max(float(law.squares @ part.weights) - noise, 0.0)
+                for i, known in enumerate(every):
+                    try:
+                        left = float(fitting.validated(part, known).squares @ part.weights) - noise
+                    except IntegrationError:
+                        left = np.inf
+                    costs[i] += max(left, 0.0)
+        base, named, left = costs
+        if not np.isfinite(named) or named >= base:
+            return 1.0
+        return float(np.sqrt(max(named - left, 0.0) / base))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the law as JSON can hold it."""
@@ -56,18 +89,19 @@ class UnnamedLaw:
             "on": self.place,
             "expression": self.instance.entry.expression,
             "parameters": known,
+            "closed_form": self.form and self.form.as_dict(self.is_formula),
             "closed": self.closed,
+            "shooting_interval": self.problem.interval / self.problem.record.rate or None,
             "simulation_error": {"estimation": estimation, "validation": validation},
         }
 
 
-def law_of(found: Explained, validation: EstimationProblem, without: Sequence[Hypothesis]) -> UnnamedLaw | None:
+def law_of(found: Explained, validation: EstimationProblem) -> UnnamedLaw | None:
     """Return the law of a record without a name; None where none makes the simulation of unseen data better.
 
     Args:
         found: the record with its explanation.
         validation: the validation record.
-        without: the model without causes on it, as declared and with adjusted parameters.
     """
     problem = found.problem
     with threadpool_limits(1):
@@ -78,28 +112,58 @@ def law_of(found: Explained, validation: EstimationProblem, without: Sequence[Hy
             others = [one for one in found.explanation.hypothesis.instances if one.at != law.place.name]
             again = free_law.fit(found, others) if others else None
             law = again if again is not None and again.score < law.score else law
+        validation = _followed(validation, law)
         try:
-            validated = fitting.validated(validation, law.hypothesis)
+            validated = closed_form.validated(validation, law.hypothesis)
+            base = found.search.base.hypothesis
+            declared = replace(base, theta=problem.prior.mean)
+            without = [fitting.validated(validation, one) for one in (base, declared)]
         except IntegrationError:
             return None
+        form = closed_form.fitted(law, law.problem, validation)
+    is_formula = form is not None and form.score <= _score(law, validated, problem, validation)
+    fitted = law.hypothesis
+    if form is not None and is_formula:
+        fitted, validated = form.hypothesis, form.validated
     if not validated.squares @ validation.weights < min(one.squares @ validation.weights for one in without):
         return None
     twin, rules = found.twin, problem.rules
     errors = (
-        relative(twin.sensors, [problem.record], law.hypothesis.squares),
+        relative(twin.sensors, [problem.record], fitted.squares),
         relative(twin.sensors, [validation.record], validated.squares),
     )
     floor = relative(twin.sensors, [validation.record], len(validation.record) * validation.sigma**2)
     closed = verdict.at_noise_floor(errors[1].values(), floor.values(), len(validation.record), rules)
-    return UnnamedLaw(law, _written(law, tabulated(law)), validated, errors, closed)
+    written = _explanation(fitted, fitted.instances) if is_formula else _in_tables(law)
+    return UnnamedLaw(law, written, validated, errors, closed, validation, form, is_formula)
 
 
-def _written(law: FreeLaw, instance: EffectInstance) -> Explanation:
+def _followed(validation: EstimationProblem, law: FreeLaw) -> EstimationProblem:
+    """Return the validation record in the longest shooting intervals in which a law follows the motion.
+
+    A chaotic motion is lost whatever the law, since any difference grows.
+    """
+    size = len(validation.record)
+    for samples in (law.problem.interval, *(size // part for part in PARTS)):
+        part = replace(validation, interval=samples)
+        with suppress(IntegrationError):
+            if closed_form.validated(part, law.hypothesis).cost < closed_form.STUCK * validation.record.readings.size:
+                return part
+    return replace(validation, interval=law.problem.interval)
+
+
+def _score(law: FreeLaw, validated: Hypothesis, problem: EstimationProblem, validation: EstimationProblem) -> float:
+    """Return the cost of a free law in both records, with Schwarz's penalty for each factor."""
+    readings = problem.record.readings.size + validation.record.readings.size
+    return law.hypothesis.cost + float(validated.squares @ validation.weights) + law.size * float(np.log(readings))
+
+
+def _in_tables(law: FreeLaw) -> Explanation:
     """Return the model with the law as one effect, and with effects elsewhere."""
     fitted = law.hypothesis
     others = tuple(one for one in fitted.instances if one.effect not in KINDS)
     many = len(fitted.theta) + len(fitting.estimated(others))
-    return _explanation(replace(fitted, covariance=fitted.covariance[:many, :many]), (*others, instance))
+    return _explanation(replace(fitted, covariance=fitted.covariance[:many, :many]), (*others, tabulated(law)))
 
 
 def _explanation(fitted: Hypothesis, instances: Sequence[EffectInstance]) -> Explanation:

@@ -196,7 +196,9 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
             for name, i in zip(instance.names, instance.free, strict=True)
         ]
         rows[causes] = probability, number(rival.score(tempering) - rivals[0].score(tempering), 4), ", ".join(values)
-    return [(causes, _probability(p), worse, values) for causes, (p, worse, values) in rows.items()]
+    none = found.none_of_these
+    every = [(causes, _probability((1.0 - none) * p), worse, values) for causes, (p, worse, values) in rows.items()]
+    return [*every, ("None of these", _probability(none), "", "")]
 
 
 def _signed(part: float) -> str:

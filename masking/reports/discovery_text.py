@@ -9,6 +9,7 @@ from masking.declaration.units import combined, describe, dimension_of, pretty
 from masking.discovery import latent_force, laws
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.localisation import LatentForces, LocatedForce
+from masking.discovery.unnamed import UnnamedLaw
 from masking.estimation.whiteness import Whiteness
 from masking.reports.text import alternatives, capital, listed, much
 
@@ -18,6 +19,7 @@ CONSTANT = 0.9  # part of its mean square that is its mean's, from which it hard
 MOST = 0.5  # part of the model error from which a place or a side of the rig is stated
 MUCH = 1.5  # times the part of the time: a part of the energy from which a region is stated
 TAKEN = 0.2  # of the power that a force could take out of the motion, from which that is stated
+LEAST = 0.05  # part of a law, from which a term is stated
 SHOWN = 0.01  # probability from which an alternative is stated
 SURE = 2.0  # deviations of a parameter from which it is stated in a sentence
 MOVED = (
@@ -91,17 +93,34 @@ def withheld(found: Discovery) -> str:
 
 
 def unnamed(found: Discovery) -> str:
-    """Say what the law without a name leaves; '' where there is none."""
-    if found.law is None:
+    """Say what the law without a name is and what it leaves; '' where there is none."""
+    law = found.law
+    if law is None:
         return ""
-    name, after = worst(found), found.law.error[1]
-    floor = found.simulation_error.validation_noise_floor
-    does = "explains the record" if found.law.closed else "explains a part of it"
-    alone, noise = found.simulation_error.adjusted[name], floor[name]
+    name, after = worst(found), law.error[1]
+    does = "explains the record" if law.closed else "explains a part of it"
+    alone, noise = found.simulation_error.adjusted[name], found.simulation_error.validation_noise_floor[name]
+    short = law.problem.interval and law.problem.interval != found.validation.interval
+    seconds = law.problem.interval / law.problem.record.rate
+    within = f" in shooting intervals of {quantity(seconds, 's', 2)}, beyond which the motion is lost" if short else ""
     return (
-        f"A law without a name in {found.law.place} {does}: the validation error of {name} is {percent(after[name])} "
-        f"with it, and {percent(alone)} with adjusted parameters alone; the noise floor is {percent(noise)}"
+        f"A law without a name in {law.place} {does}: {form(found, law)}. The validation error of {name} is "
+        f"{percent(after[name])} with it{within}, and {percent(alone)} with adjusted parameters alone; the noise floor "
+        f"is {percent(noise)}"
     )
+
+
+def form(found: Discovery, law: UnnamedLaw) -> str:
+    """Say what a law without a name looks like: a force that grows with the 1.7th power of the rate."""
+    if law.form is None:
+        return f"{law.free.words}, in tables"
+    shares = law.form.shares(law.free)
+    said = [
+        atom.words(values) for (atom, values, _), share in zip(law.form.terms, shares, strict=True) if share > LEAST
+    ]
+    about = "" if law.is_formula else "in tables, about "
+    values = cause(found, found.unnamed).partition(", ")[2] if law.is_formula and found.unnamed else ""
+    return f"{about}a force that {listed(said)}{f' ({values})' if values else ''}"
 
 
 def measured(found: Discovery) -> str:
@@ -142,7 +161,7 @@ def offered(found: Discovery) -> list[Named]:
     kept = []
     for one in found.effects:
         values = list(one.parameters.values())
-        effect = found.twin.dictionary.get(one.name)
+        effect = found.dictionary.get(one.name)
         if any(abs(value) > SURE * std for value, std in (values if effect and effect.is_sum else values[:1])):
             kept.append(one)
     return kept
@@ -160,7 +179,7 @@ def hardly(found: Discovery) -> str:
 
 def adjusted(found: Discovery) -> dict[str, tuple[float, float, bool]]:
     """Return the parameters that moved beside the causes: value, declared value, and whether the prior allows it."""
-    off = {one.name for one in found.effects if one.name not in found.twin.dictionary}
+    off = {one.name for one in found.effects if one.name not in found.dictionary}
     prior, theta = found.problem.prior, found.explanation.hypothesis.theta
     moves = {}
     for name, value, std, start, wide in zip(
@@ -237,7 +256,7 @@ def spoken(found: Discovery, name: str, on: str) -> str:
         name: of the effect, or of a parameter.
         on: its place.
     """
-    effect = found.twin.dictionary.get(name)
+    effect = found.dictionary.get(name)
     if effect is None:
         return f"another {name}"
     words = effect.spoken
@@ -270,11 +289,11 @@ def cause(found: Discovery, named: Named) -> str:
     for name in sure or named.parameters:
         value, std = named.parameters[name]
         text = f"{name} = {with_deviation(value, std, units(found, named).get(name, ''))}"
-        if named.name not in found.twin.dictionary:
+        if named.name not in found.dictionary:
             text += f", {beyond(value, float(found.rig.start[found.rig.names.index(name)]))}"
         values.append(text)
-    what = spoken(found, named.name, named.on) if named.name in found.twin.dictionary else ""
-    if what and found.twin.dictionary[named.name].is_inertia:
+    what = spoken(found, named.name, named.on) if named.name in found.dictionary else ""
+    if what and found.dictionary[named.name].is_inertia:
         return what.replace(" on ", f" of {values[0].removeprefix('m = ')} on ", 1)
     return ", ".join(filter(None, [what, *values]))
 
@@ -342,8 +361,8 @@ def whereabouts(found: Discovery) -> list[str]:
     """Say where the model error is, and whether the residuals are white; empty if neither says anything."""
     seen, latent = found.localisation, found.localisation.latent
     sentences = []
-    if found.verdict in {"named", "ambiguous"} and found.effects[-1].name in found.twin.dictionary:
-        on, side = found.effects[-1].on, found.twin.dictionary[found.effects[-1].name].where
+    if found.verdict in {"named", "ambiguous"} and found.effects[-1].name in found.dictionary:
+        on, side = found.effects[-1].on, found.dictionary[found.effects[-1].name].where
         if side == "element" and latent.best.explained > MOST:
             place = latent.best
             sentences.append(f"{capital(much(place.share))} of the model error is at {place.name}: {portrayed(place)}")
@@ -445,7 +464,7 @@ def white(one: Whiteness) -> str:
 
 def remedies(found: Discovery) -> list[tuple[str, str, str, str]]:
     """Return what each named effect is, what causes it and what helps: (name, meaning, cause, remedy)."""
-    dictionary = found.twin.dictionary
+    dictionary = found.dictionary
     seen = dict.fromkeys(n for e in offered(found) for n in (e.name, *(a[0] for a in e.alternatives if a[2] > 0.05)))
     known = [dictionary[name] for name in seen if name in dictionary]
     return [(e.spoken, e.meaning, e.cause, e.remedy) for e in known]

@@ -19,6 +19,7 @@ Law = Callable[[float, float], float]
 
 PERIODS, NOISE, OFF = 60, 1e-3, 0.01
 SAMPLES = 60  # of a period of the slowest mode
+BESIDE = 0.005  # of the spring, in every second record: what imperfect rigs have beside
 SHARP = 1e-3  # of the typical rate: width of the sign of a friction
 
 
@@ -45,7 +46,24 @@ LAWS: dict[str, Law] = {
     "valve": lambda s, w: 0.15 * exp(0.4 * s) * w,
     "hydraulic bump": lambda s, w: 0.12 * s * s * w * fabs(w),
     "saturated": lambda s, w: 0.6 * atan(2.0 * s),
+    "cubic": lambda s, w: 0.15 * s**3,
+    "drag": lambda s, w: 0.15 * w * fabs(w),
+    "rubbing": lambda s, w: 0.12 * sign(w),
+    "weight": lambda s, w: 0.5 * sin(1.5 * s),
+    "play": lambda s, w: 0.8 * (s - min(max(s, -0.6), 0.6)),
+    "square": lambda s, w: 0.2 * s**2,
 }  # fmt: skip
+# What the dictionary calls those laws that it has.
+NAMES = {
+    "van der Pol": "displacement_damping",
+    "eddy current": "eddy_current_drag",
+    "cubic": "hardening_spring",
+    "drag": "quadratic_damping",
+    "rubbing": "dry_friction",
+    "weight": "gravity_force",
+    "play": "backlash",
+    "square": "polynomial_spring",
+}
 
 
 @dataclass(frozen=True)
@@ -71,6 +89,8 @@ class Rig:
         size: typical displacement of the last spring in m.
         speed: rad/s of the slowest mode.
         law: force of the last spring over k size, of displacement over size and rate over speed size.
+        strength: factor of the law.
+        beside: factor of a small further force, which is no part of any law.
     """
 
     m: Array
@@ -79,6 +99,8 @@ class Rig:
     size: float
     speed: float
     law: Law
+    strength: float
+    beside: float = 0.0
 
     @classmethod
     def of(cls, case: Case) -> Rig:
@@ -88,11 +110,13 @@ class Rig:
         speed = 2.0 * np.pi * 10.0 ** draw.uniform(-0.3, 0.7)
         k = m.mean() * speed**2 * draw.uniform(0.8, 1.5, case.masses) * (1.0 if case.masses == 1 else 2.0)
         c = draw.uniform(0.02, 0.06, case.masses) * np.sqrt(m.mean() * k)
-        return cls(m, k, c, 10.0 ** draw.uniform(-4.0, 0.0), speed, LAWS[case.law])
+        return cls(m, k, c, 10.0 ** draw.uniform(-4.0, 0.0), speed, LAWS[case.law], draw.uniform(0.5, 1.5),
+                   BESIDE * (case.seed % 2 == 0))  # fmt: skip
 
     def hidden(self, d: float, v: float) -> float:
         """Return the hidden force at a displacement and a rate of the last spring."""
-        return float(self.k[-1]) * self.size * self.law(d / self.size, v / (self.speed * self.size))
+        s, w = d / self.size, v / (self.speed * self.size)
+        return float(self.k[-1]) * self.size * (self.strength * self.law(s, w) + self.beside * s * fabs(s) ** 0.5)
 
     def forces(self, q: list[float], v: list[float], law: float) -> list[float]:
         """Return accelerations without input; the law counts `law` times."""
