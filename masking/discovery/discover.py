@@ -288,7 +288,17 @@ def _reordered(
         with suppress(IntegrationError):
             joint = fitting.together(rival.with_prior(problem), validation, rival.hypothesis, best)
             both.append(replace(rival, joint=joint))
-    return tuple(sorted(both, key=lambda rival: rival.score(tempering)))
+    ordered = sorted(both, key=lambda rival: rival.score(tempering))
+    size, rules = problem.record.readings.size, problem.rules
+    follows_step = any(one.entry.by_step for one in ordered[0].hypothesis.instances[-1:])
+    if not follows_step or not verdict.reaches_noise(ordered[0].cost, size, rules):
+        return tuple(ordered)
+    # Of laws that differ by errors of integration alone, in both records, the nested one stays.
+    nested = {name: effect.nested for name, effect in problem.rig.twin.dictionary.items()}
+    error, whole = rules.law_error**2, size + validation.record.readings.size
+    found = verdict.simplest_first(ordered, ordered[0].cost, nested, size, rules, numerical=error * size)
+    kept, other = found[0].joint, ordered[0].joint
+    return tuple(found if kept and other and kept.cost - other.cost < error * whole else ordered)
 
 
 def _needed(found: SearchResult, validation: EstimationProblem, adjusted: Hypothesis) -> tuple[Explanation, ...]:

@@ -231,7 +231,10 @@ class Search:
         least = rules.parameter_evidence if ranked[0].kind == "parameter" else rules.effect_evidence
         if now.score(tempering) - ranked[0].score(tempering) < least:
             return []
-        return verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules)
+        # A law that follows the steps of integration errs by what these may.
+        last = ranked[0].hypothesis.instances[-1:]
+        numerical = rules.law_error**2 * self.size if any(one.entry.by_step for one in last) else 0.0
+        return verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical)
 
     def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
         """Return nested models of the best fit, fitted from its parameters if they begin better than they ended."""

@@ -218,13 +218,19 @@ def is_redundant(
 
 
 def simplest_first(
-    ranked: Sequence[AnyFitted], now: float, nested: Mapping[str, Collection[str]], readings: int, rules: DecisionRules
+    ranked: Sequence[AnyFitted],
+    now: float,
+    nested: Mapping[str, Collection[str]],
+    readings: int,
+    rules: DecisionRules,
+    *,
+    numerical: float = 0.0,
 ) -> list[AnyFitted]:
     """Return ranked explanations with a nested model of the best first if it takes nearly as much of the cost.
 
     The remainder may have another cause, which the richer law would imitate; all laws that contain the nested one at
     its place are left out. If the best reaches the noise floor, or leaves hardly anything of what the nested one does,
-    it stays the best.
+    it stays the best, but for differences that are numerical.
 
     Args:
         ranked: explanations with one more cause, the best first.
@@ -232,15 +238,21 @@ def simplest_first(
         nested: the effects that are nested in each.
         readings: of the record.
         rules: the thresholds.
+        numerical: difference of costs that errors of integration make.
     """
     best = ranked[0]
-    if best.kind != "effects" or reaches_noise(best.cost, readings, rules):
+    if best.kind != "effects":
         return [*ranked]
     effect, at = best.names[-1]
-    simpler = {(name, at) for name in nested.get(effect, ())}
-    least = rules.nested_fraction * (now - best.cost)
-    chosen = next((one for one in ranked if one.names[-1] in simpler and now - one.cost > least), None)
-    if chosen is None or _excess_part(best.cost, chosen.cost, readings) < rules.trace_fraction:
+    simpler = [one for one in ranked if one.names[-1] in {(name, at) for name in nested.get(effect, ())}]
+    if reaches_noise(best.cost, readings, rules):
+        chosen = next((one for one in simpler if one.cost - best.cost < numerical), None)
+    else:
+        least = rules.nested_fraction * (now - best.cost)
+        chosen = next((one for one in simpler if now - one.cost > least), None)
+        if chosen and _excess_part(best.cost, chosen.cost, readings) < rules.trace_fraction:
+            return [*ranked]
+    if chosen is None:
         return [*ranked]
     richer = {(name, at) for name, inside in nested.items() if chosen.names[-1][0] in inside}
     return [chosen, *(one for one in ranked if one is not chosen and one.names[-1] not in richer)]
