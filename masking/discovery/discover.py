@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import calibration, fitting, shooting, verdict
+from masking.discovery import calibration, fitting, shooting, unit_check, verdict
 from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.composites import are_composite
 from masking.discovery.discovery import Discovery, Named, SimulationError, Withheld
@@ -71,6 +71,11 @@ def discover(
     train, unseen = train_validation_split(record, rules.held_out) if validation is None else (record, validation)
     prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
     whole = EstimationProblem(rig, train, prior, noise_of(twin, train), most, rules=rules)
+    say("checking units", 0.0)
+    with threadpool_limits(1):
+        doubt = unit_check.doubted(whole)
+    if doubt is not None:
+        whole, unseen = doubt.converted(whole), doubt.of(whole, unseen)
     problem = replace(whole, interval=shooting.interval(whole, settings.shooting_interval))
     problem = replace(problem, substeps=shooting.substeps(problem))
     noise = noise_of(twin, unseen)
@@ -82,7 +87,7 @@ def discover(
             if again.verdict != "unknown":
                 found = again
                 break
-    found = _beside_names(found, say)
+    found = replace(_beside_names(found, say), unit=doubt)
     return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
 
 

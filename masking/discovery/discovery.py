@@ -14,6 +14,7 @@ from masking.discovery.localisation import Localisation, localise
 from masking.discovery.next_experiment import NextExperiment
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
+from masking.discovery.unit_check import UnitDoubt
 from masking.discovery.unnamed import UnnamedLaw
 from masking.discovery.verdict import Key, at_noise_floor, is_closed
 from masking.effects import Effect
@@ -106,6 +107,7 @@ class Discovery(Explained):
         law: the law without a name, where no name explains the record.
         none_of_these: probability that none of the names is right.
         withheld: what is worse on unseen data than the model as declared, and was found before this.
+        unit: that of a channel which is probably another than declared; the record is converted then.
     """
 
     effects: tuple[Named, ...]
@@ -122,6 +124,7 @@ class Discovery(Explained):
     law: UnnamedLaw | None = None
     none_of_these: float = 0.0
     withheld: Withheld | None = None
+    unit: UnitDoubt | None = None
 
     def __repr__(self) -> str:
         causes = ", ".join(f"{one.name} in {one.on}" if one.on else one.name for one in self.effects)
@@ -219,6 +222,7 @@ class Discovery(Explained):
             "first_order_hold": self.first_order_hold,
             "law": self.law and self.law.as_dict(),
             "none_of_these": self.none_of_these,
+            "unit": self.unit and self.unit.as_dict(),
             "withheld": self.withheld and self.withheld.as_dict(),
         }
 

@@ -28,6 +28,7 @@ MOVED = (
 APART = 0.02  # of its declared value by which it moved then
 LOST = 0.9  # part of a reading that is left, from which the model is said not to follow it
 LARGER = 1.05  # times the record's own peak, from which that of an experiment is stated
+MANY = 10.0  # relative error from which it is not given as a number
 CHECK = "check units, columns and signs of the record against the model"
 NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured input is the rate of which"
 
@@ -59,7 +60,22 @@ def sentence(found: Discovery) -> str:
         pause = "," if ", " in what else ""
         first = f"{capital(what)}{pause} {'is' if len(found.effects) == 1 else 'are'} missing"
         sentences = [first, hardly(found), gap(found), moved(found)]
-    return ". ".join(filter(None, [*sentences, withheld(found), measured(found)]))
+    return ". ".join(filter(None, [units_of_channels(found), *sentences, withheld(found), measured(found)]))
+
+
+def units_of_channels(found: Discovery) -> str:
+    """Say which channel is probably in another unit than declared; '' if none is."""
+    doubt = found.unit
+    if doubt is None:
+        return ""
+    before, after = (percent(part) if part < MANY else "far more than all" for part in doubt.error)
+    names = listed([f"'{name}'" for name in doubt.names])
+    looks, it = ("looks", "it") if len(doubt.names) == 1 else ("look", "they")
+    mend = "give the times in s" if doubt.kind == "clock" else f"declare unit: {doubt.unit}"
+    return (
+        f"{names} {looks} as if {it} were in {doubt.unit}, not {doubt.declared}: {mend}. The model as declared leaves "
+        f"{before} of the readings, and {after} of them with that unit, in which the record is taken here"
+    )
 
 
 def withheld(found: Discovery) -> str:

@@ -1,0 +1,62 @@
+"""Units: channels in other units than declared are suspected before anything is searched; motion by scipy."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+import masking
+from masking.reports import discovery_text
+
+M, C, K, RATE = 2.0, 4.0, 300.0, 100.0
+MODEL = """
+name: mass on a spring
+coordinates: {x: {unit: m}}
+inputs: {f: {unit: N}}
+parameters:
+  m: {value: 2.02, unit: kg}
+  c: {value: 3.9, unit: N*s/m}
+  k: {value: 302, unit: N/m}
+  l: {value: 3.3333333333, unit: m}
+equations: {m*x'': f - c*x' - k*x}
+outputs: {position: {expression: x, unit: m}, tilt: {expression: x/l, unit: rad}}
+"""
+
+
+@pytest.fixture(scope="module")
+def record():
+    rng, t = np.random.default_rng(0), np.arange(1200) / RATE
+    f = 5.0 * signal.sosfiltfilt(signal.butter(4, 0.12, output="sos"), rng.standard_normal(len(t)))
+    a, b, c = np.array([[0.0, 1.0], [-K / M, -C / M]]), np.array([[0.0], [1.0 / M]]), np.array([[1.0, 0.0]])
+    rig = signal.cont2discrete((a, b, c, np.zeros((1, 1))), 1.0 / RATE)
+    x = signal.dlsim((*rig[:4], 1.0 / RATE), f)[1][:, 0]
+    noise = 1e-3 * x.std() * rng.standard_normal((len(t), 2))
+    return {"t": t, "f": f, "position": x + noise[:, 0], "tilt": 0.3 * (x + noise[:, 1])}
+
+
+def discovered(folder, columns):
+    np.savez(folder / "record.npz", **columns)
+    (folder / "model.yaml").write_text(MODEL)
+    return masking.discover(folder / "record.npz", model=folder / "model.yaml")
+
+
+@pytest.mark.parametrize(
+    ("channel", "factor", "said"),
+    [
+        ("position", 1e3, "'position' looks as if it were in mm, not m: declare unit: mm"),
+        ("tilt", 180.0 / np.pi, "'tilt' looks as if it were in deg, not rad: declare unit: deg"),
+        ("f", 1e-3, "'f' looks as if it were in kN, not N: declare unit: kN"),
+        ("t", 1e3, "'t' looks as if it were in ms, not s: give the times in s"),
+    ],
+)
+def test_a_channel_in_another_unit_is_suspected_and_the_record_taken_so(tmp_path, record, channel, factor, said):
+    found = discovered(tmp_path, {**record, channel: factor * record[channel]})
+    assert discovery_text.sentence(found).startswith(said)
+    assert found.as_dict()["unit"]["channels"] == [channel]
+    assert found.verdict in {"none", "parameter"}
+    assert max(found.simulation_error.validation[1].values()) < 0.01
+
+
+def test_units_that_are_right_are_not_suspected(tmp_path, record):
+    found = discovered(tmp_path, record)
+    assert found.unit is None
+    assert found.as_dict()["unit"] is None
