@@ -3,8 +3,8 @@
     p = p0 + (1 - p0)/(1 + (l0/l)**s)
 
 l is what the names leave and the law without a name explains, as part of the rms of the model error: a law whose shape
-is off by a tenth leaves a tenth. The numbers are checked by the reliability diagram of the documentation, on records
-that were not used to choose them.
+is off by a tenth leaves a tenth. The numbers are chosen, not fitted; `python -m tests.benchmarks.laws` says how often
+answers of each probability are right.
 """
 
 from __future__ import annotations

@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 
 from tests.benchmarks.laws import scoring
-from tests.benchmarks.laws.records import LAWS, Case
 
 
 def main() -> None:
@@ -19,8 +18,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/bench-laws/outcomes.jsonl"), metavar="FILE")
     chosen = parser.parse_args()
     chosen.out.parent.mkdir(parents=True, exist_ok=True)
-    seeds = range(chosen.first, chosen.first + chosen.seeds)
-    cases = [Case(law, seed, 1 + (seed % 3 == 0)) for seed in seeds for law in LAWS]
+    cases = scoring.cases(chosen.first, chosen.seeds)
     known = read(chosen.out)
     for case in cases:
         if chosen.only in case.name and case.name not in known:

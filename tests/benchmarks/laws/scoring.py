@@ -56,6 +56,11 @@ class Outcome:
         return asdict(self)
 
 
+def cases(first: int, seeds: int) -> list[Case]:
+    """Return a case of each law for each seed; every third rig has two masses."""
+    return [Case(law, seed, 1 + (seed % 3 == 0)) for seed in range(first, first + seeds) for law in records.LAWS]
+
+
 def outcome(case: Case) -> Outcome:
     """Return what discovery makes of a case."""
     rig, begun = Rig.of(case), time.perf_counter()
