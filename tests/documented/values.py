@@ -21,7 +21,7 @@ from masking.records.recording import Recording
 from masking.rig.twin import Twin
 from masking.runs.experiment import Experiment
 from tests import test_components, test_discovery, test_measure
-from tests.benchmarks import clocks, components, hidden, masking_error_table
+from tests.benchmarks import clocks, components, hidden, masking_error_table, official
 
 ROOT: Final = Path(__file__).parents[2]
 SEEDS: Final = range(5)
@@ -137,6 +137,12 @@ def masking_errors() -> str:
         cells = [spread([worst(x.changed(seed=seed)) for seed in SEEDS]) for x in found.values()]
         lines.append(f"| `{name}` | {found['thesis'].declaration.duration:g} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+@slow_value
+def official_benchmarks(*names: str) -> str:
+    """Return the table of measured benchmarks in their official form."""
+    return official.table(names)
 
 
 # Identification.
