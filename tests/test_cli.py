@@ -10,6 +10,7 @@ import yaml
 
 import masking
 from masking import cli
+from masking.cli import progress
 from masking.cli.parser import VERBS
 from masking.declaration import catalogue, registry
 
@@ -304,3 +305,11 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_run(capsys, short
     assert status == 2
     assert f"{occupied} is a file; name a folder to save in" in err
     assert occupied.read_text(encoding="utf-8") == "mine"
+
+
+def test_progress_is_written_in_lines_where_there_is_no_terminal(monkeypatch, capsys):
+    with progress.Bar("reading") as bar:
+        bar.tell("screening", 0.2)  # too soon after the beginning
+        monkeypatch.setattr(progress, "APART", -1.0)
+        bar.tell("fitting", 0.3)
+    assert capsys.readouterr().err == " 30%  fitting\n"

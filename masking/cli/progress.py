@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 else:
     tqdm = lazy.load("tqdm")
 
+APART = 10.0  # s between lines of progress in a file or a pipe
 INTERRUPTED = 130  # exit status
 NOTHING_SAVED = "masking: interrupted; nothing was saved"
 _LATER = 0.02  # s, after which an interrupt tries again
@@ -26,6 +28,7 @@ class Bar:
     """A bar with a word for what is done; called with the part done."""
 
     def __init__(self, text: str) -> None:
+        self._written = time.monotonic()
         self._bar = tqdm.tqdm(total=1.0, desc=text, delay=1.0, leave=False, disable=None, bar_format=_FORM)
 
     def __call__(self, part: float) -> None:
@@ -33,7 +36,16 @@ class Bar:
         self._bar.update(part - self._bar.n)
 
     def tell(self, text: str, part: float) -> None:
-        """Show what is done, and the part done; it never goes back."""
+        """Show what is done, and the part done; it never goes back.
+
+        Where standard error is no terminal it is a line, every `APART` seconds at most.
+        """
+        if self._bar.disable:
+            now = time.monotonic()
+            if now - self._written > APART:
+                self._written = now
+                print(f"{part:4.0%}  {text}", file=sys.stderr, flush=True)
+            return
         self._bar.set_description(text, refresh=False)
         self(max(part, self._bar.n))
 
