@@ -305,7 +305,8 @@ def without(name, *inputs):
     """The text of a packaged model without some inputs and their gains."""
     text = (catalogue.folder("model") / f"{name}.yaml").read_text()
     for number in (name[1:] for name in inputs):
-        text = re.sub(rf"\n  [uc]{number}: .*| [+-] (mu{number}\*)?c{number}\*u{number}", "", text)
+        text = re.sub(rf"\n  [uc]{number}: .*", "", text)
+        text = re.sub(rf"(mu{number}\*)?c{number}\*u{number}", "0", text)
     return text
 
 

@@ -71,7 +71,7 @@ def _add_simulate(sub: argparse.ArgumentParser) -> None:
     text = "sensors and actuators of a model (default: its outputs or coordinates, and its inputs)"
     sub.add_argument("--plant", metavar="PLANT", help=text)
     add_of_tables(sub)
-    text = "take the initial state from the readings of so many seconds (default: from all)"
+    text = "take the initial state from the readings of the first SECONDS (default: of all)"
     sub.add_argument("--initial", type=float, metavar="SECONDS", help=text)
     add_out(sub, "results/simulated")
     add_json(sub, after="RECORD")

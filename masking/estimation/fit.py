@@ -289,8 +289,10 @@ class _Problem:
         at, theta = self.linearised(x), x[: self.k]  # the last equations had the noise of the round before
         information = at.equations.information()
         names = self.sensitivity.names
-        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-        values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+        is_seen = np.diag(information) > 0.0  # rounding makes it negative where a parameter does nothing
+        scale = np.sqrt(np.where(is_seen, np.diag(information), 1.0))
+        seen = np.where(np.outer(is_seen, is_seen), information, 0.0)
+        values, vectors = np.linalg.eigh(seen / np.outer(scale, scale))
         kept = np.where(values > FLAT, values, np.inf)
         covariance = (vectors / kept) @ vectors.T / np.outer(scale, scale)
         notes = [_flat(names, vectors[:, i]) for i in np.flatnonzero(values <= FLAT)]

@@ -230,22 +230,29 @@ def minimise(
     Raises:
         IntegrationError: the problem has no value at x.
     """
+
+    def attempted(values: Array) -> Linearised[E, T]:
+        try:
+            return linearise(values)
+        except (IntegrationError, ModelError):
+            return replace(at, cost=np.inf)
+
     at, number = linearise(x), 0
     for number in range(1, rounds + 1):
         if progress is not None:
             progress((number - 1) / rounds)
         step, gain = at.equations.step(damping.value)
         farther, enough = box.after(x, step), tolerance(at)
-        given = box.given(step, farther - x)
-        if given is not None:  # the others take the step that suits what bounds leave of these
-            step, gain = at.equations.step(damping.value, given)
-            farther = box.after(x, step)
         if gain < enough:
             return Minimum(x, at, number, converged=True)
-        try:
-            tried = linearise(farther)
-        except (IntegrationError, ModelError):
-            tried = replace(at, cost=np.inf)
+        tried = attempted(farther)
+        given = None if tried.cost < at.cost else box.given(step, farther - x)
+        if given is not None:  # the others take the step that suits what bounds leave of these
+            step, gain = at.equations.step(damping.value, given)
+            if gain < enough:
+                return Minimum(x, at, number, converged=True)
+            farther = box.after(x, step)
+            tried = attempted(farther)
         if is_hopeless is not None and is_hopeless(at.cost, tried.cost):
             return Minimum(x, at, number, converged=True)
         success = tried.cost < at.cost
