@@ -84,7 +84,7 @@ def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
         if own:
             alone = np.sqrt(np.maximum(np.diag(information)[own], 1e-300))
             widths[own] = np.maximum(widths[own], strength[own].max() / alone)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # a factor that does nothing there has no evidence
         weighed = information * np.outer(widths, widths)
     if not np.isfinite(weighed).all():
         return np.inf

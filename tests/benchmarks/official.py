@@ -166,7 +166,8 @@ def rows(case: Case, folder: Path) -> list[str]:
                 raise
             break
         causes = [cause for cause in found.effects if cause.name in found.twin.dictionary]
-        print(case.name, found.verdict, [(c.name, c.on, c.probability) for c in found.effects], flush=True)
+        errors = found.simulation_error.validation
+        print(case.name, found.verdict, [(c.name, c.on, c.probability) for c in found.effects], errors, flush=True)
         if plant is not None and not causes:
             break
         plant = out / "plant.yaml"
