@@ -12,15 +12,14 @@ import sys
 import tempfile
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from masking import cli
 from masking.declaration import registry
 from masking.declaration.quantities import percent
+from tests.benchmarks import official
 
-ROOT = Path(__file__).parents[1]
-DATA = ROOT.parent / "shared" / "data"
+ROOT, DATA = official.ROOT, official.DATA
 EXAMPLES = sorted((ROOT / "examples" / "measured").glob("*.yaml"))
 RESULT = "# Result: "
 
@@ -38,12 +37,9 @@ def found(example, folder):
     copy.mkdir()
     for one in DATA.iterdir():
         (copy / one.name).symlink_to(one)
-    drives = copy / "coupled_drives"
-    drives.unlink()
-    drives.mkdir()
-    for name in ("train", "test"):
-        columns = [np.loadtxt(DATA / "coupled_drives" / f"{kind}_{name}.txt", skiprows=1) for kind in "XY"]
-        np.savetxt(drives / f"{name}.csv", np.column_stack(columns), delimiter=",", header="u,y", comments="")
+    (copy / "coupled_drives").unlink()
+    (copy / "coupled_drives").mkdir()
+    official.drives(copy / "coupled_drives")
     with contextlib.chdir(copy), contextlib.redirect_stdout(io.StringIO()) as out:
         assert cli.main(command(example, Path(folder) / "found")) == 0
     return json.loads(out.getvalue())
@@ -80,9 +76,9 @@ if __name__ == "__main__":
     os.environ.setdefault("MPLBACKEND", "Agg")
     for path in [one for one in EXAMPLES if not sys.argv[1:] or one.stem in sys.argv[1:]]:
         with tempfile.TemporaryDirectory() as place:
-            told = sentence(found(path, place))
+            result = sentence(found(path, place))
         text = [
-            f"{RESULT}{told}" if line.startswith(RESULT.strip()) else line for line in path.read_text().splitlines()
+            f"{RESULT}{result}" if line.startswith(RESULT.strip()) else line for line in path.read_text().splitlines()
         ]
         path.write_text("\n".join(text) + "\n", encoding="utf-8")
-        print(path.stem, told, flush=True)
+        print(path.stem, result, flush=True)

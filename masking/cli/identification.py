@@ -84,8 +84,8 @@ def _simulate(chosen: argparse.Namespace) -> int:
 
     out = Path(chosen.out or "results/simulated")
     prepare(chosen.json, out)
-    settings = {"plant": chosen.plant, "hold": chosen.hold, "columns": columns(chosen), "dt": chosen.dt}
-    settings["initial"] = chosen.initial
+    read = {"hold": chosen.hold, "columns": columns(chosen), "dt": chosen.dt}
+    settings = {"plant": chosen.plant, "initial": chosen.initial, **read}
     made = simulate(chosen.model, chosen.record, out=out, **settings)
     page = out / "simulation.html"
     return answer(

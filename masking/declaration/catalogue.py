@@ -76,8 +76,7 @@ def folder(kind: str) -> Path:
 
 def names(kind: str) -> list[str]:
     """List the names of the packaged files of a kind ("model", "plant", "experiment" or "dictionary")."""
-    root = folder(kind)
-    return sorted(path.relative_to(root).with_suffix("").as_posix() for path in root.glob("*.yaml"))
+    return sorted(path.stem for path in folder(kind).glob("*.yaml"))
 
 
 def find(kind: str | None, name_or_path: str | Path, reference: Reference = NOWHERE) -> Path:

@@ -187,24 +187,22 @@ def _gains(rig: AugmentedModel, theta: Array, rate: float, sigma: Array, intensi
     flow = np.zeros((n + m, n + m))
     flow[:n, :n], flow[:n, n:] = a, b
     if np.linalg.matrix_rank(np.vstack([np.hstack([a, b]), np.hstack([c, d])])) < n + m:
-        flow[n:, n:] = (
-            -FADING * rate * np.eye(m)
-        )  # sensors do not separate the forces: what they leave open stays small
+        # Sensors do not separate the forces: what they leave open stays small.
+        flow[n:, n:] = -FADING * rate * np.eye(m)
     moved, noise = discretised(flow, np.concatenate([np.zeros(n), intensity]), 1.0 / rate)
     # In scaled states, and in readings of unit variance, the equation is well conditioned.
     scale = np.sqrt(np.maximum(np.diag(noise), 1e-300))
     size = np.maximum(scale, 1e-12 * scale.max())
-    step = moved * size / size[:, None]
-    given = noise / np.outer(size, size), np.hstack([c, d]) * size / sigma[:, None]
-    try:
-        found = steady_filter(step, *given)
-    except (np.linalg.LinAlgError, ValueError):
-        step *= 1.0 - FORGETTING
+    for forgotten in (0.0, FORGETTING):
+        step = (1.0 - forgotten) * moved * size / size[:, None]
         try:
-            found = steady_filter(step, *given)
+            found = steady_filter(step, noise / np.outer(size, size), np.hstack([c, d]) * size / sigma[:, None])
+            break
         except (np.linalg.LinAlgError, ValueError) as error:
-            what = "coordinates" if rig.coordinates else ", ".join(rig.degrees)
-            raise IntegrationError(f"the sensors do not determine the motion of all {what} ({error})") from None
+            why = error
+    else:
+        what = "coordinates" if rig.coordinates else ", ".join(rig.degrees)
+        raise IntegrationError(f"the sensors do not determine the motion of all {what} ({why})")
     ahead, now = found.predicted, found.corrected
     if np.linalg.cond(ahead) < WORST_CONDITION:
         backward = np.linalg.solve(ahead, step @ now).T

@@ -11,6 +11,7 @@ _sensor = partial(Effect, where="sensor", family="sensor errors")
 _actuator = partial(Effect, where="actuator")
 _DOEBELIN = "Doebelin (2003), Measurement Systems, section 3.2"
 _TAO = "Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 1"
+_PADE = "Franklin, Powell and Emami-Naeini (2015), Feedback Control of Dynamic Systems, section 5.6.3"
 _WIDROW = "Widrow and Kollar (2008), Quantization Noise, ch. 1"
 _SAMPLED = "raise the resolution of the converter or amplify the signal to fill its range; the observer smooths it"
 
@@ -100,7 +101,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         {"tau": EffectParameter("s", "dead time", (1e-4, 0.1), 2e-3, None, POSITIVE, (2e-3, 1e-2))},
         cause="a sensor that computes, a bus or a network, averaging in a converter",
         remedy="read it earlier, or put the dead time into the observer's model",
-        source="Franklin, Powell and Emami-Naeini (2015), Feedback Control of Dynamic Systems, section 5.6.3",
+        source=_PADE,
         states={"m": EffectState("2*(s - m)/tau", "S", "mean of the reading and the value")},
         is_linear=True,
         grows_with="tau",
@@ -229,7 +230,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         {"tau": EffectParameter("s", "dead time", (1e-4, 0.1), 2e-3, None, POSITIVE)},
         cause="the driver of one actuator has a buffer, a bus or a network of its own",
         remedy="lead the command by the dead time, or use drivers of one kind",
-        source="Franklin, Powell and Emami-Naeini (2015), Feedback Control of Dynamic Systems, section 5.6.3",
+        source=_PADE,
         states={"a": EffectState("2*(u - a)/tau", "U", "mean of the command and what acts")},
         family="actuator dynamics",
         is_searched=False,

@@ -188,15 +188,20 @@ def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ..
     order = tuple(reversed(names))
     problem = _Problem(Sensitivity(twin, order), [_beginning(record)])
     information = problem.linearised(problem.unknowns(problem.sensitivity.start())).equations.information()
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    left = information / np.outer(scale, scale)
-    left[np.diag(information) <= 0.0] = 0.0
+    left, _ = _scaled(information)
     kept = []
     for i, name in enumerate(order):  # Cholesky, without those of which nothing is left
         if left[i, i] > INDEPENDENT:
             kept.append(name)
             left = left - np.outer(left[:, i], left[i]) / left[i, i]
     return tuple(name for name in names if name in kept)
+
+
+def _scaled(information: Array) -> tuple[Array, Array]:
+    """Return information with a diagonal of 1, or 0 of a parameter that does nothing, and the scale of each (k,)."""
+    is_seen = np.diag(information) > 0.0  # rounding makes it negative where a parameter does nothing
+    scale = np.sqrt(np.where(is_seen, np.diag(information), 1.0))
+    return np.where(np.outer(is_seen, is_seen), information, 0.0) / np.outer(scale, scale), scale
 
 
 def _beginning(record: Data) -> Data:
@@ -289,10 +294,8 @@ class _Problem:
         at, theta = self.linearised(x), x[: self.k]  # the last equations had the noise of the round before
         information = at.equations.information()
         names = self.sensitivity.names
-        is_seen = np.diag(information) > 0.0  # rounding makes it negative where a parameter does nothing
-        scale = np.sqrt(np.where(is_seen, np.diag(information), 1.0))
-        seen = np.where(np.outer(is_seen, is_seen), information, 0.0)
-        values, vectors = np.linalg.eigh(seen / np.outer(scale, scale))
+        scaled, scale = _scaled(information)
+        values, vectors = np.linalg.eigh(scaled)
         kept = np.where(values > FLAT, values, np.inf)
         covariance = (vectors / kept) @ vectors.T / np.outer(scale, scale)
         notes = [_flat(names, vectors[:, i]) for i in np.flatnonzero(values <= FLAT)]

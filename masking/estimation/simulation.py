@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -92,14 +92,14 @@ def validated(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weight
     return relative(sensing.twin.sensors, unseen, squares)
 
 
-def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), first: int | None = None) -> Simulated:
+def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: float | None = None) -> Simulated:
     """Simulate a record from the initial state that reproduces it best; those of the plant's effects begin at rest.
 
     Args:
         twin: the plant, with the values to simulate with.
         record: commands and readings.
         shared: parameters that a fit had free: its compiled functions are then used again.
-        first: samples that the initial state is estimated from; by default all.
+        initial: s from the beginning whose readings the initial state is estimated from; by default all.
 
     Raises:
         IntegrationError: the motion is not finite from any initial state that was tried.
@@ -107,9 +107,9 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), first: int | 
     sensing = Sensitivity(twin, (), tuple(shared))
     size = np.maximum(np.abs(record.readings).max(axis=0), 1e-300)
     weights = np.maximum(record.noise, 1e-12 * size) ** -2.0
-    beginning = replace(record, commands=record.commands[:first], readings=record.readings[:first])
+    beginning = record if initial is None else record.first(initial)
     state, found = nearest(sensing, sensing.start(), beginning, weights)
-    if first is not None:
+    if initial is not None:
         try:
             basis = sensing.basis(sensing.start())
             found = sensing.normal_equations(basis, state, record, weights, twin.substeps(record.rate))

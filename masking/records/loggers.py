@@ -74,6 +74,7 @@ def _mdf(file: Path, asammdf: ModuleType) -> Nested:
 def _mcap(file: Path, reader: ModuleType) -> Nested:
     """Return the fields of the JSON messages of each topic, on a clock that begins with the record."""
     samples: dict[str, list[dict[str, object]]] = defaultdict(list)
+    clocks: dict[str, list[int]] = defaultdict(list)  # ns
     others = set()
     with file.open("rb") as stream:
         for _, channel, message in reader.make_reader(stream).iter_messages():
@@ -82,16 +83,18 @@ def _mcap(file: Path, reader: ModuleType) -> Nested:
                 continue
             content = json.loads(message.data)
             fields = content if isinstance(content, dict) else {"value": content}
-            samples[channel.topic.strip("/")].append({TIME: message.log_time, **_flat("", fields)})
+            topic = channel.topic.strip("/")
+            samples[topic].append(_flat("", fields))
+            clocks[topic].append(message.log_time)
     if others and not samples:
         raise RecordError(
             f"{file}: only messages in JSON are read, not {', '.join(sorted(others))}; export them as csv"
         )
-    start = min((int(str(rows[0][TIME])) for rows in samples.values()), default=0)
+    start = min((clock[0] for clock in clocks.values()), default=0)
     made: dict[str, dict[str, object]] = {}
     for topic, rows in samples.items():
         made[topic] = {name: [row.get(name) for row in rows] for name in rows[0]}
-        made[topic][TIME] = [(int(str(row[TIME])) - start) * 1e-9 for row in rows]
+        made[topic][TIME] = [(when - start) * 1e-9 for when in clocks[topic]]
     return made
 
 

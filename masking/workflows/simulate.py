@@ -52,13 +52,12 @@ def simulate(
     alone = plant is None and catalogue.kind_of(model) == "plant"
     twin = inputs.rig(None, model) if alone else inputs.rig(model, plant)
     given = Data.read(record, twin, hold, columns, dt)
-    first = None if initial is None else round(initial * given.rate)
-    if first is not None and not 2 <= first <= len(given):
+    if initial is not None and not 2 <= round(initial * given.rate) <= len(given):
         least, most = 2.0 / given.rate, len(given) / given.rate
         message = f"{initial:g} s do not hold 2 readings or more of the record"
         raise DeclarationError(Problem(None, "initial", message, f"give {least:g} ... {most:g} s"))
     try:
-        made = simulation.simulate(twin, given, first=first)
+        made = simulation.simulate(twin, given, initial=initial)
     except IntegrationError as error:
         raise ModelError(
             f"{model}: its motion over {record} is not finite; check signs and units of its parameters, "

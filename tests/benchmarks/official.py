@@ -123,18 +123,24 @@ def emps(_: Path) -> Case:
     return Case("emps", "EMPS", f"{train}@:17", f"{train}@17:", (train,), tests, ("mm", 1e-3), settings, search)
 
 
+def drives(folder: Path) -> list[str]:
+    """Write the two records of the drives as tables of u and y, and return their files: train.csv and test.csv."""
+    files = []
+    for name in ("train", "test"):
+        columns = [np.loadtxt(DATA / "coupled_drives" / f"{kind}_{name}.txt", skiprows=1) for kind in "XY"]
+        files.append(str(folder / f"{name}.csv"))
+        np.savetxt(files[-1], np.column_stack(columns), delimiter=",", header="u,y", comments="")
+    return files
+
+
 def coupled_drives(folder: Path) -> Case:
     """The first 400 samples of both records for estimation, the last 100 of each for tests."""
-    dt, files = 0.02, dict[str, str]()
-    for name in ("train", "test"):
-        u, y = (np.loadtxt(DATA / "coupled_drives" / f"{kind}_{name}.txt", skiprows=1) for kind in "XY")
-        files[name] = str(folder / f"{name}.npz")
-        np.savez(files[name], u=u, y=y)
+    dt, files = 0.02, drives(folder)
     tests = tuple(
         Test(f"record {number}", part(file, dt, 400, 500), 4, best)
-        for number, (file, best) in enumerate(zip(files.values(), (0.096, 0.074), strict=True), 1)
+        for number, (file, best) in enumerate(zip(files, (0.096, 0.074), strict=True), 1)
     )
-    first, second = (part(file, dt, 0, 400) for file in files.values())
+    first, second = (part(file, dt, 0, 400) for file in files)
     return Case("coupled_drives", "Coupled drives", second, first, (first, second), tests, ("1/s", 1.0), {"dt": dt})
 
 
