@@ -144,9 +144,13 @@ def test_a_composite_is_unknown():
         ([Law(False, "spring1", "d"), Law(False, "spring1", "d")], True),
         ([Law(False, "spring1", "d"), Law(False, "beam", "d")], False),
         ([Law(False, "spring1", "d"), Law(False, "spring1", "d_rate")], False),
+        ([Law(False, "spring1", "d", "springs"), Law(False, "spring1", "d", "backlash")], True),
+        ([Law(False, "spring1", "d_rate", "friction"), Law(False, "spring1", "d_rate", "friction")], True),
+        ([Law(False, "spring1", "d_rate", "friction"), Law(False, "spring1", "d_rate", "damping")], False),
+        ([Law(False, "spring1", follows) for follows in ("d", "d_rate", "memory")], True),
         ([Law(False, "s1", ""), Law(False, "s1", "")], False),
-        ([Law(True, f"spring{i}", "") for i in range(RULES.linear_laws - 1)], False),
-        ([Law(True, f"spring{i}", "") for i in range(RULES.linear_laws)], True),
+        ([Law(True, f"spring{i}", "") for i in range(RULES.composite_laws - 1)], False),
+        ([Law(True, f"spring{i}", "") for i in range(RULES.composite_laws)], True),
     ],
 )
 def test_composites(laws, said):

@@ -169,6 +169,19 @@ def test_structures_cells_and_matrices_of_matlab_are_named_by_their_paths(tmp_pa
         np.testing.assert_array_equal(made[name], values)
 
 
+def test_parts_of_one_run_are_joined(tmp_path):
+    first, second = np.empty(2, object), np.empty(2, object)
+    first[:] = [np.array([T[:40], -T[:40]]), np.array([T[40:70], -T[40:70]])]
+    second[:] = [np.array([T[70:90], -T[70:90]]), np.array([T[90:], -T[90:]])]
+    io.savemat(tmp_path / "parts.mat", {"Y_id": first, "Y_vad": second, "Z": T[::2]})
+    made = readers.read(tmp_path / "parts.mat", {"a": "Y_*/*/1", "b": "Y_*/*/2"}, 0.01)
+    np.testing.assert_array_equal(made["a"], T)
+    np.testing.assert_array_equal(made["b"], -T)
+    assert len(readers.read(tmp_path / "parts.mat", {"a": "Y_id/*/1"}, 0.01)["a"]) == 70
+    with pytest.raises(RecordError, match=r"there is no column X/\*/1"):
+        readers.read(tmp_path / "parts.mat", {"a": "X/*/1"}, 0.01)
+
+
 def _tdms(path):
     nptdms = pytest.importorskip("nptdms", reason="nptdms is not installed")
     clock = {"wf_increment": 0.01, "wf_start_offset": 0.0}

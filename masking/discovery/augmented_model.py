@@ -156,11 +156,13 @@ class AugmentedModel:
         twin: the rig with its declared values.
         names: its parameters that may be adjusted.
         tried: the effects that are tried; by default those of the dictionary, and the bases of laws without a name.
+        at: coordinates at rest (n,), around which it is linearised; 0 if not given.
     """
 
     twin: Twin
     names: tuple[str, ...]
     tried: tuple[Effect, ...] = ()
+    at: tuple[float, ...] = ()
 
     @cached_property
     def _opened(self) -> tuple[Twin, tuple[Place, ...]]:
@@ -204,7 +206,7 @@ class AugmentedModel:
     @property
     def rest(self) -> Array:
         """Return the state (states,) at rest."""
-        return self.twin.rest(np.zeros(len(self.coordinates)))
+        return self.twin.rest(np.array(self.at or (0.0,) * len(self.coordinates)))
 
     @cached_property
     def _sensitivity(self) -> Sensitivity:

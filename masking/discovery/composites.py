@@ -23,7 +23,8 @@ def are_composite(causes: Sequence[Key], rig: AugmentedModel, rules: DecisionRul
         rules: how many linear effects are too many.
     """
     known = rig.twin.dictionary
-    laws = [Law(known[n].is_linear, _seat(rig, at), _kind(known[n].reduced({}))) for n, at in causes if n in known]
+    every = [(known[name], at) for name, at in causes if name in known]
+    laws = [Law(one.is_linear, _seat(rig, at), _kind(one.reduced({})), one.family) for one, at in every]
     return verdict.is_composite(laws, rules)
 
 

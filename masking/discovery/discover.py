@@ -26,6 +26,7 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.search import Search, SearchResult, Tell
 from masking.discovery.settings import DiscoverySettings
+from masking.discovery.smoothing import centred
 from masking.discovery.unnamed import law_of
 from masking.discovery.verdict import Scored
 from masking.effects import ROUNDING
@@ -73,6 +74,7 @@ def discover(
     whole = EstimationProblem(rig, train, prior, noise_of(twin, train), most, rules=rules)
     say("checking units", 0.0)
     with threadpool_limits(1):
+        whole = centred(whole)
         doubt = unit_check.doubted(whole)
     if doubt is not None:
         whole, unseen = doubt.converted(whole), doubt.of(whole, unseen)

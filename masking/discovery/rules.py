@@ -330,10 +330,10 @@ class DecisionRules:
     ones are rounding, which would pay for a parameter.
     """
 
-    linear_laws: int = 3
-    """Linear effects that together are a composite explanation.
+    composite_laws: int = 3
+    """Linear effects, or effects at one place, that together are a composite explanation.
 
-    Why: mass, damping and stiffness make any linear system of second order.
+    Why: mass, damping and stiffness make any linear system of second order; three laws of one motion nearly any force.
     """
 
     validation_tolerance: float = 1.05

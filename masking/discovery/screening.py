@@ -19,7 +19,8 @@ from masking.discovery.augmented_model import MOST_COLUMNS, EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.fitting import Hypothesis, bounds
 from masking.discovery.problem import EstimationProblem
-from masking.discovery.smoothing import Motion, linearised
+from masking.discovery.smoothing import Motion
+from masking.discovery.thinning import thinned, thinning
 from masking.estimation.least_squares import Dense
 from masking.numerics.arrays import Array, IntVector
 
@@ -48,17 +49,27 @@ class Score:
     unique: float
 
 
+@dataclass(frozen=True)
+class Products:
+    """Products of columns, of what candidates do to the sensors.
+
+    Args:
+        rows: the columns (r, c), in standard deviations.
+        gram: products of the columns (c, c), with what is taken out projected out.
+        right: products of the columns with the residual (c,).
+        squares: of the columns before the projection (c,).
+        columns: the numbers of those of each candidate.
+    """
+
+    rows: Array
+    gram: Array
+    right: Array
+    squares: Array
+    columns: Sequence[IntVector]
+
+
 # Thinned features by factors, and columns.
 Along = MutableMapping[tuple[tuple[int, ...], EffectInstance], tuple[Array, Array]]
-
-
-def thinning(problem: EstimationProblem) -> tuple[int, int]:
-    """Return the samples over which motions, and over which readings are averaged."""
-    rig, rate = problem.rig, problem.record.rate
-    own = np.abs(np.linalg.eigvals(linearised(rig, rig.start)[0]).imag).max(initial=0.0) / (2.0 * np.pi)
-    highest = max(problem.rules.screened_frequency, 2.0 * float(own))
-    thin = max(1, int(rate / (6.0 * highest)))
-    return thin, thin * max(1, int(rate / (2.0 * highest) / thin))
 
 
 class Screen:
@@ -84,14 +95,15 @@ class Screen:
         along: Along | None = None,
     ) -> None:
         self.rig, self.record, self.base, self.motion = problem.rig, problem.record, base, motion
-        self.rules = problem.rules
+        self.rules, self.bounds = problem.rules, problem.prior
         self.along: Along = {} if along is None else along
         rig, record, prior, sigma = problem.rig, problem.record, problem.prior, problem.sigma
         self.thin, self.every = thinning(problem)
         self.blocks = len(record) // self.every
+        self.steps = problem.substeps if rig.twin.is_fed else 1  # of states of effects, between samples
         self.interval_samples = problem.interval_samples // self.thin if problem.interval else len(record)
-        self._states = _thinned(motion.states, self.thin)
-        self._commands = _thinned(record.acting, self.thin)
+        self._states = thinned(motion.states, self.thin)
+        self._commands = thinned(record.acting, self.thin)
         self.scale = np.sqrt(self.every) / sigma
         k = len(base.theta)
         basis = rig.basis(base.theta)[1]
@@ -140,7 +152,7 @@ class Screen:
         features, at = [], []
         for instance in instances:
             made, columns = self._with_slopes(instance)
-            features.append(_thinned(made, self.thin))
+            features.append(thinned(made, self.thin))
             at.append(columns)
         found: list[Array] = []
         for part in _chunks([table.shape[1] for table in features]):
@@ -171,17 +183,17 @@ class Screen:
         rows = _bounded(self._rows(np.concatenate(tables, axis=2)))
         return self._out(np.vstack([rows, np.zeros((len(self.left) - len(rows), rows.shape[1]))]))
 
-    def around(self, instance: EffectInstance) -> tuple[Array, Array]:
-        """Return parameters of the rig (k,) and initial states (w, states) that go best with an effect."""
-        (table,) = self._effects([instance])
+    def around(self, instances: Sequence[EffectInstance]) -> tuple[Array, Array]:
+        """Return parameters of the rig (k,) and initial states (w, states) that go best with effects."""
         left = self._whole_left.copy()
-        rows = self._rows(table[:, :, :1])[:, 0]
-        left[: len(rows)] -= rows
+        for table in self._effects(instances):
+            rows = self._rows(table[:, :, :1])[:, 0]
+            left[: len(rows)] -= rows
         step = self._back @ (self.taken.T @ left)
         theta, start = self.base.theta, self.base.start.copy()
         free = [*self.rig.twin.free]
         start[:, free] += step[len(theta) : len(theta) + len(start) * len(free)].reshape(len(start), len(free))
-        return theta + step[: len(theta)], start
+        return np.clip(theta + step[: len(theta)], self.bounds.low, self.bounds.high), start
 
     def _with_slopes(self, instance: EffectInstance) -> tuple[Array, Array]:
         """Return what an instance adds where it acts, with slopes by its free parameters (m, c), and columns (c,)."""
@@ -192,7 +204,7 @@ class Screen:
             return np.hstack([late, (later - late) / half]), np.concatenate([at, at])
         x, rate, column = self._subject(instance)
         instance = self.rig.at_step(instance, 1.0 / self.record.rate)  # a motion that is known is followed in samples
-        made = self.rig.along(instance, x, rate, 1.0 / self.record.rate, instance.free)
+        made = self._follows(instance, x, rate, instance.free)
         if instance.where != "element":
             made[:, 0] -= x
         return made, np.full(made.shape[1], column)
@@ -254,34 +266,37 @@ class Screen:
 
     def _scored(self, jobs: Sequence[tuple[Candidate, EffectInstance]]) -> list[Score]:
         """Return the scores of instances of candidates; their columns together are at most `MOST_COLUMNS`."""
-        candidates, instances = zip(*jobs, strict=True)
-        features, at = zip(*(self._thin(candidate, instance) for candidate, instance in jobs), strict=True)
-        tables = [
-            table.sum(axis=2, keepdims=True) if candidate.effect == laws.DELAY else table
-            for candidate, table in zip(
-                candidates, self._at_sensors([instance.where for instance in instances], features, at), strict=True
-            )
-        ]
-        sizes = [table.shape[2] for table in tables]
-        rows = _bounded(self._rows(np.concatenate(tables, axis=2)))
-        # Products of the projected columns, without making these.
-        known, possible = self.taken[: len(rows)].T @ rows, self.possible.T @ rows
-        squares = np.einsum("ij,ij->j", rows, rows)
-        gram, right = rows.T @ rows - known.T @ known, rows.T @ self.left[: len(rows)]
+        made = self.products(jobs)
+        rows, squares = made.rows, made.squares
+        possible = self.possible.T @ rows
         beyond = squares - (possible**2).sum(axis=0)
-        inertias = np.repeat([instance.entry.is_inertia for instance in instances], sizes)
+        inertias = np.repeat([one.entry.is_inertia for _, one in jobs], [len(part) for part in made.columns])
         if inertias.any():
             others, ones = (part.T @ rows for part in self.single)
             beyond = np.where(inertias, squares - (others**2).sum(axis=0) - (ones**2).max(axis=0), beyond)
-        beyond = np.maximum(beyond, 0.0)
-        made, first = [], 0
-        for (candidate, instance), count in zip(jobs, sizes, strict=True):
-            part = slice(first, first + count)
-            first += count
+        beyond, found = np.maximum(beyond, 0.0), []
+        for (candidate, instance), part in zip(jobs, made.columns, strict=True):
             total = float(squares[part].sum())
             own = float(np.sqrt(beyond[part].sum() / total)) if total > 0.0 else 0.0
-            made.append(self._score(Score(candidate, instance, 0.0, own), gram[part, part], right[part], squares[part]))
-        return made
+            nothing = Score(candidate, instance, 0.0, own)
+            found.append(self._score(nothing, made.gram[np.ix_(part, part)], made.right[part], squares[part]))
+        return found
+
+    def products(self, jobs: Sequence[tuple[Candidate, EffectInstance]]) -> Products:
+        """Return the products of the columns of instances of candidates."""
+        features, at = zip(*(self._thin(candidate, instance) for candidate, instance in jobs), strict=True)
+        tables = [
+            table.sum(axis=2, keepdims=True) if candidate.effect == laws.DELAY else table
+            for (candidate, _), table in zip(
+                jobs, self._at_sensors([instance.where for _, instance in jobs], features, at), strict=True
+            )
+        ]
+        columns = np.split(np.arange(sum(table.shape[2] for table in tables)), _ends(tables))
+        rows = _bounded(self._rows(np.concatenate(tables, axis=2)))
+        # Products of the projected columns, without making these.
+        known = self.taken[: len(rows)].T @ rows
+        gram, right = rows.T @ rows - known.T @ known, rows.T @ self.left[: len(rows)]
+        return Products(rows, gram, right, np.einsum("ij,ij->j", rows, rows), columns)
 
     def _score(self, nothing: Score, gram: Array, right: Array, squares: Array) -> Score:
         """Return the score of an instance.
@@ -294,8 +309,7 @@ class Screen:
         """
         candidate, instance, own = nothing.candidate, nothing.instance, nothing.unique
         diagonal = np.diag(gram)
-        keep = diagonal > ROUNDING * squares
-        if not keep.any():
+        if not (diagonal > ROUNDING * squares).any():
             return nothing
         if not candidate.factors:  # a shape without factors: the size of its effect tells how near it is
             gain = 2.0 * float(right[0]) - float(diagonal[0])
@@ -308,10 +322,7 @@ class Screen:
             elif instance.entry.quantum:
                 gain = max(gain, float(right[0]) ** 2 / float(diagonal[0])) if right[0] > 0.0 else 0.0
             return Score(candidate, instance, max(gain, 0.0), own)
-        scale = np.sqrt(diagonal[keep])
-        factors = np.zeros(len(keep))
-        scaled = gram[np.ix_(keep, keep)] / np.outer(scale, scale)
-        factors[keep] = np.linalg.lstsq(scaled, right[keep] / scale, rcond=COLLINEAR)[0] / scale
+        factors = best_factors(gram, right, squares)
         if instance.entry.scaled:  # its one factor scales forces and stiffness together
             if factors[0] <= 0.0:
                 return nothing
@@ -333,7 +344,7 @@ class Screen:
         found = self.along.get(key)
         if found is None:
             made, at = self._features(candidate, instance)
-            found = _thinned(made, self.thin), at
+            found = thinned(made, self.thin), at
             follows_fit = instance.where == "sensor"  # it acts on readings as they are simulated
             many = sum(table.size for table, _ in [*self.along.values(), found])
             if instance in candidate.instances and not follows_fit and many < KEPT:
@@ -344,14 +355,23 @@ class Screen:
         """Return what a candidate does along the motion (m, c), by its factors, and the columns where it acts (c,)."""
         if candidate.effect == laws.DELAY:
             return self._late(instance)
-        rig, record = self.rig, self.record
         x, rate, column = self._subject(instance)
         if not candidate.factors or instance.entry.scaled:
-            value = rig.along(instance, x, rate, 1.0 / record.rate)
+            value = self._follows(instance, x, rate)
             return (value[:, :1] - (0.0 if instance.where == "element" else x[:, None])), np.array([column])
         instance = instance.with_values(candidate.factors, np.zeros(len(candidate.factors)))
-        made = rig.along(instance, x, rate, 1.0 / record.rate, candidate.factors)
+        made = self._follows(instance, x, rate, candidate.factors)
         return made[:, 1:], np.full(len(candidate.factors), column)
+
+    def _follows(self, instance: EffectInstance, x: Array, rate: Array, free: tuple[int, ...] = ()) -> Array:
+        """Return what an effect makes of a motion (m, 1 + f), with its slopes by some of its parameters."""
+        period, steps = 1.0 / self.record.rate, self.steps if instance.entry.states else 1
+        if steps == 1:
+            return self.rig.along(instance, x, rate, period, free)
+        samples = np.arange(len(x))
+        between = np.arange((len(x) - 1) * steps + 1) / steps
+        x, rate = np.interp(between, samples, x), np.interp(between, samples, rate)
+        return np.ascontiguousarray(self.rig.along(instance, x, rate, period / steps, free)[::steps])
 
     def _late(self, instance: EffectInstance) -> tuple[Array, Array]:
         """Return what a delay changes of each command (m, actuators), and the columns where these act (actuators,)."""
@@ -410,6 +430,26 @@ class Screen:
         return x - self.taken @ (self.taken.T @ x)
 
 
+def best_factors(gram: Array, right: Array, squares: Array) -> Array:
+    """Return the factors of columns that fit best (c,), 0 for those that are rounding alone.
+
+    Args:
+        gram: products of the columns (c, c).
+        right: products of the columns with the residual (c,).
+        squares: of the columns before the projection (c,).
+    """
+    factors, keep = np.zeros(len(right)), np.diag(gram) > ROUNDING * squares
+    scale = np.sqrt(np.diag(gram)[keep])
+    scaled = gram[np.ix_(keep, keep)] / np.outer(scale, scale)
+    factors[keep] = np.linalg.lstsq(scaled, right[keep] / scale, rcond=COLLINEAR)[0] / scale
+    return factors
+
+
+def _ends(tables: Sequence[Array]) -> IntVector:
+    """Return where each of some tables (..., c) but the last ends, side by side."""
+    return np.cumsum([table.shape[2] for table in tables])[:-1]
+
+
 def _bounded(rows: Array) -> Array:
     """Return responses (r, c) with 0 for those along which the rig's motion runs away: they have no weight."""
     return np.where(np.abs(rows).max(axis=0, initial=0.0) < HUGE, rows, 0.0)
@@ -444,15 +484,3 @@ def _has_shape(candidate: Candidate) -> bool:
 def _stepped(instance: EffectInstance, step: Array) -> EffectInstance:
     """Return an instance after a step of its free parameters, within their bounds."""
     return instance.with_values(instance.free, bounds([instance]).after(np.array(instance.estimated), step))
-
-
-def _thinned(table: Array, thin: int) -> Array:
-    """Return means over `thin` samples of a table (m, c)."""
-    if thin == 1:
-        return np.ascontiguousarray(table)
-    cut = table[: len(table) // thin * thin]
-    total = cut[0::thin].copy()
-    for i in range(1, thin):
-        total += cut[i::thin]
-    found: Array = np.ascontiguousarray(total / thin)
-    return found

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
-from scipy import signal
 
 from masking.discovery import fitting, verdict
 from masking.discovery.augmented_model import EffectInstance
@@ -23,19 +22,19 @@ from masking.discovery.composites import are_composite
 from masking.discovery.exclusion import is_excluded
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
+from masking.discovery.pairs import LEFT, Pair, pairs
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.screening import Along, Score, Screen
 from masking.discovery.smoothing import Motion, smooth
+from masking.discovery.spans import spans
 from masking.discovery.verdict import Key
-from masking.effects import Span
 from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
 Tell = Callable[[str, float], None]
 Job = Callable[[float], "Explanation"]  # given the cost of a rival
 
-REPLACED = (1.0, 0.3, 3.0)  # parts of an element's stiffness with which a law in its place begins
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
 
 
@@ -48,12 +47,14 @@ class SearchResult:
         steps: the explanations that were compared in each step, the best first.
         motion: smoothed record.
         tried: what each candidate could take off at first, the best first.
+        passed_over: steps of which the last is the likeliest law, in the place of which a nested one was taken.
     """
 
     base: Explanation
     steps: tuple[tuple[Explanation, ...], ...]
     motion: Motion
     tried: tuple[Score, ...] = ()
+    passed_over: tuple[tuple[Explanation, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -111,19 +112,32 @@ class Search:
         return float(np.log(self.size))
 
     def run(self) -> SearchResult:
-        """Search for causes, one after the other, until none is worth its complexity penalty."""
+        """Search for causes, one after the other, until none is worth its complexity penalty.
+
+        Where simpler laws came first and became a composite, a law in which they are nested may do what they do.
+        """
         self.tell("fitting the model as it is", 0.0)
         plain = fitting.fit(self.problem)
         base = Explanation("none", (), plain)
         self.tell("smoothing the motion", 0.1)
         motion = smooth(self.problem, base.hypothesis.theta, base.hypothesis.start)
-        ground = _Ground(base, motion, list(candidates(self.problem.rig, self._spans(motion), self.problem.dt)))
-        steps: list[tuple[Explanation, ...]] = []
+        ground = _Ground(base, motion, list(candidates(self.problem.rig, spans(self.problem, motion), self.problem.dt)))
+        found = self._from(ground, ())
+        if found.passed_over and self._is_composite(found.steps[-1][0]):
+            found = replace(self._from(ground, found.passed_over), tried=found.tried)
+        return found
+
+    def _is_composite(self, explanation: Explanation) -> bool:
+        return are_composite(explanation.names, self.problem.rig, self.rules)
+
+    def _from(self, ground: _Ground, begun: Sequence[tuple[Explanation, ...]]) -> SearchResult:
+        """Return what a search finds that has taken some steps."""
+        base, steps, passed_over = ground.base, list(begun), tuple[tuple[Explanation, ...], ...]()
         tried: tuple[Score, ...] = ()
-        now = settled = base
-        number = 0
+        now = settled = steps[-1][0] if steps else base
+        number = len(steps)
         while number < self.rules.most_effects:
-            if are_composite(now.names, self.problem.rig, self.rules):
+            if self._is_composite(now):
                 # One more law would leave it composite; another one in the place of these may not.
                 if now is settled:
                     break
@@ -142,7 +156,8 @@ class Search:
             )
             scores = screen.scores(ground.every)
             tried = tried or tuple(scores)
-            found = self._round(now, scores, screen, parameters=number == 0)
+            found, likeliest = self._round(now, scores, screen, parameters=number == 0)
+            found = self._with_pairs(now, found, scores, screen)
             if not found or self._is_too_little(base, now, found[0]):
                 break
             if len(now.names) > 1 and now is not settled:
@@ -153,6 +168,8 @@ class Search:
                     steps[-1] = (now,)
                     continue
             number += 1
+            if all(one is not likeliest for one in found) and not self._is_composite(likeliest):
+                passed_over = (*steps, (likeliest,))
             now, before = self._reduced(found[0]), now
             if now is not found[0] and set(now.names) == set(before.names):
                 steps[-1] = (now, *steps[-1][1:])  # the last adds nothing: the others had not settled
@@ -163,12 +180,15 @@ class Search:
         if len(now.names) > 1 and now is steps[-1][0] and now is not settled:
             settled = self._settled(now, ground)
             steps[-1] = steps[-1] if settled is now else (settled,)
-        return SearchResult(base, tuple(steps), motion, tried)
+        return SearchResult(base, tuple(steps), ground.motion, tried, passed_over)
 
     def _round(
         self, now: Explanation, scores: Sequence[Score], screen: Screen, *, parameters: bool
-    ) -> list[Explanation]:
-        """Return explanations with one more cause, best first; none where the best is no better than chance."""
+    ) -> tuple[list[Explanation], Explanation]:
+        """Return explanations with one more cause, best first, and the likeliest, whatever is nested in it.
+
+        There are none where the best is no better than chance.
+        """
         rules, gains = self.rules, self._freed_scores(now.hypothesis)
         best = max([score.gain for score in scores] + [*gains], default=0.0)
         most = self._worth(screen, screen.total - best)
@@ -194,7 +214,7 @@ class Search:
         first = {p.candidate.key: p for p in [*others[::-1], *chosen]}
         chosen += [p for p in others if first[p.candidate.key] is p]
         variants = [p for p in others if all(p is not one for one in chosen)]
-        jobs = [partial(self._added, now, score, screen) for score in chosen]
+        jobs = [partial(self._added, now, (score,), screen) for score in chosen]
         if parameters:
             wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
             jobs += [partial(self._freed, now, i) for i in wrong]
@@ -204,17 +224,17 @@ class Search:
             rival = min(e.hypothesis.cost for e in (now, *found))
             found += [e for e in self._fitted(some, rival) if e is not None]
         if not found:
-            return []
+            return [], now
         # Other shapes of a nested model are fitted if one takes a part of what the best does.
         rival = min(e.hypothesis.cost for e in found)
         least = now.hypothesis.cost - rules.nested_fraction * (now.hypothesis.cost - rival)
         near = {e.names[-1] for e in found if e.hypothesis.cost < least}
-        again = [partial(self._added, now, score, screen) for score in variants if score.candidate.key in near]
+        again = [partial(self._added, now, (score,), screen) for score in variants if score.candidate.key in near]
         found += [e for e in self._fitted(again, rival) if e is not None]
         found += self._simpler(found)
         found = [e for e in found if self._is_possible(e)]
         if not found:
-            return []
+            return [], now
         tempering = self.problem.tempering(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
         merged: dict[tuple[Key, ...], Explanation] = {}
         for explanation in sorted(found, key=lambda e: e.score(tempering)):
@@ -230,11 +250,11 @@ class Search:
         ranked = sorted(distinct, key=lambda e: e.score(tempering) - bonus * (e.kind == "parameter"))
         least = rules.parameter_evidence if ranked[0].kind == "parameter" else rules.effect_evidence
         if now.score(tempering) - ranked[0].score(tempering) < least:
-            return []
+            return [], now
         # A law that follows the steps of integration errs by what these may.
         last = ranked[0].hypothesis.instances[-1:]
         numerical = rules.law_error**2 * self.size if any(one.entry.by_step for one in last) else 0.0
-        return verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical)
+        return verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical), ranked[0]
 
     def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
         """Return nested models of the best fit, fitted from its parameters if they begin better than they ended."""
@@ -368,27 +388,54 @@ class Search:
     def _fit(self, instances: tuple[EffectInstance, ...], like: Hypothesis, rival: float) -> Hypothesis:
         return fitting.fit(self.problem, instances, theta=like.theta, start=like.start, rival=rival)
 
-    def _added(self, now: Explanation, score: Score, screen: Screen, rival: float) -> Explanation:
-        """Return a fit with one more effect, from parameters as they are or as screening has them.
+    def _added(self, now: Explanation, scores: Sequence[Score], screen: Screen, rival: float) -> Explanation:
+        """Return a fit with one more effect, or two, from parameters as they are or as screening has them.
 
         Where that ends worse than without the effect, as where a resonance is sharp, it begins again with less of it.
         """
-        here, ready = (now.hypothesis.theta, now.hypothesis.start), self._ready(score)
+        here, ready = (now.hypothesis.theta, now.hypothesis.start), tuple(map(self._ready, scores))
+        names = (*now.names, *(score.candidate.key for score in scores))
 
-        def cost(instance: EffectInstance, at: tuple[Array, Array]) -> float:
-            return fitting.cost(self.problem, (*now.hypothesis.instances, instance), *at)
+        def cost(instances: Sequence[EffectInstance], at: tuple[Array, Array]) -> float:
+            return fitting.cost(self.problem, (*now.hypothesis.instances, *instances), *at)
 
-        def fitted(instance: EffectInstance, at: tuple[Array, Array]) -> Explanation:
-            instances = (*now.hypothesis.instances, instance)
-            found = fitting.fit(self.problem, instances, theta=at[0], start=at[1], rival=rival)
-            return Explanation("effects", (*now.names, score.candidate.key), found, score.unique)
+        def fitted(instances: Sequence[EffectInstance], at: tuple[Array, Array]) -> Explanation:
+            every = (*now.hypothesis.instances, *instances)
+            found = fitting.fit(self.problem, every, theta=at[0], start=at[1], rival=rival)
+            return Explanation("effects", names, found, min(score.unique for score in scores))
 
-        found = fitted(ready, min((here, screen.around(score.instance)), key=partial(cost, ready)))
+        around = screen.around([score.instance for score in scores])
+        found = fitted(ready, min((here, around), key=partial(cost, ready)))
         if found.hypothesis.cost <= now.hypothesis.cost:
             return found
-        less = (_scaled(ready, part) for part in LESS)
-        better = (fitted(instance, here) for instance in less if cost(instance, here) < now.hypothesis.cost)
+        less = ([_scaled(instance, part) for instance in ready] for part in LESS)
+        better = (fitted(instances, here) for instances in less if cost(instances, here) < now.hypothesis.cost)
         return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
+
+    def _with_pairs(
+        self, now: Explanation, found: list[Explanation], scores: Sequence[Score], screen: Screen
+    ) -> list[Explanation]:
+        """Put two laws of one place first where together they explain what no one does."""
+        rules, rig, noise = self.rules, self.problem.rig, float(self.size // screen.every)
+        alone = min(e.cost for e in (now, *found))
+        if verdict.reaches_noise(alone, self.size, rules) or len(now.names) + 2 > rules.most_effects:
+            return found
+        left = LEFT * verdict.excess_cost(alone, self.size)
+        most = rules.fit_ratio * left / verdict.excess_cost(now.cost, self.size) * (screen.total - noise)
+        chosen = list[Pair]()
+        for pair in pairs(screen, scores):
+            names = (*now.names, *(score.candidate.key for score in pair.scores))
+            if screen.total - pair.gain - noise > most or len(chosen) == rules.most_exchanges:
+                break
+            if len({*names}) == len(names) and not are_composite(names, rig, rules):
+                chosen.append(pair)
+        jobs = [partial(self._added, now, pair.scores, screen) for pair in chosen]
+        fitted = [e for e in self._fitted(jobs, alone) if e is not None and self._is_possible(e)]
+        better = [e for e in fitted if verdict.excess_cost(e.cost, self.size) < left]
+        if not better:
+            return found
+        tempering = self.problem.tempering(min(better, key=lambda e: e.cost).hypothesis.residuals)
+        return [*sorted(better, key=lambda e: e.score(tempering)), *found]
 
     def _ready(self, score: Score) -> EffectInstance:
         """Return the instance of a score as a fit begins with it: what sticks, with the step of integration."""
@@ -411,47 +458,6 @@ class Search:
         found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
         return np.where(variance < 1.0 - 1e-9, found, 0.0)
 
-    def _spans(self, motion: Motion) -> dict[tuple[str, str], Span]:
-        found, tones = dict[tuple[str, str], Span](), self._tones(motion.forces)
-        for place, x, rate in zip(self.problem.rig.places, motion.displacement.T, motion.rate.T, strict=True):
-            moved = x if place.element.displacement is not None else self._moved(rate)
-            span = _span(moved, float(np.sqrt((rate**2).mean())) or 1.0, tones)
-            stiffness = self.problem.rig.stiffnesses.get(place.name, 0.0)
-            stiffnesses = tuple(part * (stiffness or 1.0) for part in REPLACED)
-            found["element", place.name] = replace(span, stiffnesses=stiffnesses)
-        for where, names, table in (
-            ("sensor", self.problem.rig.twin.sensors, self.problem.record.readings),
-            ("actuator", self.problem.rig.twin.actuators, self.problem.record.commands),
-        ):
-            for name, x in zip(names, table.T, strict=True):
-                found[where, name] = _span(x)
-        return found
-
-    def _moved(self, rate: Array) -> Array:
-        """Return how far a place goes to and fro whose rate alone is known (m,): without what goes on and on."""
-        x = np.cumsum(rate) * self.problem.dt
-        found: Array = signal.detrend(x)
-        return found
-
-    def _tones(self, forces: Array) -> tuple[float, ...]:
-        """Return the frequencies in Hz at which the latent forces are strongest."""
-        window = np.hanning(len(forces))
-        many = 4 * len(forces)
-        power = sum(
-            np.abs(np.fft.rfft(column * window, many)) ** 2 / column.var() for column in forces.T if column.var() > 0
-        )
-        if isinstance(power, int):
-            return ()
-        frequencies = np.fft.rfftfreq(many, 1.0 / self.problem.record.rate)
-        (low, high), width = self.rules.tone_band, self.rules.tone_width
-        power = np.where((frequencies > low) & (frequencies < high * self.problem.record.rate), power, 0.0)
-        found = []
-        for _ in range(self.rules.tones):
-            i = int(np.argmax(power))
-            found.append(float(frequencies[i]))
-            power[max(0, i - width) : i + width + 1] = 0.0
-        return tuple(found)
-
 
 def _without(explanation: Explanation, i: int) -> tuple[tuple[Key, ...], tuple[EffectInstance, ...]]:
     """Return names and instances of an explanation without one of its causes."""
@@ -463,7 +469,3 @@ def _scaled(instance: EffectInstance, part: float) -> EffectInstance:
     """Return an instance with a part of the effect."""
     at = [i for i, name in zip(instance.free, instance.names, strict=True) if name in instance.entry.factors]
     return instance.with_values(at, (part * instance.values[i] for i in at))
-
-
-def _span(x: Array, rate: float = 0.0, tones: tuple[float, ...] = ()) -> Span:
-    return Span(float(x.min()), float(x.max()), float(np.abs(x).max()), rate, tones)

@@ -16,10 +16,12 @@ import numpy as np
 from masking.discovery import fitting
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
-from masking.discovery.screening import thinning
-from masking.discovery.smoothing import linearised
+from masking.discovery.smoothing import linearised, smooth
+from masking.discovery.thinning import thinning
 from masking.errors import RecordError
 from masking.numerics.arrays import Array
+
+SHORTEST = 3e-3  # of the travel: the shortest displacement with which a friction that builds up begins to be fitted
 
 
 def interval(problem: EstimationProblem, seconds: float | None) -> int:
@@ -66,7 +68,21 @@ def substeps(problem: EstimationProblem) -> int:
         return replace(problem, substeps=number).equations(theta, start).simulated
 
     allowed = problem.rules.integration_error * problem.sigma
-    return _steps(simulated, least, max(least, problem.substeps), allowed, ahead=2)
+    least = _steps(simulated, least, max(least, problem.substeps), allowed, ahead=2)
+    return min(max(least, _moved(problem, start)), problem.rules.most_refinement * least)
+
+
+def _moved(problem: EstimationProblem, start: Array) -> int:
+    """Return in how many steps a bench moves no further than the shortest displacement over which friction builds up.
+
+    A component has no motion of its own that takes steps; with longer ones, the states of friction diverge.
+    """
+    if not problem.rig.twin.is_fed:
+        return 1
+    motion = smooth(problem, problem.prior.mean, start)
+    travel, rate = (np.abs(table).max(axis=0, initial=0.0) for table in (motion.displacement, motion.rate))
+    parts = rate * problem.dt / np.maximum(SHORTEST * travel, 1e-300)
+    return int(np.ceil(parts[travel > 0.0].max(initial=1.0)))
 
 
 def finer(problem: EstimationProblem, found: Hypothesis) -> int:

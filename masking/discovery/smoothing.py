@@ -21,6 +21,7 @@ from masking.discovery.problem import EstimationProblem
 from masking.effects import Effect
 from masking.errors import IntegrationError
 from masking.estimation.data import is_first_order
+from masking.estimation.simulation import guessed_state
 from masking.numerics.arrays import Array
 from masking.numerics.steady_kalman import discretised, steady_filter
 
@@ -156,6 +157,27 @@ def linearised(rig: AugmentedModel, theta: Array) -> tuple[Array, Array, Array, 
         state = ", ".join(f"{name} = {value:g}" for name, value in zip(rig.twin.state_names, y, strict=True))
         raise IntegrationError(f"the equations have no slopes at rest ({state}); give states an initial value in use")
     return jy, jp[:, columns], js, jps[:, columns]
+
+
+def centred(problem: EstimationProblem) -> EstimationProblem:
+    """Return a problem whose rig is linearised around the mean of the motion, where it would fall from its zero.
+
+    A pendulum whose angle counts from straight up is an example.
+    """
+    rig, record, theta = problem.rig, problem.record, problem.prior.mean
+    if not rig.coordinates or not _falls(rig, problem):
+        return problem
+    times, n = np.arange(len(record)) / record.rate, len(rig.coordinates)
+    at_rest = rig.reading(theta, rig.rest, record.acting[0])
+    mean = guessed_state(rig.rest, at_rest, rig.twin.free, times, record.readings, n=n, degree=0)[:n]
+    other = replace(rig, at=tuple(mean.tolist()))
+    return problem if _falls(other, problem) else replace(problem, rig=other)
+
+
+def _falls(rig: AugmentedModel, problem: EstimationProblem) -> bool:
+    """Return whether a motion near rest grows e-fold within the record."""
+    speeds: Array = np.real(linalg.eigvals(linearised(rig, problem.prior.mean)[0]))
+    return bool((speeds * len(problem.record) > problem.record.rate).any())
 
 
 def fastest(rig: AugmentedModel, theta: Array) -> complex:

@@ -7,6 +7,7 @@ Source: Kass and Raftery (1995), JASA 90(430), 773-795; see `rules` for each thr
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeVar
@@ -87,11 +88,13 @@ class Law:
         is_linear: whether its law is linear.
         seat: the element that it acts on, or the coordinate, sensor or actuator.
         follows: what its force is a function of, such as 'd' or 'd and d_rate'; '' if that does not matter.
+        family: of its physics, such as 'friction'.
     """
 
     is_linear: bool
     seat: str
     follows: str
+    family: str = ""
 
 
 def noise_threshold(readings: int, rules: DecisionRules) -> float:
@@ -186,12 +189,19 @@ def is_worse(cost: float, declared: float, readings: int, rules: DecisionRules) 
 def is_composite(laws: Sequence[Law], rules: DecisionRules) -> bool:
     """Return whether laws together imitate one that is not in the dictionary.
 
-    Such are laws that follow the same quantity at one seat, and linear laws enough to make any linear system.
+    Such are two laws at one seat that follow the same quantity, or are both friction; three laws at one seat; and
+    linear laws enough to make any linear system. Friction and damping are two causes, although both follow the rate.
     """
-    if sum(law.is_linear for law in laws) >= rules.linear_laws:
-        return True
-    seats = [(law.seat, law.follows) for law in laws if law.follows]
-    return len(set(seats)) < len(seats)
+    own = [law for law in laws if law.follows]
+    many = [sum(law.is_linear for law in laws), *(sum(law.seat == one.seat for law in own) for one in own)]
+    return max(many) >= rules.composite_laws or any(_are_alike(*two) for two in itertools.combinations(own, 2))
+
+
+def _are_alike(one: Law, other: Law) -> bool:
+    """Return whether two laws follow the same quantity at one seat, or are both friction there."""
+    frictions = [one.family, other.family].count("friction")
+    is_apart = frictions == 1 and "d_rate" in one.follows
+    return one.seat == other.seat and (frictions > 1 or (one.follows == other.follows and not is_apart))
 
 
 def is_redundant(

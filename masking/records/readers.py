@@ -10,6 +10,7 @@ import csv
 import hashlib
 import io
 import json
+import re
 import zipfile
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
@@ -54,8 +55,9 @@ def read(
         path: a folder of a recording, or a file of a table, MATLAB, HDF5, numpy, JSON or a data logger; behind it,
             `@10:20` takes what lies from 10 s to 20 s of its clock, `@10:` the rest of it; times stay as they are.
         names: the columns of the file by the names that they get, such as `{"t": "time", "u1": "V1"}`; vectors in
-            groups, structures, cells and matrices have their path, such as `{"u1": "multisine/V1", "y1": "y/1"}`. For
-            a text without a line of names: the names of all its columns, in order.
+            groups, structures, cells and matrices have their path, such as `{"u1": "multisine/V1", "y1": "y/1"}`, and
+            `run/*/1` joins all that it fits, in the order of the file. For a text without a line of names: the names
+            of all its columns, in order.
         dt: time between samples in s, for a table without a clock.
         needed: channels that must be finite, such as `u1`, which is read from `input.u1` or `u1`; other columns that
             are not finite, or of another length than these, are left out.
@@ -298,12 +300,20 @@ def _nested(file: Path, held: object) -> dict[str, Column]:
 
 
 def _renamed(file: Path, columns: Mapping[str, Column], names: Mapping[str, str]) -> dict[str, Column]:
-    for column in names.values():
-        if column not in columns:
-            raise RecordError(f"{file}: there is no column {column}; {nearest(column, list(columns))}")
+    found = {name: _named(file, columns, column) for name, column in names.items()}
     taken = {*names.values(), *names}
-    rest = {name: column for name, column in columns.items() if name not in taken}
-    return {name: columns[column] for name, column in names.items()} | rest
+    return found | {name: column for name, column in columns.items() if name not in taken}
+
+
+def _named(file: Path, columns: Mapping[str, Column], name: str) -> Column:
+    """Return a column, or where a path has asterisks, the columns that it fits, one behind the other."""
+    if name in columns:
+        return columns[name]
+    pattern = re.escape(name).replace(r"\*", "[^/]*")
+    parts = [column for path, column in columns.items() if "*" in name and re.fullmatch(pattern, path)]
+    if not parts:
+        raise RecordError(f"{file}: there is no column {name}; {nearest(name, list(columns))}")
+    return np.concatenate(parts)
 
 
 def _of_one_length(

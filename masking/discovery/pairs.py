@@ -1,0 +1,75 @@
+"""Pairs: two laws of one place that explain a residual together, where either alone takes little.
+
+A free decay that dry friction and drag damp looks linear to each of them: what is nearly constant at one amplitude
+takes from the declared damping what grows with another. The scores of pairs come from the products of what candidates
+do to the sensors, as single ones do.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from masking.discovery.screening import Score, Screen, best_factors
+from masking.numerics.arrays import Array
+
+LEFT = 0.5  # of the excess cost that the best single law leaves, which two laws may leave: else one comes after another
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two laws at one place.
+
+    Args:
+        scores: of each, with the factors that fit best together.
+        gain: what they could take off the cost.
+    """
+
+    scores: tuple[Score, Score]
+    gain: float
+
+
+def pairs(screen: Screen, scores: Sequence[Score]) -> list[Pair]:
+    """Return pairs of laws at one place, the best first.
+
+    Laws that are linear, or in which a simpler one is nested, are left to a search step by step.
+
+    Args:
+        screen: of the residual.
+        scores: of single candidates, with their best shapes.
+    """
+    found = list[Pair]()
+    for place in {score.candidate.at: None for score in scores if score.instance.where == "element"}:
+        own = [score for score in scores if score.candidate.at == place and _is_simple(score)]
+        if len(own) < 2:
+            continue
+        made = screen.products([(score.candidate, score.instance) for score in own])
+        for (first, i), (second, j) in itertools.combinations(zip(own, made.columns, strict=True), 2):
+            if first.candidate.key == second.candidate.key:
+                continue
+            part = np.concatenate([i, j])
+            gram, right = made.gram[np.ix_(part, part)], made.right[part]
+            factors = best_factors(gram, right, made.squares[part])
+            both = _with_factors(first, factors[: len(i)]), _with_factors(second, factors[len(i) :])
+            if both[0] and both[1]:
+                gain = float(2.0 * factors @ right - factors @ gram @ factors)
+                found.append(Pair((both[0], both[1]), gain))
+    return sorted(found, key=lambda pair: -pair.gain)
+
+
+def _is_simple(score: Score) -> bool:
+    entry = score.candidate.entry
+    is_element = score.instance.where == "element" and bool(score.candidate.factors)
+    return is_element and not (entry.nested or entry.is_linear or entry.absorbed_by or entry.scaled)
+
+
+def _with_factors(score: Score, factors: Array) -> Score | None:
+    """Return a score with other factors; None where they are beyond their bounds."""
+    entries = list(score.instance.entry.parameters.values())
+    lows = (entries[i].bounds[0] for i in score.candidate.factors)
+    if any(low is not None and factor <= low for low, factor in zip(lows, factors, strict=True)):
+        return None
+    return replace(score, instance=score.instance.with_values(score.candidate.factors, factors))
