@@ -152,6 +152,33 @@ def test_what_is_hidden_is_named_where_it_is(discovered, name):
         assert after < 1.1 * components.NOISE < found.simulation_error.adjusted[sensor]
 
 
+def test_friction_that_builds_up_within_a_sample_is_named(folder):
+    """At 100 Hz the bench moves several times as far in a sample: in steps of a sample the friction would diverge."""
+    for seed, part in ((1, "coarse"), (2, "unseen")):
+        made = components.component(lambda d, v: 6.0 * components.dahl(d, 1e-4), SECONDS, seed)
+        components.save({name: column[::10] for name, column in made.items()}, folder / f"{part}.csv")
+    found = masking.discover(folder / "coarse.csv", model=folder / "damper.yaml", validation=folder / "unseen.csv")
+    assert [(e.name, e.on) for e in found.effects] == [("dahl_friction", "strut")]
+    assert found.verdict == "named"
+    told = {name: value for name, (value, _) in found.effects[0].parameters.items()}
+    assert told == pytest.approx({"fc": 6.0, "x0": 1e-4}, rel=0.05)
+
+
+@pytest.mark.search
+def test_friction_that_no_name_fits_whole_is_not_made_of_two(folder):
+    """Sharp friction that builds up, and is larger at small rates: of the names, that of bristles is nearest."""
+
+    def hidden(d, v):
+        return 6.0 * components.dahl(d, 1e-4) * (1.0 + 0.5 / (1.0 + (v / 0.02) ** 2)) + 0.2 * np.sin(d / 4e-4)
+
+    for seed, part in ((1, "odd"), (2, "unseen")):
+        made = components.component(hidden, SECONDS, seed)
+        components.save({name: column[::10] for name, column in made.items()}, folder / f"{part}.csv")
+    found = masking.discover(folder / "odd.csv", model=folder / "damper.yaml", validation=folder / "unseen.csv")
+    frictions = [e.name for e in found.effects if "friction" in e.name]
+    assert frictions == ["lugre_friction"]
+
+
 @pytest.mark.parametrize(
     "name", [*(pytest.param(f"{kind}/none", marks=pytest.mark.search) for kind in ("damper", "motor")), "tank/none"]
 )

@@ -88,7 +88,8 @@ def _moved(problem: EstimationProblem, start: Array) -> int:
 def finer(problem: EstimationProblem, found: Hypothesis) -> int:
     """Return how many steps simulate a law that was found: friction that turns round fast, a stop, a gap.
 
-    Steps are enough where four times as many change the readings by no more than `law_error` of their noise.
+    Steps are enough where four times as many change the readings by no more than `law_error` of their noise, or of what
+    the law leaves where that is more: costs are compared in parts of it.
     """
     if not found.instances:
         return problem.substeps
@@ -99,7 +100,8 @@ def finer(problem: EstimationProblem, found: Hypothesis) -> int:
         return fitting.fit(fine, instances, theta=found.theta, start=found.start, frozen=True).residuals
 
     least, rules = problem.substeps, problem.rules
-    return _steps(residuals, least, rules.most_refinement * least, rules.law_error * problem.sigma, ahead=4)
+    left = np.maximum(problem.sigma, np.sqrt((found.residuals**2).mean(axis=0)))
+    return _steps(residuals, least, rules.most_refinement * least, rules.law_error * left, ahead=4)
 
 
 def _steps(simulated: Callable[[int], Array], least: int, most: int, allowed: Array, *, ahead: int) -> int:

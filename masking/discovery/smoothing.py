@@ -176,8 +176,8 @@ def centred(problem: EstimationProblem) -> EstimationProblem:
 
 def _falls(rig: AugmentedModel, problem: EstimationProblem) -> bool:
     """Return whether a motion near rest grows e-fold within the record."""
-    speeds: Array = np.real(linalg.eigvals(linearised(rig, problem.prior.mean)[0]))
-    return bool((speeds * len(problem.record) > problem.record.rate).any())
+    speeds = linalg.eigvals(linearised(rig, problem.prior.mean)[0])
+    return float(speeds.real.max()) * len(problem.record) > problem.record.rate
 
 
 def fastest(rig: AugmentedModel, theta: Array) -> complex:

@@ -11,11 +11,12 @@ from masking.effects import Span
 from masking.numerics.arrays import Array
 
 REPLACED = (1.0, 0.3, 3.0)  # parts of an element's stiffness with which a law in its place begins
+OWN = 0.01  # of the strongest line of a motion: lines that are its own
 
 
 def spans(problem: EstimationProblem, motion: Motion) -> dict[tuple[str, str], Span]:
     """Return the span of each place, sensor and actuator: of an element, sensor or actuator with a name."""
-    found, tones = dict[tuple[str, str], Span](), _tones(problem, motion.forces)
+    found, tones = dict[tuple[str, str], Span](), _tones(problem, motion)
     for place, x, rate in zip(problem.rig.places, motion.displacement.T, motion.rate.T, strict=True):
         moved = x if place.element.displacement is not None else _moved(rate, problem.dt)
         span = _span(moved, float(np.sqrt((rate**2).mean())) or 1.0, tones)
@@ -37,14 +38,17 @@ def _moved(rate: Array, period: float) -> Array:
     return found
 
 
-def _tones(problem: EstimationProblem, forces: Array) -> tuple[float, ...]:
-    """Return the frequencies in Hz at which the latent forces are strongest."""
-    window, rules = np.hanning(len(forces)), problem.rules
-    many = 4 * len(forces)
-    power = sum(
-        np.abs(np.fft.rfft(column * window, many)) ** 2 / column.var() for column in forces.T if column.var() > 0
-    )
-    if isinstance(power, int):
+def _tones(problem: EstimationProblem, motion: Motion) -> tuple[float, ...]:
+    """Return the frequencies in Hz at which the latent forces are strongest.
+
+    In a free decay those are left out at which the motion itself is strong: a force there follows the motion.
+    """
+    rules, many = problem.rules, 4 * len(motion.forces)
+    power = _spectrum(motion.forces)
+    if not problem.rig.twin.actuators and _decays(motion.displacement):
+        moved = _spectrum(motion.displacement - motion.displacement.mean(axis=0))
+        power = np.where(moved > OWN * moved.max(), 0.0, power)
+    if not power.any():
         return ()
     frequencies = np.fft.rfftfreq(many, problem.dt)
     (low, high), width = rules.tone_band, rules.tone_width
@@ -55,6 +59,19 @@ def _tones(problem: EstimationProblem, forces: Array) -> tuple[float, ...]:
         found.append(float(frequencies[i]))
         power[max(0, i - width) : i + width + 1] = 0.0
     return tuple(found)
+
+
+def _spectrum(table: Array) -> Array:
+    """Return the power of columns (m, c) together, each over its variance, in four lines for each of the record."""
+    window, found = np.hanning(len(table))[:, None], table[:, table.var(axis=0) > 0.0]
+    power: Array = (np.abs(np.fft.rfft(found * window, 4 * len(table), axis=0)) ** 2 / found.var(axis=0)).sum(axis=1)
+    return power
+
+
+def _decays(moved: Array) -> bool:
+    """Return whether every place moves less than half as far in the last third of a record as in the first (m, c)."""
+    first, *_, last = np.array_split(moved - moved.mean(axis=0), 3)
+    return bool((last.std(axis=0) <= 0.5 * first.std(axis=0)).all())
 
 
 def _span(x: Array, rate: float = 0.0, tones: tuple[float, ...] = ()) -> Span:
