@@ -229,6 +229,7 @@ class Search:
             return number in known and known[number].cost > far
 
         chosen, variants = self._worth_a_fit(now, scores, screen, max(gains, default=0.0))
+        chosen += (fitted := [score for score in variants if id(score.candidate) in known])
 
         def added(score: Score) -> tuple[int, Job]:
             number = id(score.candidate)
@@ -250,7 +251,7 @@ class Search:
         rival = min(e.hypothesis.cost for e in found)
         least = now.hypothesis.cost - rules.nested_fraction * (now.hypothesis.cost - rival)
         near = {e.names[-1] for e in found if e.hypothesis.cost < least}
-        again = [added(score) for score in variants if score.candidate.key in near and not is_far(id(score.candidate))]
+        again = [added(p) for p in variants if p.candidate.key in near and all(p is not one for one in fitted)]
         found += self._noted(again, rival, made)
         found += self._simpler(found)
         found = [e for e in found if self._is_possible(e)]

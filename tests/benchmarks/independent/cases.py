@@ -172,7 +172,9 @@ def _beyond(x: float, half: float) -> float:
 
 def _play(e: Drawn) -> Element:
     half = 0.5 * float(e.random.uniform(0.2, 1.0)) * e.size
-    return Element(e.row, lambda d, v, z, t: e.k * _beyond(d, half) + (e.c * v if abs(d) > half else 0.0))
+    return Element(
+        e.row, lambda d, v, z, t: e.k * _beyond(d, half) + (e.c * v if abs(d) > half else 0.0), edges=(-half, half)
+    )
 
 
 def _dragged(e: Drawn) -> Element:
@@ -196,12 +198,12 @@ def _stop(e: Drawn) -> Element:
         contact = stiff * max(side * d - edge, 0.0) * max(1.0 + loss * side * v, 0.0)
         return e.k * d + e.c * v + side * contact
 
-    return Element(e.row, force)
+    return Element(e.row, force, edges=(side * edge,))
 
 
 def _bilinear(e: Drawn) -> Element:
     more = float(e.random.uniform(0.1, 0.5)) * e.k
-    return Element(e.row, lambda d, v, z, t: e.k * d + e.c * v + more * max(d, 0.0))
+    return Element(e.row, lambda d, v, z, t: e.k * d + e.c * v + more * max(d, 0.0), edges=(0.0,))
 
 
 def _relaxing(e: Drawn) -> Element:
