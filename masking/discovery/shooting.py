@@ -13,6 +13,7 @@ from functools import cache
 
 import numpy as np
 
+from masking.declaration.couplings import driven_states
 from masking.discovery import fitting
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
@@ -58,7 +59,7 @@ def shorter(problem: EstimationProblem) -> Iterator[float]:
 
 def substeps(problem: EstimationProblem) -> int:
     """Return how many integration steps between samples simulate the readings within their noise."""
-    least = problem.rules.stiff_steps if len(problem.rig.twin.free) > 2 * len(problem.rig.coordinates) else 1
+    least = problem.rules.stiff_steps if driven_states(problem.rig.twin.base) else 1
     theta = problem.prior.mean
     start = fitting.first_states(problem, theta)
 
