@@ -5,6 +5,8 @@ Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, s
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +16,7 @@ from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.verdict import Key, Kind
+from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
 
@@ -47,6 +50,11 @@ class Explanation:
         index = problem.rig.names.index(self.names[0][0])
         return replace(problem, prior=problem.prior.freed(index, problem.rules.freed_factor))
 
+    def without(self, i: int) -> tuple[tuple[Key, ...], tuple[EffectInstance, ...]]:
+        """Return its names and effects without one of its causes."""
+        names, instances = self.names, self.hypothesis.instances
+        return (*names[:i], *names[i + 1 :]), (*instances[:i], *instances[i + 1 :])
+
     def score(self, tempering: float) -> float:
         """Return its cost over a tempering factor, with the Occam factor of its parameters."""
         fitted = self.joint or self.hypothesis
@@ -55,6 +63,27 @@ class Explanation:
     def deviations(self, tempering: float) -> Array:
         """Return the standard deviations of its parameters (k + f,), larger where more than white noise is left."""
         return np.asarray(np.sqrt(tempering) * self.hypothesis.deviations)
+
+
+Job = Callable[[float], Explanation]  # a fit, given the cost of a rival
+
+
+def fitted(jobs: Sequence[Job], rival: float) -> list[Explanation | None]:
+    """Return what fits give, two at once; None where the motion is not finite.
+
+    Args:
+        jobs: the fits.
+        rival: cost of another hypothesis.
+    """
+
+    def found(job: Job) -> Explanation | None:
+        try:
+            return job(rival)
+        except IntegrationError:
+            return None
+
+    with ThreadPoolExecutor(2) as pool:
+        return [*pool.map(found, jobs)]
 
 
 def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:

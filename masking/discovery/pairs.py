@@ -8,11 +8,16 @@ do to the sensors, as single ones do.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from masking.discovery import verdict
+from masking.discovery.composites import are_composite
+from masking.discovery.exclusion import is_excluded
+from masking.discovery.explanation import Explanation, Job, fitted
+from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import Score, Screen, best_factors
 from masking.numerics.arrays import Array
 
@@ -58,6 +63,47 @@ def pairs(screen: Screen, scores: Sequence[Score]) -> list[Pair]:
                 gain = float(2.0 * factors @ right - factors @ gram @ factors)
                 found.append(Pair((both[0], both[1]), gain))
     return sorted(found, key=lambda pair: -pair.gain)
+
+
+def pairs_first(
+    problem: EstimationProblem,
+    now: Explanation,
+    found: list[Explanation],
+    screen: Screen,
+    *,
+    scores: Sequence[Score],
+    job: Callable[[Sequence[Score]], Job],
+) -> list[Explanation]:
+    """Return explanations with pairs of laws first that leave far less than any single one.
+
+    Args:
+        problem: the record and the rig.
+        now: the explanation to which causes are added.
+        found: explanations with one more cause.
+        screen: of the residual.
+        scores: of the candidates.
+        job: the fit with some of them.
+    """
+    rules, rig, size = problem.rules, problem.rig, problem.record.readings.size
+    alone, noise = min(e.cost for e in (now, *found)), float(size // screen.every)
+    if verdict.reaches_noise(alone, size, rules) or len(now.names) + 2 > rules.most_effects:
+        return found
+    left = LEFT * verdict.excess_cost(alone, size)
+    most = rules.fit_ratio * left / verdict.excess_cost(now.cost, size) * (screen.total - noise)
+    chosen = list[Pair]()
+    for pair in pairs(screen, scores):
+        names = (*now.names, *(score.candidate.key for score in pair.scores))
+        if screen.total - pair.gain - noise > most or len(chosen) == rules.most_exchanges:
+            break
+        if len({*names}) == len(names) and not are_composite(names, rig, rules):
+            chosen.append(pair)
+    both = [e for e in fitted([job(pair.scores) for pair in chosen], alone) if e is not None]
+    better = [e for e in both if verdict.excess_cost(e.cost, size) < left]
+    better = [e for e in better if not is_excluded(problem, e.hypothesis.instances)]
+    if not better:
+        return found
+    tempering = problem.tempering(min(better, key=lambda e: e.cost).hypothesis.residuals)
+    return [*sorted(better, key=lambda e: e.score(tempering)), *found]
 
 
 def _is_simple(score: Score) -> bool:

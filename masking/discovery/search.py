@@ -9,33 +9,32 @@ Source: Kass and Raftery (1995), JASA 90(430), 773-795; for what is worth a fit,
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
 
-from masking.discovery import fitting, verdict
+from masking.discovery import fitting, shooting, verdict
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import Candidate, candidates
 from masking.discovery.composites import are_composite
 from masking.discovery.exclusion import is_excluded
-from masking.discovery.explanation import Explanation
+from masking.discovery.explanation import Explanation, Job, fitted
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.pairs import LEFT, Pair, pairs
+from masking.discovery.pairs import pairs_first
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.screening import Along, Score, Screen
 from masking.discovery.smoothing import Motion, smooth
 from masking.discovery.spans import spans
 from masking.discovery.verdict import Key
-from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
 Tell = Callable[[str, float], None]
-Job = Callable[[float], "Explanation"]  # given the cost of a rival
+Fits = dict[int, "Explanation"]  # of one more cause each, by the candidate; of a parameter by -1 and less
 
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
+FAR = 4.0  # times the cost of the best fit in large steps, from which one is not repeated in small ones: twice its rms
 
 
 @dataclass(frozen=True)
@@ -47,6 +46,7 @@ class SearchResult:
         steps: the explanations that were compared in each step, the best first.
         motion: smoothed record.
         tried: what each candidate could take off at first, the best first.
+        problem: the record, in the integration steps that the laws need; by default those of the model.
         passed_over: steps of which the last is the likeliest law, in the place of which a nested one was taken.
     """
 
@@ -54,6 +54,7 @@ class SearchResult:
     steps: tuple[tuple[Explanation, ...], ...]
     motion: Motion
     tried: tuple[Score, ...] = ()
+    problem: EstimationProblem | None = None
     passed_over: tuple[tuple[Explanation, ...], ...] = ()
 
 
@@ -81,10 +82,14 @@ class Search:
     Args:
         problem: the record and the rig.
         tell: called with what is done, and the fraction done.
+        rough: the same in the integration steps of the model alone, where laws need smaller ones.
+        fits: of each round by the causes before it, in those steps.
     """
 
     problem: EstimationProblem
     tell: Tell = lambda text, part: None
+    rough: EstimationProblem | None = None
+    fits: dict[tuple[Key, ...], Fits] = field(default_factory=dict)
 
     @property
     def rules(self) -> DecisionRules:
@@ -111,10 +116,11 @@ class Search:
         """Return the complexity penalty of each added parameter."""
         return float(np.log(self.size))
 
-    def run(self) -> SearchResult:
+    def run(self, substeps: int = 0) -> SearchResult:
         """Search for causes, one after the other, until none is worth its complexity penalty.
 
-        Where simpler laws came first and became a composite, a law in which they are nested may do what they do.
+        Args:
+            substeps: integration steps between samples of models with effects; by default as many as those need.
         """
         self.tell("fitting the model as it is", 0.0)
         plain = fitting.fit(self.problem)
@@ -122,18 +128,31 @@ class Search:
         self.tell("smoothing the motion", 0.1)
         motion = smooth(self.problem, base.hypothesis.theta, base.hypothesis.start)
         ground = _Ground(base, motion, list(candidates(self.problem.rig, spans(self.problem, motion), self.problem.dt)))
-        found = self._from(ground, ())
+        search = self.finer(substeps or self.problem.substeps)
+        found = search._searched(ground)
+        while found.problem and found.problem.substeps > search.problem.substeps:
+            search = self.finer(found.problem.substeps)
+            self.tell(f"with {search.problem.substeps} steps between samples", 0.3)
+            found = search._searched(ground)
         if found.passed_over and self._is_composite(found.steps[-1][0]):
-            found = replace(self._from(ground, found.passed_over), tried=found.tried)
+            # A law in which simpler ones are nested may do what they do together.
+            again = search._searched(ground, found.passed_over)
+            found = replace(again, tried=found.tried, problem=search.problem)
         return found
+
+    def finer(self, substeps: int) -> Search:
+        """Return the search in other integration steps, with the fits of this one."""
+        if substeps == self.problem.substeps:
+            return self
+        return replace(self, problem=replace(self.problem, substeps=substeps), rough=self.problem)
 
     def _is_composite(self, explanation: Explanation) -> bool:
         return are_composite(explanation.names, self.problem.rig, self.rules)
 
-    def _from(self, ground: _Ground, begun: Sequence[tuple[Explanation, ...]]) -> SearchResult:
-        """Return what a search finds that has taken some steps."""
-        base, steps, passed_over = ground.base, list(begun), tuple[tuple[Explanation, ...], ...]()
-        tried: tuple[Score, ...] = ()
+    def _searched(self, ground: _Ground, begun: Sequence[tuple[Explanation, ...]] = ()) -> SearchResult:
+        """Search in the steps of the problem, on from some causes; end where a law needs smaller ones, with these."""
+        base, motion, steps = ground.base, ground.motion, list(begun)
+        tried, passed_over = tuple[Score, ...](), tuple[tuple[Explanation, ...], ...]()
         now = settled = steps[-1][0] if steps else base
         number = len(steps)
         while number < self.rules.most_effects:
@@ -157,9 +176,13 @@ class Search:
             scores = screen.scores(ground.every)
             tried = tried or tuple(scores)
             found, likeliest = self._round(now, scores, screen, parameters=number == 0)
-            found = self._with_pairs(now, found, scores, screen)
+            job = partial(self._job, now, screen)
+            found = pairs_first(self.problem, now, found, screen, scores=scores, job=job)
             if not found or self._is_too_little(base, now, found[0]):
                 break
+            needed = self._steps_of(base, found[0])
+            if needed > self.problem.substeps:
+                return SearchResult(base, (*steps, tuple(found)), motion, tried, replace(self.problem, substeps=needed))
             if len(now.names) > 1 and now is not settled:
                 # The first effects may only resemble the true ones: they were compared while the others were missing.
                 now, before = self._settled(now, ground), now
@@ -168,8 +191,8 @@ class Search:
                     steps[-1] = (now,)
                     continue
             number += 1
-            if all(one is not likeliest for one in found) and not self._is_composite(likeliest):
-                passed_over = (*steps, (likeliest,))
+            is_kept = any(one is likeliest for one in found) or self._is_composite(likeliest)
+            passed_over = passed_over if is_kept else (*steps, (likeliest,))
             now, before = self._reduced(found[0]), now
             if now is not found[0] and set(now.names) == set(before.names):
                 steps[-1] = (now, *steps[-1][1:])  # the last adds nothing: the others had not settled
@@ -180,7 +203,27 @@ class Search:
         if len(now.names) > 1 and now is steps[-1][0] and now is not settled:
             settled = self._settled(now, ground)
             steps[-1] = steps[-1] if settled is now else (settled,)
-        return SearchResult(base, tuple(steps), ground.motion, tried, passed_over)
+        return SearchResult(base, tuple(steps), motion, tried, self.problem, passed_over)
+
+    def _steps_of(self, base: Explanation, best: Explanation) -> int:
+        """Return the integration steps between samples that an explanation needs, if it leaves hardly anything."""
+        left, excess = (verdict.excess_cost(one.cost, self.size) for one in (best, base))
+        if best.kind != "effects" or left >= self.rules.trace_fraction * excess:
+            return self.problem.substeps
+        return shooting.finer(self.problem, best.hypothesis, (self.rough or self.problem).substeps)
+
+    def _known(self, now: Explanation, scores: Sequence[Score], screen: Screen, *, parameters: bool) -> Fits:
+        """Return the fits of a round in the steps of the model alone; none where the problem has these."""
+        if self.rough is None:
+            return {}
+        if now.hypothesis.instances:
+            rougher = shooting.corrected(self.rough, now.hypothesis)
+            if rougher is None:
+                return {}
+            problem, hypothesis = rougher
+            search = replace(self, problem=problem, rough=None)
+            search._round(replace(now, hypothesis=hypothesis), scores, screen, parameters=parameters)
+        return self.fits.get(now.names, {})
 
     def _round(
         self, now: Explanation, scores: Sequence[Score], screen: Screen, *, parameters: bool
@@ -189,48 +232,40 @@ class Search:
 
         There are none where the best is no better than chance.
         """
-        rules, gains = self.rules, self._freed_scores(now.hypothesis)
-        best = max([score.gain for score in scores] + [*gains], default=0.0)
-        most = self._worth(screen, screen.total - best)
-        chosen: list[Score] = []
-        for score in scores:
-            pays = score.gain > self.penalty * len(score.candidate.free) + 0.5 * rules.effect_evidence
-            if score.candidate.key in now.names or not pays or len(chosen) == rules.most_fits:
-                continue
-            if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
-                chosen.append(score)
-        excess = now.cost - self.size
-        if (
-            now.names
-            and verdict.reaches_noise(now.cost, self.size, rules)
-            and verdict.is_excess(now.cost, self.size, rules)
-        ):
-            chosen = [score for score in chosen if score.gain > rules.gain_fraction * excess]
-        keys = {p.candidate.key for p in chosen}
-        simpler = set().union(*map(self._nested_in, keys)) - keys - {*now.names}
-        inside = {name for names in self.nested.values() for name in names}
-        nested = simpler | {key for key in keys if key[0] in inside}
-        others = [p for p in scores if p.candidate.key in nested and all(p is not one for one in chosen)]
-        first = {p.candidate.key: p for p in [*others[::-1], *chosen]}
-        chosen += [p for p in others if first[p.candidate.key] is p]
-        variants = [p for p in others if all(p is not one for one in chosen)]
-        jobs = [partial(self._added, now, (score,), screen) for score in chosen]
+        rules, gains = self.rules, fitting.freed_scores(self.problem, now.hypothesis)
+        known = self._known(now, scores, screen, parameters=parameters)
+        made = self.fits.setdefault(now.names, {}) if self.rough is None else Fits()
+        made.clear()
+        far = FAR * min((one.cost for one in known.values()), default=np.inf)
+
+        def is_far(number: int) -> bool:
+            return number in known and known[number].cost > far
+
+        chosen, variants = self._worth_a_fit(now, scores, screen, max(gains, default=0.0))
+        chosen += (repeated := [score for score in variants if id(score.candidate) in known])
+
+        def added(score: Score) -> tuple[int, Job]:
+            number = id(score.candidate)
+            return number, partial(self._added, now, (score,), screen, known.get(number))
+
+        jobs = [added(score) for score in chosen]
         if parameters:
             wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
-            jobs += [partial(self._freed, now, i) for i in wrong]
+            jobs += [(-1 - i, partial(self._freed, now, i)) for i in wrong]
+        jobs = [(number, job) for number, job in jobs if not is_far(number)]
         self.tell(f"fitting {len(jobs)} of them", 0.3)
         found: list[Explanation] = []
         for some in (jobs[:2], jobs[2:]):  # the best scores set the mark for the others
             rival = min(e.hypothesis.cost for e in (now, *found))
-            found += [e for e in self._fitted(some, rival) if e is not None]
+            found += self._noted(some, rival, made)
         if not found:
             return [], now
         # Other shapes of a nested model are fitted if one takes a part of what the best does.
         rival = min(e.hypothesis.cost for e in found)
         least = now.hypothesis.cost - rules.nested_fraction * (now.hypothesis.cost - rival)
         near = {e.names[-1] for e in found if e.hypothesis.cost < least}
-        again = [partial(self._added, now, (score,), screen) for score in variants if score.candidate.key in near]
-        found += [e for e in self._fitted(again, rival) if e is not None]
+        again = [added(p) for p in variants if p.candidate.key in near and all(p is not one for one in repeated)]
+        found += self._noted(again, rival, made)
         found += self._simpler(found)
         found = [e for e in found if self._is_possible(e)]
         if not found:
@@ -254,7 +289,8 @@ class Search:
         # A law that follows the steps of integration errs by what these may.
         last = ranked[0].hypothesis.instances[-1:]
         numerical = rules.law_error**2 * self.size if any(one.entry.by_step for one in last) else 0.0
-        return verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical), ranked[0]
+        ordered = verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical)
+        return ordered, ranked[0]
 
     def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
         """Return nested models of the best fit, fitted from its parameters if they begin better than they ended."""
@@ -275,23 +311,47 @@ class Search:
                 better.append(replace(nested, hypothesis=self._fit(instances, known, known.cost)))
         return better
 
+    def _worth_a_fit(
+        self, now: Explanation, scores: Sequence[Score], screen: Screen, gain: float
+    ) -> tuple[list[Score], list[Score]]:
+        """Return scores whose candidates are fitted, and of other shapes of nested models; a parameter takes `gain`."""
+        best, rules = max([score.gain for score in scores], default=0.0), self.rules
+        most = self._worth(screen, screen.total - max(best, gain))
+        chosen: list[Score] = []
+        for score in scores:
+            pays = score.gain > self.penalty * len(score.candidate.free) + 0.5 * rules.effect_evidence
+            if score.candidate.key in now.names or not pays or len(chosen) == rules.most_fits:
+                continue
+            if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
+                chosen.append(score)
+        excess = now.cost - self.size
+        if (
+            now.names
+            and verdict.reaches_noise(now.cost, self.size, rules)
+            and verdict.is_excess(now.cost, self.size, rules)
+        ):
+            chosen = [score for score in chosen if score.gain > rules.gain_fraction * excess]
+        keys = {p.candidate.key for p in chosen}
+        simpler = set().union(*map(self._nested_in, keys)) - keys - {*now.names}
+        inside = {name for names in self.nested.values() for name in names}
+        nested = simpler | {key for key in keys if key[0] in inside}
+        others = [p for p in scores if p.candidate.key in nested and all(p is not one for one in chosen)]
+        first = {p.candidate.key: p for p in [*others[::-1], *chosen]}
+        chosen += [p for p in others if first[p.candidate.key] is p]
+        variants = [p for p in others if all(p is not one for one in chosen)]
+        return chosen, variants
+
+    def _noted(self, jobs: Sequence[tuple[int, Job]], rival: float, made: Fits) -> list[Explanation]:
+        """Return what fits give where the motion is finite, and note them by their numbers."""
+        every = zip(jobs, fitted([job for _, job in jobs], rival), strict=True)
+        found = {number: e for (number, _), e in every if e is not None}
+        made.update(found)
+        return [*found.values()]
+
     def _worth(self, screen: Screen, left: float) -> float:
         """Return what a candidate may leave of a screen's cost to be fitted, where the best leaves so much."""
         rules, noise = self.rules, float(self.size // screen.every)
         return rules.fit_ratio * max(left - noise, rules.screen_resolution * noise) + rules.screen_noise * noise
-
-    @staticmethod
-    def _fitted(jobs: Sequence[Job], rival: float) -> list[Explanation | None]:
-        """Return what fits give, two at once; None where the motion is not finite."""
-
-        def fitted(job: Job) -> Explanation | None:
-            try:
-                return job(rival)
-            except IntegrationError:
-                return None
-
-        with ThreadPoolExecutor(2) as pool:
-            return [*pool.map(fitted, jobs)]
 
     def _screen(
         self, ground: _Ground, looked_at: Hypothesis, found: Sequence[EffectInstance], *, taken: bool = False
@@ -311,13 +371,13 @@ class Search:
         """Try other effects in the place of each but the last, which has just been chosen among all."""
         for i in range(len(best.names) - 1):
             self.tell(f"trying others than {best.names[i][0]}", 0.9)
-            screen = self._screen(ground, ground.base.hypothesis, _without(best, i)[1])
+            screen = self._screen(ground, ground.base.hypothesis, best.without(i)[1])
             most = self._worth(screen, best.hypothesis.cost / screen.every)
             scores = [p for p in screen.scores(ground.every) if p.candidate.key not in best.names]
             chosen = [p for p in scores if screen.total - p.gain < most][: self.rules.most_exchanges]
             jobs = [partial(self._in_place, best, i, score) for score in chosen]
-            fitted = [e for e in self._fitted(jobs, best.hypothesis.cost) if e and self._is_possible(e)]
-            others = [e for e in fitted if self._is_better(ground.base, e, best, i)]
+            made = [e for e in fitted(jobs, best.hypothesis.cost) if e and self._is_possible(e)]
+            others = [e for e in made if self._is_better(ground.base, e, best, i)]
             if others:
                 tempering = self.problem.tempering(min(others, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
                 best = min(others, key=lambda e: e.score(tempering))
@@ -326,7 +386,7 @@ class Search:
 
     def _in_place(self, best: Explanation, i: int, score: Score, rival: float) -> Explanation:
         """Return a fit with an effect in the place of one."""
-        names, others = _without(best, i)
+        names, others = best.without(i)
         found = self._fit((self._ready(score), *others), best.hypothesis, rival)
         return Explanation("effects", (score.candidate.key, *names), found, min(best.unique, score.unique))
 
@@ -356,7 +416,7 @@ class Search:
                     starts = {tuple(one.values[j] for j in more): None for one in other.instances}
                     freed = replace(instance, free=other.free)
                     jobs += [partial(self._with_shape, now, i, freed.with_values(more, start)) for start in starts]
-        found = [one for one in self._fitted(jobs, now.hypothesis.cost) if one is not None]
+        found = [one for one in fitted(jobs, now.hypothesis.cost) if one is not None]
         if not found:
             return now
         best = min(found, key=lambda e: e.hypothesis.cost)
@@ -375,67 +435,50 @@ class Search:
             return best
         tempering = self.problem.tempering(best.hypothesis.residuals)
         jobs = [partial(self._less, best, i) for i in reversed(range(len(best.names)))]
-        for fewer in self._fitted(jobs, best.hypothesis.cost):
+        for fewer in fitted(jobs, best.hypothesis.cost):
             if fewer and fewer.score(tempering) < best.score(tempering) + self.rules.effect_evidence:
                 return self._reduced(fewer)
         return best
 
     def _less(self, best: Explanation, i: int, rival: float) -> Explanation:
         """Return a fit without one cause."""
-        names, instances = _without(best, i)
+        names, instances = best.without(i)
         return Explanation("effects", names, self._fit(instances, best.hypothesis, rival), best.unique)
 
     def _fit(self, instances: tuple[EffectInstance, ...], like: Hypothesis, rival: float) -> Hypothesis:
         return fitting.fit(self.problem, instances, theta=like.theta, start=like.start, rival=rival)
 
-    def _added(self, now: Explanation, scores: Sequence[Score], screen: Screen, rival: float) -> Explanation:
-        """Return a fit with one more effect, or two, from parameters as they are or as screening has them.
+    def _added(
+        self, now: Explanation, scores: Sequence[Score], screen: Screen, known: Explanation | None, rival: float
+    ) -> Explanation:
+        """Return a fit with more effects, from parameters as they are or as screening has them, or as it is known.
 
-        Where that ends worse than without the effect, as where a resonance is sharp, it begins again with less of it.
+        Where that ends worse than without them, as where a resonance is sharp, it begins again with less of them.
         """
         here, ready = (now.hypothesis.theta, now.hypothesis.start), tuple(map(self._ready, scores))
-        names = (*now.names, *(score.candidate.key for score in scores))
+        names, unique = (*now.names, *(p.candidate.key for p in scores)), min(p.unique for p in scores)
 
         def cost(instances: Sequence[EffectInstance], at: tuple[Array, Array]) -> float:
             return fitting.cost(self.problem, (*now.hypothesis.instances, *instances), *at)
 
-        def fitted(instances: Sequence[EffectInstance], at: tuple[Array, Array]) -> Explanation:
+        def begun(instances: Sequence[EffectInstance], at: tuple[Array, Array]) -> Explanation:
             every = (*now.hypothesis.instances, *instances)
             found = fitting.fit(self.problem, every, theta=at[0], start=at[1], rival=rival)
-            return Explanation("effects", names, found, min(score.unique for score in scores))
+            return Explanation("effects", names, found, unique)
 
-        around = screen.around([score.instance for score in scores])
-        found = fitted(ready, min((here, around), key=partial(cost, ready)))
+        if known is None:
+            around = screen.around([score.instance for score in scores])
+            found = begun(ready, min((here, around), key=partial(cost, ready)))
+        else:
+            found = replace(known, hypothesis=fitting.repeated(self.problem, known.hypothesis, rival))
         if found.hypothesis.cost <= now.hypothesis.cost:
             return found
         less = ([_scaled(instance, part) for instance in ready] for part in LESS)
-        better = (fitted(instances, here) for instances in less if cost(instances, here) < now.hypothesis.cost)
+        better = (begun(instances, here) for instances in less if cost(instances, here) < now.hypothesis.cost)
         return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
 
-    def _with_pairs(
-        self, now: Explanation, found: list[Explanation], scores: Sequence[Score], screen: Screen
-    ) -> list[Explanation]:
-        """Put two laws of one place first where together they explain what no one does."""
-        rules, rig, noise = self.rules, self.problem.rig, float(self.size // screen.every)
-        alone = min(e.cost for e in (now, *found))
-        if verdict.reaches_noise(alone, self.size, rules) or len(now.names) + 2 > rules.most_effects:
-            return found
-        left = LEFT * verdict.excess_cost(alone, self.size)
-        most = rules.fit_ratio * left / verdict.excess_cost(now.cost, self.size) * (screen.total - noise)
-        chosen = list[Pair]()
-        for pair in pairs(screen, scores):
-            names = (*now.names, *(score.candidate.key for score in pair.scores))
-            if screen.total - pair.gain - noise > most or len(chosen) == rules.most_exchanges:
-                break
-            if len({*names}) == len(names) and not are_composite(names, rig, rules):
-                chosen.append(pair)
-        jobs = [partial(self._added, now, pair.scores, screen) for pair in chosen]
-        fitted = [e for e in self._fitted(jobs, alone) if e is not None and self._is_possible(e)]
-        better = [e for e in fitted if verdict.excess_cost(e.cost, self.size) < left]
-        if not better:
-            return found
-        tempering = self.problem.tempering(min(better, key=lambda e: e.cost).hypothesis.residuals)
-        return [*sorted(better, key=lambda e: e.score(tempering)), *found]
+    def _job(self, now: Explanation, screen: Screen, scores: Sequence[Score]) -> Job:
+        return partial(self._added, now, scores, screen, None)
 
     def _ready(self, score: Score) -> EffectInstance:
         """Return the instance of a score as a fit begins with it: what sticks, with the step of integration."""
@@ -448,21 +491,6 @@ class Search:
         free = Explanation("parameter", names, now.hypothesis).with_prior(self.problem)
         found = fitting.fit(free, theta=now.hypothesis.theta, start=now.hypothesis.start, rival=rival)
         return Explanation("parameter", names, found)
-
-    def _freed_scores(self, hypothesis: Hypothesis) -> Array:
-        """Return what setting each parameter free would take off the cost, to first order (k,)."""
-        k = len(self.problem.prior.mean)
-        pull = (hypothesis.theta - self.problem.prior.mean) / self.problem.prior.deviation
-        variance = np.diag(hypothesis.covariance)[:k] / self.problem.prior.deviation**2
-        # The parameter's own prior term, and what the others give once it is gone.
-        found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
-        return np.where(variance < 1.0 - 1e-9, found, 0.0)
-
-
-def _without(explanation: Explanation, i: int) -> tuple[tuple[Key, ...], tuple[EffectInstance, ...]]:
-    """Return names and instances of an explanation without one of its causes."""
-    names, instances = explanation.names, explanation.hypothesis.instances
-    return (*names[:i], *names[i + 1 :]), (*instances[:i], *instances[i + 1 :])
 
 
 def _scaled(instance: EffectInstance, part: float) -> EffectInstance:

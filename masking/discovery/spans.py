@@ -1,6 +1,8 @@
-"""Spans: how far and how fast each place, sensor and actuator goes in a record, from which fits of effects start."""
+"""Spans: the range of each place, sensor and actuator in a record, from which fits start."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from scipy import signal
@@ -15,26 +17,32 @@ OWN = 0.01  # of the strongest line of a motion: lines that are its own
 
 
 def spans(problem: EstimationProblem, motion: Motion) -> dict[tuple[str, str], Span]:
-    """Return the span of each place, sensor and actuator: of an element, sensor or actuator with a name."""
+    """Return the range of each place, sensor and actuator: of an element, sensor or actuator with a name.
+
+    Args:
+        problem: the record and the rig.
+        motion: the smoothed record.
+    """
+    rig, record = problem.rig, problem.record
     found, tones = dict[tuple[str, str], Span](), _tones(problem, motion)
-    for place, x, rate in zip(problem.rig.places, motion.displacement.T, motion.rate.T, strict=True):
+    for place, x, rate in zip(rig.places, motion.displacement.T, motion.rate.T, strict=True):
         moved = x if place.element.displacement is not None else _moved(rate, problem.dt)
         span = _span(moved, float(np.sqrt((rate**2).mean())) or 1.0, tones)
-        stiffness = problem.rig.stiffnesses.get(place.name, 0.0)
+        stiffness = rig.stiffnesses.get(place.name, 0.0)
         stiffnesses = tuple(part * (stiffness or 1.0) for part in REPLACED)
-        found["element", place.name] = Span(span.low, span.high, span.size, span.rate, span.tones, stiffnesses)
+        found["element", place.name] = replace(span, stiffnesses=stiffnesses)
     for where, names, table in (
-        ("sensor", problem.rig.twin.sensors, problem.record.readings),
-        ("actuator", problem.rig.twin.actuators, problem.record.commands),
+        ("sensor", rig.twin.sensors, record.readings),
+        ("actuator", rig.twin.actuators, record.commands),
     ):
         for name, x in zip(names, table.T, strict=True):
             found[where, name] = _span(x)
     return found
 
 
-def _moved(rate: Array, period: float) -> Array:
+def _moved(rate: Array, dt: float) -> Array:
     """Return how far a place goes to and fro whose rate alone is known (m,): without what goes on and on."""
-    found: Array = signal.detrend(np.cumsum(rate) * period)
+    found: Array = signal.detrend(np.cumsum(rate) * dt)
     return found
 
 
@@ -43,16 +51,16 @@ def _tones(problem: EstimationProblem, motion: Motion) -> tuple[float, ...]:
 
     In a free decay those are left out at which the motion itself is strong: a force there follows the motion.
     """
-    rules, many = problem.rules, 4 * len(motion.forces)
+    rules, rate, many = problem.rules, problem.record.rate, 4 * len(motion.forces)
     power = _spectrum(motion.forces)
     if not problem.rig.twin.actuators and _decays(motion.displacement):
         moved = _spectrum(motion.displacement - motion.displacement.mean(axis=0))
-        power = np.where(moved > OWN * moved.max(), 0.0, power)
+        power = np.where(moved > OWN * moved.max(initial=0.0), 0.0, power)
     if not power.any():
         return ()
-    frequencies = np.fft.rfftfreq(many, problem.dt)
+    frequencies = np.fft.rfftfreq(many, 1.0 / rate)
     (low, high), width = rules.tone_band, rules.tone_width
-    power = np.where((frequencies > low) & (frequencies < high * problem.record.rate), power, 0.0)
+    power = np.where((frequencies > low) & (frequencies < high * rate), power, 0.0)
     found = []
     for _ in range(rules.tones):
         i = int(np.argmax(power))

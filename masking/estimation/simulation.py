@@ -134,8 +134,7 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
     Raises:
         IntegrationError: the motion is not finite.
     """
-    names, internal = sensing.twin.state_names, sensing.twin.base.states
-    free = np.array([i for i, name in enumerate(names) if i in sensing.twin.free or name in internal], dtype=int)
+    free = np.array(sensing.twin.free, dtype=int)
     first, basis = first_start(sensing, record), sensing.basis(theta)
     substeps, at = sensing.twin.substeps(record.rate), len(theta) + free
 
