@@ -152,31 +152,25 @@ def test_what_is_hidden_is_named_where_it_is(discovered, name):
         assert after < 1.1 * components.NOISE < found.simulation_error.adjusted[sensor]
 
 
-def test_friction_that_builds_up_within_a_sample_is_named(folder):
-    """At 100 Hz the bench moves several times as far in a sample: in steps of a sample the friction would diverge."""
-    for seed, part in ((1, "coarse"), (2, "unseen")):
-        made = components.component(lambda d, v: 6.0 * components.dahl(d, 1e-4), SECONDS, seed)
-        components.save({name: column[::10] for name, column in made.items()}, folder / f"{part}.csv")
-    found = masking.discover(folder / "coarse.csv", model=folder / "damper.yaml", validation=folder / "unseen.csv")
-    assert [(e.name, e.on) for e in found.effects] == [("dahl_friction", "strut")]
-    assert found.verdict == "named"
-    told = {name: value for name, (value, _) in found.effects[0].parameters.items()}
-    assert told == pytest.approx({"fc": 6.0, "x0": 1e-4}, rel=0.05)
+def coarse(hidden, seed):
+    """Return a record of a slow motion at 100 Hz, in which the bench goes some tenths of a millimetre in a sample."""
+    motion, t = components.Motion.of(seed, 5e-3, 0.2, 2.0, 12), np.arange(round(8000 * SECONDS)) / 8000.0
+    d, v = motion.at(t), motion.rate(t)
+    made = {"t": t, "d": d, "v": v, "F": 1010.0 * d + 19.8 * v + hidden(d, v)}
+    made = {name: column[::80] for name, column in made.items()}
+    return made | {"F": components.noisy(made["F"], seed)}
 
 
 @pytest.mark.search
-def test_friction_that_no_name_fits_whole_is_not_made_of_two(folder):
-    """Sharp friction that builds up, and is larger at small rates: of the names, that of bristles is nearest."""
-
-    def hidden(d, v):
-        return 6.0 * components.dahl(d, 1e-4) * (1.0 + 0.5 / (1.0 + (v / 0.02) ** 2)) + 0.2 * np.sin(d / 4e-4)
-
-    for seed, part in ((1, "odd"), (2, "unseen")):
-        made = components.component(hidden, SECONDS, seed)
-        components.save({name: column[::10] for name, column in made.items()}, folder / f"{part}.csv")
-    found = masking.discover(folder / "odd.csv", model=folder / "damper.yaml", validation=folder / "unseen.csv")
-    frictions = [e.name for e in found.effects if "friction" in e.name]
-    assert frictions == ["lugre_friction"]
+def test_friction_that_builds_up_within_a_sample_is_found(folder):
+    """In steps of a sample its state would diverge; that of bristles without damping is nearly the same."""
+    for seed, part in ((1, "coarse"), (2, "unseen")):
+        components.save(coarse(lambda d, v: 6.0 * components.dahl(d, 6e-5), seed), folder / f"{part}.csv")
+    found = masking.discover(folder / "coarse.csv", model=folder / "damper.yaml", validation=folder / "unseen.csv")
+    assert [(e.name, e.on) for e in found.effects] == [("dahl_friction", "strut")]
+    assert {name for name, *_ in found.effects[0].alternatives} <= {"lugre_friction"}
+    told = {name: value for name, (value, _) in found.effects[0].parameters.items()}
+    assert told == pytest.approx({"fc": 6.0, "x0": 6e-5}, rel=0.01)
 
 
 @pytest.mark.parametrize(
