@@ -163,10 +163,10 @@ class Search:
                 wider = self._widened(now, ground)
                 steps[-1], now = (steps[-1], now) if wider is now else ((wider, *steps[-1][1:]), wider)
             self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
-            near = now.cost < self.rules.small_residual * self.size
-            screen = self._screen(
-                ground, now.hypothesis if near else base.hypothesis, now.hypothesis.instances, taken=near
-            )
+            screen = self._screen(ground, base.hypothesis, now.hypothesis.instances)
+            # What is found is screened itself if it leaves little, or less than to first order.
+            if now.cost < max(self.rules.small_residual * self.size, screen.total):
+                screen = self._screen(ground, now.hypothesis, now.hypothesis.instances, taken=True)
             scores = screen.scores(ground.every)
             tried = tried or tuple(scores)
             found = self._round(now, scores, screen, parameters=number == 0)
