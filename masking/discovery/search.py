@@ -169,10 +169,7 @@ class Search:
                 wider = self._widened(now, ground)
                 steps[-1], now = (steps[-1], now) if wider is now else ((wider, *steps[-1][1:]), wider)
             self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
-            near = now.cost < self.rules.small_residual * self.size
-            screen = self._screen(
-                ground, now.hypothesis if near else base.hypothesis, now.hypothesis.instances, taken=near
-            )
+            screen = self._screened(now, ground)
             scores = screen.scores(ground.every)
             tried = tried or tuple(scores)
             found, likeliest = self._round(now, scores, screen, parameters=number == 0)
@@ -275,14 +272,15 @@ class Search:
         for explanation in sorted(found, key=lambda e: e.score(tempering)):
             merged.setdefault(tuple(sorted(explanation.names)), explanation)
         every = merged.values()
-
-        def is_redundant(e: Explanation) -> bool:
-            return verdict.is_redundant(e, every, self._nested_in(e.names[-1]), now.cost, rules, tempering=tempering)
-
-        distinct = [e for e in every if not is_redundant(e)]
+        redundant = partial(verdict.is_redundant, others=every, now=now.cost, rules=rules, tempering=tempering)
+        distinct = [e for e in every if not redundant(e, nested=self._nested_in(e.names[-1]))]
         # Of what is the same, a parameter of the rig comes first.
         bonus = rules.parameter_preference * self.penalty
         ranked = sorted(distinct, key=lambda e: e.score(tempering) - bonus * (e.kind == "parameter"))
+        if verdict.reaches_noise(now.cost, self.size, rules):  # nothing is left that several laws would imitate
+            ranked = [e for e in ranked if not are_composite(e.names, self.problem.rig, rules)]
+        if not ranked:
+            return [], now
         least = rules.parameter_evidence if ranked[0].kind == "parameter" else rules.effect_evidence
         if now.score(tempering) - ranked[0].score(tempering) < least:
             return [], now
@@ -357,6 +355,14 @@ class Search:
         self, ground: _Ground, looked_at: Hypothesis, found: Sequence[EffectInstance], *, taken: bool = False
     ) -> Screen:
         return Screen(self.problem, looked_at, ground.motion, found, taken=taken, along=ground.along)
+
+    def _screened(self, now: Explanation, ground: _Ground) -> Screen:
+        """Return a screen of what is found, or of the model where that leaves less, to first order."""
+        instances = now.hypothesis.instances
+        screen = self._screen(ground, ground.base.hypothesis, instances)
+        if now.cost >= max(self.rules.small_residual * self.size, screen.total):
+            return screen
+        return self._screen(ground, now.hypothesis, instances, taken=True)
 
     def _is_too_little(self, base: Explanation, now: Explanation, then: Explanation) -> bool:
         """Return whether one more cause takes too little of the excess cost."""
@@ -473,7 +479,7 @@ class Search:
             found = replace(known, hypothesis=fitting.repeated(self.problem, known.hypothesis, rival))
         if found.hypothesis.cost <= now.hypothesis.cost:
             return found
-        less = ([_scaled(instance, part) for instance in ready] for part in LESS)
+        less = ([instance.with_factors_times(part) for instance in ready] for part in LESS)
         better = (begun(instances, here) for instances in less if cost(instances, here) < now.hypothesis.cost)
         return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
 
@@ -491,9 +497,3 @@ class Search:
         free = Explanation("parameter", names, now.hypothesis).with_prior(self.problem)
         found = fitting.fit(free, theta=now.hypothesis.theta, start=now.hypothesis.start, rival=rival)
         return Explanation("parameter", names, found)
-
-
-def _scaled(instance: EffectInstance, part: float) -> EffectInstance:
-    """Return an instance with a part of the effect."""
-    at = [i for i, name in zip(instance.free, instance.names, strict=True) if name in instance.entry.factors]
-    return instance.with_values(at, (part * instance.values[i] for i in at))
