@@ -22,8 +22,9 @@ def noise_of(twin: Twin, record: Data) -> Array:
     """Return the standard deviation of the noise of each reading (sensors,), from the record.
 
     What a force changes at once may jump, as that of a friction does: there the noise is that of most readings, and
-    that of measured inputs counts with what the readings have of these by linear regression. Parameters of the model
-    have no part in it. Rounding to steps q makes q / sqrt(12) at least.
+    that of measured inputs counts with what the readings have of these by linear regression. Where commands change in
+    steps, readings between those tell it, too. Parameters of the model have no part in it. Rounding to steps q makes
+    q / sqrt(12) at least.
 
     Args:
         twin: the rig.
@@ -32,7 +33,7 @@ def noise_of(twin: Twin, record: Data) -> Array:
     Raises:
         RecordError: readings carry no noise, so that nothing can be said to be beyond it.
     """
-    found = record.noise
+    found = np.minimum(record.noise, _between_steps(record))
     if twin.is_fed:
         inputs = record.commands[:, [twin.actuators.index(name) for name in twin.measured_actuators]]
         by = np.linalg.lstsq(inputs - inputs.mean(axis=0), record.readings - record.readings.mean(axis=0))[0]
@@ -45,6 +46,15 @@ def noise_of(twin: Twin, record: Data) -> Array:
             )
     floor: Array = np.maximum.reduce([found, 1e-6 * size, steps_of(record) / np.sqrt(12.0)])
     return floor
+
+
+def _between_steps(record: Data) -> Array:
+    """Return the noise of readings (sensors,) while commands stay as they are; infinite where they hardly ever do."""
+    changed = (np.diff(record.commands, axis=0) != 0.0).any(axis=1)
+    still = ~np.lib.stride_tricks.sliding_window_view(changed, 3).any(axis=1)
+    if not changed.any() or still.sum() < FEWEST:
+        return np.full(record.readings.shape[1], np.inf)
+    return np.asarray(np.median(np.abs(third_differences(record.readings)[still]), axis=0) / MEDIAN)
 
 
 def _smooth(table: Array) -> Array:

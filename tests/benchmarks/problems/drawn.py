@@ -1,0 +1,247 @@
+"""One random problem: chains of one to four masses, or one to three levels, of which one or two laws are not declared.
+
+Nothing of the package is used. Frequencies span 0.1 Hz to 1 kHz, sampling 1.5 Hz to 100 kHz, lengths micrometres to
+decimetres, masses grams to hundreds of kilograms, noise 1e-4 to 1e-2 of the readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tests.benchmarks.independent import cases, machine
+from tests.benchmarks.independent.cases import LIKE, OFF, Drawn, Rig
+from tests.benchmarks.independent.machine import Array, Contact, Element, Machine
+from tests.benchmarks.laws import records
+
+Key = tuple[str, str]
+
+FRICTION = ("dry_friction", "stribeck_friction")
+NAMELESS = tuple(name for name in records.LAWS if name not in (*records.NAMES, "tangent", "magnet"))  # those have poles
+AT_ELEMENTS = (*cases.LAWS, *FRICTION, *NAMELESS)
+AT_SENSORS = ("sensor_offset", "sensor_saturation", "sensor_magnitude")
+AT_ACTUATORS = ("saturation", "dead_zone", "delay", "actuator_offset")
+CLASSES: Mapping[str, tuple[str, ...]] = {
+    **{name: (name,) for name in (*AT_SENSORS, *AT_ACTUATORS, "overflow")},
+    **LIKE,
+    "actuator_offset": ("actuator_offset", "constant_force"),
+    "square_flow": ("quadratic_flow", "polynomial_spring"),
+}
+PIECES = 4  # steps of integration in a sample
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is given, and what is hidden.
+
+    Args:
+        model: model file.
+        plant: plant file.
+        columns: of the record, by name.
+        truth: each hidden law with its places: those that are the same.
+        words: what it is.
+    """
+
+    model: str
+    plant: str
+    columns: Mapping[str, Array]
+    truth: Sequence[tuple[str, tuple[str, ...]]]
+    words: str
+
+    @property
+    def has_name(self) -> bool:
+        """Return whether the dictionary has all that is hidden."""
+        return all(name in CLASSES for name, _ in self.truth)
+
+    def is_right(self, answer: Sequence[Key]) -> bool:
+        """Return whether each hidden law is answered by one of its class at its place, and nothing else is."""
+        left = [*answer]
+        for name, places in self.truth:
+            hits = [one for one in left if one[0] in CLASSES.get(name, ()) and one[1] in places]
+            if not hits:
+                return False
+            left.remove(hits[0])
+        return not left
+
+
+def drawn(seed: int) -> Problem:
+    """Return the problem of a seed; one whose motion is not finite is drawn again."""
+    for attempt in range(20):
+        rng = np.random.default_rng([seed, attempt])
+        with np.errstate(all="ignore"):
+            try:
+                made = _process(rng) if rng.random() < 0.15 else _chain(rng)
+            except (ArithmeticError, np.linalg.LinAlgError):
+                continue
+        if all(np.isfinite(column).all() for column in made.columns.values()):
+            return made
+    raise ArithmeticError(f"no finite motion for seed {seed}")
+
+
+def _count(rng: np.random.Generator) -> int:
+    return int(rng.choice(3, p=[0.05, 0.7, 0.25]))
+
+
+def _chain(rng: np.random.Generator) -> Problem:
+    n, speed = int(rng.integers(1, 5)), 2.0 * np.pi * 10.0 ** rng.uniform(-1.0, 3.0)
+    known = _values(rng, n, speed)
+    rig = Rig(*(known * (1.0 + OFF * rng.standard_normal(known.shape))), known, 1.0, str(rng.choice(["m", "1"])))
+    rate = float(f"{rng.uniform(15.0, 60.0) * speed / (2.0 * np.pi) * (1.5 if n > 1 else 1.0):.2g}")
+    samples = int(10.0 ** rng.uniform(3.2, 3.85))
+    times, pushed = np.arange(samples) / rate, rng.random() < 0.8
+    size = 10.0 ** rng.uniform(-6.0, -1.0)
+    u, start = np.zeros((samples, n)), np.zeros(n)
+    if pushed:
+        u = rig.excitation(rng, times)
+        u *= size / rig.linear(u, rate).std()
+        d = rig.linear(u, rate) @ rig.rows.T
+    else:
+        start = 3.0 * size * rng.uniform(-1.0, 1.0, n)
+        d = np.tile(rig.rows @ start, (2, 1)) * np.array([[1.0], [0.3]])
+    inputs = sorted(rng.choice(n, int(rng.integers(1, n + 1)), replace=False).tolist()) if pushed else []
+    u[:, [i for i in range(n) if i not in inputs]] = 0.0
+    at = sorted(rng.choice(n, int(rng.integers(max(1, n - 1), n + 1)), replace=False).tolist())
+    truth, elements, contacts, late = [], [rig.element(i) for i in range(n)], list[Contact](), [0.0] * n
+    acting, hidden = u.copy(), _hidden(rng, n, inputs, at)
+    for kind, i in hidden:
+        slow = float(d[:, i].std()) * speed if not pushed else float((np.gradient(d[:, i]) * rate).std())
+        own = Drawn(rig.rows[i], float(rig.stiffness[i]), float(rig.damping[i]), float(d[:, i].std()), slow,
+                    float(np.abs(d[:, i]).max()), rng)  # fmt: skip
+        if kind in AT_ELEMENTS:
+            truth.append((kind, (f"spring{i + 1}", *([f"x{n}"] if i == n - 1 else []))))
+            if kind in FRICTION:
+                contacts.append(_contact(kind, own))
+            else:
+                elements[i] = cases.LAWS[kind](own) if kind in cases.LAWS else _nameless(kind, own)
+        elif kind in AT_ACTUATORS:
+            truth.append((kind, (f"u{i + 1}", *([""] if len(inputs) == 1 else []), f"x{i + 1}")))
+            if kind == "delay":
+                late[i] = float(rng.integers(1, 9)) / rate
+            acting[:, i] = _acted(kind, u[:, i], rng)
+        else:
+            truth.append((kind, (f"s{i + 1}",)))
+    made = machine.simulated(
+        Machine(rig.masses, elements, np.eye(n), contacts), acting, rate, start=start, late=late, pieces=PIECES
+    )
+    of_rate = [bool(rng.random() < 0.15) for _ in at]
+    y = np.column_stack([(made.rate if fast else made.displacement)[:, i] for i, fast in zip(at, of_rate, strict=True)])
+    for kind, i in hidden:
+        if kind in AT_SENSORS:
+            y[:, at.index(i)] = _read(kind, y[:, at.index(i)], rng)
+    noise = 10.0 ** rng.uniform(-4.0, -2.0)
+    y = y + noise * y.std(axis=0) * rng.standard_normal(y.shape)
+    millimetres = rig.unit == "m" and rng.random() < 0.3
+    units = ["1" if rig.unit == "1" else ("mm" if millimetres else "m") + ("/s" if fast else "") for fast in of_rate]
+    sensors = [
+        f"  s{i + 1}: {{measures: \"x{i + 1}{chr(39) * fast}\", unit: {unit!r}}}"
+        for i, fast, unit in zip(at, of_rate, units, strict=True)
+    ]  # fmt: skip
+    columns = {"t": times} | {f"u{i + 1}": u[:, i] for i in inputs}
+    columns |= {f"s{i + 1}": y[:, j] * (1e3 if millimetres else 1.0) for j, i in enumerate(at)}
+    words = f"{n} masses, {'forced' if pushed else 'free'}, {samples} samples, noise {noise:.0e}"
+    plant = "\n".join(["name: rig", "model: model.yaml", "sensors:", *sensors]) + "\n"
+    return Problem(rig.model(inputs), plant, columns, truth, words)
+
+
+def _values(rng: np.random.Generator, n: int, speed: float) -> Array:
+    """Return masses, stiffnesses and dampings (3, n)."""
+    m = 10.0 ** rng.uniform(-3.0, 2.0) * rng.uniform(0.5, 2.0, n)
+    k = m.mean() * speed**2 * rng.uniform(0.5, 2.0, n)
+    return np.array([m, k, 2.0 * rng.uniform(0.01, 0.2, n) * np.sqrt(m * k)])
+
+
+def _hidden(rng: np.random.Generator, n: int, inputs: Sequence[int], at: Sequence[int]) -> list[tuple[str, int]]:
+    """Return hidden laws, each with the number of its element, input or sensor, no two of them in one."""
+    found = dict[tuple[str, int], str]()
+    for _ in range(_count(rng)):
+        where = str(rng.choice(["element", "actuator", "sensor"], p=[0.7, 0.2 * bool(inputs), 0.3 - 0.2 * bool(inputs)]))
+        every = {"element": AT_ELEMENTS, "actuator": AT_ACTUATORS, "sensor": AT_SENSORS}[where]
+        i = int(rng.choice({"element": [*range(n)], "actuator": [*inputs], "sensor": [*at]}[where]))
+        found.setdefault((where, i), str(rng.choice(every)))
+    return [(kind, i) for (_, i), kind in found.items()]
+
+
+def _contact(kind: str, e: Drawn) -> Contact:
+    sliding = float(e.random.uniform(0.05, 0.5)) * e.k * e.size
+    more = float(e.random.uniform(0.5, 1.5)) if kind == "stribeck_friction" else 0.0
+    return Contact(
+        e.row, lambda d, v: sliding * (1.0 + more * float(np.exp(-((5.0 * v / e.speed) ** 2)))), sliding * (1.0 + more)
+    )
+
+
+def _nameless(kind: str, e: Drawn) -> Element:
+    law, strength = records.LAWS[kind], e.k * e.size * float(e.random.uniform(0.5, 1.5))
+    return Element(e.row, lambda d, v, z, t: e.k * d + e.c * v + strength * law(d / e.size, v / e.speed))
+
+
+def _acted(kind: str, u: Array, rng: np.random.Generator) -> Array:
+    """Return what an actuator does of its command."""
+    if kind == "saturation":
+        most = float(rng.uniform(0.4, 0.8)) * np.abs(u).max()
+        return np.clip(u, -most, most)
+    if kind == "dead_zone":
+        half = float(rng.uniform(0.1, 0.5)) * u.std()
+        return u - np.clip(u, -half, half)
+    return u + float(rng.uniform(0.1, 0.5)) * u.std() if kind == "actuator_offset" else u
+
+
+def _read(kind: str, y: Array, rng: np.random.Generator) -> Array:
+    """Return what a sensor reads."""
+    if kind == "sensor_saturation":
+        most = float(rng.uniform(0.4, 0.8)) * np.abs(y).max()
+        return np.clip(y, -most, most)
+    return np.abs(y) if kind == "sensor_magnitude" else y + float(rng.uniform(0.1, 0.5)) * y.std()
+
+
+def _process(rng: np.random.Generator) -> Problem:
+    """Return levels in a row, each of which runs into the next: one lag after the other."""
+    n, tau = int(rng.integers(1, 4)), 10.0 ** rng.uniform(-2.0, 3.0)
+    known = np.array([rng.uniform(0.5, 2.0, n) / tau, np.ones(n)])[0]
+    a, b = known * (1.0 + OFF * rng.standard_normal(n)), 1.0 / tau
+    rate, samples = float(f"{rng.uniform(8.0, 40.0) / tau:.2g}"), int(10.0 ** rng.uniform(3.2, 3.6))
+    held = max(1, round(rng.uniform(0.3, 2.0) * tau * rate))
+    u = 1.0 + np.repeat(rng.uniform(-0.8, 0.8, samples // held + 1), held)[:samples]
+    kind, i = str(rng.choice(["none", "square_flow", "overflow", "saturation", "dead_zone"])), int(rng.integers(n))
+    edge = float(rng.uniform(1.1, 1.4)) / a[i] * b
+    acting = _acted(kind, u - 1.0, rng) + 1.0 if kind == "saturation" else u
+    if kind == "dead_zone":
+        acting = np.maximum(u - float(rng.uniform(0.3, 0.6)), 0.0)
+
+    def rates(x: Array, command: float) -> Array:
+        out = a * x
+        if kind == "square_flow":
+            out[i] += 0.4 * a[i] * a[i] / b * x[i] ** 2
+        lost = 3.0 * a[i] * max(x[i] - edge, 0.0) if kind == "overflow" else 0.0
+        made = -out
+        made[0] += b * command
+        made[1:] += out[:-1]
+        made[i] -= lost
+        return np.asarray(made)
+
+    x, h, y = b / a * u[0], 1.0 / rate / PIECES, np.empty((samples, n))
+    for j in range(samples):
+        y[j] = x
+        for _ in range(PIECES):
+            k1 = rates(x, acting[j])
+            k2 = rates(x + 0.5 * h * k1, acting[j])
+            k3 = rates(x + 0.5 * h * k2, acting[j])
+            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rates(x + h * k3, acting[j]))
+    noise = 10.0 ** rng.uniform(-4.0, -2.0)
+    y += noise * y.std(axis=0) * rng.standard_normal(y.shape)
+    lines = ["name: levels", "states:", *(f"  x{j + 1}: {{unit: m, initial: {y[0, j]:.6g}}}" for j in range(n))]
+    lines += ["inputs: {u: {unit: V}}", "parameters:", f"  b: {{value: {b!r}, unit: m/s/V}}"]
+    lines += [f"  a{j + 1}: {{value: {value!r}, unit: 1/s}}" for j, value in enumerate(known.tolist())]
+    lines += ["equations:", *(f"  x{j + 1}': {f'a{j}*x{j}' if j else 'b*u'} - a{j + 1}*x{j + 1}" for j in range(n))]
+    lines += ["elements:"]
+    for j in range(n):
+        lines.append(f"  lost{j + 1}: {{displacement: x{j + 1}, unit: m/s, acts: {{x{j + 1}: -1}}}}")
+        if j + 1 < n:
+            lines.append(f"  flow{j + 1}: {{displacement: x{j + 1}, unit: m/s, acts: {{x{j + 1}: -1, x{j + 2}: 1}}}}")
+    sensors = [f"  s{j + 1}: {{measures: x{j + 1}, unit: m}}" for j in range(n)]
+    places = {"square_flow": (f"flow{i + 1}" if i + 1 < n else f"lost{i + 1}",), "overflow": (f"lost{i + 1}",)}
+    truth = [] if kind == "none" else [(kind, places.get(kind, ("u",)))]
+    columns = {"t": np.arange(samples) / rate, "u": u} | {f"s{j + 1}": y[:, j] for j in range(n)}
+    plant = "\n".join(["name: rig", "model: model.yaml", "sensors:", *sensors]) + "\n"
+    return Problem("\n".join(lines) + "\n", plant, columns, truth, f"{n} levels, {samples} samples, noise {noise:.0e}")
