@@ -86,12 +86,13 @@ def _count(rng: np.random.Generator) -> int:
 
 def _chain(rng: np.random.Generator) -> Problem:
     n, speed = int(rng.integers(1, 5)), 2.0 * np.pi * 10.0 ** rng.uniform(-1.0, 3.0)
-    known = _values(rng, n, speed)
-    rig = Rig(*(known * (1.0 + OFF * rng.standard_normal(known.shape))), known, 1.0, str(rng.choice(["m", "1"])))
     rate = float(f"{rng.uniform(15.0, 60.0) * speed / (2.0 * np.pi) * (1.5 if n > 1 else 1.0):.2g}")
-    samples = int(10.0 ** rng.uniform(3.2, 3.85))
-    times, pushed = np.arange(samples) / rate, rng.random() < 0.8
-    size = 10.0 ** rng.uniform(-6.0, -1.0)
+    samples, pushed = int(10.0 ** rng.uniform(3.2, 3.85)), rng.random() < 0.8
+    known = _values(rng, n, speed)
+    if not pushed:  # it still moves in the end
+        known[2] *= np.minimum(1.0, 3.0 * rate / samples / (known[2] / known[0]).max())
+    rig = Rig(*(known * (1.0 + OFF * rng.standard_normal(known.shape))), known, 1.0, str(rng.choice(["m", "1"])))
+    times, size = np.arange(samples) / rate, 10.0 ** rng.uniform(-6.0, -1.0)
     u, start = np.zeros((samples, n)), np.zeros(n)
     if pushed:
         u = rig.excitation(rng, times)
