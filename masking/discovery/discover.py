@@ -26,7 +26,7 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.search import Search, SearchResult, Tell
 from masking.discovery.settings import DiscoverySettings
-from masking.discovery.unnamed import law_of
+from masking.discovery.unnamed import law_of, unexplained
 from masking.discovery.verdict import Scored
 from masking.effects import ROUNDING
 from masking.errors import IntegrationError
@@ -103,7 +103,7 @@ def _beside_names(found: Discovery, say: Tell) -> Discovery:
     if found.verdict == "unknown" or not found.closed:
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation)
-        left = 0.0 if law is None else law.unexplained(found)
+        left = unexplained(found, found.validation, law)
     none = calibration.none_of_these(left, refused=found.verdict == "unknown")
     at = len(found.explanation.hypothesis.instances) - 1
     last = found.effects[at]

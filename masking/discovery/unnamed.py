@@ -62,25 +62,6 @@ class UnnamedLaw:
         """Return the name of the place where it sits."""
         return self.free.place.name
 
-    def unexplained(self, found: Explained) -> float:
-        """Return what the names leave and this law explains in both records, as part of the rms of the model error."""
-        costs = np.zeros(3)
-        every = found.search.base.hypothesis, found.explanation.hypothesis
-        with threadpool_limits(1):
-            for part, law in ((self.free.problem, self.fitted), (self.problem, self.validated)):
-                noise = part.record.readings.size
-                costs[2] += max(float(law.squares @ part.weights) - noise, 0.0)
-                for i, known in enumerate(every):
-                    try:
-                        left = float(fitting.validated(part, known).squares @ part.weights) - noise
-                    except IntegrationError:
-                        left = np.inf
-                    costs[i] += max(left, 0.0)
-        base, named, left = costs
-        if not np.isfinite(named) or named >= base:
-            return 1.0
-        return float(np.sqrt(max(named - left, 0.0) / base))
-
     def as_dict(self) -> dict[str, Any]:
         """Return the law as JSON can hold it."""
         known = dict(zip(self.instance.entry.parameters, self.instance.values, strict=True))
@@ -94,6 +75,37 @@ class UnnamedLaw:
             "shooting_interval": self.problem.interval / self.problem.record.rate or None,
             "simulation_error": {"estimation": estimation, "validation": validation},
         }
+
+
+def unexplained(found: Explained, validation: EstimationProblem, law: UnnamedLaw | None) -> float:
+    """Return what the names leave and a law without a name explains in both records, as part of the rms of the error.
+
+    Where there is no such law, that is all that the names leave beyond noise.
+
+    Args:
+        found: the record with its explanation.
+        validation: the validation record.
+        law: the law without a name.
+    """
+    costs = np.zeros(3)
+    every = found.search.base.hypothesis, found.explanation.hypothesis
+    parts = ((found.problem, None), (validation, None))
+    if law is not None:
+        parts = ((law.free.problem, law.fitted), (law.problem, law.validated))
+    with threadpool_limits(1):
+        for part, rival in parts:
+            noise = part.record.readings.size
+            costs[2] += 0.0 if rival is None else max(float(rival.squares @ part.weights) - noise, 0.0)
+            for i, known in enumerate(every):
+                try:
+                    left = float(fitting.validated(part, known).squares @ part.weights) - noise
+                except IntegrationError:
+                    left = np.inf
+                costs[i] += max(left, 0.0)
+    base, named, left = costs
+    if not np.isfinite(named) or named >= base:
+        return 1.0
+    return float(np.sqrt(max(named - left, 0.0) / base))
 
 
 def law_of(found: Explained, validation: EstimationProblem) -> UnnamedLaw | None:
