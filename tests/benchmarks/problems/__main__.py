@@ -8,7 +8,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +62,7 @@ def outcome(seed: int) -> Outcome:
     """Return what discovery makes of a problem."""
     problem = drawn(seed)
     truth = " + ".join(f"{name} at {places[0]}" for name, places in problem.truth) or "nothing"
+    made = Outcome(seed, problem.words, truth, "")
     with tempfile.TemporaryDirectory() as name:
         folder, count = Path(name), len(problem.columns["t"])
         (folder / "model.yaml").write_text(problem.model)
@@ -74,37 +75,42 @@ def outcome(seed: int) -> Outcome:
             found = masking.discover(
                 folder / "train.npz", plant=folder / "plant.yaml", validation=folder / "unseen.npz", out=folder / "out"
             )
-            times = round(time.perf_counter() - begin, 1), round(time.process_time() - used, 1)
-            return _answered(seed, problem, truth, found, folder, times)
         except MaskingError as error:
-            answer, kind = " ".join(str(error).split()), "refused"
-        except Exception:  # noqa: BLE001 -- what the benchmark counts
-            answer, kind = " | ".join(traceback.format_exc().splitlines()[-5:]), "traceback"
-        times = round(time.perf_counter() - begin, 1), round(time.process_time() - used, 1)
-    return Outcome(seed, problem.words, truth, answer, kind, seconds=times[0], processor=times[1])
+            made = replace(made, kind="refused", answer=" ".join(str(error).split()))
+        except Exception:
+            made = replace(made, kind="traceback", answer=" | ".join(traceback.format_exc().splitlines()[-5:]))
+        else:
+            made = _answered(made, problem, found)
+        made = replace(
+            made, seconds=round(time.perf_counter() - begin, 1), processor=round(time.process_time() - used, 1)
+        )
+        if made.kind == "answer" and (folder / "out" / "plant.yaml").exists() and not found.problem.interval:
+            again = masking.simulate(folder / "out" / "plant.yaml", folder / "train.npz")
+            promised = found.simulation_error.estimation[1] if found.law is None else found.law.error[0]
+            made = replace(made, again=max(again.chi[name] / promised[name] for name in promised))
+    return made
 
 
-def _answered(
-    seed: int, problem: Problem, truth: str, found: Discovery, folder: Path, times: tuple[float, float]
-) -> Outcome:
+def _answered(made: Outcome, problem: Problem, found: Discovery) -> Outcome:
+    """Return an outcome with an answer."""
     causes = [(one.name, one.on) for one in found.effects if one.name != "quantisation"]
     words = f"{found.verdict}: {' + '.join(f'{name} at {on}' for name, on in causes) or 'nothing'}"
     if found.law is not None:
         words += f"; law in {found.law.place}"
     is_open = found.verdict == "unknown"
-    probability = found.none_of_these if is_open else found.effects[-1].probability if found.effects else None
-    is_right = not problem.has_name if is_open else problem.is_right(causes)
-    error, floor = found.simulation_error, found.simulation_error.validation_noise_floor
-    promised, after = (error.estimation[1], error.validation[1]) if found.law is None else found.law.error
-    again = None
-    if (folder / "out" / "plant.yaml").exists() and not found.problem.interval:
-        made = masking.simulate(folder / "out" / "plant.yaml", folder / "train.npz")
-        again = max(made.chi[name] / promised[name] for name in promised)
-    return Outcome(
-        seed, problem.words, truth, words, "answer", probability, is_right, found.none_of_these,
-        max(error.validation[0][name] / floor[name] for name in floor), max(after[name] / floor[name] for name in floor),
-        again, *times,
-    )  # fmt: skip
+    said = found.effects[-1].probability if found.effects else None
+    floor = found.simulation_error.validation_noise_floor
+    before, after = found.simulation_error.validation
+    after = after if found.law is None else found.law.error[1]
+    return replace(
+        made,
+        answer=words,
+        probability=found.none_of_these if is_open else said,
+        is_right=not problem.has_name if is_open else problem.is_right(causes),
+        none=found.none_of_these,
+        before=max(before[name] / floor[name] for name in floor),
+        after=max(after[name] / floor[name] for name in floor),
+    )
 
 
 def summary(outcomes: Sequence[Outcome]) -> list[str]:

@@ -7,13 +7,13 @@ decimetres, masses grams to hundreds of kilograms, noise 1e-4 to 1e-2 of the rea
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from tests.benchmarks.independent import cases, machine
 from tests.benchmarks.independent.cases import LIKE, OFF, Drawn, Rig
-from tests.benchmarks.independent.machine import Array, Contact, Element, Machine
+from tests.benchmarks.independent.machine import Array, Contact, Element, Machine, Motion
 from tests.benchmarks.laws import records
 
 Key = tuple[str, str]
@@ -98,52 +98,63 @@ def _chain(rng: np.random.Generator) -> Problem:
         u = rig.excitation(rng, times)
         u *= size / rig.linear(u, rate).std()
         d = rig.linear(u, rate) @ rig.rows.T
+        speeds = (np.gradient(d, axis=0) * rate).std(axis=0)
     else:
         start = 3.0 * size * rng.uniform(-1.0, 1.0, n)
-        d = np.tile(rig.rows @ start, (2, 1)) * np.array([[1.0], [0.3]])
+        d = np.outer([1.0, 0.3], rig.rows @ start)
+        speeds = d.std(axis=0) * speed
     inputs = sorted(rng.choice(n, int(rng.integers(1, n + 1)), replace=False).tolist()) if pushed else []
     u[:, [i for i in range(n) if i not in inputs]] = 0.0
-    at = sorted(rng.choice(n, int(rng.integers(max(1, n - 1), n + 1)), replace=False).tolist())
-    truth, elements, contacts, late = [], [rig.element(i) for i in range(n)], list[Contact](), [0.0] * n
-    acting, hidden = u.copy(), _hidden(rng, n, inputs, at)
+    read = sorted(rng.choice(n, int(rng.integers(max(1, n - 1), n + 1)), replace=False).tolist())
+    hidden = _hidden(rng, n, inputs, read)
+    elements, contacts, late, acting = [rig.element(i) for i in range(n)], list[Contact](), [0.0] * n, u.copy()
     for kind, i in hidden:
-        slow = float(d[:, i].std()) * speed if not pushed else float((np.gradient(d[:, i]) * rate).std())
-        own = Drawn(rig.rows[i], float(rig.stiffness[i]), float(rig.damping[i]), float(d[:, i].std()), slow,
-                    float(np.abs(d[:, i]).max()), rng)  # fmt: skip
         if kind in AT_ELEMENTS:
-            truth.append((kind, (f"spring{i + 1}", *([f"x{n}"] if i == n - 1 else []))))
+            k, c, size_of, speed_of = (float(x[i]) for x in (rig.stiffness, rig.damping, d.std(axis=0), speeds))
+            own = Drawn(rig.rows[i], k, c, size_of, speed_of, float(np.abs(d[:, i]).max()), rng)
             if kind in FRICTION:
                 contacts.append(_contact(kind, own))
             else:
                 elements[i] = cases.LAWS[kind](own) if kind in cases.LAWS else _nameless(kind, own)
+        elif kind == "delay":
+            late[i] = float(rng.integers(1, 9)) / rate
         elif kind in AT_ACTUATORS:
-            truth.append((kind, (f"u{i + 1}", *([""] if len(inputs) == 1 else []), f"x{i + 1}")))
-            if kind == "delay":
-                late[i] = float(rng.integers(1, 9)) / rate
             acting[:, i] = _acted(kind, u[:, i], rng)
-        else:
-            truth.append((kind, (f"s{i + 1}",)))
-    made = machine.simulated(
-        Machine(rig.masses, elements, np.eye(n), contacts), acting, rate, start=start, late=late, pieces=PIECES
-    )
-    of_rate = [bool(rng.random() < 0.15) for _ in at]
-    y = np.column_stack([(made.rate if fast else made.displacement)[:, i] for i, fast in zip(at, of_rate, strict=True)])
-    for kind, i in hidden:
-        if kind in AT_SENSORS:
-            y[:, at.index(i)] = _read(kind, y[:, at.index(i)], rng)
-    noise = 10.0 ** rng.uniform(-4.0, -2.0)
-    y = y + noise * y.std(axis=0) * rng.standard_normal(y.shape)
-    millimetres = rig.unit == "m" and rng.random() < 0.3
-    units = ["1" if rig.unit == "1" else ("mm" if millimetres else "m") + ("/s" if fast else "") for fast in of_rate]
-    sensors = [
-        f"  s{i + 1}: {{measures: \"x{i + 1}{chr(39) * fast}\", unit: {unit!r}}}"
-        for i, fast, unit in zip(at, of_rate, units, strict=True)
-    ]  # fmt: skip
-    columns = {"t": times} | {f"u{i + 1}": u[:, i] for i in inputs}
-    columns |= {f"s{i + 1}": y[:, j] * (1e3 if millimetres else 1.0) for j, i in enumerate(at)}
+    rigged = Machine(rig.masses, elements, np.eye(n), contacts)
+    made = machine.simulated(rigged, acting, rate, start=start, late=late, pieces=PIECES)
+    plant, columns, noise = _readings(rng, rig, made, read, {i: kind for kind, i in hidden if kind in AT_SENSORS})
+    columns = {"t": times} | {f"u{i + 1}": u[:, i] for i in inputs} | columns
     words = f"{n} masses, {'forced' if pushed else 'free'}, {samples} samples, noise {noise:.0e}"
-    plant = "\n".join(["name: rig", "model: model.yaml", "sensors:", *sensors]) + "\n"
+    truth = [(kind, _places(kind, i, n, len(inputs))) for kind, i in hidden]
     return Problem(rig.model(inputs), plant, columns, truth, words)
+
+
+def _places(kind: str, i: int, n: int, inputs: int) -> tuple[str, ...]:
+    """Return the places of a law that are the same."""
+    if kind in AT_SENSORS:
+        return (f"s{i + 1}",)
+    if kind in AT_ACTUATORS:
+        return (f"u{i + 1}", f"x{i + 1}", *([""] if inputs == 1 else []))
+    return (f"spring{i + 1}", *([f"x{n}"] if i == n - 1 else []))
+
+
+def _readings(
+    rng: np.random.Generator, rig: Rig, made: Motion, read: Sequence[int], hidden: Mapping[int, str]
+) -> tuple[str, dict[str, Array], float]:
+    """Return the plant file, the readings by name, and their noise, of sensors of displacement or rate."""
+    fast = {i: bool(rng.random() < 0.15) for i in read}
+    noise = 10.0 ** rng.uniform(-4.0, -2.0)
+    is_plain, prefix = rig.unit == "1", "m" if rng.random() < 0.3 else ""
+    lines, columns = ["name: rig", "model: model.yaml", "sensors:"], {}
+    for i in read:
+        y = (made.rate if fast[i] else made.displacement)[:, i]
+        y = _read(hidden[i], y, rng) if i in hidden else y
+        y = y + noise * y.std() * rng.standard_normal(len(y))
+        unit = "1" if is_plain else f"{prefix}m" + ("/s" if fast[i] else "")
+        what = f"x{i + 1}'" if fast[i] else f"x{i + 1}"
+        lines.append(f'  s{i + 1}: {{measures: "{what}", unit: {unit!r}}}')
+        columns[f"s{i + 1}"] = y * (1e3 if prefix and not is_plain else 1.0)
+    return "\n".join(lines) + "\n", columns, noise
 
 
 def _values(rng: np.random.Generator, n: int, speed: float) -> Array:
@@ -157,7 +168,9 @@ def _hidden(rng: np.random.Generator, n: int, inputs: Sequence[int], at: Sequenc
     """Return hidden laws, each with the number of its element, input or sensor, no two of them in one."""
     found = dict[tuple[str, int], str]()
     for _ in range(_count(rng)):
-        where = str(rng.choice(["element", "actuator", "sensor"], p=[0.7, 0.2 * bool(inputs), 0.3 - 0.2 * bool(inputs)]))
+        where = str(
+            rng.choice(["element", "actuator", "sensor"], p=[0.7, 0.2 * bool(inputs), 0.3 - 0.2 * bool(inputs)])
+        )
         every = {"element": AT_ELEMENTS, "actuator": AT_ACTUATORS, "sensor": AT_SENSORS}[where]
         i = int(rng.choice({"element": [*range(n)], "actuator": [*inputs], "sensor": [*at]}[where]))
         found.setdefault((where, i), str(rng.choice(every)))
@@ -199,26 +212,22 @@ def _read(kind: str, y: Array, rng: np.random.Generator) -> Array:
 def _process(rng: np.random.Generator) -> Problem:
     """Return levels in a row, each of which runs into the next: one lag after the other."""
     n, tau = int(rng.integers(1, 4)), 10.0 ** rng.uniform(-2.0, 3.0)
-    known = np.array([rng.uniform(0.5, 2.0, n) / tau, np.ones(n)])[0]
-    a, b = known * (1.0 + OFF * rng.standard_normal(n)), 1.0 / tau
+    known, b = rng.uniform(0.5, 2.0, n) / tau, 1.0 / tau
+    a = known * (1.0 + OFF * rng.standard_normal(n))
     rate, samples = float(f"{rng.uniform(8.0, 40.0) / tau:.2g}"), int(10.0 ** rng.uniform(3.2, 3.6))
     held = max(1, round(rng.uniform(0.3, 2.0) * tau * rate))
     u = 1.0 + np.repeat(rng.uniform(-0.8, 0.8, samples // held + 1), held)[:samples]
     kind, i = str(rng.choice(["none", "square_flow", "overflow", "saturation", "dead_zone"])), int(rng.integers(n))
     edge = float(rng.uniform(1.1, 1.4)) / a[i] * b
-    acting = _acted(kind, u - 1.0, rng) + 1.0 if kind == "saturation" else u
-    if kind == "dead_zone":
-        acting = np.maximum(u - float(rng.uniform(0.3, 0.6)), 0.0)
+    acting = _acted(kind, u, rng) if kind in AT_ACTUATORS else u
 
     def rates(x: Array, command: float) -> Array:
         out = a * x
         if kind == "square_flow":
             out[i] += 0.4 * a[i] * a[i] / b * x[i] ** 2
-        lost = 3.0 * a[i] * max(x[i] - edge, 0.0) if kind == "overflow" else 0.0
-        made = -out
-        made[0] += b * command
-        made[1:] += out[:-1]
-        made[i] -= lost
+        made = np.append(b * command, out[:-1]) - out
+        if kind == "overflow":
+            made[i] -= 3.0 * a[i] * max(x[i] - edge, 0.0)
         return np.asarray(made)
 
     x, h, y = b / a * u[0], 1.0 / rate / PIECES, np.empty((samples, n))
@@ -231,18 +240,25 @@ def _process(rng: np.random.Generator) -> Problem:
             x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rates(x + h * k3, acting[j]))
     noise = 10.0 ** rng.uniform(-4.0, -2.0)
     y += noise * y.std(axis=0) * rng.standard_normal(y.shape)
-    lines = ["name: levels", "states:", *(f"  x{j + 1}: {{unit: m, initial: {y[0, j]:.6g}}}" for j in range(n))]
+    sensors = [f"  s{j + 1}: {{measures: x{j + 1}, unit: m}}" for j in range(n)]
+    places = {"square_flow": (f"flow{i + 1}" if i + 1 < n else f"lost{i + 1}",), "overflow": (f"lost{i + 1}",)}
+    truth = [] if kind == "none" else [(kind, places.get(kind, ("u", "")))]
+    columns = {"t": np.arange(samples) / rate, "u": u} | {f"s{j + 1}": y[:, j] for j in range(n)}
+    plant = "\n".join(["name: rig", "model: model.yaml", "sensors:", *sensors]) + "\n"
+    words = f"{n} levels, {samples} samples, noise {noise:.0e}"
+    return Problem(_levels(known.tolist(), b, y[0].tolist()), plant, columns, truth, words)
+
+
+def _levels(known: Sequence[float], b: float, initial: Sequence[float]) -> str:
+    """Return the model file of levels."""
+    n = len(known)
+    lines = ["name: levels", "states:", *(f"  x{j + 1}: {{unit: m, initial: {initial[j]:.6g}}}" for j in range(n))]
     lines += ["inputs: {u: {unit: V}}", "parameters:", f"  b: {{value: {b!r}, unit: m/s/V}}"]
-    lines += [f"  a{j + 1}: {{value: {value!r}, unit: 1/s}}" for j, value in enumerate(known.tolist())]
+    lines += [f"  a{j + 1}: {{value: {value!r}, unit: 1/s}}" for j, value in enumerate(known)]
     lines += ["equations:", *(f"  x{j + 1}': {f'a{j}*x{j}' if j else 'b*u'} - a{j + 1}*x{j + 1}" for j in range(n))]
     lines += ["elements:"]
     for j in range(n):
         lines.append(f"  lost{j + 1}: {{displacement: x{j + 1}, unit: m/s, acts: {{x{j + 1}: -1}}}}")
         if j + 1 < n:
             lines.append(f"  flow{j + 1}: {{displacement: x{j + 1}, unit: m/s, acts: {{x{j + 1}: -1, x{j + 2}: 1}}}}")
-    sensors = [f"  s{j + 1}: {{measures: x{j + 1}, unit: m}}" for j in range(n)]
-    places = {"square_flow": (f"flow{i + 1}" if i + 1 < n else f"lost{i + 1}",), "overflow": (f"lost{i + 1}",)}
-    truth = [] if kind == "none" else [(kind, places.get(kind, ("u",)))]
-    columns = {"t": np.arange(samples) / rate, "u": u} | {f"s{j + 1}": y[:, j] for j in range(n)}
-    plant = "\n".join(["name: rig", "model: model.yaml", "sensors:", *sensors]) + "\n"
-    return Problem("\n".join(lines) + "\n", plant, columns, truth, f"{n} levels, {samples} samples, noise {noise:.0e}")
+    return "\n".join(lines) + "\n"
