@@ -134,7 +134,7 @@ def _places(kind: str, i: int, n: int, inputs: int) -> tuple[str, ...]:
     if kind in AT_SENSORS:
         return (f"s{i + 1}",)
     if kind in AT_ACTUATORS:
-        return (f"u{i + 1}", f"x{i + 1}", *([""] if inputs == 1 else []))
+        return (f"u{i + 1}", f"x{i + 1}", *([f"spring{n}"] if i == n - 1 else []), *([""] if inputs == 1 else []))
     return (f"spring{i + 1}", *([f"x{n}"] if i == n - 1 else []))
 
 
