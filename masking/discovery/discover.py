@@ -26,7 +26,7 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.search import Search, SearchResult, Tell
 from masking.discovery.settings import DiscoverySettings
-from masking.discovery.unnamed import law_of, unexplained
+from masking.discovery.unnamed import evidence, law_of, unexplained
 from masking.discovery.verdict import Scored
 from masking.effects import ROUNDING
 from masking.errors import IntegrationError
@@ -94,18 +94,22 @@ def discover(
 def _beside_names(found: Discovery, say: Tell) -> Discovery:
     """Return a discovery with the probability that no name is right, and with the law without a name where it is not.
 
-    Where the names leave more than noise, that law is fitted, as their rival.
+    Where the names leave more than noise, that law is fitted, as their rival; also where they leave a little more than
+    the noise, but not enough to tell it from integration errors.
     """
     if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
         law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation)
         return replace(found, law=law, none_of_these=1.0 if law else 0.0)
-    law, left = None, 0.0
-    if found.verdict == "unknown" or not found.closed:
+    law, left, better = None, 0.0, -np.inf
+    instances, is_open = found.explanation.hypothesis.instances, found.verdict == "unknown" or not found.closed
+    size, rules = found.problem.record.readings.size, found.problem.rules
+    if is_open or found.explanation.cost > (1.0 + rules.screen_resolution) * size:
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation)
-        left = unexplained(found, found.validation, law)
-    none = calibration.none_of_these(left, refused=found.verdict == "unknown")
-    at = len(found.explanation.hypothesis.instances) - 1
+        left = unexplained(found, found.validation, law) if is_open else 0.0
+        better = -np.inf if law is None else evidence(found, found.after, law) - rules.effect_evidence
+    none = calibration.none_of_these(left, better, refused=found.verdict == "unknown")
+    at = len(instances) - 1
     last = found.effects[at]
     others = tuple((name, on, part * (1.0 - none)) for name, on, part in last.alternatives)
     last = replace(last, probability=last.probability * (1.0 - none), alternatives=others)
