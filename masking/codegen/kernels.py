@@ -18,7 +18,7 @@ from masking.numerics.stop_codes import MESSAGES, REACHED, SINGULAR
 
 # The classical Runge-Kutta method errs by 1e-9 per radian when a radian takes this many steps.
 STEPS_PER_RADIAN = 50.0
-# What decays by exp(-5), to less than a hundredth, between samples is not followed: it is stable up to 2.8 radians a step.
+# What decays by exp(-5) between samples, to less than a hundredth, is not followed: a step of a radian is stable.
 GONE, STABLE = 5.0, 1.0
 
 

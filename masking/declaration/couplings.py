@@ -25,11 +25,6 @@ def driven_outputs(model: ModelDeclaration) -> tuple[str, ...]:
     return tuple(name for name in model.outputs if name in acted_on(model) - others)
 
 
-def free_states(model: ModelDeclaration) -> tuple[str, ...]:
-    """Give the internal states that a record may begin with at any value: driven ones, or all without coordinates."""
-    return driven_states(model) if model.coordinates else tuple(model.states)
-
-
 def motions(element: Element) -> tuple[Expression, ...]:
     """Give what an element follows: displacement and rate, as far as it has them."""
     return tuple(x for x in (element.displacement, element.rate) if x is not None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from masking.declaration.checks import check_symbols, parameter_values, problem_at, velocities
+from masking.declaration.checks import accelerations, check_symbols, parameter_values, problem_at, velocities
 from masking.declaration.couplings import is_fed
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration, Transform
@@ -18,7 +18,8 @@ def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Proble
     """List what in a plant does not fit its model."""
     problems = list(_overrides(plant, "parameters", plant.parameters, model))
     measurable = [*model.coordinates, *velocities(model.coordinates), *model.parameters]
-    seen = [*measurable, *(name for name in (*model.states, *model.outputs) if name not in measurable)]
+    further = (*accelerations(model.coordinates), *model.states, *model.inputs, *model.outputs)
+    seen = [*measurable, *(name for name in further if name not in measurable)]
     for name, sensor in plant.sensors.items():
         if sensor.gain.value == 0.0:
             problems.append(problem_at(plant, f"sensors.{name}.gain", "the gain is 0"))

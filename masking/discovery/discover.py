@@ -26,7 +26,7 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.search import Search, SearchResult, Tell
 from masking.discovery.settings import DiscoverySettings
-from masking.discovery.unnamed import evidence, law_of, unexplained
+from masking.discovery.unnamed import evidence, law_of
 from masking.discovery.verdict import Scored
 from masking.effects import ROUNDING
 from masking.errors import IntegrationError
@@ -87,29 +87,34 @@ def discover(
             if again.verdict != "unknown":
                 found = again
                 break
-    found = replace(_beside_names(found, say), unit=doubt)
+    found = replace(_beside_names(found, problem.substeps, say), unit=doubt)
     return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
 
 
-def _beside_names(found: Discovery, say: Tell) -> Discovery:
+def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     """Return a discovery with the probability that no name is right, and with the law without a name where it is not.
 
-    Where the names leave more than noise, that law is fitted, as their rival; also where they leave a little more than
-    the noise, but not enough to tell it from integration errors.
+    Where the names leave so much more than noise that it could explain, that law is fitted, as their rival; also where
+    they leave a little more, for a closed form may explain that with no more numbers.
+
+    Args:
+        found: the discovery.
+        substeps: integration steps between samples of the model alone.
+        say: called with what is done.
     """
     if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
-        law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation)
+        law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation, substeps)
         return replace(found, law=law, none_of_these=1.0 if law else 0.0)
-    law, left, better = None, 0.0, -np.inf
-    instances, is_open = found.explanation.hypothesis.instances, found.verdict == "unknown" or not found.closed
+    law, left, better = None, _left(found), -np.inf
     size, rules = found.problem.record.readings.size, found.problem.rules
+    is_open = found.verdict == "unknown" or (calibration.matters(left) and not found.closed)
     if is_open or found.explanation.cost > (1.0 + rules.screen_resolution) * size:
         say("fitting a law without a name", 0.97)
-        law = law_of(found, found.validation)
-        left = unexplained(found, found.validation, law) if is_open else 0.0
-        better = -np.inf if law is None else evidence(found, found.after, law) - rules.effect_evidence
-    none = calibration.none_of_these(left, better, refused=found.verdict == "unknown")
-    at = len(instances) - 1
+        law = law_of(found, found.validation, substeps)
+        if law is not None:
+            left, better = law.unexplained(found), evidence(found, found.after, law) - rules.effect_evidence
+    none = calibration.none_of_these(left if is_open else 0.0, better, refused=found.verdict == "unknown")
+    at = len(found.explanation.hypothesis.instances) - 1
     last = found.effects[at]
     others = tuple((name, on, part * (1.0 - none)) for name, on, part in last.alternatives)
     last = replace(last, probability=last.probability * (1.0 - none), alternatives=others)
@@ -117,6 +122,22 @@ def _beside_names(found: Discovery, say: Tell) -> Discovery:
     answer = "unknown" if none > calibration.LIKELIER else found.verdict
     kept = law if answer == "unknown" else None
     return replace(found, verdict=answer, law=kept, none_of_these=none, effects=effects)
+
+
+def _left(found: Discovery) -> float:
+    """Return what the names leave in both records, beyond noise, as part of the rms of the model error."""
+    pairs = zip(
+        (found.search.base.hypothesis, found.adjusted),
+        (found.explanation.hypothesis, found.after),
+        (found.problem, found.validation),
+        strict=True,
+    )
+    excess = [
+        [verdict.excess_cost(float(one.squares @ part.weights), part.record.readings.size) for one in (base, named)]
+        for base, named, part in pairs
+    ]
+    whole, left = np.sum(excess, axis=0)
+    return float(np.sqrt(left / whole)) if whole > left else 1.0
 
 
 def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
@@ -146,11 +167,11 @@ def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell
     if known is None:
         return found
     with threadpool_limits(1):
-        steps = shooting.finer(problem, known)
-    if steps == problem.substeps:
+        steps = shooting.finer(found.problem, known, problem.substeps)
+    if steps == found.problem.substeps:
         return found
     say(f"again, with {steps} steps between samples", 0.0)
-    return _found(replace(problem, substeps=steps), unseen, noise, say)
+    return _found(problem, unseen, noise, say, steps)
 
 
 def _near(found: Discovery) -> Hypothesis | None:
@@ -166,22 +187,31 @@ def _near(found: Discovery) -> Hypothesis | None:
     return first.hypothesis if left < found.problem.rules.trace_fraction * excess else None
 
 
-def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) -> Discovery:
-    """Return the explanation of a record, given the noise of the validation record (sensors,)."""
+def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, substeps: int = 0) -> Discovery:
+    """Return the explanation of a record, given the noise of the validation record (sensors,).
+
+    Args:
+        problem: the record and the rig, in the integration steps of the model alone.
+        unseen: the validation record.
+        noise: its standard deviation there (sensors,).
+        say: called with what is done.
+        substeps: integration steps between samples of models with effects; by default as many as those need.
+    """
     rig, rules = problem.rig, problem.rules
-    validation, size = replace(problem, record=unseen, sigma=noise), problem.record.readings.size
+    plain, size = replace(problem, record=unseen, sigma=noise), problem.record.readings.size
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
-        found = Search(problem, say).run()
+        found = Search(problem, say).run(substeps)
+        declared = Explanation("none", (), fitting.fit(problem, theta=problem.prior.mean, frozen=True))
+        before, adjusted = (fitting.validated(plain, one) for one in (declared.hypothesis, found.base.hypothesis))
+        problem = found.problem or problem
+        validation = replace(plain, substeps=problem.substeps)
         say("comparing explanations on data that were not used", 0.95)
         found = replace(found, steps=tuple(_reordered(step, problem, validation) for step in found.steps))
-        adjusted = fitting.validated(validation, found.base.hypothesis)
         rivals = _needed(found, validation, adjusted)
         tempering = problem.tempering(rivals[0].hypothesis.residuals)
         is_demoted = verdict.is_demoted([_scored(rival, problem, tempering) for rival in rivals], size, rules)
         if is_demoted:
             rivals = tuple(sorted(rivals, key=lambda rival: rival.score(tempering)))
-        declared = Explanation("none", (), fitting.fit(problem, theta=problem.prior.mean, frozen=True))
-        before = fitting.validated(validation, declared.hypothesis)
         rivals, chosen, after, withheld = _no_worse((rivals, (found.base,), (declared,)), problem, validation, before)
         adjusted = after if rivals[0] is found.base else adjusted
     tempering = problem.tempering(chosen.hypothesis.residuals)

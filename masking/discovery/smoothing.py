@@ -28,6 +28,10 @@ WALKS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # intensities that are tried, of that which
 QUICK = 0.3  # rad, times the rate of a record: how fast forces on states and outputs are followed, to begin with
 FURTHER = (1e-6, 1e-4)  # intensities that are tried before the others if latent forces act on nothing else
 FADING = 1e-3  # rad, times the rate of a record: how fast forces fade that the sensors do not separate
+# Times the speed of the rig: how fast forces fade where accelerometers do not show constant ones, whose springs balance
+# them. If these forces lasted, noise would make them and the displacements drift.
+MOVING = 3.0
+STRONGER = (1e3, 1e4)  # intensities that are tried, too, where readings follow forces at once
 UNSEEN = 1e-200  # intensity of a force that no sensor shows at once: it is not estimated
 SHORT = 8.0  # s of the record by which the intensity is chosen
 
@@ -74,6 +78,7 @@ class _Gains:
     backward: Array
     deviation: Array
     spread: Array
+    kept: float  # of the forces, from one sample to the next
 
 
 def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
@@ -90,6 +95,7 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     rig, record, sigma = problem.rig, problem.record, problem.sigma
     part = replace(problem, record=record.first(SHORT)) if len(record) > SHORT * record.rate else problem
     unit, walks = _unit(rig, theta, sigma, record.rate), WALKS if rig.coordinates else (*FURTHER, *WALKS)
+    walks = (*walks, *STRONGER) if rig.coordinates and rig.twin.is_fed else walks
     costs = []
     for walk in walks:
         gains = _gains(rig, theta, record.rate, sigma, walk * unit)
@@ -124,7 +130,7 @@ def _filter(problem: EstimationProblem, theta: Array, start: Array, gains: _Gain
     acting = np.ascontiguousarray(record.acting)
     status = rig.kernels.follow(
         len(record), problem.dt, problem.substeps, is_first_order(record.hold), rig.latent, x, p.copy(), gains.forward,
-        acting, record.readings, states, predicted,
+        gains.kept, acting, record.readings, states, predicted,
     )  # fmt: skip
     if status or not np.isfinite(states).all():
         raise IntegrationError("the record cannot be followed: the motion is no longer finite")
@@ -187,9 +193,11 @@ def _gains(rig: AugmentedModel, theta: Array, rate: float, sigma: Array, intensi
     n, m = len(a), b.shape[1]
     flow = np.zeros((n + m, n + m))
     flow[:n, :n], flow[:n, n:] = a, b
+    fading = 0.0
     if np.linalg.matrix_rank(np.vstack([np.hstack([a, b]), np.hstack([c, d])])) < n + m:
         # Sensors do not separate the forces: what they leave open stays small.
-        flow[n:, n:] = -FADING * rate * np.eye(m)
+        fading = MOVING * abs(fastest(rig, theta)) if d[:, : len(rig.coordinates)].any() else FADING * rate
+    flow[n:, n:] = -fading * np.eye(m)
     moved, noise = discretised(flow, np.concatenate([np.zeros(n), intensity]), 1.0 / rate)
     # In scaled states, and in readings of unit variance, the equation is well conditioned.
     scale = np.sqrt(np.maximum(np.diag(noise), 1e-300))
@@ -216,5 +224,5 @@ def _gains(rig: AugmentedModel, theta: Array, rate: float, sigma: Array, intensi
     return _Gains(
         np.ascontiguousarray(found.gain * size[:, None] / sigma),
         np.ascontiguousarray(backward * size[:, None] / size),
-        deviation, found.innovation * np.outer(sigma, sigma),
+        deviation, found.innovation * np.outer(sigma, sigma), float(np.exp(-fading / rate)),
     )  # fmt: skip

@@ -22,6 +22,8 @@ from masking.discovery.tabulated import tabulated
 from masking.errors import IntegrationError
 from masking.estimation.simulation import relative
 
+MOST_FINER = 4  # times the integration steps of the model alone: curves are smooth, and have many factors
+
 
 @dataclass(frozen=True)
 class UnnamedLaw:
@@ -62,6 +64,26 @@ class UnnamedLaw:
         """Return the name of the place where it sits."""
         return self.free.place.name
 
+    def unexplained(self, found: Explained) -> float:
+        """Return what the names leave and this law explains in both records, as part of the rms of the model error."""
+        costs = np.zeros(3)
+        every = found.search.base.hypothesis, found.explanation.hypothesis
+        with threadpool_limits(1):
+            for part, law in ((self.free.problem, self.fitted), (self.problem, self.validated)):
+                noise = part.record.readings.size
+                costs[2] += max(float(law.squares @ part.weights) - noise, 0.0)
+                fine = replace(part, substeps=found.problem.substeps)
+                for i, known in enumerate(every):
+                    try:
+                        left = float(fitting.validated(fine, known).squares @ part.weights) - noise
+                    except IntegrationError:
+                        left = np.inf
+                    costs[i] += max(left, 0.0)
+        base, named, left = costs
+        if not np.isfinite(named) or named >= base:
+            return 1.0
+        return float(np.sqrt(max(named - left, 0.0) / base))
+
     def as_dict(self) -> dict[str, Any]:
         """Return the law as JSON can hold it."""
         known = dict(zip(self.instance.entry.parameters, self.instance.values, strict=True))
@@ -77,39 +99,8 @@ class UnnamedLaw:
         }
 
 
-def unexplained(found: Explained, validation: EstimationProblem, law: UnnamedLaw | None) -> float:
-    """Return what the names leave and a law without a name explains in both records, as part of the rms of the error.
-
-    Where there is no such law, that is all that the names leave beyond noise.
-
-    Args:
-        found: the record with its explanation.
-        validation: the validation record.
-        law: the law without a name.
-    """
-    costs = np.zeros(3)
-    every = found.search.base.hypothesis, found.explanation.hypothesis
-    parts = ((found.problem, None), (validation, None))
-    if law is not None:
-        parts = ((law.free.problem, law.fitted), (law.problem, law.validated))
-    with threadpool_limits(1):
-        for part, rival in parts:
-            noise = part.record.readings.size
-            costs[2] += 0.0 if rival is None else max(float(rival.squares @ part.weights) - noise, 0.0)
-            for i, known in enumerate(every):
-                try:
-                    left = float(fitting.validated(part, known).squares @ part.weights) - noise
-                except IntegrationError:
-                    left = np.inf
-                costs[i] += max(left, 0.0)
-    base, named, left = costs
-    if not np.isfinite(named) or named >= base:
-        return 1.0
-    return float(np.sqrt(max(named - left, 0.0) / base))
-
-
 def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw) -> float:
-    """Return by how much the closed form of a law has a better score than the names in both records, with their penalty.
+    """Return by how much the closed form of a law has a better score than the names in both records.
 
     It is no rival, and this is -inf, where it has more numbers than the names, or is known in other intervals.
 
@@ -132,20 +123,24 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw) -> float:
     return costs[0] - costs[1] + penalty * (numbers[0] - numbers[1])
 
 
-def law_of(found: Explained, validation: EstimationProblem) -> UnnamedLaw | None:
+def law_of(found: Explained, validation: EstimationProblem, substeps: int) -> UnnamedLaw | None:
     """Return the law of a record without a name; None where none makes the simulation of unseen data better.
 
     Args:
         found: the record with its explanation.
         validation: the validation record.
+        substeps: integration steps between samples of the model alone.
     """
-    problem = found.problem
+    steps = min(found.problem.substeps, MOST_FINER * substeps)
+    problem, validation = (replace(one, substeps=steps) for one in (found.problem, validation))
+    found = replace(found, problem=problem)
     with threadpool_limits(1):
         law = free_law.fit(found)
         if law is None:
             return None
         if law.hypothesis.cost > ALIKE * problem.record.readings.size:
-            others = [one for one in found.explanation.hypothesis.instances if one.at != law.place.name]
+            known = found.explanation.hypothesis.instances
+            others = [problem.rig.at_step(one, problem.dt / steps) for one in known if one.at != law.place.name]
             again = free_law.fit(found, others) if others else None
             law = again if again is not None and again.score < law.score else law
         validation = _followed(validation, law)

@@ -144,7 +144,7 @@ class Box:
     growing: NDArray[np.bool_] | bool = False
 
     def after(self, x: Array, step: Array) -> Array:
-        """Return values (n,) after a step that goes at most `TOWARDS` of the way to a bound, and never away from one."""
+        """Return values (n,) after a step that goes at most `TOWARDS` of the way to a bound, never away from it."""
         farther, count = x + step, len(self.low)
         x = x[:count]
         least = np.where(np.isfinite(self.low), x - TOWARDS * np.maximum(x - self.low, 0.0), -np.inf)

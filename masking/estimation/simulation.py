@@ -154,8 +154,7 @@ def _nearest(
     sensing: Sensitivity, theta: Array, record: Data, weights: Array, start: Array
 ) -> tuple[Array, NormalEquations]:
     """Return what `nearest` does, near a state to begin with (states,)."""
-    names, internal = sensing.twin.state_names, sensing.twin.base.states
-    free = np.array([i for i, name in enumerate(names) if i in sensing.twin.free or name in internal], dtype=int)
+    free = np.array(sensing.twin.free, dtype=int)
     first, basis = start.copy(), sensing.basis(theta)
     substeps, at = sensing.twin.substeps(record.rate), len(theta) + free
 

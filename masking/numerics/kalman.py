@@ -359,17 +359,17 @@ def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
         sensed: writes readings, and their derivatives.
 
     Returns:
-        `follow(count, dt, substeps, is_linear, ports, x, p, gain, commands, readings, filtered, predicted, work) ->
-        status` for x = (y, forces), with the indices `ports` of the forces in the parameter array,
+        `follow(count, dt, substeps, is_linear, ports, x, p, gain, kept, commands, readings, filtered, predicted, work)
+        -> status` for x = (y, forces), with the indices `ports` of the forces in the parameter array,
         which is written before (`predicted`) and after (`filtered`) each correction by `gain`
-        (n + forces, sensors).
+        (n + forces, sensors). The part `kept` of the forces goes on to the next sample.
     """
     advance = runge_kutta_4(motion_alone(derivative))
 
     @compiled
     def follow(
         count: int, dt: float, substeps: int, is_linear: int, ports: IntVector, x: Vector, p: Vector, gain: Matrix,
-        commands: Matrix, readings: Matrix, filtered: Matrix, predicted: Matrix, work: Matrix,
+        kept: float, commands: Matrix, readings: Matrix, filtered: Matrix, predicted: Matrix, work: Matrix,
     ) -> int:  # fmt: skip
         n, forces, sensors = x.size - ports.size, ports.size, readings.shape[1]
         channels, h = commands.shape[1], dt / substeps
@@ -400,6 +400,8 @@ def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
                 for a in range(channels):
                     u[a] = command_at(commands, index, a, 0.0, (step + 0.5) / substeps, is_linear)
                 advance(t + step * h, x, none[:n, :0], u, u, p, h, work)
+            for i in range(forces):
+                x[n + i] *= kept
         return REACHED
 
     return follow

@@ -98,12 +98,12 @@ class Twin:
     def equation_parameters(self) -> tuple[str, ...]:
         """Return the parameters of the model that its equations hold, without those of effects.
 
-        These are its equations of motion, those of internal states that may begin anywhere, and outputs with a force.
+        These are its equations of motion, those of its internal states, and outputs with a force.
         """
         equations, d = self.model.equations, self.base
         held = equations.mass.free_symbols | equations.force.free_symbols
-        rates = dict(zip(d.rates, equations.rates, strict=False))  # those of effects come last
-        held |= {x for z in couplings.free_states(d) for x in rates[z].free_symbols}
+        for _, rate in zip(d.rates, equations.rates, strict=False):  # those of effects come last
+            held |= rate.free_symbols
         held |= {x for n in couplings.driven_outputs(d) for x in equations.output(n).free_symbols}
         own = self.base.parameters.keys() & self.parameter_names.keys()  # without the switches of effects
         return tuple(s.name for s in equations.symbols.p if s in held and s.name in own)
@@ -261,8 +261,8 @@ class Twin:
 
     @cached_property
     def free(self) -> tuple[int, ...]:
-        """Return the indices in y of what a record may begin with: coordinates, velocities, free internal states."""
-        begins = {*self.state_names[: 2 * len(self.model.coordinates)], *couplings.free_states(self.base)}
+        """Return the indices in y of what a record may begin with: all but the internal states of effects."""
+        begins = {*self.state_names[: 2 * len(self.model.coordinates)], *self.base.states}
         return tuple(i for i, name in enumerate(self.state_names) if name in begins)
 
     @cached_property
