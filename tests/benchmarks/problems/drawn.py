@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.benchmarks.independent import cases, machine
-from tests.benchmarks.independent.cases import LIKE, OFF, Drawn, Rig
+from tests.benchmarks.independent.cases import LIKE, Drawn, Rig
 from tests.benchmarks.independent.machine import Array, Contact, Element, Machine, Motion
 from tests.benchmarks.laws import records
 
@@ -30,6 +30,7 @@ CLASSES: Mapping[str, tuple[str, ...]] = {
     "square_flow": ("quadratic_flow", "polynomial_spring"),
 }
 PIECES = 4  # steps of integration in a sample
+OFF = 0.01  # standard deviation of the parameters about what the model declares
 
 
 @dataclass(frozen=True)
