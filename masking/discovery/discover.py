@@ -87,8 +87,33 @@ def discover(
             if again.verdict != "unknown":
                 found = again
                 break
+    found = _with_directed(found, unseen, noise, say)
     found = replace(_beside_names(found, say), unit=doubt)
     return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
+
+
+def _with_directed(found: Discovery, unseen: Data, noise: Array, say: Tell) -> Discovery:
+    """Return a discovery that tries directed places, too, where the others leave more than noise.
+
+    One with a cause at such a place takes the place of one without it only if it leaves a small part of the excess.
+    """
+    rig = replace(found.problem.rig, directed=True)
+    if found.is_at_noise_floor or found.is_hidden or len(rig.places) == len(found.problem.rig.places):
+        return found
+    say("forces between coordinates, of commands elsewhere and under load", 0.0)
+    problem, opened = replace(found.problem, rig=rig), {place.name for place in rig.places if place.directed}
+    with threadpool_limits(1):
+        scores = Search(problem).screened(found.search.base)
+    others, those = (
+        max((one.gain for one in scores if (one.candidate.at in opened) is is_one), default=0.0)
+        for is_one in (False, True)
+    )
+    if those < found.problem.rules.directed_fraction * others:
+        return found
+    again = _explained(problem, unseen, noise, say)
+    left, excess = (verdict.excess_cost(one.explanation.cost, one.record.readings.size) for one in (again, found))
+    is_directed = any(one.at in opened for one in again.explanation.hypothesis.instances)
+    return again if is_directed and left < found.problem.rules.trace_fraction * excess else found
 
 
 def _beside_names(found: Discovery, say: Tell) -> Discovery:

@@ -167,6 +167,9 @@ class DecisionRules:
     remainder may have another cause, which the richer law would imitate.
     """
 
+    directed_fraction: float = 0.5
+    """Part of the best score that a directed place must reach to be searched. Why: gyroscopic forces are two."""
+
     # Hard facts
 
     excluded_deviations: float = 6.0

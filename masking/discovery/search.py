@@ -116,8 +116,7 @@ class Search:
         plain = fitting.fit(self.problem)
         base = Explanation("none", (), plain)
         self.tell("smoothing the motion", 0.1)
-        motion = smooth(self.problem, base.hypothesis.theta, base.hypothesis.start)
-        ground = _Ground(base, motion, list(candidates(self.problem.rig, self._spans(motion), self.problem.dt)))
+        ground = self._ground(base)
         steps: list[tuple[Explanation, ...]] = []
         tried: tuple[Score, ...] = ()
         now = settled = base
@@ -163,7 +162,16 @@ class Search:
         if len(now.names) > 1 and now is steps[-1][0] and now is not settled:
             settled = self._settled(now, ground)
             steps[-1] = steps[-1] if settled is now else (settled,)
-        return SearchResult(base, tuple(steps), motion, tried)
+        return SearchResult(base, tuple(steps), ground.motion, tried)
+
+    def screened(self, base: Explanation) -> list[Score]:
+        """Return what each candidate could take off the cost of the model without causes, the best first."""
+        ground = self._ground(base)
+        return self._screen(ground, base.hypothesis, ()).scores(ground.every)
+
+    def _ground(self, base: Explanation) -> _Ground:
+        motion = smooth(self.problem, base.hypothesis.theta, base.hypothesis.start)
+        return _Ground(base, motion, list(candidates(self.problem.rig, self._spans(motion), self.problem.dt)))
 
     def _round(
         self, now: Explanation, scores: Sequence[Score], screen: Screen, *, parameters: bool
