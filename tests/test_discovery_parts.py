@@ -8,7 +8,7 @@ from scipy import optimize, signal
 
 from masking.declaration import catalogue
 from masking.declaration.dimensions import is_plain
-from masking.discovery import fitting
+from masking.discovery import fitting, shooting
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.candidates import candidates
 from masking.discovery.composites import are_composite
@@ -18,8 +18,8 @@ from masking.discovery.places import opened, places
 from masking.discovery.prior import prior_of
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import Screen
-from masking.discovery.search import Search
 from masking.discovery.smoothing import smooth
+from masking.discovery.spans import spans
 from masking.effects import attach
 from masking.errors import DeclarationError
 from masking.estimation.data import Data
@@ -192,13 +192,26 @@ def test_the_smoother_finds_a_force_and_how_well_it_is_known(problem):
     assert np.abs(motion.forces[middle, 0]).mean() < 3.0 * motion.deviation[0]
 
 
+def test_a_record_corrected_for_large_steps_leaves_what_small_ones_do(problem):
+    """Beside friction that sticks, the factor of another law is the same in large steps with the corrected record."""
+    friction = INSTANCES["dry friction"].at_step(problem.rig.mobilities["spring1"], problem.dt / 16)
+    fine, spring = replace(problem, substeps=16), EffectInstance("linear_spring", "spring1", (0.5,), (0,))
+    told = noisy(replace(problem, substeps=8), (friction, spring))
+    known = fitting.fit(replace(fine, record=told.record), (friction,))
+    rough, there = shooting.corrected(replace(told, substeps=2), known)
+    found = rough.equations(there.theta, there.start, there.instances, there.added)
+    np.testing.assert_allclose(rough.record.readings - found.simulated, known.residuals, atol=1e-12)
+    beside = fitting.fit(rough, (*there.instances, spring), theta=there.theta, start=there.start)
+    exact = fitting.fit(replace(fine, record=told.record), (friction, spring))
+    assert beside.added[1] == pytest.approx(exact.added[1], abs=0.1 * exact.deviations[-1])
+
+
 def test_screening_tells_what_a_fit_would_take_off(problem):
     hidden = INSTANCES["dry friction"]
     record = noisy(problem, (hidden,))
     base = fitting.fit(record)
     motion = smooth(record, base.theta, base.start)
-    search = Search(record)
-    every = [c for c in candidates(record.rig, search._spans(motion), record.dt) if c.at in ("spring1", "s1")]
+    every = [c for c in candidates(record.rig, spans(record, motion), record.dt) if c.at in ("spring1", "s1")]
     best = Screen(record, base, motion).scores(every)
     friction = next(score for score in best if score.candidate.key == ("dry_friction", "spring1"))
     fitted = fitting.fit(record, (friction.instance,), theta=base.theta, start=base.start)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.benchmarks.independent.__main__ import judged
-from tests.benchmarks.independent.cases import Case
+from tests.benchmarks.independent.cases import REAL, Case
 from tests.benchmarks.independent.machine import Contact, Element, Machine, simulated
 
 ONE = np.array([1.0])
@@ -33,9 +33,31 @@ def test_friction_lets_extremes_fall_until_it_holds_the_mass():
 
 def test_play_has_the_period_of_two_half_swings_and_two_gaps():
     half = 0.2
-    found = moved(Element(ONE, lambda d, v, z, t: K * (d - min(max(d, -half), half))), seconds=1.0)
+    element = Element(ONE, lambda d, v, z, t: K * (d - min(max(d, -half), half)), edges=(-half, half))
     period = 2.0 * math.pi / W + 4.0 * half / (W * (1.0 - half))
-    assert np.interp(period, np.arange(200) / 200.0, found.displacement[:, 0]) == pytest.approx(1.0, abs=5e-3)
+    found = simulated(Machine(ONE, [element], np.eye(1)), np.zeros((101, 1)), 100.0 / period, start=ONE)
+    assert found.displacement[100, 0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_jump_of_damping_is_met_at_its_edge():
+    """From rest at 1, a spring; below 0 a damper beside it: the minimum is that of a damped half swing."""
+    damping = 10.0
+    element = Element(ONE, lambda d, v, z, t: K * d + (damping * v if d < 0.0 else 0.0), edges=(0.0,))
+    found = simulated(Machine(ONE, [element], np.eye(1)), np.zeros((4001, 1)), 20000.0, start=ONE)
+    ratio = damping / (2.0 * W)
+    angle = math.acos(ratio)
+    assert found.displacement.min() == pytest.approx(-math.exp(-ratio * angle / math.sqrt(1.0 - ratio**2)), abs=1e-6)
+
+
+def test_an_imperfect_rig_has_the_effect_of_a_good_one():
+    good, real = Case(3, "bilinear_spring", rate=200.0, seconds=4.0), Case(3, "bilinear_spring", REAL, 200.0, 4.0)
+    assert good.truth == real.truth
+    np.testing.assert_array_equal(good.told[0], real.told[0])
+    off = (real.told[1] - good.told[1]).std(axis=0) / good.told[1].std(axis=0)
+    assert (off > 3e-3).all()
+    assert (off < 0.3).all()
+    steps = np.diff(np.unique(real.told[1][:, 0]))
+    np.testing.assert_allclose(steps / steps.min(), np.round(steps / steps.min()), atol=1e-3)
 
 
 def test_a_relaxing_spring_decays_as_its_characteristic_polynomial_says():

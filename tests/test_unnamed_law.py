@@ -107,6 +107,10 @@ def test_what_names_leave_makes_none_of_them_likelier():
     assert calibration.none_of_these(0.0, refused=True) > calibration.LIKELIER
 
 
+def test_what_leaves_hardly_anything_has_no_rival():
+    assert [calibration.matters(left) for left in (0.0, 0.001, 0.1)] == [False, False, True]
+
+
 def test_scores_of_probabilities_are_those_of_their_definitions():
     made = [outcome(p, right) for p, right in ((0.95, True), (0.95, True), (0.95, False), (0.6, True))]
     assert scoring.brier(made) == pytest.approx((2 * 0.05**2 + 0.95**2 + 0.4**2) / 4)

@@ -14,6 +14,7 @@ HALF = 0.1  # l0: a law that is a tenth off is as likely another one
 SHARPNESS = 3.0  # s
 REFUSED = 0.6  # at least, where names are refused for what they leave: then it is likelier than not
 LIKELIER = 0.5  # from which none of the names is likelier than all of them
+TOLD = 1e-3  # of a probability: less is not told
 
 
 def none_of_these(left: float, *, refused: bool = False) -> float:
@@ -25,3 +26,12 @@ def none_of_these(left: float, *, refused: bool = False) -> float:
     """
     found = LEAST + (1.0 - LEAST) / (1.0 + (HALF / left) ** SHARPNESS) if left > 0.0 else LEAST
     return max(found, REFUSED) if refused else found
+
+
+def matters(left: float) -> bool:
+    """Return whether a law without a name could change the probability where names leave so much.
+
+    Args:
+        left: part of the rms of the model error that they leave: no law explains more of it.
+    """
+    return none_of_these(left) > LEAST + TOLD

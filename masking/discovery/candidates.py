@@ -72,7 +72,8 @@ def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], perio
                 for trial in effect.ways:
                     yield from _candidate(effect, trial, name, spans[where, name])
     samples = DELAY.parameters[DELAY.grows_with].tried
-    for at in ("", *commanded) if commanded == rig.twin.actuators else commanded:
+    # Of a single actuator, the delay of all is its own.
+    for at in ("", *commanded) if commanded == rig.twin.actuators and len(commanded) > 1 else commanded:
         instances = tuple(EffectInstance(DELAY.name, at, (number * period,), (0,)) for number in samples)
         yield Candidate(DELAY.name, at, (), (0,), instances)
 

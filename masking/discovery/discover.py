@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import calibration, fitting, shooting, unit_check, verdict
+from masking.discovery import calibration, directed, fitting, shooting, unit_check, verdict
 from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.composites import are_composite
 from masking.discovery.discovery import Discovery, Named, SimulationError, Withheld
@@ -87,12 +87,12 @@ def discover(
             if again.verdict != "unknown":
                 found = again
                 break
-    found = _with_directed(found, unseen, noise, say)
-    found = replace(_beside_names(found, say), unit=doubt)
+    found = _with_directed(found, problem.substeps, unseen, noise, say)
+    found = replace(_beside_names(found, problem.substeps, say), unit=doubt)
     return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
 
 
-def _with_directed(found: Discovery, unseen: Data, noise: Array, say: Tell) -> Discovery:
+def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, say: Tell) -> Discovery:
     """Return a discovery that tries directed places, too, where the others leave more than noise.
 
     One with a cause at such a place takes the place of one without it only if it leaves a small part of the excess.
@@ -101,33 +101,35 @@ def _with_directed(found: Discovery, unseen: Data, noise: Array, say: Tell) -> D
     if found.is_at_noise_floor or found.is_hidden or len(rig.places) == len(found.problem.rig.places):
         return found
     say("forces between coordinates, of commands elsewhere and under load", 0.0)
-    problem, opened = replace(found.problem, rig=rig), {place.name for place in rig.places if place.directed}
-    with threadpool_limits(1):
-        scores = Search(problem).screened(found.search.base)
-    others, those = (
-        max((one.gain for one in scores if (one.candidate.at in opened) is is_one), default=0.0)
-        for is_one in (False, True)
-    )
-    if those < found.problem.rules.directed_fraction * others:
+    problem = replace(found.problem, rig=rig, substeps=substeps)
+    try:
+        with threadpool_limits(1):
+            is_worth = directed.are_worth_a_search(problem, found.search.base.hypothesis)
+        again = _explained(problem, unseen, noise, say) if is_worth else found
+    except IntegrationError:
         return found
-    again = _explained(problem, unseen, noise, say)
     left, excess = (verdict.excess_cost(one.explanation.cost, one.record.readings.size) for one in (again, found))
-    is_directed = any(one.at in opened for one in again.explanation.hypothesis.instances)
+    is_directed = any(one.at in directed.places(problem) for one in again.explanation.hypothesis.instances)
     return again if is_directed and left < found.problem.rules.trace_fraction * excess else found
 
 
-def _beside_names(found: Discovery, say: Tell) -> Discovery:
+def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     """Return a discovery with the probability that no name is right, and with the law without a name where it is not.
 
-    Where the names leave more than noise, that law is fitted, as their rival.
+    Where the names leave so much more than noise that it could explain, that law is fitted, as their rival.
+
+    Args:
+        found: the discovery.
+        substeps: integration steps between samples of the model alone.
+        say: called with what is done.
     """
     if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
-        law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation)
+        law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation, substeps)
         return replace(found, law=law, none_of_these=1.0 if law else 0.0)
     law, left = None, 0.0
-    if found.verdict == "unknown" or not found.closed:
+    if found.verdict == "unknown" or (calibration.matters(_left(found)) and not found.closed):
         say("fitting a law without a name", 0.97)
-        law = law_of(found, found.validation)
+        law = law_of(found, found.validation, substeps)
         left = 0.0 if law is None else law.unexplained(found)
     none = calibration.none_of_these(left, refused=found.verdict == "unknown")
     at = len(found.explanation.hypothesis.instances) - 1
@@ -138,6 +140,22 @@ def _beside_names(found: Discovery, say: Tell) -> Discovery:
     answer = "unknown" if none > calibration.LIKELIER else found.verdict
     kept = law if answer == "unknown" else None
     return replace(found, verdict=answer, law=kept, none_of_these=none, effects=effects)
+
+
+def _left(found: Discovery) -> float:
+    """Return what the names leave in both records, beyond noise, as part of the rms of the model error."""
+    pairs = zip(
+        (found.search.base.hypothesis, found.adjusted),
+        (found.explanation.hypothesis, found.after),
+        (found.problem, found.validation),
+        strict=True,
+    )
+    excess = [
+        [verdict.excess_cost(float(one.squares @ part.weights), part.record.readings.size) for one in (base, named)]
+        for base, named, part in pairs
+    ]
+    whole, left = np.sum(excess, axis=0)
+    return float(np.sqrt(left / whole)) if whole > left else 1.0
 
 
 def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
@@ -167,11 +185,11 @@ def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell
     if known is None:
         return found
     with threadpool_limits(1):
-        steps = shooting.finer(problem, known)
-    if steps == problem.substeps:
+        steps = shooting.finer(found.problem, known, problem.substeps)
+    if steps == found.problem.substeps:
         return found
     say(f"again, with {steps} steps between samples", 0.0)
-    return _found(replace(problem, substeps=steps), unseen, noise, say)
+    return _found(problem, unseen, noise, say, steps)
 
 
 def _near(found: Discovery) -> Hypothesis | None:
@@ -187,22 +205,31 @@ def _near(found: Discovery) -> Hypothesis | None:
     return first.hypothesis if left < found.problem.rules.trace_fraction * excess else None
 
 
-def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) -> Discovery:
-    """Return the explanation of a record, given the noise of the validation record (sensors,)."""
+def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, substeps: int = 0) -> Discovery:
+    """Return the explanation of a record, given the noise of the validation record (sensors,).
+
+    Args:
+        problem: the record and the rig, in the integration steps of the model alone.
+        unseen: the validation record.
+        noise: its standard deviation there (sensors,).
+        say: called with what is done.
+        substeps: integration steps between samples of models with effects; by default as many as those need.
+    """
     rig, rules = problem.rig, problem.rules
-    validation, size = replace(problem, record=unseen, sigma=noise), problem.record.readings.size
+    plain, size = replace(problem, record=unseen, sigma=noise), problem.record.readings.size
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
-        found = Search(problem, say).run()
+        found = Search(problem, say).run(substeps)
+        declared = Explanation("none", (), fitting.fit(problem, theta=problem.prior.mean, frozen=True))
+        before, adjusted = (fitting.validated(plain, one) for one in (declared.hypothesis, found.base.hypothesis))
+        problem = found.problem or problem
+        validation = replace(plain, substeps=problem.substeps)
         say("comparing explanations on data that were not used", 0.95)
         found = replace(found, steps=tuple(_reordered(step, problem, validation) for step in found.steps))
-        adjusted = fitting.validated(validation, found.base.hypothesis)
         rivals = _needed(found, validation, adjusted)
         tempering = problem.tempering(rivals[0].hypothesis.residuals)
         is_demoted = verdict.is_demoted([_scored(rival, problem, tempering) for rival in rivals], size, rules)
         if is_demoted:
             rivals = tuple(sorted(rivals, key=lambda rival: rival.score(tempering)))
-        declared = Explanation("none", (), fitting.fit(problem, theta=problem.prior.mean, frozen=True))
-        before = fitting.validated(validation, declared.hypothesis)
         rivals, chosen, after, withheld = _no_worse((rivals, (found.base,), (declared,)), problem, validation, before)
         adjusted = after if rivals[0] is found.base else adjusted
     tempering = problem.tempering(chosen.hypothesis.residuals)

@@ -23,6 +23,7 @@ from masking.estimation.simulation import guessed_state
 from masking.numerics.arrays import Array
 
 MOST_ROUNDS = 40
+REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
 DAMPING = Damping(1e-6, least=1e-9, most=1e8)
 
 
@@ -235,6 +236,36 @@ def tempered(problem: EstimationProblem, known: Hypothesis) -> Hypothesis:
     pull = (found.theta - problem.prior.mean) / problem.prior.deviation
     cost = float(found.squares @ problem.weights + pull @ pull)
     return replace(found, cost=cost, covariance=found.covariance / factor)
+
+
+def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.inf) -> Hypothesis:
+    """Return a hypothesis that was fitted in larger steps of integration, fitted in those of a problem.
+
+    Args:
+        problem: the record and the rig.
+        known: the hypothesis.
+        rival: as in `fit`.
+
+    Raises:
+        IntegrationError: the motion is not finite.
+    """
+    begun = [problem.rig.at_step(one, problem.dt / problem.substeps) for one in known.instances]
+    return fit(problem, begun, theta=known.theta, start=known.start, rounds=REPEATED, rival=rival)
+
+
+def freed_scores(problem: EstimationProblem, known: Hypothesis) -> Array:
+    """Return what setting each parameter of the rig free would take off the cost, to first order (k,).
+
+    Args:
+        problem: the record and the rig.
+        known: a fit.
+    """
+    prior = problem.prior
+    pull = (known.theta - prior.mean) / prior.deviation
+    variance = np.diag(known.covariance)[: len(pull)] / prior.deviation**2
+    # The parameter's own prior term, and what the others give once it is gone.
+    found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
+    return np.where(variance < 1.0 - 1e-9, found, 0.0)
 
 
 def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:

@@ -14,9 +14,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
-from scipy import signal
 
-from masking.discovery import fitting, verdict
+from masking.discovery import fitting, shooting, verdict
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import Candidate, candidates
 from masking.discovery.composites import are_composite
@@ -27,16 +26,17 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.screening import Along, Score, Screen
 from masking.discovery.smoothing import Motion, smooth
+from masking.discovery.spans import spans
 from masking.discovery.verdict import Key
-from masking.effects import Span
 from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
 Tell = Callable[[str, float], None]
 Job = Callable[[float], "Explanation"]  # given the cost of a rival
+Fits = dict[int, "Explanation"]  # of one more cause each, by the candidate; of a parameter by -1 and less
 
-REPLACED = (1.0, 0.3, 3.0)  # parts of an element's stiffness with which a law in its place begins
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
+FAR = 4.0  # times the cost of the best fit in large steps, from which one is not repeated in small ones: twice its rms
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,14 @@ class SearchResult:
         steps: the explanations that were compared in each step, the best first.
         motion: smoothed record.
         tried: what each candidate could take off at first, the best first.
+        problem: the record, in the integration steps that the laws need; by default those of the model.
     """
 
     base: Explanation
     steps: tuple[tuple[Explanation, ...], ...]
     motion: Motion
     tried: tuple[Score, ...] = ()
+    problem: EstimationProblem | None = None
 
 
 @dataclass(frozen=True)
@@ -80,10 +82,14 @@ class Search:
     Args:
         problem: the record and the rig.
         tell: called with what is done, and the fraction done.
+        rough: the same in the integration steps of the model alone, where laws need smaller ones.
+        fits: of each round by the causes before it, in those steps.
     """
 
     problem: EstimationProblem
     tell: Tell = lambda text, part: None
+    rough: EstimationProblem | None = None
+    fits: dict[tuple[Key, ...], Fits] = field(default_factory=dict)
 
     @property
     def rules(self) -> DecisionRules:
@@ -110,13 +116,35 @@ class Search:
         """Return the complexity penalty of each added parameter."""
         return float(np.log(self.size))
 
-    def run(self) -> SearchResult:
-        """Search for causes, one after the other, until none is worth its complexity penalty."""
+    def run(self, substeps: int = 0) -> SearchResult:
+        """Search for causes, one after the other, until none is worth its complexity penalty.
+
+        Args:
+            substeps: integration steps between samples of models with effects; by default as many as those need.
+        """
         self.tell("fitting the model as it is", 0.0)
         plain = fitting.fit(self.problem)
         base = Explanation("none", (), plain)
         self.tell("smoothing the motion", 0.1)
-        ground = self._ground(base)
+        motion = smooth(self.problem, base.hypothesis.theta, base.hypothesis.start)
+        ground = _Ground(base, motion, list(candidates(self.problem.rig, spans(self.problem, motion), self.problem.dt)))
+        search = self.finer(substeps or self.problem.substeps)
+        found = search._searched(ground)
+        while found.problem and found.problem.substeps > search.problem.substeps:
+            search = self.finer(found.problem.substeps)
+            self.tell(f"with {search.problem.substeps} steps between samples", 0.3)
+            found = search._searched(ground)
+        return found
+
+    def finer(self, substeps: int) -> Search:
+        """Return the search in other integration steps, with the fits of this one."""
+        if substeps == self.problem.substeps:
+            return self
+        return replace(self, problem=replace(self.problem, substeps=substeps), rough=self.problem)
+
+    def _searched(self, ground: _Ground) -> SearchResult:
+        """Search in the steps of the problem; end where a law needs smaller ones, with these."""
+        base, motion = ground.base, ground.motion
         steps: list[tuple[Explanation, ...]] = []
         tried: tuple[Score, ...] = ()
         now = settled = base
@@ -144,6 +172,9 @@ class Search:
             found = self._round(now, scores, screen, parameters=number == 0)
             if not found or self._is_too_little(base, now, found[0]):
                 break
+            needed = self._steps_of(base, found[0])
+            if needed > self.problem.substeps:
+                return SearchResult(base, (*steps, tuple(found)), motion, tried, replace(self.problem, substeps=needed))
             if len(now.names) > 1 and now is not settled:
                 # The first effects may only resemble the true ones: they were compared while the others were missing.
                 now, before = self._settled(now, ground), now
@@ -162,63 +193,66 @@ class Search:
         if len(now.names) > 1 and now is steps[-1][0] and now is not settled:
             settled = self._settled(now, ground)
             steps[-1] = steps[-1] if settled is now else (settled,)
-        return SearchResult(base, tuple(steps), ground.motion, tried)
+        return SearchResult(base, tuple(steps), motion, tried, self.problem)
 
-    def screened(self, base: Explanation) -> list[Score]:
-        """Return what each candidate could take off the cost of the model without causes, the best first."""
-        ground = self._ground(base)
-        return self._screen(ground, base.hypothesis, ()).scores(ground.every)
+    def _steps_of(self, base: Explanation, best: Explanation) -> int:
+        """Return the integration steps between samples that an explanation needs, if it leaves hardly anything."""
+        left, excess = (verdict.excess_cost(one.cost, self.size) for one in (best, base))
+        if best.kind != "effects" or left >= self.rules.trace_fraction * excess:
+            return self.problem.substeps
+        return shooting.finer(self.problem, best.hypothesis, (self.rough or self.problem).substeps)
 
-    def _ground(self, base: Explanation) -> _Ground:
-        motion = smooth(self.problem, base.hypothesis.theta, base.hypothesis.start)
-        return _Ground(base, motion, list(candidates(self.problem.rig, self._spans(motion), self.problem.dt)))
+    def _known(self, now: Explanation, scores: Sequence[Score], screen: Screen, *, parameters: bool) -> Fits:
+        """Return the fits of a round in the steps of the model alone; none where the problem has these."""
+        if self.rough is None:
+            return {}
+        if now.hypothesis.instances:
+            rougher = shooting.corrected(self.rough, now.hypothesis)
+            if rougher is None:
+                return {}
+            problem, hypothesis = rougher
+            search = replace(self, problem=problem, rough=None)
+            search._round(replace(now, hypothesis=hypothesis), scores, screen, parameters=parameters)
+        return self.fits.get(now.names, {})
 
     def _round(
         self, now: Explanation, scores: Sequence[Score], screen: Screen, *, parameters: bool
     ) -> list[Explanation]:
         """Return explanations with one more cause, best first; none where the best is no better than chance."""
-        rules, gains = self.rules, self._freed_scores(now.hypothesis)
-        best = max([score.gain for score in scores] + [*gains], default=0.0)
-        most = self._worth(screen, screen.total - best)
-        chosen: list[Score] = []
-        for score in scores:
-            pays = score.gain > self.penalty * len(score.candidate.free) + 0.5 * rules.effect_evidence
-            if score.candidate.key in now.names or not pays or len(chosen) == rules.most_fits:
-                continue
-            if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
-                chosen.append(score)
-        excess = now.cost - self.size
-        if (
-            now.names
-            and verdict.reaches_noise(now.cost, self.size, rules)
-            and verdict.is_excess(now.cost, self.size, rules)
-        ):
-            chosen = [score for score in chosen if score.gain > rules.gain_fraction * excess]
-        keys = {p.candidate.key for p in chosen}
-        simpler = set().union(*map(self._nested_in, keys)) - keys - {*now.names}
-        inside = {name for names in self.nested.values() for name in names}
-        nested = simpler | {key for key in keys if key[0] in inside}
-        others = [p for p in scores if p.candidate.key in nested and all(p is not one for one in chosen)]
-        first = {p.candidate.key: p for p in [*others[::-1], *chosen]}
-        chosen += [p for p in others if first[p.candidate.key] is p]
-        variants = [p for p in others if all(p is not one for one in chosen)]
-        jobs = [partial(self._added, now, score, screen) for score in chosen]
+        rules, gains = self.rules, fitting.freed_scores(self.problem, now.hypothesis)
+        known = self._known(now, scores, screen, parameters=parameters)
+        made = self.fits.setdefault(now.names, {}) if self.rough is None else Fits()
+        made.clear()
+        far = FAR * min((one.cost for one in known.values()), default=np.inf)
+
+        def is_far(number: int) -> bool:
+            return number in known and known[number].cost > far
+
+        chosen, variants = self._worth_a_fit(now, scores, screen, max(gains, default=0.0))
+        chosen += (fitted := [score for score in variants if id(score.candidate) in known])
+
+        def added(score: Score) -> tuple[int, Job]:
+            number = id(score.candidate)
+            return number, partial(self._added, now, score, screen, known.get(number))
+
+        jobs = [added(score) for score in chosen]
         if parameters:
             wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
-            jobs += [partial(self._freed, now, i) for i in wrong]
+            jobs += [(-1 - i, partial(self._freed, now, i)) for i in wrong]
+        jobs = [(number, job) for number, job in jobs if not is_far(number)]
         self.tell(f"fitting {len(jobs)} of them", 0.3)
         found: list[Explanation] = []
         for some in (jobs[:2], jobs[2:]):  # the best scores set the mark for the others
             rival = min(e.hypothesis.cost for e in (now, *found))
-            found += [e for e in self._fitted(some, rival) if e is not None]
+            found += self._noted(some, rival, made)
         if not found:
             return []
         # Other shapes of a nested model are fitted if one takes a part of what the best does.
         rival = min(e.hypothesis.cost for e in found)
         least = now.hypothesis.cost - rules.nested_fraction * (now.hypothesis.cost - rival)
         near = {e.names[-1] for e in found if e.hypothesis.cost < least}
-        again = [partial(self._added, now, score, screen) for score in variants if score.candidate.key in near]
-        found += [e for e in self._fitted(again, rival) if e is not None]
+        again = [added(p) for p in variants if p.candidate.key in near and all(p is not one for one in fitted)]
+        found += self._noted(again, rival, made)
         found += self._simpler(found)
         found = [e for e in found if self._is_possible(e)]
         if not found:
@@ -262,6 +296,43 @@ class Search:
             if fitting.cost(self.problem, instances, known.theta, known.start) < nested.hypothesis.cost:
                 better.append(replace(nested, hypothesis=self._fit(instances, known, known.cost)))
         return better
+
+    def _worth_a_fit(
+        self, now: Explanation, scores: Sequence[Score], screen: Screen, gain: float
+    ) -> tuple[list[Score], list[Score]]:
+        """Return scores whose candidates are fitted, and of other shapes of nested models; a parameter takes `gain`."""
+        best, rules = max([score.gain for score in scores], default=0.0), self.rules
+        most = self._worth(screen, screen.total - max(best, gain))
+        chosen: list[Score] = []
+        for score in scores:
+            pays = score.gain > self.penalty * len(score.candidate.free) + 0.5 * rules.effect_evidence
+            if score.candidate.key in now.names or not pays or len(chosen) == rules.most_fits:
+                continue
+            if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
+                chosen.append(score)
+        excess = now.cost - self.size
+        if (
+            now.names
+            and verdict.reaches_noise(now.cost, self.size, rules)
+            and verdict.is_excess(now.cost, self.size, rules)
+        ):
+            chosen = [score for score in chosen if score.gain > rules.gain_fraction * excess]
+        keys = {p.candidate.key for p in chosen}
+        simpler = set().union(*map(self._nested_in, keys)) - keys - {*now.names}
+        inside = {name for names in self.nested.values() for name in names}
+        nested = simpler | {key for key in keys if key[0] in inside}
+        others = [p for p in scores if p.candidate.key in nested and all(p is not one for one in chosen)]
+        first = {p.candidate.key: p for p in [*others[::-1], *chosen]}
+        chosen += [p for p in others if first[p.candidate.key] is p]
+        variants = [p for p in others if all(p is not one for one in chosen)]
+        return chosen, variants
+
+    def _noted(self, jobs: Sequence[tuple[int, Job]], rival: float, made: Fits) -> list[Explanation]:
+        """Return what fits give where the motion is finite, and note them by their numbers."""
+        fitted = self._fitted([job for _, job in jobs], rival)
+        found = {number: e for (number, _), e in zip(jobs, fitted, strict=True) if e is not None}
+        made.update(found)
+        return [*found.values()]
 
     def _worth(self, screen: Screen, left: float) -> float:
         """Return what a candidate may leave of a screen's cost to be fitted, where the best leaves so much."""
@@ -376,8 +447,10 @@ class Search:
     def _fit(self, instances: tuple[EffectInstance, ...], like: Hypothesis, rival: float) -> Hypothesis:
         return fitting.fit(self.problem, instances, theta=like.theta, start=like.start, rival=rival)
 
-    def _added(self, now: Explanation, score: Score, screen: Screen, rival: float) -> Explanation:
-        """Return a fit with one more effect, from parameters as they are or as screening has them.
+    def _added(
+        self, now: Explanation, score: Score, screen: Screen, known: Explanation | None, rival: float
+    ) -> Explanation:
+        """Return a fit with one more effect, from parameters as they are or as screening has them, or as it is known.
 
         Where that ends worse than without the effect, as where a resonance is sharp, it begins again with less of it.
         """
@@ -391,7 +464,10 @@ class Search:
             found = fitting.fit(self.problem, instances, theta=at[0], start=at[1], rival=rival)
             return Explanation("effects", (*now.names, score.candidate.key), found, score.unique)
 
-        found = fitted(ready, min((here, screen.around(score.instance)), key=partial(cost, ready)))
+        if known is None:
+            found = fitted(ready, min((here, screen.around(score.instance)), key=partial(cost, ready)))
+        else:
+            found = replace(known, hypothesis=fitting.repeated(self.problem, known.hypothesis, rival))
         if found.hypothesis.cost <= now.hypothesis.cost:
             return found
         less = (_scaled(ready, part) for part in LESS)
@@ -410,56 +486,6 @@ class Search:
         found = fitting.fit(free, theta=now.hypothesis.theta, start=now.hypothesis.start, rival=rival)
         return Explanation("parameter", names, found)
 
-    def _freed_scores(self, hypothesis: Hypothesis) -> Array:
-        """Return what setting each parameter free would take off the cost, to first order (k,)."""
-        k = len(self.problem.prior.mean)
-        pull = (hypothesis.theta - self.problem.prior.mean) / self.problem.prior.deviation
-        variance = np.diag(hypothesis.covariance)[:k] / self.problem.prior.deviation**2
-        # The parameter's own prior term, and what the others give once it is gone.
-        found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
-        return np.where(variance < 1.0 - 1e-9, found, 0.0)
-
-    def _spans(self, motion: Motion) -> dict[tuple[str, str], Span]:
-        found, tones = dict[tuple[str, str], Span](), self._tones(motion.forces)
-        for place, x, rate in zip(self.problem.rig.places, motion.displacement.T, motion.rate.T, strict=True):
-            moved = x if place.element.displacement is not None else self._moved(rate)
-            span = _span(moved, float(np.sqrt((rate**2).mean())) or 1.0, tones)
-            stiffness = self.problem.rig.stiffnesses.get(place.name, 0.0)
-            stiffnesses = tuple(part * (stiffness or 1.0) for part in REPLACED)
-            found["element", place.name] = replace(span, stiffnesses=stiffnesses)
-        for where, names, table in (
-            ("sensor", self.problem.rig.twin.sensors, self.problem.record.readings),
-            ("actuator", self.problem.rig.twin.actuators, self.problem.record.commands),
-        ):
-            for name, x in zip(names, table.T, strict=True):
-                found[where, name] = _span(x)
-        return found
-
-    def _moved(self, rate: Array) -> Array:
-        """Return how far a place goes to and fro whose rate alone is known (m,): without what goes on and on."""
-        x = np.cumsum(rate) * self.problem.dt
-        found: Array = signal.detrend(x)
-        return found
-
-    def _tones(self, forces: Array) -> tuple[float, ...]:
-        """Return the frequencies in Hz at which the latent forces are strongest."""
-        window = np.hanning(len(forces))
-        many = 4 * len(forces)
-        power = sum(
-            np.abs(np.fft.rfft(column * window, many)) ** 2 / column.var() for column in forces.T if column.var() > 0
-        )
-        if isinstance(power, int):
-            return ()
-        frequencies = np.fft.rfftfreq(many, 1.0 / self.problem.record.rate)
-        (low, high), width = self.rules.tone_band, self.rules.tone_width
-        power = np.where((frequencies > low) & (frequencies < high * self.problem.record.rate), power, 0.0)
-        found = []
-        for _ in range(self.rules.tones):
-            i = int(np.argmax(power))
-            found.append(float(frequencies[i]))
-            power[max(0, i - width) : i + width + 1] = 0.0
-        return tuple(found)
-
 
 def _without(explanation: Explanation, i: int) -> tuple[tuple[Key, ...], tuple[EffectInstance, ...]]:
     """Return names and instances of an explanation without one of its causes."""
@@ -471,7 +497,3 @@ def _scaled(instance: EffectInstance, part: float) -> EffectInstance:
     """Return an instance with a part of the effect."""
     at = [i for i, name in zip(instance.free, instance.names, strict=True) if name in instance.entry.factors]
     return instance.with_values(at, (part * instance.values[i] for i in at))
-
-
-def _span(x: Array, rate: float = 0.0, tones: tuple[float, ...] = ()) -> Span:
-    return Span(float(x.min()), float(x.max()), float(np.abs(x).max()), rate, tones)

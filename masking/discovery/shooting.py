@@ -19,7 +19,7 @@ from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import thinning
 from masking.discovery.smoothing import linearised
-from masking.errors import RecordError
+from masking.errors import IntegrationError, RecordError
 from masking.numerics.arrays import Array
 
 
@@ -70,10 +70,15 @@ def substeps(problem: EstimationProblem) -> int:
     return _steps(simulated, least, max(least, problem.substeps), allowed, ahead=2)
 
 
-def finer(problem: EstimationProblem, found: Hypothesis) -> int:
+def finer(problem: EstimationProblem, found: Hypothesis, least: int) -> int:
     """Return how many steps simulate a law that was found: friction that turns round fast, a stop, a gap.
 
     Steps are enough where four times as many change the readings by no more than `law_error` of their noise.
+
+    Args:
+        problem: the record and the rig, in the steps that are tried first.
+        found: the law, fitted in these.
+        least: steps of the model alone.
     """
     if not found.instances:
         return problem.substeps
@@ -83,8 +88,30 @@ def finer(problem: EstimationProblem, found: Hypothesis) -> int:
         instances = [problem.rig.at_step(one, fine.dt / number) for one in found.instances]
         return fitting.fit(fine, instances, theta=found.theta, start=found.start, frozen=True).residuals
 
-    least, rules = problem.substeps, problem.rules
-    return _steps(residuals, least, rules.most_refinement * least, rules.law_error * problem.sigma, ahead=4)
+    rules = problem.rules
+    most, allowed = rules.most_refinement * least, rules.law_error * problem.sigma
+    return _steps(residuals, problem.substeps, most, allowed, ahead=4)
+
+
+def corrected(rough: EstimationProblem, known: Hypothesis) -> tuple[EstimationProblem, Hypothesis] | None:
+    """Return a problem in larger steps in which a hypothesis leaves what it does in its own, and it in these steps.
+
+    What larger steps change of its motion is added to the readings, so that laws beside it are fitted in few steps.
+    None if the motion is not finite in them.
+
+    Args:
+        rough: the problem, in larger steps.
+        known: the hypothesis, fitted in smaller ones.
+
+    Source: Stetter (1978), Numer. Math. 29, 425-443: defect correction.
+    """
+    instances = tuple(rough.rig.at_step(one, rough.dt / rough.substeps) for one in known.instances)
+    try:
+        found = rough.equations(known.theta, known.start, instances, fitting.estimated(instances))
+    except IntegrationError:
+        return None
+    record = replace(rough.record, readings=found.simulated + known.residuals)
+    return replace(rough, record=record), replace(known, instances=instances)
 
 
 def _steps(simulated: Callable[[int], Array], least: int, most: int, allowed: Array, *, ahead: int) -> int:

@@ -22,6 +22,8 @@ from masking.discovery.tabulated import tabulated
 from masking.errors import IntegrationError
 from masking.estimation.simulation import relative
 
+MOST_FINER = 4  # times the integration steps of the model alone: curves are smooth, and have many factors
+
 
 @dataclass(frozen=True)
 class UnnamedLaw:
@@ -70,9 +72,10 @@ class UnnamedLaw:
             for part, law in ((self.free.problem, self.fitted), (self.problem, self.validated)):
                 noise = part.record.readings.size
                 costs[2] += max(float(law.squares @ part.weights) - noise, 0.0)
+                fine = replace(part, substeps=found.problem.substeps)
                 for i, known in enumerate(every):
                     try:
-                        left = float(fitting.validated(part, known).squares @ part.weights) - noise
+                        left = float(fitting.validated(fine, known).squares @ part.weights) - noise
                     except IntegrationError:
                         left = np.inf
                     costs[i] += max(left, 0.0)
@@ -96,20 +99,24 @@ class UnnamedLaw:
         }
 
 
-def law_of(found: Explained, validation: EstimationProblem) -> UnnamedLaw | None:
+def law_of(found: Explained, validation: EstimationProblem, substeps: int) -> UnnamedLaw | None:
     """Return the law of a record without a name; None where none makes the simulation of unseen data better.
 
     Args:
         found: the record with its explanation.
         validation: the validation record.
+        substeps: integration steps between samples of the model alone.
     """
-    problem = found.problem
+    steps = min(found.problem.substeps, MOST_FINER * substeps)
+    problem, validation = (replace(one, substeps=steps) for one in (found.problem, validation))
+    found = replace(found, problem=problem)
     with threadpool_limits(1):
         law = free_law.fit(found)
         if law is None:
             return None
         if law.hypothesis.cost > ALIKE * problem.record.readings.size:
-            others = [one for one in found.explanation.hypothesis.instances if one.at != law.place.name]
+            known = found.explanation.hypothesis.instances
+            others = [problem.rig.at_step(one, problem.dt / steps) for one in known if one.at != law.place.name]
             again = free_law.fit(found, others) if others else None
             law = again if again is not None and again.score < law.score else law
         validation = _followed(validation, law)

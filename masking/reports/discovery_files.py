@@ -264,9 +264,9 @@ def _terms(found: Discovery, whole: ModelDeclaration) -> dict[str, str]:
 
 
 def _add_delay(found: Discovery, instance: EffectInstance, effects: dict[str, Any], taken: set[str]) -> None:
-    """Add a delay in whole samples; its remainder, or that of a single actuator, is a dead time of actuators."""
+    """Add a delay in whole samples; its remainder, or that of one of several actuators, is a dead time of actuators."""
     rate, seconds = found.record.rate, instance.values[0]
-    whole = 0 if instance.at else int(seconds * rate + WHOLE)
+    whole = int(seconds * rate + WHOLE) if not instance.at or found.twin.actuators == (instance.at,) else 0
     rest = seconds - whole / rate
     if whole:
         effects[_free("delay_found", taken)] = {"effect": laws.DELAY, "parameters": {"samples": whole}}

@@ -15,7 +15,6 @@ from scipy import signal
 
 from tests.benchmarks.independent.machine import Array, Contact, Element, Machine, simulated
 
-OFF = 0.01  # standard deviation of the parameters about what the model declares
 PIECES = 4
 Key = tuple[str, str]
 
@@ -37,20 +36,47 @@ EFFECTS = tuple(LIKE)
 
 
 @dataclass(frozen=True)
+class Quality:
+    """How well a rig is known, driven and read; all but the converter and the delay are standard deviations.
+
+    Args:
+        off: of its parameters about what the model declares, relative.
+        noise: of the readings, in parts of their rms.
+        gain: of the gain of each sensor, relative.
+        offset: of the zero of each sensor and actuator, in parts of its rms.
+        bits: of the converter that reads the range of each sensor; none if 0.
+        late: least and largest steps of integration by which all inputs act later than the model says.
+    """
+
+    off: float = 0.01
+    noise: float = 1e-3
+    gain: float = 0.0
+    offset: float = 0.0
+    bits: int = 0
+    late: tuple[int, int] = (0, 0)
+
+
+GOOD = Quality()
+REAL = Quality(off=0.03, noise=3e-3, gain=0.01, offset=0.01, bits=16, late=(PIECES // 2, PIECES))
+# Beside the effect that is sought, these are in a real rig, or do the same while it is linear.
+IMPERFECT = ("sensor_offset", "actuator_offset", "constant_force", "sensor_gain", "actuator_gain", "delay")
+
+
+@dataclass(frozen=True)
 class Case:
     """One machine.
 
     Args:
         seed: of all that is random.
         effect: its name.
-        noise: standard deviation of the readings, in parts of their rms.
+        quality: of the rig.
         rate: samples per second.
         seconds: length of the record.
     """
 
     seed: int
     effect: str
-    noise: float = 1e-3
+    quality: Quality = GOOD
     rate: float = 500.0
     seconds: float = 20.0
 
@@ -67,17 +93,28 @@ class Case:
     @cached_property
     def rig(self) -> Rig:
         """Return the machine as it is declared, and as it is."""
-        return Rig.drawn(self.random)
+        return Rig.drawn(self.random, self.quality.off)
 
     @cached_property
     def told(self) -> tuple[Array, Array]:
         """Return inputs (m, n) and the readings of each coordinate (m, n), in the unit of the record."""
-        rig, rng = self.rig, self.random
+        rig, rng, quality = self.rig, self.random, self.quality
         u = rig.excitation(rng, self.times)
         machine, late = self._machine(u)
-        motion = simulated(machine, u, self.rate, start=np.zeros(rig.size), late=late, pieces=PIECES)
+        flaws = np.random.default_rng([self.seed, EFFECTS.index(self.effect), 1])
+        shift = float(flaws.integers(*quality.late, endpoint=True)) / (self.rate * PIECES)
+        pushed = u + quality.offset * u.std(axis=0) * flaws.standard_normal(rig.size)
+        late = [shift + own for own in late]
+        motion = simulated(machine, pushed, self.rate, start=np.zeros(rig.size), late=late, pieces=PIECES)
         x = motion.displacement
-        return u, rig.scale * (x + self.noise * x.std(axis=0) * rng.standard_normal(x.shape))
+        size = x.std(axis=0)
+        x = x * (1.0 + quality.gain * flaws.standard_normal(rig.size))
+        x = x + quality.offset * size * flaws.standard_normal(rig.size)
+        x = x + quality.noise * size * rng.standard_normal(x.shape)
+        if quality.bits:
+            step = 2.0 * np.abs(x).max(axis=0) / 2**quality.bits
+            x = step * np.round(x / step)
+        return u, rig.scale * x
 
     @cached_property
     def at(self) -> int:
@@ -135,7 +172,9 @@ def _beyond(x: float, half: float) -> float:
 
 def _play(e: Drawn) -> Element:
     half = 0.5 * float(e.random.uniform(0.2, 1.0)) * e.size
-    return Element(e.row, lambda d, v, z, t: e.k * _beyond(d, half) + (e.c * v if abs(d) > half else 0.0))
+    return Element(
+        e.row, lambda d, v, z, t: e.k * _beyond(d, half) + (e.c * v if abs(d) > half else 0.0), edges=(-half, half)
+    )
 
 
 def _dragged(e: Drawn) -> Element:
@@ -159,12 +198,12 @@ def _stop(e: Drawn) -> Element:
         contact = stiff * max(side * d - edge, 0.0) * max(1.0 + loss * side * v, 0.0)
         return e.k * d + e.c * v + side * contact
 
-    return Element(e.row, force)
+    return Element(e.row, force, edges=(side * edge,))
 
 
 def _bilinear(e: Drawn) -> Element:
     more = float(e.random.uniform(0.1, 0.5)) * e.k
-    return Element(e.row, lambda d, v, z, t: e.k * d + e.c * v + more * max(d, 0.0))
+    return Element(e.row, lambda d, v, z, t: e.k * d + e.c * v + more * max(d, 0.0), edges=(0.0,))
 
 
 def _relaxing(e: Drawn) -> Element:
@@ -218,15 +257,15 @@ class Rig:
     unit: str
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator) -> Rig:
-        """Return a random machine."""
+    def drawn(cls, rng: np.random.Generator, off: float) -> Rig:
+        """Return a random machine, with the standard deviation of its parameters about what the model declares."""
         n = int(rng.integers(1, 3))
         w = 2.0 * np.pi * rng.uniform(1.0, 5.0, n)
         m = rng.uniform(0.5, 5.0, n)
         k, c = m * w**2, 2.0 * rng.uniform(0.02, 0.15, n) * m * w
         scale, unit = ((1.0, "m"), (1e3, "1"), (1.0, "1"))[int(rng.integers(3))]
         known = np.array([m, k, c])
-        m, k, c = known * (1.0 + OFF * rng.standard_normal(known.shape))
+        m, k, c = known * (1.0 + off * rng.standard_normal(known.shape))
         return cls(m, k, c, known, scale, unit)
 
     @property

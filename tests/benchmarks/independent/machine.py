@@ -1,7 +1,8 @@
 """Machines of masses, elements and set-valued friction, integrated from event to event.
 
-Steps are those of the classical Runge-Kutta method; a step in which a sliding contact would turn round ends where its
-rate is 0, which bisection finds. There it sticks where the force that holds it is within its limit, or slides on.
+Steps are those of the classical Runge-Kutta method. A step in which a sliding contact would turn round ends where its
+rate is 0, which bisection finds; there it sticks where the force that holds it is within its limit, or slides on. One
+in which an element passes an edge of its law ends just beyond that edge.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ Force = Callable[[float, float, float, float], float]  # (displacement, rate, st
 
 PIECES = 4  # steps of integration in a sample at least
 HALVINGS = 50
+NEAR = 1e-12  # of an edge, within which a law is that of one side
 
 
 @dataclass(frozen=True)
@@ -28,12 +30,14 @@ class Element:
         force: of displacement, rate, state and time.
         rate: of the state, by the same.
         moved: the state once the displacement has changed, for what does not depend on time: (displacement, state).
+        edges: displacements at which the law has a kink or a jump, in rising order.
     """
 
     row: Array
     force: Force
     rate: Force | None = None
     moved: Callable[[float, float], float] | None = None
+    edges: Sequence[float] = ()
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,17 @@ class _Moving:
         self.modes = [int(np.sign(c.row @ rate)) for c in machine.contacts]  # 0: it sticks
         self.inertia = 1.0 / machine.masses
         self.rows = np.array([c.row for c in machine.contacts]).reshape(-1, self.n)
+        self.sides = self.passed(self.y)
+
+    def passed(self, y: Array) -> list[int]:
+        """Return how many of its edges each element is beyond."""
+        return [sum(float(e.row @ y[: self.n]) > edge for edge in e.edges) for e in self.machine.elements]
+
+    def within(self, i: int, d: float) -> float:
+        """Return a displacement of an element between the edges that a step begins between."""
+        edges = (-1e300, *self.machine.elements[i].edges, 1e300)
+        low, high = edges[self.sides[i]], edges[self.sides[i] + 1]
+        return min(max(d, low + NEAR * abs(low)), high - NEAR * abs(high))
 
     def rates(self, t: float, y: Array, u: Array) -> tuple[Array, Array]:
         """Return the rates of the state, and the forces that hold the contacts which stick."""
@@ -81,6 +96,7 @@ class _Moving:
         total = machine.push @ u
         for i, element in enumerate(machine.elements):
             d, d_rate = float(element.row @ q), float(element.row @ v)
+            d = self.within(i, d) if element.edges else d
             inner = float(z[i]) if element.moved is None else element.moved(d, float(z[i]))
             total = total - element.row * element.force(d, d_rate, inner, t)
             if element.rate is not None:
@@ -127,7 +143,7 @@ class _Moving:
         while length > 0.0:
             tried = self.stepped(t, length, u)
             back = self.turned(tried)
-            if not back:
+            if not back and self.passed(tried) == self.sides:
                 self.take(tried)
                 if self.machine.contacts:
                     self.settle(t + length, u)
@@ -135,15 +151,20 @@ class _Moving:
             low, high = 0.0, length
             for _ in range(HALVINGS):
                 middle = 0.5 * (low + high)
-                if self.turned(self.stepped(t, middle, u)):
-                    high = middle
+                there = self.stepped(t, middle, u)
+                if self.turned(there) or self.passed(there) != self.sides:
+                    high, tried = middle, there
                 else:
                     low = middle
+            back = self.turned(tried)
+            if not back:
+                self.take(tried)
+                self.sides, t, length = self.passed(tried), t + high, length - high
+                continue
             self.take(self.stepped(t, low, u))
             rates = np.abs(self.rows @ self.y[self.n : 2 * self.n])
-            for i in self.turned(tried):
-                if rates[i] <= 1e-9 * (1e-9 + float(np.abs(self.rows @ tried[self.n : 2 * self.n]).max())) or i in back:
-                    self.stop(i, rates)
+            for i in back:
+                self.stop(i, rates)
             t, length = t + low, length - low
             self.settle(t, u)
             if low == 0.0 and length > 0.0 and self.turned(self.stepped(t, 1e-3 * length, u)):
