@@ -135,7 +135,7 @@ def _directed(model: ModelDeclaration, forces: Mapping[str, Dimension | None]) -
             *((f"{name} under {load}", "load", name, load) for load in (name, *commands)),
         ]
         for called, kind, followed, by in found:
-            factor = f"-abs({by})" if kind == "load" else f"-{by or 1}"
+            factor = f"-abs({by})" if kind == "load" else by or "-1"
             per = unit if not by or is_plain(model) else describe(dimension_of(f"({unit})/({units[by]})"))
             element = Element(displacement=Expression(followed), unit=per, acts={name: Expression(factor)})
             moves = followed in model.coordinates

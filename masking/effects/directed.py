@@ -66,7 +66,7 @@ DIRECTED: tuple[Effect, ...] = (
         "mu*tanh(d_rate/vs)",
         {
             "mu": EffectParameter("F", "force per load", (0.0, 1.0), 0.1, None, NOT_NEGATIVE),
-            "vs": EffectParameter("D/s", "rate at which the force has 76 % of its size", None, 1e-3, 1e-3, POSITIVE),
+            "vs": EffectParameter("D/s", "rate at 76 % of the force", (1e-5, 1e-2), 1e-3, 1e-3, POSITIVE),
         },
         cause="a guide, gear or wedge that the load presses together, a leaf spring whose leaves rub",
         remedy="take the load off the guide, or use rollers",
