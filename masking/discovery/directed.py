@@ -5,6 +5,8 @@ They are more than all other places together. So the model without causes is scr
 
 from __future__ import annotations
 
+import numpy as np
+
 from masking.discovery.candidates import candidates
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
@@ -19,7 +21,7 @@ def places(problem: EstimationProblem) -> set[str]:
 
 
 def are_worth_a_search(problem: EstimationProblem, base: Hypothesis) -> bool:
-    """Return whether a cause at a directed place scores about as much as the best of the others.
+    """Return whether a cause at a directed place scores most; between coordinates, it may be one of two.
 
     Args:
         problem: the record and the rig, whose directed places are open.
@@ -28,10 +30,10 @@ def are_worth_a_search(problem: EstimationProblem, base: Hypothesis) -> bool:
     Raises:
         IntegrationError: the motion is not finite.
     """
-    motion, opened = smooth(problem, base.theta, base.start), places(problem)
+    motion = smooth(problem, base.theta, base.start)
     every = list(candidates(problem.rig, spans(problem, motion), problem.dt))
-    best = {True: 0.0, False: 0.0}
-    for score in Screen(problem, base, motion, ()).scores(every):
-        at = score.candidate.at in opened
-        best[at] = max(best[at], score.gain)
-    return best[True] > problem.rules.directed_fraction * best[False]
+    part = {"coordinate": problem.rules.directed_fraction}
+    wanted = {place.name: part.get(place.directed, 1.0) for place in problem.rig.places if place.directed}
+    scores = Screen(problem, base, motion, ()).scores(every)
+    most = max((score.gain for score in scores if score.candidate.at not in wanted), default=0.0)
+    return any(score.gain > wanted.get(score.candidate.at, np.inf) * most for score in scores)

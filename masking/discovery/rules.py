@@ -168,7 +168,7 @@ class DecisionRules:
     """
 
     directed_fraction: float = 0.5
-    """Part of the best score that a directed place must reach to be searched. Why: gyroscopic forces are two."""
+    """Part of the best score from which a force between coordinates is searched. Why: gyroscopic forces are two."""
 
     # Hard facts
 
