@@ -95,6 +95,11 @@ class EffectInstance:
         """Return the instance with its estimated parameters multiplied."""
         return self.with_values(self.free, (self.values[i] * factor for i in self.free))
 
+    def with_factors_times(self, factor: float) -> EffectInstance:
+        """Return the instance with a part of the effect."""
+        at = [i for i, name in zip(self.free, self.names, strict=True) if name in self.entry.factors]
+        return self.with_values(at, (self.values[i] * factor for i in at))
+
     def at_step(self, mobility: float, step: float) -> EffectInstance:
         """Return the instance with the parameters that follow the step of integration, where it has such.
 

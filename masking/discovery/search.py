@@ -163,10 +163,7 @@ class Search:
                 wider = self._widened(now, ground)
                 steps[-1], now = (steps[-1], now) if wider is now else ((wider, *steps[-1][1:]), wider)
             self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
-            near = now.cost < self.rules.small_residual * self.size
-            screen = self._screen(
-                ground, now.hypothesis if near else base.hypothesis, now.hypothesis.instances, taken=near
-            )
+            screen = self._screened(now, ground)
             scores = screen.scores(ground.every)
             tried = tried or tuple(scores)
             found = self._round(now, scores, screen, parameters=number == 0)
@@ -262,14 +259,15 @@ class Search:
         for explanation in sorted(found, key=lambda e: e.score(tempering)):
             merged.setdefault(tuple(sorted(explanation.names)), explanation)
         every = merged.values()
-
-        def is_redundant(e: Explanation) -> bool:
-            return verdict.is_redundant(e, every, self._nested_in(e.names[-1]), now.cost, rules, tempering=tempering)
-
-        distinct = [e for e in every if not is_redundant(e)]
+        redundant = partial(verdict.is_redundant, others=every, now=now.cost, rules=rules, tempering=tempering)
+        distinct = [e for e in every if not redundant(e, nested=self._nested_in(e.names[-1]))]
         # Of what is the same, a parameter of the rig comes first.
         bonus = rules.parameter_preference * self.penalty
         ranked = sorted(distinct, key=lambda e: e.score(tempering) - bonus * (e.kind == "parameter"))
+        if verdict.reaches_noise(now.cost, self.size, rules):  # nothing is left that several laws would imitate
+            ranked = [e for e in ranked if not are_composite(e.names, self.problem.rig, rules)]
+        if not ranked:
+            return []
         least = rules.parameter_evidence if ranked[0].kind == "parameter" else rules.effect_evidence
         if now.score(tempering) - ranked[0].score(tempering) < least:
             return []
@@ -356,6 +354,14 @@ class Search:
         self, ground: _Ground, looked_at: Hypothesis, found: Sequence[EffectInstance], *, taken: bool = False
     ) -> Screen:
         return Screen(self.problem, looked_at, ground.motion, found, taken=taken, along=ground.along)
+
+    def _screened(self, now: Explanation, ground: _Ground) -> Screen:
+        """Return a screen of what is found, or of the model where that leaves less, to first order."""
+        instances = now.hypothesis.instances
+        screen = self._screen(ground, ground.base.hypothesis, instances)
+        if now.cost >= max(self.rules.small_residual * self.size, screen.total):
+            return screen
+        return self._screen(ground, now.hypothesis, instances, taken=True)
 
     def _is_too_little(self, base: Explanation, now: Explanation, then: Explanation) -> bool:
         """Return whether one more cause takes too little of the excess cost."""
@@ -470,7 +476,7 @@ class Search:
             found = replace(known, hypothesis=fitting.repeated(self.problem, known.hypothesis, rival))
         if found.hypothesis.cost <= now.hypothesis.cost:
             return found
-        less = (_scaled(ready, part) for part in LESS)
+        less = (ready.with_factors_times(part) for part in LESS)
         better = (fitted(instance, here) for instance in less if cost(instance, here) < now.hypothesis.cost)
         return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
 
@@ -491,9 +497,3 @@ def _without(explanation: Explanation, i: int) -> tuple[tuple[Key, ...], tuple[E
     """Return names and instances of an explanation without one of its causes."""
     names, instances = explanation.names, explanation.hypothesis.instances
     return (*names[:i], *names[i + 1 :]), (*instances[:i], *instances[i + 1 :])
-
-
-def _scaled(instance: EffectInstance, part: float) -> EffectInstance:
-    """Return an instance with a part of the effect."""
-    at = [i for i, name in zip(instance.free, instance.names, strict=True) if name in instance.entry.factors]
-    return instance.with_values(at, (part * instance.values[i] for i in at))

@@ -87,6 +87,7 @@ SERIES: tuple[Effect, ...] = (
         source="Zener (1948), Elasticity and Anelasticity of Metals, ch. 5: the standard linear solid",
         states={"z": EffectState("d_rate - z/tau", "D", "stretch that has not relaxed", "1e3")},
         family="damping",
+        nested=("constant_force", "linear_spring"),  # what does not relax in a record is a spring with its own zero
         is_linear=True,
     ),
     Effect(

@@ -34,8 +34,12 @@ def judged(case: Case) -> tuple[str, str]:
     words = f"{found.verdict} {told} left {left:.2f}"
     name, place = case.truth
     at = {place, f"x{place[-1]}"} if place == f"spring{case.rig.size}" else {place}  # of the last, from the ground
-    others = [one for one in told if one[0] not in IMPERFECT or case.quality is GOOD or name == one[0]]
-    if found.verdict == "named" and len(others) == 1 and others[0][0] == name and others[0][1] in at:
+    beside = set() if case.quality is GOOD else {*IMPERFECT} - {name}
+    others = [one for one in told if one[0] not in beside]
+    # Offsets of a sensor and of a force are the same while a rig is linear: which of them it is, is open.
+    last = {one for cause in found.effects[-1:] for one in (cause.name, *(other for other, _, _ in cause.alternatives))}
+    is_sure = found.verdict == "named" or (found.verdict == "ambiguous" and last <= beside)
+    if is_sure and len(others) == 1 and others[0][0] == name and others[0][1] in at:
         return "strict", words
     if any(one in LIKE[name] and on in at for one, on in told):
         return "class", words
