@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import calibration, fitting, shooting, unit_check, verdict
+from masking.discovery import calibration, directed, fitting, shooting, unit_check, verdict
 from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.composites import are_composite
 from masking.discovery.discovery import Discovery, Named, SimulationError, Withheld
@@ -87,8 +87,30 @@ def discover(
             if again.verdict != "unknown":
                 found = again
                 break
+    found = _with_directed(found, problem.substeps, unseen, noise, say)
     found = replace(_beside_names(found, problem.substeps, say), unit=doubt)
     return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
+
+
+def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, say: Tell) -> Discovery:
+    """Return a discovery that tries directed places, too, where the others leave more than noise.
+
+    One with a cause at such a place takes the place of one without it only if it leaves a small part of the excess.
+    """
+    rig = replace(found.problem.rig, directed=True)
+    if found.is_at_noise_floor or found.is_hidden or len(rig.places) == len(found.problem.rig.places):
+        return found
+    say("forces between coordinates, of commands elsewhere and under load", 0.0)
+    problem = replace(found.problem, rig=rig, substeps=substeps)
+    try:
+        with threadpool_limits(1):
+            is_worth = directed.are_worth_a_search(problem, found.search.base.hypothesis)
+        again = _explained(problem, unseen, noise, say) if is_worth else found
+    except IntegrationError:
+        return found
+    left, excess = (verdict.excess_cost(one.explanation.cost, one.record.readings.size) for one in (again, found))
+    is_directed = any(one.at in directed.places(problem) for one in again.explanation.hypothesis.instances)
+    return again if is_directed and left < found.problem.rules.trace_fraction * excess else found
 
 
 def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
