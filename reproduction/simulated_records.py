@@ -53,6 +53,8 @@ def alone(number: int, *, is_true: bool, chosen: Mapping[str, float] | None = No
         if effect.at in places:
             given = {}
             for name, parameter in effect.entry.parameters.items():
+                if name in effect.entry.by_step:
+                    continue
                 label = f"{effect.label}_{name}"
                 value = (chosen or {}).get(label, whole.parameter_value(label))
                 given[name] = value / mass if parameter.unit.startswith("F") else value

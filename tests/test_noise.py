@@ -99,6 +99,14 @@ def test_readings_that_were_interpolated_between_fewer_have_noise(tmp_path):
     assert found == pytest.approx(0.5, rel=0.05)
 
 
+def test_a_rate_that_jumps_now_and_then_has_the_noise_of_its_other_readings(tmp_path):
+    (tmp_path / "damper.yaml").write_text(DAMPER.format(k=100, c=20).replace("c*v", "c*v + 0*d"))
+    twin, (inputs_, _) = inputs.rig(tmp_path / "damper.yaml", None), bench(inside=0.0)
+    saw = np.abs(np.arange(COUNT) % 100 - 50.0)[:, None] + 0.01 * np.random.default_rng(5).standard_normal((COUNT, 1))
+    found = noise_of(twin, Data("bench", 1000.0, inputs_, saw, hold="first-order"))
+    assert found == pytest.approx(0.01, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("readings", "step"),
     [

@@ -31,8 +31,16 @@ def motions(element: Element) -> tuple[Expression, ...]:
 
 
 def measured_inputs(model: ModelDeclaration) -> tuple[str, ...]:
-    """Give the inputs that elements follow: a motion that was measured, where others are commands."""
-    followed = {name for element in model.elements.values() for x in motions(element) for name in x.names}
+    """Give the inputs that elements follow: a motion that was measured, where others are commands.
+
+    What acts on coordinates and follows no motion but inputs, without a rate, is a force of commands.
+    """
+    inputs, moved = {*model.inputs}, {*model.coordinates}
+    followed = set[str]()
+    for element in model.elements.values():
+        names = {name for x in motions(element) for name in x.names}
+        of_commands = element.rate is None and {*element.acts} <= moved and names <= inputs
+        followed |= set() if of_commands else names
     return tuple(name for name in model.inputs if name in followed)
 
 

@@ -161,15 +161,17 @@ class AugmentedModel:
         twin: the rig with its declared values.
         names: its parameters that may be adjusted.
         tried: the effects that are tried; by default those of the dictionary, and the bases of laws without a name.
+        directed: whether directed places are open, too.
     """
 
     twin: Twin
     names: tuple[str, ...]
     tried: tuple[Effect, ...] = ()
+    directed: bool = False
 
     @cached_property
     def _opened(self) -> tuple[Twin, tuple[Place, ...]]:
-        base, found = opened(self.twin.base)
+        base, found = opened(self.twin.base, directed=self.directed)
         ports = {f"port_{identifier(p.name)}": port(FORCE, p.name if p.declared else identifier(p.name)) for p in found}
         commands = {f"port_{name}": port(OFFSET, name) for name in self.twin.actuators}
         effects = {**commands, **ports, **self.twin.declaration.effects}

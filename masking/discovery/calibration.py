@@ -3,11 +3,15 @@
     p = p0 + (1 - p0)/(1 + (l0/l)**s)
 
 l is what the names leave and the law without a name explains, as part of the rms of the model error: a law whose shape
-is off by a tenth leaves a tenth. The numbers are chosen, not fitted; `python -m tests.benchmarks.laws` says how often
-answers of each probability are right.
+is off by a tenth leaves a tenth. A closed form with no more numbers than the names is their rival by its score. The
+numbers are chosen, not fitted; `python -m tests.benchmarks.problems` says how often answers of each probability are
+right.
 """
 
 from __future__ import annotations
+
+import numpy as np
+from scipy import special
 
 LEAST = 0.01  # p0, where the names leave no more than noise
 HALF = 0.1  # l0: a law that is a tenth off is as likely another one
@@ -17,14 +21,17 @@ LIKELIER = 0.5  # from which none of the names is likelier than all of them
 TOLD = 1e-3  # of a probability: less is not told
 
 
-def none_of_these(left: float, *, refused: bool = False) -> float:
+def none_of_these(left: float, better: float = -np.inf, *, refused: bool = False) -> float:
     """Return the probability that none of the names is right.
 
     Args:
         left: l.
+        better: score by which a closed form with no more numbers is better than the names, beyond what is asked of an
+            effect.
         refused: whether the names are refused for what they leave.
     """
     found = LEAST + (1.0 - LEAST) / (1.0 + (HALF / left) ** SHARPNESS) if left > 0.0 else LEAST
+    found = max(found, float(special.expit(0.5 * better)))
     return max(found, REFUSED) if refused else found
 
 

@@ -57,7 +57,7 @@ def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], perio
     for place in rig.places:
         # Inertias take the displacement as linear, and change no reading at once.
         straight = is_of_one(place.element.displacement, rig.coordinates) and not rig.twin.is_fed
-        is_known = bool(place.declared or place.coordinate)
+        is_known = bool(place.declared or place.coordinate or place.directed)
         for effect in every:
             fits = effect.where == "element" and ((straight or not effect.is_inertia) if is_known else effect.joins)
             if fits and place.is_open and place.takes(effect):

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import calibration, fitting, shooting, unit_check, verdict
+from masking.discovery import calibration, directed, fitting, shooting, unit_check, verdict
 from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.composites import are_composite
 from masking.discovery.discovery import Discovery, Named, SimulationError, Withheld
@@ -26,7 +26,7 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.search import Search, SearchResult, Tell
 from masking.discovery.settings import DiscoverySettings
-from masking.discovery.unnamed import law_of
+from masking.discovery.unnamed import evidence, law_of
 from masking.discovery.verdict import Scored
 from masking.effects import ROUNDING
 from masking.errors import IntegrationError
@@ -87,14 +87,37 @@ def discover(
             if again.verdict != "unknown":
                 found = again
                 break
+    found = _with_directed(found, problem.substeps, unseen, noise, say)
     found = replace(_beside_names(found, problem.substeps, say), unit=doubt)
     return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
+
+
+def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, say: Tell) -> Discovery:
+    """Return a discovery that tries directed places, too, where the others leave more than noise.
+
+    One with a cause at such a place takes the place of one without it only if it leaves a small part of the excess.
+    """
+    rig = replace(found.problem.rig, directed=True)
+    if found.is_at_noise_floor or found.is_hidden or len(rig.places) == len(found.problem.rig.places):
+        return found
+    say("forces between coordinates, of commands elsewhere and under load", 0.0)
+    problem = replace(found.problem, rig=rig, substeps=substeps)
+    try:
+        with threadpool_limits(1):
+            is_worth = directed.are_worth_a_search(problem, found.search.base.hypothesis)
+        again = _explained(problem, unseen, noise, say) if is_worth else found
+    except IntegrationError:
+        return found
+    left, excess = (verdict.excess_cost(one.explanation.cost, one.record.readings.size) for one in (again, found))
+    is_directed = any(one.at in directed.places(problem) for one in again.explanation.hypothesis.instances)
+    return again if is_directed and left < found.problem.rules.trace_fraction * excess else found
 
 
 def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     """Return a discovery with the probability that no name is right, and with the law without a name where it is not.
 
-    Where the names leave so much more than noise that it could explain, that law is fitted, as their rival.
+    Where the names leave so much more than noise that it could explain, that law is fitted, as their rival; also where
+    they leave a little more, for a closed form may explain that with no more numbers.
 
     Args:
         found: the discovery.
@@ -104,12 +127,15 @@ def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
         law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation, substeps)
         return replace(found, law=law, none_of_these=1.0 if law else 0.0)
-    law, left = None, 0.0
-    if found.verdict == "unknown" or (calibration.matters(_left(found)) and not found.closed):
+    law, left, better = None, _left(found), -np.inf
+    size, rules = found.problem.record.readings.size, found.problem.rules
+    is_open = found.verdict == "unknown" or (calibration.matters(left) and not found.closed)
+    if is_open or found.explanation.cost > (1.0 + rules.screen_resolution) * size:
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps)
-        left = 0.0 if law is None else law.unexplained(found)
-    none = calibration.none_of_these(left, refused=found.verdict == "unknown")
+        if law is not None:
+            left, better = law.unexplained(found), evidence(found, found.after, law) - rules.effect_evidence
+    none = calibration.none_of_these(left if is_open else 0.0, better, refused=found.verdict == "unknown")
     at = len(found.explanation.hypothesis.instances) - 1
     last = found.effects[at]
     others = tuple((name, on, part * (1.0 - none)) for name, on, part in last.alternatives)

@@ -242,13 +242,15 @@ def _without(found: Explained, motion: Motion) -> Motion:
 def projected(motion: Motion, by: Array) -> tuple[Array, float]:
     """Return the force at a place that is nearest to those on all coordinates (m,), and its standard deviation.
 
+    Where no sensor shows it at once, it is 0 with an infinite deviation.
+
     Args:
         motion: with the forces on coordinates.
         by: what a unit at the place is on each degree (degrees,); see `directions`.
     """
-    weight = by / np.maximum(motion.deviation, 1e-300) ** 2
-    norm = max(float(by @ weight), 1e-300)
-    return motion.forces @ weight / norm, norm**-0.5
+    weight = by / np.maximum(motion.deviation, 1e-150) ** 2
+    norm = float(by @ weight)
+    return (motion.forces @ weight / norm, norm**-0.5) if norm > 0.0 else (np.zeros(len(motion.forces)), np.inf)
 
 
 def directions(found: Explained, column: int) -> Array:

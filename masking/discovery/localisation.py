@@ -141,7 +141,7 @@ def localise(found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whitenes
 def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Periods | None) -> LatentForces:
     """Return the latent forces along a motion whose readings differ by an error (m, sensors) from the simulation."""
     rig, cycle = found.rig, None if periods is None else periods.length
-    ratios = (motion.forces**2).mean(axis=0) / np.maximum(motion.deviation, 1e-300) ** 2
+    ratios = (motion.forces**2).mean(axis=0) / np.maximum(motion.deviation, 1e-150) ** 2
     energies = np.where(ratios > SEEN, ratios - 1.0, 0.0)
     whole = float(energies.sum())
 

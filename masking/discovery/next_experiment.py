@@ -19,15 +19,18 @@ from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import RULES
+from masking.discovery.smoothing import linearised
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
 from masking.numerics.arrays import Array
 from masking.records.hold import Hold
 
+# Times and frequencies of a rig whose slowest mode is between 0.5 and 5 Hz; they go with its decade.
 SECONDS = 30.0
-FACTORS = (1.0, 3.0)  # of the record's own size, as far as limits allow
 BANDS = ((0.05, 0.5), (0.5, 3.0), (3.0, 12.0))  # Hz
 PERIOD = 10.0  # s
+USUAL = 1.6  # Hz
+FACTORS = (1.0, 3.0)  # of the record's own size, as far as limits allow
 STEPS = "row of growing steps"
 
 
@@ -127,6 +130,16 @@ def _left(problem: EstimationProblem, commands: Array, truth: Hypothesis, other:
         return 0.0
 
 
+def _pace(problem: EstimationProblem) -> float:
+    """Return the decade of the slowest mode of the rig over that of usual rigs; 1 of a rig that has no states."""
+    if not problem.rig.twin.state_names:
+        return 1.0
+    modes = np.linalg.eigvals(linearised(problem.rig, problem.prior.mean)[0])
+    speeds = np.abs(modes[modes.imag != 0.0] if (modes.imag != 0.0).any() else modes)
+    slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
+    return float(10.0 ** np.round(np.log10(slowest / (2.0 * np.pi * USUAL)))) if np.isfinite(slowest) else 1.0
+
+
 def _rates(rig: AugmentedModel) -> dict[int, int] | None:
     """Return which measured input is the rate of which other, by their numbers; None where that is not known of all."""
     twin, found = rig.twin, dict[int, int]()
@@ -156,24 +169,25 @@ def _possible(
 
 
 def _excitations(problem: EstimationProblem, size: Array, most: Array) -> Iterator[tuple[str, dict[str, Any], Array]]:
-    rate, actuators = problem.record.rate, problem.rig.twin.actuators
-    t = np.arange(round(SECONDS * rate)) / rate
+    rate, actuators, pace = problem.record.rate, problem.rig.twin.actuators, _pace(problem)
+    seconds, period = SECONDS / pace, PERIOD / pace
+    t = np.arange(round(seconds * rate)) / rate
     for factor in FACTORS:
         peaks = np.minimum(factor * size, most)
         peak_of = {name: float(f"{peak:.3g}") for name, peak in zip(actuators, peaks, strict=True)}
-        for low, high in BANDS:
-            lines = np.arange(max(1, round(low * PERIOD)), round(high * PERIOD) + 1)
+        for low, high in ((pace * low, pace * high) for low, high in BANDS if pace * high < 0.5 * rate):
+            lines = np.arange(max(1, round(low * period)), round(high * period) + 1)
             columns = []
             for i in range(len(actuators)):
                 own = lines[i :: len(actuators)] if len(lines) >= len(actuators) else lines
                 phases = signals.schroeder_phases(np.ones(len(own)))
-                wave = signals.Multisine.harmonic(own, PERIOD, phases=phases).sample(t)
+                wave = signals.Multisine.harmonic(own, period, phases=phases).sample(t)
                 columns.append(wave / np.abs(wave).max())
-            settings = {"peak": peak_of, "lowest": f"{low:g} Hz", "highest": f"{high:g} Hz", "seconds": SECONDS}
+            settings = {"peak": peak_of, "lowest": f"{low:g} Hz", "highest": f"{high:g} Hz", "seconds": seconds}
             yield "multisine", settings, np.array(columns).T * peaks
-        shape = np.interp(t / SECONDS, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
+        shape = np.interp(t / seconds, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
         shifted = [np.roll(shape, i * len(t) // len(actuators)) for i in range(len(actuators))]
-        yield "ramp", {"peak": peak_of, "seconds": SECONDS}, np.array(shifted).T * peaks
-        turns = np.outer(t / SECONDS, 6.0 + 2.0 * np.arange(len(actuators)))
-        steps = np.sign(np.sin(2.0 * np.pi * turns)) * (t / SECONDS)[:, None]
-        yield STEPS, {"peak": peak_of, "seconds": SECONDS}, steps * peaks
+        yield "ramp", {"peak": peak_of, "seconds": seconds}, np.array(shifted).T * peaks
+        turns = np.outer(t / seconds, 6.0 + 2.0 * np.arange(len(actuators)))
+        steps = np.sign(np.sin(2.0 * np.pi * turns)) * (t / seconds)[:, None]
+        yield STEPS, {"peak": peak_of, "seconds": seconds}, steps * peaks

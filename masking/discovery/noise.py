@@ -15,15 +15,16 @@ from masking.rig.twin import Twin
 
 EXACT = 1e-12  # of the largest reading: a smaller difference is rounding of double precision
 NEAR, MOST = 0.1, 0.95  # of a step, and of the gaps between values: as near to its multiples, and as many of them
+FEWER = 0.8  # of the mean noise: a median below is less than by chance, and some readings jump
 MEDIAN = 0.6745  # magnitude that half of all samples of a standard normal distribution stay below
 
 
 def noise_of(twin: Twin, record: Data) -> Array:
     """Return the standard deviation of the noise of each reading (sensors,), from the record.
 
-    What a force changes at once may jump, as that of a friction does: there the noise is that of most readings, and
-    that of measured inputs counts with what the readings have of these by linear regression. Parameters of the model
-    have no part in it. Rounding to steps q makes q / sqrt(12) at least.
+    What a force changes at once may jump, as that of a friction does, or a rate where a command changes: there the
+    noise is that of most readings. That of measured inputs counts with what the readings have of these by linear
+    regression. Parameters of the model have no part in it. Rounding to steps q makes q / sqrt(12) at least.
 
     Args:
         twin: the rig.
@@ -32,11 +33,12 @@ def noise_of(twin: Twin, record: Data) -> Array:
     Raises:
         RecordError: readings carry no noise, so that nothing can be said to be beyond it.
     """
-    found = record.noise
+    found, smooth = record.noise, _smooth(record.readings)
+    found = np.where(smooth < FEWER * found, smooth, found)
     if twin.is_fed:
         inputs = record.commands[:, [twin.actuators.index(name) for name in twin.measured_actuators]]
         by = np.linalg.lstsq(inputs - inputs.mean(axis=0), record.readings - record.readings.mean(axis=0))[0]
-        found = np.hypot(_smooth(record.readings), np.linalg.norm(_smooth(inputs)[:, None] * by, axis=0))
+        found = np.hypot(smooth, np.linalg.norm(_smooth(inputs)[:, None] * by, axis=0))
     size = np.sqrt((record.readings**2).mean(axis=0))
     for name, value in zip(twin.sensors, size, strict=True):
         if value == 0.0:

@@ -10,16 +10,24 @@ which may be divided by a mass, they follow from the elements, which pass a forc
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping
+import re
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 from masking.declaration.checks import equation_of, no_equation
-from masking.declaration.couplings import driven_outputs, driven_states, has_own_force, has_rate, motions
+from masking.declaration.couplings import (
+    driven_outputs,
+    driven_states,
+    has_own_force,
+    has_rate,
+    measured_inputs,
+    motions,
+)
 from masking.declaration.dimensions import displacement_dimension, force_dimensions, is_plain, symbol_dimensions
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Element, ModelDeclaration, Parameter
 from masking.declaration.units import Dimension, describe, dimension_of
-from masking.effects import Effect
+from masking.effects import Directed, Effect
 from masking.errors import DeclarationError, Problem
 
 USUAL = ("1", "N", "N*m")  # units of forces
@@ -37,6 +45,7 @@ class Place:
         has_rate: whether it is known how fast it is stretched.
         is_of_coordinates: whether coordinates alone stretch it.
         has_force: whether it declares a force of its own, with which effects may be in series.
+        directed: what it follows, if it acts on a coordinate by something else than the motion of this alone.
     """
 
     name: str
@@ -46,6 +55,7 @@ class Place:
     has_rate: bool = True
     is_of_coordinates: bool = True
     has_force: bool = False
+    directed: Directed = ""
 
     @property
     def is_open(self) -> bool:
@@ -55,6 +65,8 @@ class Place:
     def takes(self, effect: Effect) -> bool:
         """Return whether an effect finds here what it follows: a displacement, a rate, or neither."""
         used = effect.follows
+        if effect.directed != self.directed:
+            return False
         if effect.attaches != "beside" and not self.has_force:
             return False
         if effect.is_flow and self.has_rate:
@@ -69,8 +81,12 @@ def degrees(model: ModelDeclaration) -> tuple[str, ...]:
     return (*model.coordinates, *driven_states(model), *driven_outputs(model))
 
 
-def places(model: ModelDeclaration) -> tuple[Place, ...]:
+def places(model: ModelDeclaration, *, directed: bool = False) -> tuple[Place, ...]:
     """Return every place of a model: elements, degrees and pairs of coordinates, none of them twice.
+
+    Args:
+        model: the declaration.
+        directed: whether directed places are among them.
 
     Raises:
         DeclarationError: a force cannot act on a coordinate, since no equation is its own, or on nothing at all.
@@ -92,6 +108,8 @@ def places(model: ModelDeclaration) -> tuple[Place, ...]:
         )
     between = {_text(e.displacement) for e in model.elements.values()}
     weights = _weights(model)
+    if any(len({*element.acts} & {*model.coordinates}) > 2 for element in model.elements.values()):
+        return tuple(found)  # coordinates are modes: nothing sits between two of them
     for a, b in itertools.combinations(model.coordinates, 2):
         if f"{a}-{b}" in between or f"{b}-{a}" in between or a not in weights or b not in weights:
             continue
@@ -101,15 +119,46 @@ def places(model: ModelDeclaration) -> tuple[Place, ...]:
         unit = _force_unit(model, a, forces[a])
         element = Element(displacement=Expression(f"{a} - {b}"), unit=unit, acts=acts)
         found.append(Place(f"{a}-{b}", element, declared=False))
-    return tuple(found)
+    return (*found, *(_directed(model, forces) if directed else ()))
 
 
-def opened(model: ModelDeclaration) -> tuple[ModelDeclaration, tuple[Place, ...]]:
-    """Return a model in which every place is an element, and the places.
+def _directed(model: ModelDeclaration, forces: Mapping[str, Dimension | None]) -> Iterator[Place]:
+    """Give the directed places: what each follows, the coordinate that it acts on, and what multiplies its force."""
+    commands = [name for name in model.inputs if name not in measured_inputs(model)]
+    units = {name: x.unit for section in (model.coordinates, model.inputs) for name, x in section.items()}
+    for name in model.coordinates:
+        unit, driven = _force_unit(model, name, forces[name]), _inputs_of(model, name)
+        found: list[tuple[str, Directed, str, str]] = [
+            *((f"{other} on {name}", "coordinate", other, "") for other in model.coordinates if other != name),
+            *((f"{u} on {name}", "command", u, "") for u in commands if u not in driven),
+            *((f"{u} at {name}", "gain", name, u) for u in commands if u in driven),
+            *((f"{name} under {load}", "load", name, load) for load in (name, *commands)),
+        ]
+        for called, kind, followed, by in found:
+            factor = f"-abs({by})" if kind == "load" else by or "-1"
+            per = unit if not by or is_plain(model) else describe(dimension_of(f"({unit})/({units[by]})"))
+            element = Element(displacement=Expression(followed), unit=per, acts={name: Expression(factor)})
+            moves = followed in model.coordinates
+            yield Place(called, element, False, None, moves, moves, directed=kind)
+
+
+def _inputs_of(model: ModelDeclaration, name: str) -> set[str]:
+    """Return the inputs that the model lets act on a coordinate."""
+    left = equation_of(model, name)
+    acting = [model.forces[name]] if name in model.forces else [model.equations[left]] if left is not None else []
+    seen, pending = set[str](), set().union(*(expression.names for expression in acting))
+    while pending:
+        seen |= pending
+        pending = set().union(*(model.definitions[n].names for n in pending & {*model.definitions})) - seen
+    return seen & {*model.inputs}
+
+
+def opened(model: ModelDeclaration, *, directed: bool = False) -> tuple[ModelDeclaration, tuple[Place, ...]]:
+    """Return a model in which every place is an element, and the places; see `places`.
 
     Of the motion of an element with a force of its own, the parameters `taken(name)` are taken away.
     """
-    found = places(model)
+    found = places(model, directed=directed)
     elements = {**model.elements, **{identifier(p.name): p.element for p in found if not p.declared}}
     parameters = dict(model.parameters)
     symbols = symbol_dimensions(model) or {}
@@ -131,8 +180,8 @@ def taken(element: str) -> tuple[str, str]:
 
 
 def identifier(name: str) -> str:
-    """Return the name of an element for a place, such as `x1_x2` for x1-x2."""
-    return name.replace("-", "_") if "-" in name else f"{name}_place" if name.isidentifier() else name
+    """Return the name of an element for a place, such as `x1_x2` for x1-x2, and `x1_on_x2` for "x1 on x2"."""
+    return f"{name}_place" if name.isidentifier() else re.sub("[- ]", "_", name)
 
 
 def is_of_one(displacement: Expression | None, coordinates: Collection[str]) -> bool:

@@ -167,6 +167,9 @@ class DecisionRules:
     remainder may have another cause, which the richer law would imitate.
     """
 
+    directed_fraction: float = 0.5
+    """Part of the best score from which a force between coordinates is searched. Why: gyroscopic forces are two."""
+
     # Hard facts
 
     excluded_deviations: float = 6.0

@@ -319,11 +319,15 @@ class Screen:
             instance = instance.with_values(scaled_by, factors[0] * np.array([instance.values[i] for i in scaled_by]))
         else:
             entries = list(instance.entry.parameters.values())
-            lows = [entries[i].bounds[0] for i in candidate.factors]
-            if any(low is not None and factor < low for low, factor in zip(lows, factors, strict=True)):
-                if (factors <= 0.0).all():
+            bounds = [entries[i].bounds for i in candidate.factors]
+            low = np.array([-np.inf if least is None else least for least, _ in bounds])
+            high = np.array([np.inf if most is None else most for _, most in bounds])
+            if (factors < low).any():
+                if (factors <= 0.0).all() and (low >= 0.0).any():
                     return nothing
-                factors = np.maximum(factors, self.rules.least_factor * np.abs(factors).max())
+                least = self.rules.least_factor * np.abs(factors).max()
+                factors = np.where(low >= 0.0, np.maximum(factors, least), factors)
+            factors = np.clip(factors, low, high)
             instance = instance.with_values(candidate.factors, factors)
         return Score(candidate, instance, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
 

@@ -44,7 +44,7 @@ class Motion:
         states: of the rig (m, n).
         forces: latent, on each degree (m, degrees): coordinates, in their unit of acceleration, states
             and outputs.
-        deviation: standard deviation of these forces (degrees,).
+        deviation: standard deviation of these forces (degrees,); infinite where no sensor shows a force at once.
         innovations: what each reading adds to the past, in standard deviations (m, sensors).
         displacement: of each place (m, places).
         rate: of each place (m, places).
@@ -106,7 +106,8 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     innovations, states, predicted = _filter(problem, theta, start, gains)
     rig.kernels.smooth_backward(len(record), gains.backward, states, predicted)
     n = len(rig.twin.state_names)
-    states[:, n:] = np.where(unit > UNSEEN, states[:, n:], 0.0)
+    seen = unit > UNSEEN
+    states[:, n:] = np.where(seen, states[:, n:], 0.0)
     placed = np.empty((len(record), 3 * len(rig.sizes.force_entries)))
     acting = np.ascontiguousarray(record.acting)
     p = rig.basis(theta)[0]
@@ -114,7 +115,7 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     parts = (part[:, : len(rig.places)] for part in np.split(placed, 3, axis=1))
     displacement, rate, acceleration = (np.ascontiguousarray(part) for part in parts)
     return Motion(
-        np.ascontiguousarray(states[:, :n]), states[:, n:], gains.deviation,
+        np.ascontiguousarray(states[:, :n]), states[:, n:], np.where(seen, gains.deviation, np.inf),
         innovations / np.sqrt(np.diag(gains.spread)), displacement, rate, acceleration,
     )  # fmt: skip
 

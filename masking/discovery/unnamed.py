@@ -99,6 +99,30 @@ class UnnamedLaw:
         }
 
 
+def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw) -> float:
+    """Return by how much the closed form of a law has a better score than the names in both records.
+
+    It is no rival, and this is -inf, where it has more numbers than the names, or is known in other intervals.
+
+    Args:
+        found: the record with its explanation.
+        validated: that explanation on the validation record.
+        law: the law without a name.
+    """
+    named, form = found.explanation.hypothesis, law.form
+    if form is None or law.free.problem.interval != found.problem.interval:
+        return -np.inf
+    numbers = [len(fitting.estimated(one.instances)) for one in (named, form.hypothesis)]
+    if numbers[1] > numbers[0] or form.validated.squares.shape != validated.squares.shape:
+        return -np.inf
+    penalty = float(np.log(named.residuals.size + validated.residuals.size))
+    costs = [
+        one.cost + float(unseen.squares @ law.problem.weights)
+        for one, unseen in ((named, validated), (form.hypothesis, form.validated))
+    ]
+    return costs[0] - costs[1] + penalty * (numbers[0] - numbers[1])
+
+
 def law_of(found: Explained, validation: EstimationProblem, substeps: int) -> UnnamedLaw | None:
     """Return the law of a record without a name; None where none makes the simulation of unseen data better.
 

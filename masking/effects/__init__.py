@@ -14,6 +14,7 @@ from masking.effects.dictionary import DELAY, EFFECTS, FORCE, LATE, OFFSET, ROUN
 from masking.effects.entry import (
     FAMILIES,
     SATURATION,
+    Directed,
     Effect,
     EffectParameter,
     EffectState,
@@ -31,6 +32,7 @@ __all__ = [
     "ROUNDING",
     "SATURATION",
     "Attachment",
+    "Directed",
     "Effect",
     "EffectParameter",
     "EffectState",

@@ -13,13 +13,14 @@ from typing import Final
 from masking.declaration import registry
 from masking.declaration.checks import problem_at
 from masking.declaration.schema import DictionaryDeclaration, OwnEffect
+from masking.effects.directed import DIRECTED
 from masking.effects.elements import ELEMENTS
 from masking.effects.entry import FAMILIES, Effect, EffectParameter, EffectState
 from masking.effects.instruments import INSTRUMENTS
 from masking.effects.series import SERIES
 from masking.errors import DeclarationError, Problem, nearest
 
-EFFECTS: Final[dict[str, Effect]] = {effect.name: effect for effect in (*ELEMENTS, *SERIES, *INSTRUMENTS)}
+EFFECTS: Final[dict[str, Effect]] = {effect.name: effect for effect in (*ELEMENTS, *SERIES, *DIRECTED, *INSTRUMENTS)}
 
 # Effects that the package itself puts into a rig or reads out of a record.
 FORCE, OFFSET = EFFECTS["constant_force"], EFFECTS["actuator_offset"]

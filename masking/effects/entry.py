@@ -22,6 +22,7 @@ from typing import Final, Literal
 from masking.declaration.expression import Expression
 
 Attaches = Literal["beside", "in_series", "instead"]
+Directed = Literal["", "coordinate", "command", "gain", "load"]
 Where = Literal["element", "sensor", "actuator", "loop"]
 Bounds = tuple[float | None, float | None]
 
@@ -150,6 +151,7 @@ class Effect:
         nested: simpler effects that are special cases of it, or nearly so.
         absorbed_by: the parameter of a model that would do the same; '' if none would.
         is_linear: whether a system with it is linear if it was so without it.
+        directed: what it follows at a directed place, and it is tried at such places alone; '' for any other effect.
         is_flow: whether it is a flow of a level, and no force of a motion: tried at places without a rate alone.
         is_sum: whether it is there as soon as any factor differs from 0, not only if the first does.
         scaled: parameters that scale its force together, if no parameter does so alone.
@@ -182,6 +184,7 @@ class Effect:
     nested: tuple[str, ...] = ()
     absorbed_by: str = ""
     is_linear: bool = False
+    directed: Directed = ""
     is_flow: bool = False
     is_sum: bool = False
     scaled: tuple[str, ...] = ()

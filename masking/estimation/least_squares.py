@@ -144,11 +144,11 @@ class Box:
     growing: NDArray[np.bool_] | bool = False
 
     def after(self, x: Array, step: Array) -> Array:
-        """Return values (n,) after a step that goes at most `TOWARDS` of the way to a bound."""
+        """Return values (n,) after a step that goes at most `TOWARDS` of the way to a bound, never away from it."""
         farther, count = x + step, len(self.low)
         x = x[:count]
-        least = np.where(np.isfinite(self.low), x - TOWARDS * np.abs(x - self.low), -np.inf)
-        most = np.where(np.isfinite(self.high), x + TOWARDS * np.abs(self.high - x), np.inf)
+        least = np.where(np.isfinite(self.low), x - TOWARDS * np.maximum(x - self.low, 0.0), -np.inf)
+        most = np.where(np.isfinite(self.high), x + TOWARDS * np.maximum(self.high - x, 0.0), np.inf)
         doubled = np.where(self.growing & (self.low >= 0.0) & (x > 0.0), GROWTH * x, np.inf)
         farther[:count] = np.minimum(np.clip(farther[:count], least, most), doubled)
         return farther

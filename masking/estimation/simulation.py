@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,10 @@ from masking.estimation.sensitivity import NormalEquations, Sensitivity
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
+PARTS = (
+    1 / 64,
+    1 / 8,
+)  # of a record that its initial state is estimated from before the whole: friction has many minima
 FIRST_READINGS = 20  # readings that the initial state is guessed from
 ROUNDS = 5  # steps for the initial state, at most
 DAMPING = Damping(1e-9, least=1e-12, most=1e6)
@@ -134,8 +139,23 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
     Raises:
         IntegrationError: the motion is not finite.
     """
+    first = first_start(sensing, record)
+    for part in PARTS:
+        if part * len(record) >= FIRST_READINGS:
+            with suppress(IntegrationError):
+                first, _ = _nearest(sensing, theta, record.first(part * len(record) / record.rate), weights, first)
+    try:
+        return _nearest(sensing, theta, record, weights, first)
+    except IntegrationError:
+        raise IntegrationError(f"the simulated motion is no longer finite in {record.name}") from None
+
+
+def _nearest(
+    sensing: Sensitivity, theta: Array, record: Data, weights: Array, start: Array
+) -> tuple[Array, NormalEquations]:
+    """Return what `nearest` does, near a state to begin with (states,)."""
     free = np.array(sensing.twin.free, dtype=int)
-    first, basis = first_start(sensing, record), sensing.basis(theta)
+    first, basis = start.copy(), sensing.basis(theta)
     substeps, at = sensing.twin.substeps(record.rate), len(theta) + free
 
     def linearised(x: Array) -> Linearised[Dense, NormalEquations]:
@@ -143,12 +163,7 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
         made = sensing.normal_equations(basis, first, record, weights, substeps)
         return Linearised(float(weights @ made.squares), Dense(made.matrix[np.ix_(at, at)], made.gradient[at]), made)
 
-    try:
-        found = minimise(
-            linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost
-        )
-    except IntegrationError:
-        raise IntegrationError(f"the simulated motion is no longer finite in {record.name}") from None
+    found = minimise(linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost)
     first[free] = found.x
     return first, found.at.found
 

@@ -32,8 +32,10 @@ FAINT = 1e-3  # of the strongest line: weaker ones are rounded off by the smooth
 def figures(found: Discovery) -> list[CaptionedFigure]:
     """Draw the figures of a discovery."""
     latent = latent_force.force_at(found, discovery_text.rest(found).best.name)
-    course = [_course(found, latent)] if latent.where != "sensor" and found.twin.actuators else []
-    return [_gap(found), force_map.figure(found, latent), *course, _residual(found), _candidates(found)]
+    of_force = [force_map.figure(found, latent)] if np.isfinite(latent.deviations[0]) else []  # seen by a sensor
+    if of_force and latent.where != "sensor" and found.twin.actuators:
+        of_force.append(_course(found, latent))
+    return [_gap(found), *of_force, _residual(found), _candidates(found)]
 
 
 def _gap(found: Discovery) -> CaptionedFigure:

@@ -19,7 +19,7 @@ from masking.declaration.units import dimension_of, factor_of
 from masking.discovery import laws
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.discovery import Discovery, Named
-from masking.discovery.places import identifier, opened
+from masking.discovery.places import identifier
 from masking.effects import LATE, attach
 from masking.modelling.model import Model
 from masking.records.json_text import json_text
@@ -236,7 +236,7 @@ def _attached(found: Discovery, whole: ModelDeclaration, instance: EffectInstanc
     """Return a model with one more cause in its equations, at an element that is made where there is none."""
     at = _element(found, instance)
     if at not in whole.elements:
-        element = opened(found.twin.base)[0].elements[at]
+        element = found.rig.places[found.rig.index(instance)].element
         whole = whole.model_copy(update={"elements": {**whole.elements, at: element}})
     values = dict(zip(instance.entry.parameters, map(model_files.rounded, instance.values), strict=True))
     return attach(whole, instance.entry, at, label, values)

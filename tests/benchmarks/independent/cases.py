@@ -6,7 +6,7 @@ a stop is that of Hunt and Crossley, relaxation is a spring behind a dashpot, an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -313,18 +313,27 @@ class Rig:
         system = signal.cont2discrete((a, b, np.eye(n, 2 * n), np.zeros((n, n))), 1.0 / rate)
         return np.asarray(signal.dlsim((*system[:4], 1.0 / rate), u)[1])
 
-    def model(self) -> str:
-        """Return the model file that an engineer would write; inputs are forces in the unit of the record."""
+    def model(self, pushed: Sequence[int] | None = None) -> str:
+        """Return the model file that an engineer would write; inputs are forces in the unit of the record.
+
+        Args:
+            pushed: numbers of the masses that are pushed; by default all.
+        """
+        pushed = range(self.size) if pushed is None else pushed
         plain = self.unit == "1"
         units = ("1", "1", "1", "1") if plain else ("kg", "N/m", "N*s/m", "N")
         lines = ["name: machine", "coordinates:"]
         lines += [f"  x{i + 1}: {{unit: {self.unit!r}}}" for i in range(self.size)]
-        lines += ["inputs:", *(f"  u{i + 1}: {{unit: {units[3]!r}}}" for i in range(self.size)), "parameters:"]
+        if pushed:
+            lines += ["inputs:", *(f"  u{i + 1}: {{unit: {units[3]!r}}}" for i in pushed)]
+        lines += ["parameters:"]
         for name, values, unit in zip("mkc", self.declared, units, strict=False):
             lines += [
                 f"  {name}{i + 1}: {{value: {value!r}, unit: {unit!r}}}" for i, value in enumerate(values.tolist())
             ]
-        lines += ["equations:", *(f"  \"m{i + 1}*x{i + 1}''\": u{i + 1}" for i in range(self.size)), "elements:"]
+        lines += ["equations:"]
+        lines += [f"  \"m{i + 1}*x{i + 1}''\": {f'u{i + 1}' if i in pushed else 0}" for i in range(self.size)]
+        lines += ["elements:"]
         for i, row in enumerate(self.rows):
             other = [f"x{j + 1}" for j in range(self.size) if row[j] < 0.0]
             moved, acts = " - ".join([f"x{i + 1}", *other]), ", ".join([f"x{i + 1}: -1", *(f"{x}: 1" for x in other)])
