@@ -84,10 +84,13 @@ def outcome(seed: int) -> Outcome:
         made = replace(
             made, seconds=round(time.perf_counter() - begin, 1), processor=round(time.process_time() - used, 1)
         )
-        if made.kind == "answer" and (folder / "out" / "plant.yaml").exists() and not found.problem.interval:
-            again = masking.simulate(folder / "out" / "plant.yaml", folder / "train.npz")
-            promised = found.simulation_error.estimation[1] if found.law is None else found.law.error[0]
-            made = replace(made, again=max(again.chi[name] / promised[name] for name in promised))
+        if made.kind == "answer" and (folder / "out" / "plant.yaml").exists():
+            promised, part = found.simulation_error.estimation[1], found.problem
+            if found.law is not None:
+                promised, part = found.law.error[0], found.law.free.problem
+            if not part.interval:  # errors in shooting intervals are no promise for the whole record
+                again = masking.simulate(folder / "out" / "plant.yaml", folder / "train.npz")
+                made = replace(made, again=max(again.chi[name] / promised[name] for name in promised))
     return made
 
 
