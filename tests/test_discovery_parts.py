@@ -206,6 +206,17 @@ def test_a_record_corrected_for_large_steps_leaves_what_small_ones_do(problem):
     assert beside.added[1] == pytest.approx(exact.added[1], abs=0.1 * exact.deviations[-1])
 
 
+def test_a_lag_is_judged_by_a_record_that_begins_in_motion(problem):
+    lag = INSTANCES["a lag of a sensor"]
+    whole = noisy(problem, (lag,))
+    begin = 4000 + int(np.argmax(np.abs(whole.record.readings[4000:5000, 1])))
+    own = whole.record.readings[begin:], whole.record.commands[begin:]
+    assert abs(own[0][0, 1]) > 10.0 * NOISE
+    part = replace(whole, record=replace(whole.record, readings=own[0], commands=own[1]))
+    left = fitting.validated(part, replace(fitting.fit(whole, (lag,)), start=np.zeros((1, 6)))).residuals
+    assert (np.abs(left[:5, 1]) < 5.0 * NOISE).all()
+
+
 def test_screening_tells_what_a_fit_would_take_off(problem):
     hidden = INSTANCES["dry friction"]
     record = noisy(problem, (hidden,))

@@ -21,6 +21,7 @@ _LIMITS = (0.3, 0.45, 0.6, 0.75, 0.9)  # beyond 1 nothing is cut off
 _ZONES = (0.01, 0.03, 0.08, 0.2)  # half-decades
 _LAGS = (1e-3, 5e-3, 2e-2)  # s: a filter or amplifier of some 160 Hz, a coil under voltage, and a slow drive
 _BUFFERS = (1.0, 5.0)  # of one sample, and a network
+_ANY = "1e3"  # a record may begin in motion
 
 INSTRUMENTS: tuple[Effect, ...] = (
     _sensor(
@@ -59,7 +60,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="a filter in the amplifier, a slow sensor",
         remedy="raise the cut-off of the filter, or put it into the observer's model",
         source="Doebelin (2003), Measurement Systems, section 3.3",
-        states={"m": EffectState("(s - m)/tau", "S", "filtered value")},
+        states={"m": EffectState("(s - m)/tau", "S", "filtered value", _ANY)},
         is_linear=True,
         grows_with="tau",
     ),
@@ -102,7 +103,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="a sensor that computes, a bus or a network, averaging in a converter",
         remedy="read it earlier, or put the dead time into the observer's model",
         source=_PADE,
-        states={"m": EffectState("2*(s - m)/tau", "S", "mean of the reading and the value")},
+        states={"m": EffectState("2*(s - m)/tau", "S", "mean of the reading and the value", _ANY)},
         is_linear=True,
         grows_with="tau",
     ),
@@ -218,7 +219,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="the inductance of the coil under voltage, the bandwidth of the amplifier",
         remedy="drive the coil by a current amplifier, or lead the command by the time constant",
         source="Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, ch. 2",
-        states={"a": EffectState("(u - a)/tau", "U", "value that acts")},
+        states={"a": EffectState("(u - a)/tau", "U", "value that acts", _ANY)},
         family="actuator dynamics",
         is_linear=True,
         grows_with="tau",

@@ -58,8 +58,11 @@ class Quality:
 
 GOOD = Quality()
 REAL = Quality(off=0.03, noise=3e-3, gain=0.01, offset=0.01, bits=16, late=(PIECES // 2, PIECES))
-# Beside the effect that is sought, these are in a real rig, or do the same while it is linear.
-IMPERFECT = ("sensor_offset", "actuator_offset", "constant_force", "sensor_gain", "actuator_gain", "delay")
+# Beside the effect that is sought, these are in a real rig, or do the same where it is linear or slow.
+IMPERFECT = (
+    *("sensor_offset", "actuator_offset", "constant_force", "sensor_gain", "actuator_gain"),
+    *("delay", "actuator_lag", "sensor_lag", "sensor_delay"),
+)
 
 
 @dataclass(frozen=True)
