@@ -58,8 +58,7 @@ class DecisionRules:
     tempering_block: int = 32
     """Samples of the block means that show whether a residual changes slowly.
 
-    Why: averages white noise by sqrt(32) = 5.7, and leaves 300 blocks in 10 s at 1 kHz; 30 ms are shorter than the
-    periods of the rigs.
+    Why: averages white noise by sqrt(32) = 5.7, and leaves 300 blocks in 10 s at 1 kHz.
     """
 
     slow_excess: float = 1.3
@@ -168,7 +167,10 @@ class DecisionRules:
     """
 
     directed_fraction: float = 0.5
-    """Part of the best score from which a force between coordinates is searched. Why: gyroscopic forces are two."""
+    """Part of the best score from which a force between coordinates is searched.
+
+    Why: gyroscopic forces are two.
+    """
 
     # Hard facts
 
@@ -241,8 +243,7 @@ class DecisionRules:
     sharpening_steps: int = 8
     """Steps of this optimisation at most.
 
-    Why: Gauss-Newton steps converge within that from a neighbouring point of the grid; what has not converged is left
-    to the fit.
+    Why: Gauss-Newton steps converge within that from a neighbouring point of the grid; the fit does the rest.
     """
 
     quantum_zooms: tuple[float, ...] = (0.08, 0.02, 0.005, 0.00125)
