@@ -123,7 +123,7 @@ def test_friction_and_drag_are_named_together(tmp_path, which):
     table = np.column_stack([times, np.array([FORCES[which](t) for t in times]), readings])
     np.savetxt(tmp_path / "swing.csv", table, delimiter=",", header="t,u,th", comments="")
     (tmp_path / "swing.yaml").write_text(UP + SWING)
-    words = ["discover", str(tmp_path / "swing.csv"), "--model", str(tmp_path / "swing.yaml"), "--hold", "first-order"]
+    words = ["discover", str(tmp_path / "swing.csv"), "--model", str(tmp_path / "swing.yaml"), "--hold", "band-limited"]
     assert cli.main([*words, "--out", str(tmp_path / "found")]) == 0
     found = json.loads((tmp_path / "found" / "discovery.json").read_text(encoding="utf-8"))
     assert found["verdict"] == "named"
