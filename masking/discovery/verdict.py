@@ -193,7 +193,7 @@ def is_composite(laws: Sequence[Law], rules: DecisionRules) -> bool:
     linear laws enough to make any linear system. Friction and damping are two causes, although both follow the rate.
     """
     own = [law for law in laws if law.follows]
-    many = [sum(law.is_linear for law in laws), *(sum(law.seat == one.seat for law in own) for one in own)]
+    many = [sum(law.is_linear for law in laws), *(sum(law.seat == one.seat for law in laws) for one in own)]
     return max(many) >= rules.composite_laws or any(_are_alike(*two) for two in itertools.combinations(own, 2))
 
 
