@@ -88,8 +88,8 @@ def noisy(problem, instances, seed=0):
     return replace(problem, record=replace(problem.record, readings=told + noise))
 
 
-def test_without_effects_it_is_the_linear_rig(problem):
-    # (4.1)-(4.3), exactly discretised with commands held
+def exact(problem, commands, rate):
+    """Return the readings of the linear rig (4.1)-(4.3) at a rate, exactly discretised with commands held."""
     p = dict(zip(problem.rig.names, problem.rig.start, strict=True))
     k = np.array([p["w1"] ** 2, p["w2"] ** 2, p["w3"] ** 2])
     c = np.array([2 * p["z1"] * p["w1"], 2 * p["z2"] * p["w2"], 2 * p["z3"] * p["w3"]])
@@ -103,8 +103,22 @@ def test_without_effects_it_is_the_linear_rig(problem):
         np.hstack([200.0 * relative, np.zeros((3, 3))]),
         np.zeros((3, 3)),
     )
-    exact = signal.dlsim((*signal.cont2discrete(system, 1.0 / RATE)[:4], 1.0 / RATE), problem.record.commands)[1]
-    assert np.abs(equations(problem).simulated - exact).max() < 1e-7 * np.abs(exact).max()
+    return signal.dlsim((*signal.cont2discrete(system, 1.0 / rate)[:4], 1.0 / rate), commands)[1]
+
+
+def test_without_effects_it_is_the_linear_rig(problem):
+    truth = exact(problem, problem.record.commands, RATE)
+    assert np.abs(equations(problem).simulated - truth).max() < 1e-7 * np.abs(truth).max()
+
+
+@pytest.mark.parametrize("quarters", [5, 8, 10])
+def test_held_commands_of_a_late_actuator_change_within_samples(problem, quarters):
+    commands = np.repeat(problem.record.commands, 4, axis=0)
+    commands[:, 0] = np.append(np.full(quarters, commands[0, 0]), commands[:-quarters, 0])
+    truth = exact(problem, commands, 4.0 * RATE)[::4]
+    late = EffectInstance("delay", "V1", (quarters / 4.0 / RATE,), (0,))
+    found = equations(replace(problem, substeps=4), (late,)).simulated
+    assert np.abs(found - truth).max() < 1e-7 * np.abs(truth).max()
 
 
 @pytest.mark.parametrize("name", INSTANCES)

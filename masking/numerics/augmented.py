@@ -13,6 +13,7 @@ Source: as `variational`; of inertias as `inertia`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -116,13 +117,31 @@ def lead_of(commands, index, channel, late, part, dt, is_linear):
 
 
 @inlined
+def held_late(commands, index, channel, late, step, substeps):
+    """Return the mean of a held command over an integration step, as it was `late` samples before."""
+    last = commands.shape[0] - 1
+    at = index * substeps + step - late * substeps  # in steps
+    low = math.floor(at / substeps)
+    share = max(at - (low + 1) * substeps + 1.0, 0.0)  # part of the step in which the next command acts
+    before, after = min(max(low, 0), last), min(max(low + 1, 0), last)
+    return (1.0 - share) * commands[before, channel] + share * commands[after, channel]
+
+
+@inlined
 def drive_late(commands, index, step, substeps, dt, is_linear, given, u, end):
     """Write the delayed commands at the begin and `end` of an integration step, and their derivatives by the delay."""
     for a in range(u.shape[0]):
         late = given.late[a]
-        u[a] = command_at(commands, index, a, late, step / substeps, is_linear)
-        end[a] = command_at(commands, index, a, late, (step + 1.0) / substeps, is_linear)
-        given.lead[a] = lead_of(commands, index, a, late, (step + 0.5) / substeps, dt, is_linear)
+        if is_linear:
+            u[a] = command_at(commands, index, a, late, step / substeps, is_linear)
+            end[a] = command_at(commands, index, a, late, (step + 1.0) / substeps, is_linear)
+            given.lead[a] = lead_of(commands, index, a, late, (step + 0.5) / substeps, dt, is_linear)
+        else:
+            u[a] = held_late(commands, index, a, late, step, substeps)
+            end[a] = u[a]
+            before = held_late(commands, index, a, late + 0.5 / substeps, step, substeps)
+            after = held_late(commands, index, a, late - 0.5 / substeps, step, substeps)
+            given.lead[a] = (before - after) * substeps / dt
 
 
 @inlined
