@@ -118,13 +118,16 @@ def lead_of(commands, index, channel, late, part, dt, is_linear):
 
 @inlined
 def held_late(commands, index, channel, late, step, substeps):
-    """Return the mean of a held command over an integration step, as it was `late` samples before."""
+    """Return a held command as it was `late` samples before: its mean over an integration step, and half its rise.
+
+    The line through both has the mean and the first moment of the step that the command makes.
+    """
     last = commands.shape[0] - 1
     at = index * substeps + step - late * substeps  # in steps
     low = math.floor(at / substeps)
     share = max(at - (low + 1) * substeps + 1.0, 0.0)  # part of the step in which the next command acts
-    before, after = min(max(low, 0), last), min(max(low + 1, 0), last)
-    return (1.0 - share) * commands[before, channel] + share * commands[after, channel]
+    before, after = commands[min(max(low, 0), last), channel], commands[min(max(low + 1, 0), last), channel]
+    return (1.0 - share) * before + share * after, 3.0 * share * (1.0 - share) * (after - before)
 
 
 @inlined
@@ -137,10 +140,10 @@ def drive_late(commands, index, step, substeps, dt, is_linear, given, u, end):
             end[a] = command_at(commands, index, a, late, (step + 1.0) / substeps, is_linear)
             given.lead[a] = lead_of(commands, index, a, late, (step + 0.5) / substeps, dt, is_linear)
         else:
-            u[a] = held_late(commands, index, a, late, step, substeps)
-            end[a] = u[a]
-            before = held_late(commands, index, a, late + 0.5 / substeps, step, substeps)
-            after = held_late(commands, index, a, late - 0.5 / substeps, step, substeps)
+            mean, rise = held_late(commands, index, a, late, step, substeps)
+            u[a], end[a] = mean - rise, mean + rise
+            before, _ = held_late(commands, index, a, late + 0.5 / substeps, step, substeps)
+            after, _ = held_late(commands, index, a, late - 0.5 / substeps, step, substeps)
             given.lead[a] = (before - after) * substeps / dt
 
 
