@@ -20,7 +20,7 @@ PARTS = (
     1 / 8,
 )  # of a record that its initial state is estimated from before the whole: friction has many minima
 FIRST_READINGS = 20  # readings that the initial state is guessed from
-ROUNDS = 5  # steps for the initial state, at most
+ROUNDS = 25  # steps for the initial state, at most
 DAMPING = Damping(1e-9, least=1e-12, most=1e6)
 SETTLED = 1e-9  # fraction of the cost that a step must take off
 
