@@ -18,7 +18,7 @@ HALF = 0.1  # l0: a law that is a tenth off is as likely another one
 SHARPNESS = 3.0  # s
 REFUSED = 0.6  # at least, where names are refused for what they leave: then it is likelier than not
 LIKELIER = 0.5  # from which none of the names is likelier than all of them
-TOLD = 1e-3  # of a probability: less is not told
+CHANGE = 1e-3  # of a probability: a law that changes it by less is not fitted
 
 
 def none_of_these(left: float, better: float = -np.inf, *, refused: bool = False) -> float:
@@ -41,4 +41,4 @@ def matters(left: float) -> bool:
     Args:
         left: part of the rms of the model error that they leave: no law explains more of it.
     """
-    return none_of_these(left) > LEAST + TOLD
+    return none_of_these(left) > LEAST + CHANGE

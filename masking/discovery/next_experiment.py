@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 
 from masking import signals
-from masking.discovery import fitting
+from masking.discovery import fitting, shooting
 from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import RULES
-from masking.discovery.smoothing import linearised
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
 from masking.numerics.arrays import Array
@@ -134,7 +133,7 @@ def _pace(problem: EstimationProblem) -> float:
     """Return the decade of the slowest mode of the rig over that of usual rigs; 1 of a rig that has no states."""
     if not problem.rig.twin.state_names:
         return 1.0
-    modes = np.linalg.eigvals(linearised(problem.rig, problem.prior.mean)[0])
+    modes = shooting.modes(problem)
     speeds = np.abs(modes[modes.imag != 0.0] if (modes.imag != 0.0).any() else modes)
     slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
     return float(10.0 ** np.round(np.log10(slowest / (2.0 * np.pi * USUAL)))) if np.isfinite(slowest) else 1.0

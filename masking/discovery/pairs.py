@@ -17,6 +17,7 @@ from masking.discovery import verdict
 from masking.discovery.composites import are_composite
 from masking.discovery.exclusion import is_excluded
 from masking.discovery.explanation import Explanation, Job, fitted
+from masking.discovery.fitting import bounds
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import Score, Screen, best_factors
 from masking.numerics.arrays import Array
@@ -114,8 +115,6 @@ def _is_simple(score: Score) -> bool:
 
 def _with_factors(score: Score, factors: Array) -> Score | None:
     """Return a score with other factors; None where they are beyond their bounds."""
-    entries = list(score.instance.entry.parameters.values())
-    lows = (entries[i].bounds[0] for i in score.candidate.factors)
-    if any(low is not None and factor <= low for low, factor in zip(lows, factors, strict=True)):
+    if (factors <= bounds([replace(score.instance, free=score.candidate.factors)]).low).any():
         return None
     return replace(score, instance=score.instance.with_values(score.candidate.factors, factors))

@@ -329,16 +329,13 @@ class Screen:
             scaled_by = instance.entry.indices(instance.entry.scaled)
             instance = instance.with_values(scaled_by, factors[0] * np.array([instance.values[i] for i in scaled_by]))
         else:
-            entries = list(instance.entry.parameters.values())
-            bounds = [entries[i].bounds for i in candidate.factors]
-            low = np.array([-np.inf if least is None else least for least, _ in bounds])
-            high = np.array([np.inf if most is None else most for _, most in bounds])
-            if (factors < low).any():
-                if (factors <= 0.0).all() and (low >= 0.0).any():
+            box = bounds([replace(instance, free=candidate.factors)])
+            if (factors < box.low).any():
+                if (factors <= 0.0).all() and (box.low >= 0.0).any():
                     return nothing
                 least = self.rules.least_factor * np.abs(factors).max()
-                factors = np.where(low >= 0.0, np.maximum(factors, least), factors)
-            factors = np.clip(factors, low, high)
+                factors = np.where(box.low >= 0.0, np.maximum(factors, least), factors)
+            factors = np.clip(factors, box.low, box.high)
             instance = instance.with_values(candidate.factors, factors)
         return Score(candidate, instance, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
 

@@ -33,7 +33,7 @@ def interval(problem: EstimationProblem, seconds: float | None) -> int:
     """
     rate, count, rules = problem.record.rate, len(problem.record), problem.rules
     if seconds is None:
-        speeds = _speeds(problem) * count / rate
+        speeds = modes(problem) * count / rate
         if not ((np.abs(speeds) < rules.settling_rates) | (speeds.real > 1.0)).any():
             return 0
         seconds = count / rate / rules.intervals
@@ -49,7 +49,7 @@ def interval(problem: EstimationProblem, seconds: float | None) -> int:
 
 def shorter(problem: EstimationProblem) -> Iterator[float]:
     """Give shooting intervals in s, the longest first, for a motion that loses phase with its record."""
-    speeds = np.abs(_speeds(problem).imag)
+    speeds = np.abs(modes(problem).imag)
     slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
     rules, rate = problem.rules, problem.record.rate
     least, last = rules.fewest_samples / rate, len(problem.record) / rate
@@ -142,5 +142,6 @@ def _steps(simulated: Callable[[int], Array], least: int, most: int, allowed: Ar
     return steps
 
 
-def _speeds(problem: EstimationProblem) -> Array:
+def modes(problem: EstimationProblem) -> Array:
+    """Return the eigenvalues of the rig as it is declared, at rest, rad/s (n,)."""
     return np.asarray(np.linalg.eigvals(linearised(problem.rig, problem.prior.mean)[0]))

@@ -15,10 +15,8 @@ from masking.estimation.sensitivity import NormalEquations, Sensitivity
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
-PARTS = (
-    1 / 64,
-    1 / 8,
-)  # of a record that its initial state is estimated from before the whole: friction has many minima
+# Parts of a record from which its initial state is estimated before the whole: friction has many minima.
+PARTS = (1 / 64, 1 / 8)
 FIRST_READINGS = 20  # readings that the initial state is guessed from
 ROUNDS = 25  # steps for the initial state, at most
 DAMPING = Damping(1e-9, least=1e-12, most=1e6)

@@ -38,7 +38,7 @@ class Outcome:
         is_right: whether the answer is.
         none: probability of none of the names.
         before, after: relative error of the worst sensor on unseen data, over the noise.
-        again: error of the written model when the estimation record is simulated again, over the promised one; None
+        again: error of the written model when the estimation record is simulated again, over the stated one; None
             where nothing is written.
         seconds, processor: wall clock and processor time of the answer.
     """
@@ -85,12 +85,12 @@ def outcome(seed: int) -> Outcome:
             made, seconds=round(time.perf_counter() - begin, 1), processor=round(time.process_time() - used, 1)
         )
         if made.kind == "answer" and (folder / "out" / "plant.yaml").exists():
-            promised, part = found.simulation_error.estimation[1], found.problem
+            stated, part = found.simulation_error.estimation[1], found.problem
             if found.law is not None:
-                promised, part = found.law.error[0], found.law.free.problem
-            if not part.interval:  # errors in shooting intervals are no promise for the whole record
+                stated, part = found.law.error[0], found.law.free.problem
+            if not part.interval:  # errors in shooting intervals say nothing of the whole record
                 again = masking.simulate(folder / "out" / "plant.yaml", folder / "train.npz")
-                made = replace(made, again=max(again.chi[name] / promised[name] for name in promised))
+                made = replace(made, again=max(again.chi[name] / stated[name] for name in stated))
     return made
 
 
@@ -133,7 +133,7 @@ def summary(outcomes: Sequence[Outcome]) -> list[str]:
         f"{sum(one.seconds > LONG for one in outcomes)} longer than {LONG:g} s",
         f"right answers: {share([one.is_right for one in answers])}",
         f"no worse than declared on unseen data: {share([one.after <= 1.02 * one.before for one in answers])}",
-        f"simulated again as promised: {share([ratio <= 1.0 + SAME for ratio in again])}",
+        f"simulated again as stated: {share([ratio <= 1.0 + SAME for ratio in again])}",
         f"answers of {100 * SURE:g} % and more that are right: {share([one.is_right for one in sure])}",
         f"Brier score: {brier(said):.3f} of {len(said)}",
         f"processor seconds, median, 95 %, most: {', '.join(f'{value:.0f}' for value in quantiles)}",

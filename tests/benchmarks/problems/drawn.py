@@ -27,7 +27,7 @@ CLASSES: Mapping[str, tuple[str, ...]] = {
     **{name: (name,) for name in (*AT_SENSORS, *AT_ACTUATORS, "overflow")},
     **LIKE,
     "actuator_offset": ("actuator_offset", "constant_force"),
-    "square_flow": ("quadratic_flow", "polynomial_spring"),
+    "square_flow": ("polynomial_spring",),
 }
 PIECES = 4  # steps of integration in a sample
 OFF = 0.01  # standard deviation of the parameters about what the model declares
