@@ -163,6 +163,7 @@ class AugmentedModel:
         tried: the effects that are tried; by default those of the dictionary, and the bases of laws without a name.
         at: coordinates at rest (n,), around which it is linearised; 0 if not given.
         directed: whether directed places are open, too.
+        imperfections: effects with one parameter each, which are adjusted as those of the rig are.
     """
 
     twin: Twin
@@ -170,6 +171,7 @@ class AugmentedModel:
     tried: tuple[Effect, ...] = ()
     at: tuple[float, ...] = ()
     directed: bool = False
+    imperfections: tuple[EffectInstance, ...] = ()
 
     @cached_property
     def _opened(self) -> tuple[Twin, tuple[Place, ...]]:
@@ -267,12 +269,18 @@ class AugmentedModel:
 
     @cached_property
     def start(self) -> Array:
-        """Return the declared values of the parameters (k,), in declared units."""
-        return self._sensitivity.start()[: len(self.names)]
+        """Return the declared values of the parameters (k,), in declared units; those of imperfections come last."""
+        own = [value for one in self.imperfections for value in one.estimated]
+        return np.concatenate([self._sensitivity.start()[: len(self.names)], own])
+
+    def imperfect(self, theta: Array) -> list[EffectInstance]:
+        """Return the imperfections with their values among those of all parameters (k,)."""
+        values = theta[len(self.names) :]
+        return [one.with_values(one.free, (value,)) for one, value in zip(self.imperfections, values, strict=True)]
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Return the least and the largest allowed value of each parameter (k,), in declared units."""
+        """Return the least and the largest allowed value of each of its own parameters, in declared units."""
         low, high = self._sensitivity.bounds()
         return low[: len(self.names)], high[: len(self.names)]
 
@@ -285,8 +293,8 @@ class AugmentedModel:
         """Return the parameter array for values (k,), and how it depends on them (affected, k + more)."""
         p, columns = self._basis
         k, affected = len(self.names), list(self._sensitivity.affected)
-        made = p.copy()
-        made[affected] += columns[:, :k] @ (theta - self.start)
+        made, more = p.copy(), more + len(self.imperfections)
+        made[affected] += columns[:, :k] @ (theta - self.start)[:k]
         return made, np.ascontiguousarray(np.hstack([columns[:, :k], np.zeros((len(affected), more))]))
 
     @property
@@ -339,7 +347,7 @@ class AugmentedModel:
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
         width = max(
-            len(self.names) + 4 * MOST_PARAMETERS + self.sizes.states + MOST_STATES, self.affected,
+            len(self.start) + 4 * MOST_PARAMETERS + self.sizes.states + MOST_STATES, self.affected,
             2 * len(self._seats), MOST_COLUMNS,
         )  # fmt: skip
         links = {laws.SIGNATURE: laws.library(self.laws), **self.equations.by_signature(*SIGNATURES, PLACED)}
@@ -419,14 +427,14 @@ class AugmentedModel:
 
         Args:
             instances: the effects.
-            theta: their free parameters, one after the other (f,).
+            theta: free parameters of imperfections and of these, one after the other (f,).
         """
         channels, used, states = len(self.twin.actuators), len(self.names), 0
         seats = len(self._seats)
         acts, late = np.zeros(seats + channels, dtype=np.int64), np.zeros(channels)
         late_columns = np.full(channels, -1)
         rows, columns, values = [], [], list[float]()
-        for instance in instances:
+        for instance in (*self.imperfections, *instances):
             first, estimated = len(values), [-1] * MOST_PARAMETERS
             values += instance.values
             for j in instance.free:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import calibration, directed, fitting, shooting, unit_check, verdict
+from masking.discovery import calibration, directed, fitting, imperfections, shooting, unit_check, verdict
 from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.composites import are_composite
 from masking.discovery.discovery import Discovery, Named, SimulationError, Withheld
@@ -24,7 +24,8 @@ from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.prior import prior_of, train_validation_split
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
-from masking.discovery.search import Search, SearchResult, Tell
+from masking.discovery.search import Tell
+from masking.discovery.search_result import SearchResult
 from masking.discovery.settings import DiscoverySettings
 from masking.discovery.smoothing import centred
 from masking.discovery.unnamed import evidence, law_of
@@ -195,7 +196,7 @@ def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell
     if steps == found.problem.substeps:
         return found
     say(f"again, with {steps} steps between samples", 0.0)
-    return _found(problem, unseen, noise, say, steps)
+    return _found(replace(found.problem, substeps=problem.substeps), unseen, noise, say, steps)
 
 
 def _near(found: Discovery) -> Hypothesis | None:
@@ -221,10 +222,10 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
         say: called with what is done.
         substeps: integration steps between samples of models with effects; by default as many as those need.
     """
-    rig, rules = problem.rig, problem.rules
-    plain, size = replace(problem, record=unseen, sigma=noise), problem.record.readings.size
+    rules, size = problem.rules, problem.record.readings.size
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
-        found = Search(problem, say).run(substeps)
+        found, problem = imperfections.searched(problem, say, substeps)
+        rig, plain = problem.rig, replace(problem, record=unseen, sigma=noise)
         declared = Explanation("none", (), fitting.fit(problem, theta=problem.prior.mean, frozen=True))
         before, adjusted = (fitting.validated(plain, one) for one in (declared.hypothesis, found.base.hypothesis))
         problem = found.problem or problem
@@ -413,7 +414,7 @@ def _estimates(rig: AugmentedModel, explanation: Explanation, tempering: float) 
         ((name, _),) = explanation.names
         i = rig.names.index(name)
         return [{name: (float(hypothesis.theta[i]), float(deviations[i]))}]
-    parts = zip(hypothesis.instances, by_instance(hypothesis.instances, deviations[len(rig.names) :]), strict=True)
+    parts = zip(hypothesis.instances, by_instance(hypothesis.instances, deviations[len(rig.start) :]), strict=True)
     return [
         {name: (float(x), float(std)) for name, x, std in zip(one.names, one.estimated, stds, strict=True)}
         for one, stds in parts

@@ -145,6 +145,14 @@ class Discovery(Explained):
         return self.explanation.deviations(self.tempering)
 
     @property
+    def imperfections(self) -> list[Named]:
+        """Return the small errors of sensors and actuators that were adjusted with the parameters of the model."""
+        first, known = len(self.rig.names), self.rig.imperfect(self.written.hypothesis.theta)
+        stds = map(float, self.written_deviations[first:])
+        pairs = zip(known, stds, strict=False)
+        return [Named(one.effect, one.at, {one.names[0]: (one.estimated[0], std)}, 1.0) for one, std in pairs]
+
+    @property
     def written(self) -> Explanation:
         """Return the explanation that is written into the model: the law without a name where there is one."""
         return self.explanation if self.law is None else self.law.explanation
@@ -216,6 +224,10 @@ class Discovery(Explained):
             "verdict": self.verdict,
             "closed": self.closed,
             "effects": [effect.as_dict() for effect in self.effects],
+            "imperfections": [
+                {"name": one.name, "on": one.on, "parameters": one.as_dict()["parameters"]}
+                for one in self.imperfections
+            ],
             "simulation_error": self.simulation_error.as_dict(),
             "unexplained_fraction": self.unexplained,
             "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,

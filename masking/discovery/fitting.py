@@ -254,7 +254,7 @@ def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.in
 
 
 def freed_scores(problem: EstimationProblem, known: Hypothesis) -> Array:
-    """Return what setting each parameter of the rig free would take off the cost, to first order (k,).
+    """Return what setting each parameter of the model free would take off the cost, to first order.
 
     Args:
         problem: the record and the rig.
@@ -265,7 +265,7 @@ def freed_scores(problem: EstimationProblem, known: Hypothesis) -> Array:
     variance = np.diag(known.covariance)[: len(pull)] / prior.deviation**2
     # The parameter's own prior term, and what the others give once it is gone.
     found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
-    return np.where(variance < 1.0 - 1e-9, found, 0.0)
+    return np.where(variance < 1.0 - 1e-9, found, 0.0)[: len(problem.rig.names)]
 
 
 def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:

@@ -126,7 +126,7 @@ def fit(found: Explained, known: Sequence[EffectInstance] = ()) -> FreeLaw | Non
         known: effects elsewhere that are fitted beside it, with values to begin from.
     """
     problem = found.problem
-    room = MOST_COLUMNS - len(found.rig.names) - len(fitting.estimated(known)) - 2 * len(found.twin.state_names)
+    room = MOST_COLUMNS - len(found.rig.start) - len(fitting.estimated(known)) - 2 * len(found.twin.state_names)
     starts, many = list[_Start](), 0
     for ground in _grounds(found):
         screen = Screen(problem, ground.base, ground.motion, known)

@@ -81,7 +81,7 @@ class EstimationProblem:
         """
         rig, record = self.rig, self.record
         added = np.empty(0) if added is None else added
-        given = rig.instances(instances, added)
+        given = rig.instances(instances, np.concatenate([theta[len(rig.names) :], added]))
         states = given.states
         p, basis = rig.basis(theta, len(added) + states)
         k, moving, intervals = basis.shape[1], rig.begins, self.intervals

@@ -111,6 +111,7 @@ class Screen:
         coarse = len(self._states)
         columns = self._spread(np.ones((coarse, len(wanted))), wanted.astype(np.float64))
         of_parameters = np.einsum("bsm,mk->bsk", columns, basis[wanted])
+        of_parameters[:, :, len(rig.names) :] = self._found(rig.imperfect(base.theta))[1]
         free = np.array(rig.twin.free, dtype=np.int64)
         start = self._of_intervals(self._spread(np.zeros((coarse, len(free))), np.zeros(len(free)), free))
         values, slopes = self._found(found)

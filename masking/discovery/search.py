@@ -25,6 +25,7 @@ from masking.discovery.pairs import pairs_first
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.screening import Along, Score, Screen
+from masking.discovery.search_result import SearchResult
 from masking.discovery.smoothing import Motion, smooth
 from masking.discovery.spans import spans
 from masking.discovery.verdict import Key
@@ -35,27 +36,6 @@ Fits = dict[int, "Explanation"]  # of one more cause each, by the candidate; of 
 
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
 FAR = 4.0  # times the cost of the best fit in large steps, from which one is not repeated in small ones: twice its rms
-
-
-@dataclass(frozen=True)
-class SearchResult:
-    """What a search found: the steps that were taken, and the explanations of the last, best first.
-
-    Args:
-        base: the model, its parameters fitted within their priors.
-        steps: the explanations that were compared in each step, the best first.
-        motion: smoothed record.
-        tried: what each candidate could take off at first, the best first.
-        problem: the record, in the integration steps that the laws need; by default those of the model.
-        passed_over: steps of which the last is the likeliest law, in the place of which a nested one was taken.
-    """
-
-    base: Explanation
-    steps: tuple[tuple[Explanation, ...], ...]
-    motion: Motion
-    tried: tuple[Score, ...] = ()
-    problem: EstimationProblem | None = None
-    passed_over: tuple[tuple[Explanation, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,12 +64,14 @@ class Search:
         tell: called with what is done, and the fraction done.
         rough: the same in the integration steps of the model alone, where laws need smaller ones.
         fits: of each round by the causes before it, in those steps.
+        ends: given the explanations of the first round, returns whether the search ends there.
     """
 
     problem: EstimationProblem
     tell: Tell = lambda text, part: None
     rough: EstimationProblem | None = None
     fits: dict[tuple[Key, ...], Fits] = field(default_factory=dict)
+    ends: Callable[[EstimationProblem, Sequence[Explanation]], bool] = lambda problem, found: False
 
     @property
     def rules(self) -> DecisionRules:
@@ -178,7 +160,7 @@ class Search:
             if not found or self._is_too_little(base, now, found[0]):
                 break
             needed = self._steps_of(base, found[0])
-            if needed > self.problem.substeps:
+            if needed > self.problem.substeps or (not steps and self.ends(self.problem, found)):
                 return SearchResult(base, (*steps, tuple(found)), motion, tried, replace(self.problem, substeps=needed))
             if len(now.names) > 1 and now is not settled:
                 # The first effects may only resemble the true ones: they were compared while the others were missing.

@@ -120,7 +120,7 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     facts["plant"] = None if files.plant is None else str(files.plant)
     facts["parameters"] = {
         name: {"value": value, "std": std, "declared": float(start)}
-        for (name, value, std), start in zip(refitted(found), found.rig.start, strict=True)
+        for (name, value, std), start in zip(refitted(found), found.rig.start, strict=False)
     }
     facts["adjusted"] = list(discovery_text.adjusted(found))
     facts["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
@@ -199,7 +199,8 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
         label = _free(f"{effect}_{at}", {*before, *first, *last})
         target[label] = {"effect": effect, "at": at, "parameters": rounded}
 
-    for instance in found.written.hypothesis.instances:
+    fitted = found.written.hypothesis
+    for instance in (*found.rig.imperfect(fitted.theta), *fitted.instances):
         if instance.effect == laws.DELAY:
             _add_delay(found, instance, first, {*before, *first, *last})
         elif instance.where != "element":
@@ -280,7 +281,7 @@ def _uncertain(found: Discovery) -> dict[str, tuple[float, str]]:
     """Return standard deviation and unit of the parameters of causes in the equations, by the names they have there."""
     made: dict[str, tuple[float, str]] = {}
     known = labels(found)
-    deviations = iter(found.written_deviations[len(found.rig.names) :])
+    deviations = iter(found.written_deviations[len(found.rig.start) :])
     for instance in found.written.hypothesis.instances:
         free = {name: float(next(deviations)) for name in instance.names}
         if instance in known:

@@ -189,7 +189,7 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
         if causes in rows:  # a delay of the only actuator is that of all of them
             rows[causes] = (rows[causes][0] + probability, *rows[causes][1:])
             continue
-        deviations = iter(np.sqrt(tempering) * rival.hypothesis.deviations[len(found.rig.names) :])
+        deviations = iter(np.sqrt(tempering) * rival.hypothesis.deviations[len(found.rig.start) :])
         values = [
             f"{name} = {with_deviation(instance.values[i], float(next(deviations)), '')}"
             for instance in rival.hypothesis.instances

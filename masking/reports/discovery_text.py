@@ -22,9 +22,8 @@ TAKEN = 0.2  # of the power that a force could take out of the motion, from whic
 LEAST = 0.05  # part of a law, from which a term is stated
 SHOWN = 0.01  # probability from which an alternative is stated
 SURE = 2.0  # deviations of a parameter from which it is stated in a sentence
-MOVED = (
-    3.0  # of its deviations: a larger move of a parameter is stated; of those of its prior: a smaller one is credible
-)
+# Of its deviations: a larger move of a parameter is stated; of those of its prior: a smaller one is credible.
+MOVED = 3.0
 APART = 0.02  # of its declared value by which it moved then
 LOST = 0.9  # part of a reading that is left, from which the model is said not to follow it
 LARGER = 1.05  # times the record's own peak, from which that of an experiment is stated
@@ -192,7 +191,7 @@ def adjusted(found: Discovery) -> dict[str, tuple[float, float, bool]]:
 
 
 def moved(found: Discovery) -> str:
-    """Say which parameters moved far beside the causes; '' if none did."""
+    """Say which parameters moved far beside the causes, and which small errors were adjusted; '' if none were."""
     sentences, known = [], found.twin.base.parameters
     for is_believed, how in ((True, "within"), (False, "beyond")):
         those = [
@@ -203,8 +202,14 @@ def moved(found: Discovery) -> str:
         if those:
             every = {1: f"{how} its prior uncertainty", 2: f"both {how} their prior uncertainty"}
             sentences.append(f"{'; '.join(those)}, {every.get(len(those), f'all {how} their prior uncertainty')}")
+    errors = [cause(found, one) for one in found.imperfections if _is_seen(one)]
+    sentences += [f"{'; '.join(errors)}, small errors that a rig has"] if errors else []
     far = any(not held and not 0.5 < value / start < 2.0 for value, start, held in adjusted(found).values() if start)
     return f"Adjusted: {'; '.join(sentences)}{f': {CHECK}' if far else ''}" if sentences else ""
+
+
+def _is_seen(imperfection: Named) -> bool:
+    return all(abs(value) > MOVED * std for value, std in imperfection.parameters.values())
 
 
 def beyond(value: float, declared: float) -> str:
