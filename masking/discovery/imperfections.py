@@ -49,11 +49,13 @@ def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> tuple
         return _in_problem(Search(problem, tell), substeps)
     trial = _Trial()
     found, known = _in_problem(Search(problem, tell, ends=trial.ends), substeps)
-    if not trial.is_shown and (not trial.is_likely or _is_complete(known, found)):
+    is_settled = _is_complete(known, found) and not (trial.is_near and _laws(_last(found)) > 1)
+    if not trial.is_shown and (is_settled or not trial.is_likely):
         return found, known
     tell("small errors of sensors and actuators are adjusted", 0.0)
     again, wider = _in_problem(Search(with_imperfections(problem), tell), substeps)
-    return (again, wider) if trial.is_shown or _is_complete(wider, again) else (found, known)
+    is_better = not _is_complete(known, found) or _last(again).score(1.0) < _last(found).score(1.0)
+    return (again, wider) if trial.is_shown or (_is_complete(wider, again) and is_better) else (found, known)
 
 
 def _in_problem(search: Search, substeps: int) -> tuple[SearchResult, EstimationProblem]:
@@ -67,16 +69,18 @@ class _Trial:
 
     Args:
         is_likely: whether the laws leave far less with them.
-        is_shown: whether one leaves hardly anything, and a few imperfections do not suffice.
+        is_near: whether one leaves hardly anything.
+        is_shown: whether it does so with more than a few imperfections.
     """
 
     is_likely: bool = False
+    is_near: bool = False
     is_shown: bool = False
 
     def ends(self, problem: EstimationProblem, found: Sequence[Explanation]) -> bool:
         """Return whether the search ends after its first round, to be repeated with imperfections."""
         size, rules = problem.record.readings.size, problem.rules
-        laws = [one for one in found if one.kind == "effects" and not {name for name, _ in one.names} & _names()]
+        laws = [one for one in found if one.kind == "effects" and _laws(one)]
         if not laws or verdict.reaches_noise(found[0].cost, size, rules):
             return False
         wider, alone = with_imperfections(problem), min(verdict.excess_cost(one.cost, size) for one in laws)
@@ -85,12 +89,18 @@ class _Trial:
                 left = verdict.excess_cost(made.cost, size)
                 self.is_likely |= left < rules.unexplained_fraction * alone
                 is_near = left < rules.trace_fraction * alone or verdict.reaches_noise(made.cost, size, rules)
+                self.is_near |= is_near
                 self.is_shown |= is_near and not _suffice(wider, made.hypothesis)
         return self.is_shown
 
 
-def _names() -> set[str]:
-    return {*NAMES, DELAY.name}
+def _laws(explanation: Explanation) -> int:
+    """Return the number of causes that are no imperfections."""
+    return sum(name not in {*NAMES, DELAY.name} for name, _ in explanation.names)
+
+
+def _last(found: SearchResult) -> Explanation:
+    return found.steps[-1][0] if found.steps else found.base
 
 
 def _beside(problem: EstimationProblem, one: Explanation, rival: float) -> Explanation:
@@ -120,7 +130,7 @@ def _suffice(problem: EstimationProblem, known: Hypothesis) -> bool:
 
 def _is_complete(problem: EstimationProblem, found: SearchResult) -> bool:
     """Return whether a search has found an explanation that leaves no more than noise."""
-    last = found.steps[-1][0] if found.steps else found.base
+    last = _last(found)
     is_noise = verdict.reaches_noise(last.cost, problem.record.readings.size, problem.rules)
     return is_noise and not are_composite(last.names, problem.rig, problem.rules)
 

@@ -16,17 +16,18 @@ import numpy as np
 
 from masking.discovery import fitting, shooting, verdict
 from masking.discovery.augmented_model import EffectInstance
-from masking.discovery.candidates import Candidate, candidates
+from masking.discovery.candidates import candidates
 from masking.discovery.composites import are_composite
 from masking.discovery.exclusion import is_excluded
 from masking.discovery.explanation import Explanation, Job, fitted
 from masking.discovery.fitting import Hypothesis
+from masking.discovery.ground import Ground
 from masking.discovery.pairs import pairs_first
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
-from masking.discovery.screening import Along, Score, Screen
+from masking.discovery.screening import Score, Screen
 from masking.discovery.search_result import SearchResult
-from masking.discovery.smoothing import Motion, smooth
+from masking.discovery.smoothing import smooth
 from masking.discovery.spans import spans
 from masking.discovery.verdict import Key
 from masking.numerics.arrays import Array
@@ -36,23 +37,6 @@ Fits = dict[int, "Explanation"]  # of one more cause each, by the candidate; of 
 
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
 FAR = 4.0  # times the cost of the best fit in large steps, from which one is not repeated in small ones: twice its rms
-
-
-@dataclass(frozen=True)
-class _Ground:
-    """What every step of a search looks at.
-
-    Args:
-        base: the model, its parameters fitted within their priors.
-        motion: smoothed record.
-        every: candidates.
-        along: what they do along the motion.
-    """
-
-    base: Explanation
-    motion: Motion
-    every: Sequence[Candidate]
-    along: Along = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -109,7 +93,9 @@ class Search:
         base = Explanation("none", (), plain)
         self.tell("smoothing the motion", 0.1)
         motion = smooth(self.problem, base.hypothesis.theta, base.hypothesis.start)
-        ground = _Ground(base, motion, list(candidates(self.problem.rig, spans(self.problem, motion), self.problem.dt)))
+        ground = Ground(
+            base, motion, [*candidates(self.problem.rig, spans(self.problem, motion), self.problem.dt)], self.problem
+        )
         search = self.finer(substeps or self.problem.substeps)
         found = search._searched(ground)
         while found.problem and found.problem.substeps > search.problem.substeps:
@@ -131,7 +117,7 @@ class Search:
     def _is_composite(self, explanation: Explanation) -> bool:
         return are_composite(explanation.names, self.problem.rig, self.rules)
 
-    def _searched(self, ground: _Ground, begun: Sequence[tuple[Explanation, ...]] = ()) -> SearchResult:
+    def _searched(self, ground: Ground, begun: Sequence[tuple[Explanation, ...]] = ()) -> SearchResult:
         """Search in the steps of the problem, on from some causes; end where a law needs smaller ones, with these."""
         base, motion, steps = ground.base, ground.motion, list(begun)
         tried, passed_over = tuple[Score, ...](), tuple[tuple[Explanation, ...], ...]()
@@ -154,7 +140,7 @@ class Search:
             screen = self._screened(now, ground)
             scores = screen.scores(ground.every)
             tried = tried or tuple(scores)
-            found, likeliest = self._round(now, scores, screen, parameters=number == 0)
+            found, likeliest = self._round(now, scores, screen, ground, parameters=number == 0)
             job = partial(self._job, now, screen)
             found = pairs_first(self.problem, now, found, screen, scores=scores, job=job)
             if not found or self._is_too_little(base, now, found[0]):
@@ -191,7 +177,9 @@ class Search:
             return self.problem.substeps
         return shooting.finer(self.problem, best.hypothesis, (self.rough or self.problem).substeps)
 
-    def _known(self, now: Explanation, scores: Sequence[Score], screen: Screen, *, parameters: bool) -> Fits:
+    def _known(
+        self, now: Explanation, scores: Sequence[Score], screen: Screen, ground: Ground, *, parameters: bool
+    ) -> Fits:
         """Return the fits of a round in the steps of the model alone; none where the problem has these."""
         if self.rough is None:
             return {}
@@ -201,18 +189,18 @@ class Search:
                 return {}
             problem, hypothesis = rougher
             search = replace(self, problem=problem, rough=None)
-            search._round(replace(now, hypothesis=hypothesis), scores, screen, parameters=parameters)
+            search._round(replace(now, hypothesis=hypothesis), scores, screen, ground, parameters=parameters)
         return self.fits.get(now.names, {})
 
     def _round(
-        self, now: Explanation, scores: Sequence[Score], screen: Screen, *, parameters: bool
+        self, now: Explanation, scores: Sequence[Score], screen: Screen, ground: Ground, *, parameters: bool
     ) -> tuple[list[Explanation], Explanation]:
         """Return explanations with one more cause, best first, and the likeliest, whatever is nested in it.
 
         There are none where the best is no better than chance.
         """
         rules, gains = self.rules, fitting.freed_scores(self.problem, now.hypothesis)
-        known = self._known(now, scores, screen, parameters=parameters)
+        known = self._known(now, scores, screen, ground, parameters=parameters)
         made = self.fits.setdefault(now.names, {}) if self.rough is None else Fits()
         made.clear()
         far = FAR * min((one.cost for one in known.values()), default=np.inf)
@@ -237,6 +225,8 @@ class Search:
         for some in (jobs[:2], jobs[2:]):  # the best scores set the mark for the others
             rival = min(e.hypothesis.cost for e in (now, *found))
             found += self._noted(some, rival, made)
+        if parameters:
+            found += self._noted(self._from_declared(now, found, ground, known), rival, made)
         if not found:
             return [], now
         # Other shapes of a nested model are fitted if one takes a part of what the best does.
@@ -271,6 +261,22 @@ class Search:
         numerical = rules.law_error**2 * self.size if any(one.entry.by_step for one in last) else 0.0
         ordered = verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical)
         return ordered, ranked[0]
+
+    def _from_declared(
+        self, now: Explanation, found: Sequence[Explanation], ground: Ground, known: Fits
+    ) -> list[tuple[int, Job]]:
+        """Return fits that begin from the model as declared, where those from its fitted parameters leave much."""
+        least = min(one.cost for one in (now, *found))
+        left, excess = (verdict.excess_cost(cost, self.size) for cost in (least, now.cost))
+        if left < self.rules.trace_fraction * excess or ground.declared is None:
+            return []
+        screen, scores = ground.declared
+        # Along a motion that sticks no law has the force that holds it: the simplest that sticks is fitted everywhere.
+        simple = [score for score in scores if score.candidate.sticks and not score.candidate.entry.nested]
+        first = {score.candidate.at: score for score in reversed(simple)}
+        begun = replace(now, hypothesis=screen.base)
+        numbers = {-id(score.candidate): score for score in first.values()}
+        return [(i, partial(self._added, begun, (score,), screen, known.get(i))) for i, score in numbers.items()]
 
     def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
         """Return nested models of the best fit, fitted from its parameters if they begin better than they ended."""
@@ -334,11 +340,11 @@ class Search:
         return rules.fit_ratio * max(left - noise, rules.screen_resolution * noise) + rules.screen_noise * noise
 
     def _screen(
-        self, ground: _Ground, looked_at: Hypothesis, found: Sequence[EffectInstance], *, taken: bool = False
+        self, ground: Ground, looked_at: Hypothesis, found: Sequence[EffectInstance], *, taken: bool = False
     ) -> Screen:
         return Screen(self.problem, looked_at, ground.motion, found, taken=taken, along=ground.along)
 
-    def _screened(self, now: Explanation, ground: _Ground) -> Screen:
+    def _screened(self, now: Explanation, ground: Ground) -> Screen:
         """Return a screen of what is found, or of the model where that leaves less, to first order."""
         instances = now.hypothesis.instances
         screen = self._screen(ground, ground.base.hypothesis, instances)
@@ -350,12 +356,12 @@ class Search:
         """Return whether one more cause takes too little of the excess cost."""
         return verdict.is_too_little(base.cost, now, then, self.size, self.rules)
 
-    def _settled(self, best: Explanation, ground: _Ground) -> Explanation:
+    def _settled(self, best: Explanation, ground: Ground) -> Explanation:
         """Return an explanation in which no other effect would do better in the place of one, and none is idle."""
         found = self._swapped(best, ground)
         return best if found is best else self._reduced(found)
 
-    def _swapped(self, best: Explanation, ground: _Ground) -> Explanation:
+    def _swapped(self, best: Explanation, ground: Ground) -> Explanation:
         """Try other effects in the place of each but the last, which has just been chosen among all."""
         for i in range(len(best.names) - 1):
             self.tell(f"trying others than {best.names[i][0]}", 0.9)
@@ -390,7 +396,7 @@ class Search:
         tempering = self.problem.tempering(other.hypothesis.residuals)
         return other.score(tempering) < best.score(tempering) - self.rules.indifferent
 
-    def _widened(self, now: Explanation, ground: _Ground) -> Explanation:
+    def _widened(self, now: Explanation, ground: Ground) -> Explanation:
         """Free further parameters of the shape of each effect, where another trial of it estimates them."""
         rules = self.rules
         if verdict.reaches_noise(now.cost, self.size, rules) and not verdict.is_excess(now.cost, self.size, rules):
