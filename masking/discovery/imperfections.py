@@ -55,7 +55,13 @@ def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> tuple
     tell("small errors of sensors and actuators are adjusted", 0.0)
     again, wider = _in_problem(Search(with_imperfections(problem), tell), substeps)
     is_better = not _is_complete(known, found) or _last(again).score(1.0) < _last(found).score(1.0)
-    return (again, wider) if trial.is_shown or (_is_complete(wider, again) and is_better) else (found, known)
+    if _is_complete(wider, again) and (trial.is_shown or is_better):
+        return again, wider
+    if trial.is_shown:  # the first search ended early
+        found, known = _in_problem(Search(problem, tell), substeps)
+        if not _is_complete(known, found) and _last(again).cost < _last(found).cost:
+            return again, wider
+    return found, known
 
 
 def _in_problem(search: Search, substeps: int) -> tuple[SearchResult, EstimationProblem]:

@@ -14,7 +14,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from masking.discovery import fitting, shooting, verdict
+from masking.discovery import fitting, shooting, sticking, verdict
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import candidates
 from masking.discovery.composites import are_composite
@@ -209,7 +209,8 @@ class Search:
             return number in known and known[number].cost > far
 
         chosen, variants = self._worth_a_fit(now, scores, screen, max(gains, default=0.0))
-        chosen += (repeated := [score for score in variants if id(score.candidate) in known])
+        repeated = [score for score in scores if id(score.candidate) in known and all(score is not p for p in chosen)]
+        chosen += repeated
 
         def added(score: Score) -> tuple[int, Job]:
             number = id(score.candidate)
@@ -225,8 +226,9 @@ class Search:
         for some in (jobs[:2], jobs[2:]):  # the best scores set the mark for the others
             rival = min(e.hypothesis.cost for e in (now, *found))
             found += self._noted(some, rival, made)
-        if parameters:
-            found += self._noted(self._from_declared(now, found, ground, known), rival, made)
+        if parameters and not known:
+            noted = partial(self._noted, rival=rival, made=made)
+            found += sticking.fits(self.problem, now, found, ground, noted)
         if not found:
             return [], now
         # Other shapes of a nested model are fitted if one takes a part of what the best does.
@@ -261,22 +263,6 @@ class Search:
         numerical = rules.law_error**2 * self.size if any(one.entry.by_step for one in last) else 0.0
         ordered = verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical)
         return ordered, ranked[0]
-
-    def _from_declared(
-        self, now: Explanation, found: Sequence[Explanation], ground: Ground, known: Fits
-    ) -> list[tuple[int, Job]]:
-        """Return fits that begin from the model as declared, where those from its fitted parameters leave much."""
-        least = min(one.cost for one in (now, *found))
-        left, excess = (verdict.excess_cost(cost, self.size) for cost in (least, now.cost))
-        if left < self.rules.trace_fraction * excess or ground.declared is None:
-            return []
-        screen, scores = ground.declared
-        # Along a motion that sticks no law has the force that holds it: the simplest that sticks is fitted everywhere.
-        simple = [score for score in scores if score.candidate.sticks and not score.candidate.entry.nested]
-        first = {score.candidate.at: score for score in reversed(simple)}
-        begun = replace(now, hypothesis=screen.base)
-        numbers = {-id(score.candidate): score for score in first.values()}
-        return [(i, partial(self._added, begun, (score,), screen, known.get(i))) for i, score in numbers.items()]
 
     def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
         """Return nested models of the best fit, fitted from its parameters if they begin better than they ended."""
@@ -331,7 +317,7 @@ class Search:
         """Return what fits give where the motion is finite, and note them by their numbers."""
         every = zip(jobs, fitted([job for _, job in jobs], rival), strict=True)
         found = {number: e for (number, _), e in every if e is not None}
-        made.update(found)
+        made.update({number: e for number, e in found.items() if number not in made or e.cost < made[number].cost})
         return [*found.values()]
 
     def _worth(self, screen: Screen, left: float) -> float:

@@ -1,0 +1,82 @@
+"""Sticking: frictions that hold their place for much of a record, fitted from the model as declared.
+
+Along a motion that sticks no law has the force that holds it, and parameters that are fitted without friction go far to
+stand for it. So dry friction is fitted at each place from the declared parameters, and at the place where it leaves
+least the other frictions that stick, from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from masking.discovery import fitting, verdict
+from masking.discovery.augmented_model import EffectInstance
+from masking.discovery.candidates import Candidate
+from masking.discovery.explanation import Explanation, Job
+from masking.discovery.fitting import Hypothesis
+from masking.discovery.ground import Ground
+from masking.discovery.problem import EstimationProblem
+
+# Levels of a law that has two, in parts of that of dry friction, which lies between them.
+LEVELS = ((1.0, 1.5), (0.7, 1.1), (0.5, 1.0))
+
+
+def fits(
+    problem: EstimationProblem,
+    now: Explanation,
+    found: Sequence[Explanation],
+    ground: Ground,
+    noted: Callable[[Sequence[tuple[int, Job]]], list[Explanation]],
+) -> list[Explanation]:
+    """Return fits of frictions that stick, where other fits leave much.
+
+    Args:
+        problem: the record and the rig.
+        now: the model without a law.
+        found: other fits.
+        ground: of the search.
+        noted: makes fits, with the numbers of their candidates.
+    """
+    if not _leaves_much(problem, now, found) or ground.declared is None:
+        return []
+    screen, scores = ground.declared
+    simple = [one for one in scores if one.candidate.sticks and not one.candidate.entry.nested]
+    first = {one.candidate.at: one for one in reversed(simple)}.values()
+    made = noted([(id(one.candidate), _job(problem, one.candidate, [one.instance], screen.base)) for one in first])
+    best = min(made, key=lambda one: one.cost, default=now)
+    if best.cost > min(one.cost for one in (now, *found)) or not _leaves_much(problem, now, made):
+        return made
+    (effect, at), level = best.names[-1], best.hypothesis.instances[-1].estimated[0]
+    others = [one for one in ground.every if one.sticks and one.at == at and one.effect != effect]
+    return made + noted([(id(one), _job(problem, one, [*_starts(one, level)], best.hypothesis)) for one in others])
+
+
+def _leaves_much(problem: EstimationProblem, now: Explanation, found: Sequence[Explanation]) -> bool:
+    size = problem.record.readings.size
+    least = min(one.cost for one in (now, *found))
+    left, excess = (verdict.excess_cost(cost, size) for cost in (least, now.cost))
+    return left > problem.rules.trace_fraction * excess
+
+
+def _starts(candidate: Candidate, level: float) -> Iterator[EffectInstance]:
+    """Give instances from which a fit may start, with levels like that of dry friction."""
+    for instance in candidate.instances:
+        for parts in LEVELS if len(candidate.factors) > 1 else ((1.0,),):
+            levels = (parts[min(i, len(parts) - 1)] * level for i in range(len(candidate.factors)))
+            yield instance.with_values(candidate.factors, levels)
+
+
+def _job(problem: EstimationProblem, candidate: Candidate, starts: Sequence[EffectInstance], begun: Hypothesis) -> Job:
+    """Return the fit of a law from the best of its starts, from parameters and initial states of a hypothesis."""
+    step = problem.dt / problem.substeps
+    ready = [one.at_step(problem.rig.mobilities[one.at], step) for one in starts]
+
+    def cost(instance: EffectInstance) -> float:
+        return fitting.cost(problem, (instance,), begun.theta, begun.start)
+
+    def made(rival: float) -> Explanation:
+        best = min(ready, key=cost)
+        found = fitting.fit(problem, (best,), theta=begun.theta, start=begun.start, rival=rival)
+        return Explanation("effects", (candidate.key,), found)
+
+    return made
