@@ -143,6 +143,7 @@ class EffectInstance:
 class Equations:
     """Normal equations of a record: J^T W J (w, w), J^T W r (w,), squared residuals (sensors,), simulated readings.
 
+    Residuals are 0 where commands from before the record act, which are not known.
     Columns: parameters of the rig, free parameters of the effects, where their states begin, then what each interval
     may begin with, as `Twin.free` has it.
     """
@@ -151,6 +152,7 @@ class Equations:
     gradient: Array
     squares: Array
     simulated: Array
+    residuals: Array
 
 
 @dataclass(frozen=True)

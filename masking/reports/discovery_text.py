@@ -29,6 +29,9 @@ APART = 0.02  # of its declared value by which it moved then
 LOST = 0.9  # part of a reading that is left, from which the model is said not to follow it
 LARGER = 1.05  # times the record's own peak, from which that of an experiment is stated
 MANY = 10.0  # relative error from which it is not given as a number
+EARLY = (
+    "The search ended early, with as much work as it may do: a part of the record, or fewer --parameters, leave more"
+)
 CHECK = "check units, columns and signs of the record against the model"
 NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured input is the rate of which"
 
@@ -60,7 +63,8 @@ def sentence(found: Discovery) -> str:
         pause = "," if ", " in what else ""
         first = f"{capital(what)}{pause} {'is' if len(found.effects) == 1 else 'are'} missing"
         sentences = [first, hardly(found), gap(found), moved(found)]
-    return ". ".join(filter(None, [units_of_channels(found), *sentences, withheld(found), measured(found)]))
+    sentences += [withheld(found), EARLY if found.problem.work.is_cut else "", measured(found)]
+    return ". ".join(filter(None, [units_of_channels(found), *sentences]))
 
 
 def units_of_channels(found: Discovery) -> str:
