@@ -805,7 +805,7 @@ def test_no_effect_is_named_outside_of_the_dictionary(path):
 def test_what_an_entry_names_is_there():
     for effect in EFFECTS.values():
         named = {*effect.factors, *effect.scaled, *effect.calibrated, effect.grows_with, effect.quantum} - {""}
-        span = Span(-1.0, 1.0, 1.0, 1.0, (1.0,))
+        span = Span(-1.0, 1.0, 1.0, 1.0, 1.0, (1.0,))
         for trial in effect.ways:
             named |= {*trial.factors, *trial.free, *effect.by_step, *effect.at_zero}.union(*trial.starts(span))
         assert named <= effect.parameters.keys()

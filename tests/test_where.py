@@ -17,7 +17,7 @@ from masking.discovery.force_decomposition import decompose, followed
 from masking.discovery.harmonics import Periods, period
 from masking.discovery.prior import prior_of
 from masking.discovery.problem import EstimationProblem
-from masking.discovery.search_result import SearchResult
+from masking.discovery.search import SearchResult
 from masking.discovery.smoothing import smooth
 from masking.estimation.data import Data
 from masking.estimation.whiteness import autocorrelation, evenness, ljung_box, whiteness

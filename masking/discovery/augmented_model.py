@@ -143,6 +143,7 @@ class EffectInstance:
 class Equations:
     """Normal equations of a record: J^T W J (w, w), J^T W r (w,), squared residuals (sensors,), simulated readings.
 
+    Residuals are 0 where commands from before the record act, which are not known.
     Columns: parameters of the rig, free parameters of the effects, where their states begin, then what each interval
     may begin with, as `Twin.free` has it.
     """
@@ -151,6 +152,7 @@ class Equations:
     gradient: Array
     squares: Array
     simulated: Array
+    residuals: Array
 
 
 @dataclass(frozen=True)
@@ -346,10 +348,8 @@ class AugmentedModel:
     @cached_property
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
-        width = max(
-            len(self.start) + 4 * MOST_PARAMETERS + self.sizes.states + MOST_STATES, self.affected,
-            2 * len(self._seats), MOST_COLUMNS,
-        )  # fmt: skip
+        most = len(self.start) + 4 * MOST_PARAMETERS + self.sizes.states + MOST_STATES
+        width = max(most, self.affected, 2 * len(self._seats), MOST_COLUMNS)
         links = {laws.SIGNATURE: laws.library(self.laws), **self.equations.by_signature(*SIGNATURES, PLACED)}
 
         def factories() -> dict[str, tuple[Any, ...]]:

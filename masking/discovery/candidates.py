@@ -9,9 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.places import is_of_one
 from masking.effects import DELAY, Effect, Span, Trial
+
+GROWTH = 1.6  # of a delay that is tried over the one before
+SHORTEST, LONGEST = 4.0, 3.0  # samples, and times of the motion, that the longest delay which is tried reaches at least
 
 
 @dataclass(frozen=True)
@@ -71,11 +76,17 @@ def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], perio
             for name in names:
                 for trial in effect.ways:
                     yield from _candidate(effect, trial, name, spans[where, name])
-    samples = DELAY.parameters[DELAY.grows_with].tried
+    times = _delays(period, next(iter(spans.values())).time)
     # Of a single actuator, the delay of all is its own.
     for at in ("", *commanded) if commanded == rig.twin.actuators and len(commanded) > 1 else commanded:
-        instances = tuple(EffectInstance(DELAY.name, at, (number * period,), (0,)) for number in samples)
+        instances = tuple(EffectInstance(DELAY.name, at, (time,), (0,)) for time in times)
         yield Candidate(DELAY.name, at, (), (0,), instances)
+
+
+def _delays(period: float, time: float) -> list[float]:
+    """Return the delays that are tried, in s: from a sample to a few times the time of the motion."""
+    numbers = np.arange(1 + np.ceil(np.log(max(LONGEST * time / period, SHORTEST)) / np.log(GROWTH)))
+    return [float(value) for value in period * GROWTH**numbers]
 
 
 def _ready(rig: AugmentedModel, candidate: Candidate, period: float) -> Candidate:

@@ -36,6 +36,7 @@ PLUS = "  +  "  # between the terms of a form
 STUCK, BEGINNING = 4.0, 12  # cost per reading from which an initial state is sought in such a part of a record
 ALIKE = 1e-6  # one less the cosine of two terms that are the same
 EXACT = 2e-3  # of a force: how exactly splines of few pieces hold a formula
+ROUNDING = 1e-14  # of the largest variance: what a smaller one is
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,8 @@ class _Known:
         spread = at @ self.law.covariance @ at.T
         force = at @ self.law.factors
         spread += np.eye(len(spread)) * (EXACT * float(force.std())) ** 2
-        return np.asarray(linalg.solve_triangular(linalg.cholesky(spread, lower=True), np.eye(len(spread)), lower=True))
+        sizes, vectors = linalg.eigh(spread)
+        return np.asarray((vectors / np.sqrt(np.maximum(sizes, ROUNDING * sizes[-1]))).T)
 
     @cached_property
     def target(self) -> Array:
@@ -152,12 +154,14 @@ class _Known:
 
 
 def forms(law: FreeLaw, readings: int) -> list[Form]:
-    """Return forms that deviate least from a free law, the best first.
+    """Return forms that deviate least from a free law, the best first; none where its covariance is not finite.
 
     Args:
         law: the free law.
         readings: of the record.
     """
+    if not np.isfinite(law.covariance).all():
+        return []
     known, place = _Known(law, float(np.log(readings))), law.place
     every = [
         (atom, values)

@@ -24,12 +24,12 @@ from masking.discovery.noise import noise_of, steps_of
 from masking.discovery.prior import prior_of, train_validation_split
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
-from masking.discovery.search import Tell
-from masking.discovery.search_result import SearchResult
+from masking.discovery.search import SearchResult, Tell
 from masking.discovery.settings import DiscoverySettings
 from masking.discovery.smoothing import centred
 from masking.discovery.unnamed import evidence, law_of
 from masking.discovery.verdict import Scored
+from masking.discovery.work import Work
 from masking.effects import ROUNDING
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
@@ -80,10 +80,13 @@ def discover(
     if doubt is not None:
         whole, unseen = doubt.converted(whole), doubt.of(whole, unseen)
     problem = replace(whole, interval=shooting.interval(whole, settings.shooting_interval))
-    problem = replace(problem, substeps=shooting.substeps(problem))
+    problem = replace(
+        problem, substeps=shooting.substeps(problem), work=Work.allowed(len(train), len(twin.state_names))
+    )
     noise = noise_of(twin, unseen)
     found = _explained(problem, unseen, noise, say)
     if settings.shooting_interval is None and not problem.interval and _loses_phase(found):
+        problem = replace(problem, work=Work.allowed(len(train), len(twin.state_names)))
         for seconds in shooting.shorter(whole):
             say(f"the motion loses phase with the record: in shooting intervals of {seconds:.2g} s", 0.0)
             again = _explained(replace(problem, interval=shooting.interval(whole, seconds)), unseen, noise, say)
@@ -101,7 +104,8 @@ def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, 
     One with a cause at such a place takes the place of one without it only if it leaves a small part of the excess.
     """
     rig = replace(found.problem.rig, directed=True)
-    if found.is_at_noise_floor or found.is_hidden or len(rig.places) == len(found.problem.rig.places):
+    every = len(rig.places) == len(found.problem.rig.places)
+    if every or found.is_at_noise_floor or found.is_hidden or found.problem.work.ends():
         return found
     say("forces between coordinates, of commands elsewhere and under load", 0.0)
     problem = replace(found.problem, rig=rig, substeps=substeps)
@@ -189,7 +193,7 @@ def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell
     """Return what explains a record, simulated in steps that are fine enough for the law that is found."""
     found = _found(problem, unseen, noise, say)
     known = _near(found)
-    if known is None:
+    if known is None or problem.work.ends():
         return found
     with threadpool_limits(1):
         steps = shooting.finer(found.problem, known, problem.substeps)

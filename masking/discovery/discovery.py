@@ -236,6 +236,7 @@ class Discovery(Explained):
             "none_of_these": self.none_of_these,
             "unit": self.unit and self.unit.as_dict(),
             "withheld": self.withheld and self.withheld.as_dict(),
+            "search_ended_early": self.problem.work.is_cut,
         }
 
 

@@ -372,7 +372,7 @@ class _LeastSquares:
             return slow == rules.hopeless_steps
 
         def tolerance(at: Linearised[Dense, Equations]) -> float:
-            return rules.converged * self.problem.tempering(self.problem.record.readings - at.found.simulated)
+            return rules.converged * self.problem.tempering(at.found.residuals)
 
         prior, effects = self.problem.prior, bounds(self.instances)
         low, high = np.concatenate([prior.low, effects.low]), np.concatenate([prior.high, effects.high])
@@ -387,8 +387,7 @@ class _LeastSquares:
         values = [instance.with_values(instance.free, part) for instance, part in parts]
         return Hypothesis(
             tuple(values), theta, start, made.at.cost, found.squares,
-            made.at.equations.covariance()[:shared, :shared], self.problem.record.readings - found.simulated,
-            rules,
+            made.at.equations.covariance()[:shared, :shared], found.residuals, rules,
         )  # fmt: skip
 
     def linearised(self, x: Array) -> Linearised[Dense, Equations]:
@@ -435,7 +434,7 @@ def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequen
         matrix[np.ix_(own, own)] += part.matrix
         gradient[own] += part.gradient
     squares = np.sum([part.squares * weight for part, weight in zip(parts, weights, strict=True)], axis=0)
-    return Equations(matrix, gradient, squares, parts[0].simulated)
+    return Equations(matrix, gradient, squares, parts[0].simulated, parts[0].residuals)
 
 
 def bounds(instances: Sequence[EffectInstance]) -> Box:

@@ -1,22 +1,22 @@
-"""Ground of a search: the fitted model, the smoothed record and the candidates, to which every step comes back."""
+"""Ground: what all rounds of a search look at, and the screens that are made of it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
 from masking.discovery import fitting
+from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.explanation import Explanation
+from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import Along, Score, Screen
-from masking.discovery.smoothing import Motion, smooth
-from masking.errors import IntegrationError
+from masking.discovery.smoothing import Motion
 
-BEYOND = 10.0  # deviations of the prior, from which parameters stand for what is missing
+FAR = 10.0  # deviations of its prior by which no parameter is off: it then stands for what is missing
 
 
 @dataclass(frozen=True)
@@ -25,30 +25,60 @@ class Ground:
 
     Args:
         base: the model, its parameters fitted within their priors.
+        declared: the model as declared, where the fit is far from it.
         motion: smoothed record.
         every: candidates.
-        problem: the record and the rig.
         along: what they do along the motion.
     """
 
     base: Explanation
+    declared: Hypothesis | None
     motion: Motion
     every: Sequence[Candidate]
-    problem: EstimationProblem
     along: Along = field(default_factory=dict)
 
-    @cached_property
-    def declared(self) -> tuple[Screen, list[Score]] | None:
-        """Return a screen of the model as declared and its scores; None where fitted parameters are near their prior.
+    def screen(
+        self,
+        problem: EstimationProblem,
+        looked_at: Hypothesis,
+        found: Sequence[EffectInstance],
+        *,
+        taken: bool = False,
+    ) -> Screen:
+        """Return a screen of a fit, with what effects that were found explain taken out.
 
-        A strong effect takes them far beyond it; how the fitted model moves then tells little of what is missing.
+        Args:
+            problem: the record and the rig.
+            looked_at: the fit.
+            found: the effects.
+            taken: whether these are in the fit already.
         """
-        problem, prior = self.problem, self.problem.prior
-        if (np.abs(self.base.hypothesis.theta - prior.mean) < BEYOND * prior.deviation).all():
-            return None
-        try:
-            known = fitting.fit(problem, theta=prior.mean, frozen=True)
-            screen = Screen(problem, known, smooth(problem, known.theta, known.start))
-        except IntegrationError:
-            return None
-        return screen, screen.scores(self.every)
+        return Screen(problem, looked_at, self.motion, found, taken=taken, along=self.along)
+
+    def screened(self, problem: EstimationProblem, now: Explanation) -> tuple[Screen, list[Score]]:
+        """Return the screen in which a candidate leaves least, with the scores: of the model or of what is found.
+
+        Args:
+            problem: the record and the rig.
+            now: what is found.
+        """
+        instances, size = now.hypothesis.instances, problem.record.readings.size
+        looked_at = [one for one in (self.base.hypothesis, self.declared) if one is not None]
+        screens = [self.screen(problem, one, instances) for one in looked_at]
+        if now.cost < max(problem.rules.small_residual * size, screens[0].total):
+            screens = [self.screen(problem, now.hypothesis, instances, taken=True)]
+        scored = [(screen, screen.scores(self.every)) for screen in screens]
+        return min(scored, key=lambda pair: pair[0].total - max((score.gain for score in pair[1]), default=0.0))
+
+
+def far_off(problem: EstimationProblem, fit: Hypothesis) -> Hypothesis | None:
+    """Return the model as declared, where a fit is far from it: its parameters then stand for what is missing.
+
+    Args:
+        problem: the record and the rig.
+        fit: of the model within the priors of its parameters.
+    """
+    off = np.abs(fit.theta - problem.prior.mean) / problem.prior.deviation
+    if not (off > FAR).any():
+        return None
+    return fitting.fit(problem, theta=problem.prior.mean, frozen=True)

@@ -21,8 +21,8 @@ from masking.discovery.composites import are_composite
 from masking.discovery.explanation import Explanation, fitted
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
-from masking.discovery.search import Search, Tell
-from masking.discovery.search_result import SearchResult
+from masking.discovery.search import Search, SearchResult, Tell
+from masking.discovery.work import Work
 from masking.effects import DELAY
 
 GAIN = 0.02  # standard deviation of the gain of a sensor or an actuator, relative
@@ -53,12 +53,13 @@ def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> tuple
     if not trial.is_shown and (is_settled or not trial.is_likely):
         return found, known
     tell("small errors of sensors and actuators are adjusted", 0.0)
-    again, wider = _in_problem(Search(with_imperfections(problem), tell), substeps)
+    fresh = replace(problem, work=Work(problem.work.most))
+    again, wider = _in_problem(Search(with_imperfections(fresh), tell), substeps)
     is_better = not _is_complete(known, found) or _last(again).score(1.0) < _last(found).score(1.0)
     if _is_complete(wider, again) and (trial.is_shown or is_better):
         return again, wider
     if trial.is_shown:  # the first search ended early
-        found, known = _in_problem(Search(problem, tell), substeps)
+        found, known = _in_problem(Search(replace(problem, work=Work(problem.work.most)), tell), substeps)
         if not _is_complete(known, found) and _last(again).cost < _last(found).cost:
             return again, wider
     return found, known

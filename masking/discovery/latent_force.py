@@ -23,7 +23,7 @@ from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.explanation import Explanation
 from masking.discovery.places import is_of_one
 from masking.discovery.problem import EstimationProblem
-from masking.discovery.search_result import SearchResult
+from masking.discovery.search import SearchResult
 from masking.discovery.smoothing import Motion, slopes, smooth
 from masking.discovery.verdict import Verdict
 from masking.errors import IntegrationError

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from masking.discovery.augmented_model import NEARLY_ZERO, AugmentedModel, EffectInstance, Equations
 from masking.discovery.prior import Prior
 from masking.discovery.rules import RULES, DecisionRules
+from masking.discovery.work import Work
 from masking.errors import IntegrationError
 from masking.estimation.data import Data, is_first_order
 from masking.estimation.sensitivity import spans
@@ -28,6 +30,7 @@ class EstimationProblem:
         substeps: integration steps between samples.
         interval: samples of a shooting interval; 0 for one interval that is the whole record.
         rules: the thresholds of all decisions.
+        work: simulation that was done for it; problems that are made of it share that.
     """
 
     rig: AugmentedModel
@@ -37,6 +40,7 @@ class EstimationProblem:
     substeps: int
     interval: int = 0
     rules: DecisionRules = RULES
+    work: Work = field(default_factory=partial(Work, np.inf), compare=False)
 
     @property
     def interval_samples(self) -> int:
@@ -88,14 +92,16 @@ class EstimationProblem:
         n, width = len(rig.twin.state_names), k + moving
         y, derivatives = np.full(n + states, NEARLY_ZERO), np.zeros((n + states, width))
         y[n:] += 0.0 if inner is None else inner
+        self.work.add(len(record) * self.substeps, len(y), sticks=any(one.sticks for one in instances))
         derivatives[n:, k - states : k] = np.eye(states)
         matrices, gradients = np.zeros((intervals * width, width)), np.zeros(intervals * width)
         squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
+        late = float(given.late.max(initial=0.0))
         status = rig.kernels.run(
             len(record), self.dt, self.substeps, self.interval_samples, is_first_order(record.hold), rig.sizes.table,
             np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives, p, basis,
             spans(basis), given.table, given.estimated, given.values, given.acts, given.late / self.dt,
-            given.late_columns, np.ascontiguousarray(record.acting), record.readings, self.weights, matrices,
+            given.late_columns, np.ascontiguousarray(record.acting), record.counted(late), self.weights, matrices,
             gradients, squares, simulated,
         )  # fmt: skip
         if status or not np.isfinite(squares).all() or not np.isfinite(matrices).all():
@@ -106,7 +112,7 @@ class EstimationProblem:
             matrix[np.ix_(own, own)] += matrices[i * width : (i + 1) * width]
             gradient[own] += gradients[i * width : (i + 1) * width]
         matrix += np.tril(matrix, -1).T
-        return Equations(matrix, gradient, squares, simulated)
+        return Equations(matrix, gradient, squares, simulated, record.residuals(simulated, late))
 
     def tempering(self, residuals: Array) -> float:
         """Return the tempering factor: residual variance over noise variance, of samples or block means; at least 1.

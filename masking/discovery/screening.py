@@ -134,8 +134,9 @@ class Screen:
 
     def _of_intervals(self, columns: Array) -> Array:
         """Return columns (blocks, sensors, c) for each shooting interval, zero outside (blocks, sensors, w * c)."""
+        every = np.arange(len(self.base.start))  # a last one may be shorter than a block
         interval = np.arange(self.blocks) * self.every // (self.interval_samples * self.thin)
-        apart = np.equal.outer(interval, np.unique(interval)).astype(float)
+        apart = np.equal.outer(np.minimum(interval, every[-1]), every).astype(float)
         found: Array = np.einsum("bsc,bw->bswc", columns, apart).reshape(*columns.shape[:2], -1)
         return found
 

@@ -21,13 +21,12 @@ from masking.discovery.composites import are_composite
 from masking.discovery.exclusion import is_excluded
 from masking.discovery.explanation import Explanation, Job, fitted
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.ground import Ground
+from masking.discovery.ground import Ground, far_off
 from masking.discovery.pairs import pairs_first
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.screening import Score, Screen
-from masking.discovery.search_result import SearchResult
-from masking.discovery.smoothing import smooth
+from masking.discovery.smoothing import Motion, smooth
 from masking.discovery.spans import spans
 from masking.discovery.verdict import Key
 from masking.numerics.arrays import Array
@@ -37,6 +36,27 @@ Fits = dict[int, "Explanation"]  # of one more cause each, by the candidate; of 
 
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
 FAR = 4.0  # times the cost of the best fit in large steps, from which one is not repeated in small ones: twice its rms
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """What a search found: the steps that were taken, and the explanations of the last, best first.
+
+    Args:
+        base: the model, its parameters fitted within their priors.
+        steps: the explanations that were compared in each step, the best first.
+        motion: smoothed record.
+        tried: what each candidate could take off at first, the best first.
+        problem: the record, in the integration steps that the laws need; by default those of the model.
+        passed_over: steps of which the last is the likeliest law, in the place of which a nested one was taken.
+    """
+
+    base: Explanation
+    steps: tuple[tuple[Explanation, ...], ...]
+    motion: Motion
+    tried: tuple[Score, ...] = ()
+    problem: EstimationProblem | None = None
+    passed_over: tuple[tuple[Explanation, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,12 +113,11 @@ class Search:
         base = Explanation("none", (), plain)
         self.tell("smoothing the motion", 0.1)
         motion = smooth(self.problem, base.hypothesis.theta, base.hypothesis.start)
-        ground = Ground(
-            base, motion, [*candidates(self.problem.rig, spans(self.problem, motion), self.problem.dt)], self.problem
-        )
+        every = list(candidates(self.problem.rig, spans(self.problem, motion), self.problem.dt))
+        ground = Ground(base, far_off(self.problem, plain), motion, every)
         search = self.finer(substeps or self.problem.substeps)
         found = search._searched(ground)
-        while found.problem and found.problem.substeps > search.problem.substeps:
+        while found.problem and found.problem.substeps > search.problem.substeps and not self.problem.work.ends():
             search = self.finer(found.problem.substeps)
             self.tell(f"with {search.problem.substeps} steps between samples", 0.3)
             found = search._searched(ground)
@@ -123,7 +142,7 @@ class Search:
         tried, passed_over = tuple[Score, ...](), tuple[tuple[Explanation, ...], ...]()
         now = settled = steps[-1][0] if steps else base
         number = len(steps)
-        while number < self.rules.most_effects:
+        while number < self.rules.most_effects and not (steps and self.problem.work.ends()):
             if self._is_composite(now):
                 # One more law would leave it composite; another one in the place of these may not.
                 if now is settled:
@@ -137,8 +156,7 @@ class Search:
                 wider = self._widened(now, ground)
                 steps[-1], now = (steps[-1], now) if wider is now else ((wider, *steps[-1][1:]), wider)
             self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
-            screen = self._screened(now, ground)
-            scores = screen.scores(ground.every)
+            screen, scores = ground.screened(self.problem, now)
             tried = tried or tuple(scores)
             found, likeliest = self._round(now, scores, screen, ground, parameters=number == 0)
             job = partial(self._job, now, screen)
@@ -325,33 +343,20 @@ class Search:
         rules, noise = self.rules, float(self.size // screen.every)
         return rules.fit_ratio * max(left - noise, rules.screen_resolution * noise) + rules.screen_noise * noise
 
-    def _screen(
-        self, ground: Ground, looked_at: Hypothesis, found: Sequence[EffectInstance], *, taken: bool = False
-    ) -> Screen:
-        return Screen(self.problem, looked_at, ground.motion, found, taken=taken, along=ground.along)
-
-    def _screened(self, now: Explanation, ground: Ground) -> Screen:
-        """Return a screen of what is found, or of the model where that leaves less, to first order."""
-        instances = now.hypothesis.instances
-        screen = self._screen(ground, ground.base.hypothesis, instances)
-        if now.cost >= max(self.rules.small_residual * self.size, screen.total):
-            return screen
-        return self._screen(ground, now.hypothesis, instances, taken=True)
-
     def _is_too_little(self, base: Explanation, now: Explanation, then: Explanation) -> bool:
         """Return whether one more cause takes too little of the excess cost."""
         return verdict.is_too_little(base.cost, now, then, self.size, self.rules)
 
     def _settled(self, best: Explanation, ground: Ground) -> Explanation:
         """Return an explanation in which no other effect would do better in the place of one, and none is idle."""
-        found = self._swapped(best, ground)
+        found = best if self.problem.work.ends() else self._swapped(best, ground)
         return best if found is best else self._reduced(found)
 
     def _swapped(self, best: Explanation, ground: Ground) -> Explanation:
         """Try other effects in the place of each but the last, which has just been chosen among all."""
         for i in range(len(best.names) - 1):
             self.tell(f"trying others than {best.names[i][0]}", 0.9)
-            screen = self._screen(ground, ground.base.hypothesis, best.without(i)[1])
+            screen = ground.screen(self.problem, ground.base.hypothesis, best.without(i)[1])
             most = self._worth(screen, best.hypothesis.cost / screen.every)
             scores = [p for p in screen.scores(ground.every) if p.candidate.key not in best.names]
             chosen = [p for p in scores if screen.total - p.gain < most][: self.rules.most_exchanges]

@@ -37,12 +37,13 @@ def fits(
         ground: of the search.
         noted: makes fits, with the numbers of their candidates.
     """
-    if not _leaves_much(problem, now, found) or ground.declared is None:
+    begun = ground.declared
+    if begun is None or not _leaves_much(problem, now, found):
         return []
-    screen, scores = ground.declared
-    simple = [one for one in scores if one.candidate.sticks and not one.candidate.entry.nested]
-    first = {one.candidate.at: one for one in reversed(simple)}.values()
-    made = noted([(id(one.candidate), _job(problem, one.candidate, [one.instance], screen.base)) for one in first])
+    simple = [one for one in ground.every if one.sticks and not one.entry.nested]
+    scores = ground.screen(problem, begun, ()).scores(simple)
+    first = {score.candidate.at: score for score in reversed(scores)}.values()
+    made = noted([(id(score.candidate), _job(problem, score.candidate, [score.instance], begun)) for score in first])
     best = min(made, key=lambda one: one.cost, default=now)
     if best.cost > min(one.cost for one in (now, *found)) or not _leaves_much(problem, now, made):
         return made

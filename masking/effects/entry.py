@@ -46,6 +46,7 @@ class Span:
         high: largest value.
         size: largest magnitude.
         rate: root mean square of its rate.
+        time: of the motion of the rig in s: displacement over rate, both in rms.
         tones: frequencies of the latent forces in Hz, the strongest first.
         stiffnesses: values of a stiffness in the place of the element's own force, where it declares one.
     """
@@ -54,6 +55,7 @@ class Span:
     high: float
     size: float
     rate: float
+    time: float = 1.0
     tones: tuple[float, ...] = ()
     stiffnesses: tuple[float, ...] = ()
 
@@ -74,7 +76,8 @@ class EffectParameter:
         value: taken if none is given; None if one must be given.
         bounds: least and largest value that make sense.
         tried: values from which fits start: parts of the largest displacement if the unit is D, of the largest reading
-            or command if it is S or U, of the rms rate if it is D/s, and plain values otherwise.
+            or command if it is S or U, of the rms rate if it is D/s, of the time of the motion if it is s, and plain
+            values otherwise.
     """
 
     unit: str
@@ -87,7 +90,8 @@ class EffectParameter:
 
     def starts(self, span: Span) -> list[float]:
         """Return the values from which fits start, within the bounds, in coherent units."""
-        size = {"D": span.size, "S": span.size, "U": span.size, "D/s": span.rate}.get(self.unit.replace(" ", ""), 1.0)
+        sizes = {"D": span.size, "S": span.size, "U": span.size, "D/s": span.rate, "s": span.time}
+        size = sizes.get(self.unit.replace(" ", ""), 1.0)
         low, high = self.bounds
         least, most = -math.inf if low is None else low, math.inf if high is None else high
         return [min(max(part * size, least), most) for part in self.tried]

@@ -19,8 +19,7 @@ _SAMPLED = "raise the resolution of the converter or amplify the signal to fill 
 _CLIPPED = (0.3, 0.5, 0.7, 0.85, 0.95)  # denser near the peak, where few samples are cut off
 _LIMITS = (0.3, 0.45, 0.6, 0.75, 0.9)  # beyond 1 nothing is cut off
 _ZONES = (0.01, 0.03, 0.08, 0.2)  # half-decades
-_LAGS = (1e-3, 5e-3, 2e-2)  # s: a filter or amplifier of some 160 Hz, a coil under voltage, and a slow drive
-_BUFFERS = (1.0, 5.0)  # of one sample, and a network
+_LAGS = (0.02, 0.1, 0.4)  # of the time of the motion: a filter or amplifier, a coil under voltage, and a slow drive
 _ANY = "1e3"  # a record may begin in motion
 
 INSTRUMENTS: tuple[Effect, ...] = (
@@ -99,7 +98,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "sensor_delay",
         "The reading comes late by a dead time, in the first-order approximation of Pade.",
         "2*m - s",
-        {"tau": EffectParameter("s", "dead time", (1e-4, 0.1), 2e-3, None, POSITIVE, (2e-3, 1e-2))},
+        {"tau": EffectParameter("s", "dead time", (1e-4, 0.1), 2e-3, None, POSITIVE, (0.04, 0.2))},
         cause="a sensor that computes, a bus or a network, averaging in a converter",
         remedy="read it earlier, or put the dead time into the observer's model",
         source=_PADE,
@@ -260,7 +259,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "delay",
         "Commands act some samples late.",
         "",
-        {"samples": EffectParameter("1", "whole samples", (0.0, 20.0), 1.0, None, NOT_NEGATIVE, _BUFFERS)},
+        {"samples": EffectParameter("1", "whole samples", (0.0, 20.0), 1.0, None, NOT_NEGATIVE, (1.0,))},
         cause="the time of computing, buffers of converters and drivers, a network",
         remedy="predict the state by the delay before computing the command, or raise the rate",
         source="Astrom and Wittenmark (1997), Computer-Controlled Systems, section 3.5",

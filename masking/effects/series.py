@@ -13,7 +13,7 @@ _GAP = EffectParameter(
     "D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE, (0.02, 0.05, 0.15, 0.3, 0.5, 0.8, 1.2)
 )
 SOFT = 0.02  # of the largest displacement
-_TIMES = (3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)  # s, half-decades
+_TIMES = (0.06, 0.2, 0.6, 2.0, 6.0, 20.0)  # of the time of the motion, half-decades
 _REACH = "(d - z - min(max(d - z, -gap/2), gap/2))"  # how far a pin is beyond the gap of its slider
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -170,6 +171,24 @@ class Data:
             return self.commands
         first = np.repeat(self.commands[:1], self.delay, axis=0)
         return np.concatenate([first, self.commands[: -self.delay]])
+
+    def counted(self, late: float = 0.0) -> Array:
+        """Return the readings (m, sensors), not a number where they come from commands before the record.
+
+        Args:
+            late: delay of commands beyond that of the plant, s.
+        """
+        unknown = self.delay + math.ceil(late * self.rate)
+        return np.where(np.arange(len(self))[:, None] < unknown, np.nan, self.readings)
+
+    def residuals(self, simulated: Array, late: float = 0.0) -> Array:
+        """Return measured less simulated (m, sensors), 0 for readings that are not counted.
+
+        Args:
+            simulated: readings (m, sensors).
+            late: delay of commands beyond that of the plant, s.
+        """
+        return np.nan_to_num(self.counted(late) - simulated)
 
     def __len__(self) -> int:
         return len(self.readings)

@@ -46,8 +46,8 @@ class Simulated:
 
     @property
     def residual(self) -> Array:
-        """Return measured less simulated (m, sensors)."""
-        return np.asarray(self.record.readings - self.readings)
+        """Return measured less simulated (m, sensors), 0 where commands from before the record act."""
+        return self.record.residuals(self.readings)
 
     @property
     def chi(self) -> dict[str, float]:

@@ -235,7 +235,8 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel) -> Kernel:
         longer finite. Every `interval` samples (multiple shooting) the motion starts again at a row of `starts`
         (intervals, n), where the states `free` may have any value, each with a column of S at the end; each shooting
         interval has `width` rows of `matrix` (J^T W J, its lower triangle) and entries of `gradient` (J^T W r).
-        `squares` gets squared residuals (sensors,), `simulated` the readings. States beyond n go on from one interval
+        `squares` gets squared residuals (sensors,), `simulated` the readings. A reading that is not a number counts
+        for nothing. States beyond n go on from one interval
         to the next. `read_work` is work space of `read`.
     """
     advance = runge_kutta_4(flow)
@@ -273,10 +274,12 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel) -> Kernel:
                 restart(window, free, starts, y, columns)
             read(t, dt, y, columns, commands, index, is_linear, given, s, rows, read_work)
             for o in range(sensors):
-                residual = readings[index, o] - s[o]
-                if not math.isfinite(residual):
+                if not math.isfinite(s[o]):
                     return 1
                 simulated[index, o] = s[o]
+                residual = readings[index, o] - s[o]
+                if math.isnan(residual):
+                    continue
                 squares[o] += residual * residual
                 for i in range(width):
                     weighted = weights[o] * rows[o, i]

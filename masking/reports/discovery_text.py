@@ -22,12 +22,14 @@ TAKEN = 0.2  # of the power that a force could take out of the motion, from whic
 LEAST = 0.05  # part of a law, from which a term is stated
 SHOWN = 0.01  # probability from which an alternative is stated
 SURE = 2.0  # deviations of a parameter from which it is stated in a sentence
-# Of its deviations: a larger move of a parameter is stated; of those of its prior: a smaller one is credible.
-MOVED = 3.0
+MOVED = 3.0  # of its deviations: a larger move of a parameter is stated; of those of its prior: a smaller one is held
 APART = 0.02  # of its declared value by which it moved then
 LOST = 0.9  # part of a reading that is left, from which the model is said not to follow it
 LARGER = 1.05  # times the record's own peak, from which that of an experiment is stated
 MANY = 10.0  # relative error from which it is not given as a number
+EARLY = (
+    "The search ended early, with as much work as it may do: a part of the record, or fewer --parameters, leave more"
+)
 CHECK = "check units, columns and signs of the record against the model"
 NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured input is the rate of which"
 
@@ -59,7 +61,8 @@ def sentence(found: Discovery) -> str:
         pause = "," if ", " in what else ""
         first = f"{capital(what)}{pause} {'is' if len(found.effects) == 1 else 'are'} missing"
         sentences = [first, hardly(found), gap(found), moved(found)]
-    return ". ".join(filter(None, [units_of_channels(found), *sentences, withheld(found), measured(found)]))
+    sentences += [withheld(found), EARLY if found.problem.work.is_cut else "", measured(found)]
+    return ". ".join(filter(None, [units_of_channels(found), *sentences]))
 
 
 def units_of_channels(found: Discovery) -> str:
@@ -202,14 +205,11 @@ def moved(found: Discovery) -> str:
         if those:
             every = {1: f"{how} its prior uncertainty", 2: f"both {how} their prior uncertainty"}
             sentences.append(f"{'; '.join(those)}, {every.get(len(those), f'all {how} their prior uncertainty')}")
-    errors = [cause(found, one) for one in found.imperfections if _is_seen(one)]
+    pairs = [(one, *value) for one in found.imperfections for value in one.parameters.values()]
+    errors = [cause(found, one) for one, value, std in pairs if abs(value) > MOVED * std]
     sentences += [f"{'; '.join(errors)}, small errors that a rig has"] if errors else []
     far = any(not held and not 0.5 < value / start < 2.0 for value, start, held in adjusted(found).values() if start)
     return f"Adjusted: {'; '.join(sentences)}{f': {CHECK}' if far else ''}" if sentences else ""
-
-
-def _is_seen(imperfection: Named) -> bool:
-    return all(abs(value) > MOVED * std for value, std in imperfection.parameters.values())
 
 
 def beyond(value: float, declared: float) -> str:

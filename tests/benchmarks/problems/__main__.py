@@ -96,7 +96,8 @@ def outcome(seed: int) -> Outcome:
 
 def _answered(made: Outcome, problem: Problem, found: Discovery) -> Outcome:
     """Return an outcome with an answer."""
-    causes = [(one.name, one.on) for one in found.effects if one.name != "quantisation"]
+    names = {*found.twin.dictionary} - {"quantisation"}
+    causes = [(one.name, one.on) for one in found.effects if one.name in names]
     words = f"{found.verdict}: {' + '.join(f'{name} at {on}' for name, on in causes) or 'nothing'}"
     if found.law is not None:
         words += f"; law in {found.law.place}"
