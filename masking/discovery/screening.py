@@ -193,6 +193,8 @@ class Screen:
             left[: len(rows)] -= rows
         step = self._back @ (self.taken.T @ left)
         theta, start = self.base.theta, self.base.start.copy()
+        if not np.isfinite(step).all():  # the motion runs away along an effect
+            return theta, start
         free = [*self.rig.twin.free]
         start[:, free] += step[len(theta) : len(theta) + len(start) * len(free)].reshape(len(start), len(free))
         return np.clip(theta + step[: len(theta)], self.bounds.low, self.bounds.high), start
