@@ -53,8 +53,7 @@ def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> tuple
     if not trial.is_shown and (is_settled or not trial.is_likely):
         return found, known
     tell("small errors of sensors and actuators are adjusted", 0.0)
-    fresh = replace(problem, work=Work(problem.work.most))
-    again, wider = _in_problem(Search(with_imperfections(fresh), tell), substeps)
+    again, wider = _in_problem(Search(with_imperfections(problem), tell), substeps)
     is_better = not _is_complete(known, found) or _last(again).score(1.0) < _last(found).score(1.0)
     if _is_complete(wider, again) and (trial.is_shown or is_better):
         return again, wider
@@ -143,7 +142,7 @@ def _is_complete(problem: EstimationProblem, found: SearchResult) -> bool:
 
 
 def with_imperfections(problem: EstimationProblem) -> EstimationProblem:
-    """Return a problem in which the imperfections of sensors and actuators are adjusted, too."""
+    """Return a problem in which imperfections of sensors and actuators are adjusted, too, and its work begins anew."""
     pairs = [*_imperfections(problem)]
     instances, sizes = tuple(one for one, _ in pairs), np.array([size for _, size in pairs])
     prior, most = problem.prior, MOST * sizes
@@ -155,7 +154,8 @@ def with_imperfections(problem: EstimationProblem) -> EstimationProblem:
         low=np.concatenate([prior.low, least]),
         high=np.concatenate([prior.high, most]),
     )
-    return replace(problem, rig=replace(problem.rig, imperfections=instances), prior=wider)
+    rig, work = replace(problem.rig, imperfections=instances), Work(problem.work.most)
+    return replace(problem, rig=rig, prior=wider, work=work)
 
 
 def _imperfections(problem: EstimationProblem) -> Iterator[tuple[EffectInstance, float]]:
