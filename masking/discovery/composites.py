@@ -28,6 +28,18 @@ def are_composite(causes: Sequence[Key], rig: AugmentedModel, rules: DecisionRul
     return verdict.is_composite(laws, rules)
 
 
+def share_a_place(causes: Sequence[Key], rig: AugmentedModel) -> bool:
+    """Return whether two forces of an explanation act at one place, which may stand for a single law.
+
+    Args:
+        causes: the effect and the place of each.
+        rig: the rig.
+    """
+    known = rig.twin.dictionary
+    seats = [_seat(rig, at) for name, at in causes if name in known and known[name].where == "element"]
+    return len({*seats}) < len(seats)
+
+
 def _seat(rig: AugmentedModel, name: str) -> str:
     """Return the element that a coordinate is of alone; what is no such coordinate itself."""
     if not any(place.name == name and place.coordinate and not place.declared for place in rig.places):

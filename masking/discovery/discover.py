@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from masking.discovery import calibration, directed, fitting, imperfections, shooting, unit_check, verdict
 from masking.discovery.augmented_model import AugmentedModel
-from masking.discovery.composites import are_composite
+from masking.discovery.composites import are_composite, share_a_place
 from masking.discovery.discovery import Discovery, Named, SimulationError, Withheld
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis, by_instance
@@ -124,7 +124,7 @@ def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     """Return a discovery with the probability that no name is right, and with the law without a name where it is not.
 
     Where the names leave so much more than noise that it could explain, that law is fitted, as their rival; also where
-    they leave a little more, for a closed form may explain that with no more numbers.
+    they leave a little more or two act at one place, for a closed form may do as well with no more numbers.
 
     Args:
         found: the discovery.
@@ -137,7 +137,8 @@ def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     law, left, better = None, _left(found), -np.inf
     size, rules = found.problem.record.readings.size, found.problem.rules
     is_open = found.verdict == "unknown" or (calibration.matters(left) and not found.closed)
-    if is_open or found.explanation.cost > (1.0 + rules.screen_resolution) * size:
+    are_two = share_a_place(found.explanation.names, found.problem.rig)
+    if is_open or are_two or found.explanation.cost > (1.0 + rules.screen_resolution) * size:
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps)
         if law is not None:
@@ -238,7 +239,7 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
         found = replace(found, steps=tuple(_reordered(step, problem, validation) for step in found.steps))
         rivals = _needed(found, validation, adjusted)
         tempering = problem.tempering(rivals[0].hypothesis.residuals)
-        is_demoted = verdict.is_demoted([_scored(rival, problem, tempering) for rival in rivals], size, rules)
+        is_demoted = verdict.is_demoted(_scored(rivals, problem, tempering), size, rules)
         if is_demoted:
             rivals = tuple(sorted(rivals, key=lambda rival: rival.score(tempering)))
         rivals, chosen, after, withheld = _no_worse((rivals, (found.base,), (declared,)), problem, validation, before)
@@ -253,7 +254,7 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
         _floor(validation),
         _chi(validation, adjusted),
     )
-    scored = [_scored(rival, problem, tempering) for rival in rivals]
+    scored = _scored(rivals, problem, tempering)
     decision = verdict.decide(scored, unexplained, size, rules, composite=are_composite(chosen.names, rig, rules))
     effects, rounded = (
         _causes(rig, (chosen, *rivals[1:]), tempering, scored, rules),
@@ -385,7 +386,22 @@ def _plain(explanation: Explanation) -> Scored:
     return Scored(explanation.kind, explanation.names, explanation.cost, absorbed=absorbed, unique=explanation.unique)
 
 
-def _scored(explanation: Explanation, problem: EstimationProblem, tempering: float) -> Scored:
+def _scored(rivals: Sequence[Explanation], problem: EstimationProblem, tempering: float) -> list[Scored]:
+    """Return explanations as plain data; those that the records cannot tell from the first have its score.
+
+    These have as many parameters and cost as much: only the units of their ranges would tell them apart, such as those
+    of a constant force and of an offset of its sensor.
+    """
+    found = [_one_scored(rival, problem, tempering) for rival in rivals]
+    first, *fits = [rival.joint or rival.hypothesis for rival in rivals]
+    for i, fit in enumerate(fits, 1):
+        is_same = abs(fit.cost - first.cost) < problem.rules.indifferent * tempering
+        if is_same and found[i].kind == found[0].kind and len(fit.added) == len(first.added):
+            found[i] = replace(found[i], score=found[0].score)
+    return found
+
+
+def _one_scored(explanation: Explanation, problem: EstimationProblem, tempering: float) -> Scored:
     """Return an explanation as plain data, with its score and the estimates of its last cause."""
     rig, estimates = problem.rig, _estimates(problem.rig, explanation, tempering)
     usual = rig.start[rig.names.index(explanation.names[0][0])] if explanation.kind == "parameter" else 0.0

@@ -88,8 +88,8 @@ def next_experiment(
 ) -> NextExperiment | None:
     """Return the excitation, of those that are tried, that separates two explanations best.
 
-    A component is moved as far, and its rate is that of this displacement; None where it is not known which measured
-    input is the rate of which.
+    A component is moved as far, and its rate is that of this displacement; None of a rig without inputs, and where it
+    is not known which measured input is the rate of which.
 
     Args:
         problem: the record that leaves them open.
@@ -100,7 +100,7 @@ def next_experiment(
     """
     best: NextExperiment | None = None
     rates = _rates(problem.rig)
-    if rates is None:
+    if rates is None or not problem.rig.twin.actuators:
         return None
     size = np.abs(problem.record.commands).max(axis=0)
     most = np.maximum(FACTORS[-1] * size, 1e-12) if limits is None else limits

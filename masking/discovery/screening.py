@@ -27,7 +27,7 @@ from masking.numerics.arrays import Array, IntVector
 # Double precision: singular values of columns beside prior rows, parts of squares, and normal equations, over the
 # largest: smaller ones are rounding.
 RANK, ROUNDING, COLLINEAR = 1e-9, 1e-12, 1e-10
-HUGE = 1e9  # standard deviations: beyond any force that a rig can be under
+HUGE = 1e100  # standard deviations for a unit of a factor, whatever the unit: squares of larger ones overflow
 KEPT = 4e7  # numbers of what candidates do along a motion that are kept for the next screen of it
 
 

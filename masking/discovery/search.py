@@ -436,7 +436,7 @@ class Search:
     def _added(
         self, now: Explanation, scores: Sequence[Score], screen: Screen, known: Explanation | None, rival: float
     ) -> Explanation:
-        """Return a fit with more effects, from parameters as they are or as screening has them, or as it is known.
+        """Return a fit with more effects, from parameters as they are, declared or screened, or as it is known.
 
         Where that ends worse than without them, as where a resonance is sharp, it begins again with less of them.
         """
@@ -452,8 +452,8 @@ class Search:
             return Explanation("effects", names, found, unique)
 
         if known is None:
-            around = screen.around([score.instance for score in scores])
-            found = begun(ready, min((here, around), key=partial(cost, ready)))
+            around, declared = screen.around([score.instance for score in scores]), (self.problem.prior.mean, here[1])
+            found = begun(ready, min((here, around, declared), key=partial(cost, ready)))
         else:
             found = replace(known, hypothesis=fitting.repeated(self.problem, known.hypothesis, rival))
         if found.hypothesis.cost <= now.hypothesis.cost:
@@ -466,10 +466,11 @@ class Search:
         return partial(self._added, now, scores, screen, None)
 
     def _ready(self, score: Score) -> EffectInstance:
-        """Return the instance of a score as a fit begins with it: what sticks, with the step of integration."""
+        """Return the instance of a score that a fit begins with, not excluded; what sticks, with the step."""
         rig, step = self.problem.rig, self.problem.dt / self.problem.substeps
-        at = score.instance.at
-        return score.instance.at_step(rig.mobilities[at], step) if score.candidate.sticks else score.instance
+        every = (score.instance, *score.candidate.instances[::-1])
+        first = next((one for one in every if not is_excluded(self.problem, [one])), score.instance)
+        return first.at_step(rig.mobilities[first.at], step) if score.candidate.sticks else first
 
     def _freed(self, now: Explanation, index: int, rival: float) -> Explanation:
         names = ((self.problem.rig.names[index], ""),)

@@ -16,7 +16,7 @@ _WIDROW = "Widrow and Kollar (2008), Quantization Noise, ch. 1"
 _SAMPLED = "raise the resolution of the converter or amplify the signal to fill its range; the observer smooths it"
 
 # Values from which fits start.
-_CLIPPED = (0.3, 0.5, 0.7, 0.85, 0.95)  # denser near the peak, where few samples are cut off
+_CLIPPED = (0.8, 0.9, 0.97, 1.0)  # what is clipped reads the limit, and its noise
 _LIMITS = (0.3, 0.45, 0.6, 0.75, 0.9)  # beyond 1 nothing is cut off
 _ZONES = (0.01, 0.03, 0.08, 0.2)  # half-decades
 _LAGS = (0.02, 0.1, 0.4)  # of the time of the motion: a filter or amplifier, a coil under voltage, and a slow drive

@@ -31,6 +31,7 @@ EARLY = (
     "The search ended early, with as much work as it may do: a part of the record, or fewer --parameters, leave more"
 )
 CHECK = "check units, columns and signs of the record against the model"
+NO_INPUTS = "no experiment is proposed, since the model has no inputs"
 NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured input is the rate of which"
 
 
@@ -224,7 +225,7 @@ def experiment(found: Discovery) -> str:
     """Say which experiment would decide between the causes that the record leaves open."""
     coming = found.next_experiment
     if coming is None:
-        return NO_EXPERIMENT
+        return NO_EXPERIMENT if found.twin.actuators else NO_INPUTS
     one, other = (spoken(found, *rival.names[-1]) for rival in found.rivals[:2])
     if not coming.separates:
         return f"no excitation that was tried can tell {one} from {other}"
