@@ -33,6 +33,11 @@ class Named:
     probability: float
     alternatives: tuple[tuple[str, str, float], ...] = ()
 
+    @property
+    def deviates(self) -> float:
+        """Return the standard deviations by which the surest of its parameters differs from 0."""
+        return max((abs(value) / std for value, std in self.parameters.values() if std > 0.0), default=0.0)
+
     def as_dict(self) -> dict[str, Any]:
         """Return the cause as JSON can hold it."""
         return {

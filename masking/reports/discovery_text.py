@@ -206,9 +206,7 @@ def moved(found: Discovery) -> str:
         if those:
             every = {1: f"{how} its prior uncertainty", 2: f"both {how} their prior uncertainty"}
             sentences.append(f"{'; '.join(those)}, {every.get(len(those), f'all {how} their prior uncertainty')}")
-    errors = [
-        cause(found, one) for one in found.imperfections for x, s in one.parameters.values() if abs(x) > MOVED * s
-    ]
+    errors = [cause(found, one) for one in found.imperfections if one.deviates > MOVED]
     sentences += [f"{'; '.join(errors)}, small errors that a rig has"] if errors else []
     far = any(not held and not 0.5 < value / start < 2.0 for value, start, held in adjusted(found).values() if start)
     return f"Adjusted: {'; '.join(sentences)}{f': {CHECK}' if far else ''}" if sentences else ""
