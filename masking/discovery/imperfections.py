@@ -142,7 +142,7 @@ def _is_complete(problem: EstimationProblem, found: SearchResult) -> bool:
 
 
 def with_imperfections(problem: EstimationProblem) -> EstimationProblem:
-    """Return a problem in which imperfections of sensors and actuators are adjusted, too, with its own count of work."""
+    """Return a problem in which imperfections are adjusted, too, with a count of work of its own."""
     pairs = [*_imperfections(problem)]
     instances, sizes = tuple(one for one, _ in pairs), np.array([size for _, size in pairs])
     prior, most = problem.prior, MOST * sizes
