@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -56,7 +56,9 @@ class Ground:
         return Screen(problem, looked_at, self.motion, found, taken=taken, along=self.along)
 
     def screened(self, problem: EstimationProblem, now: Explanation) -> tuple[Screen, list[Score]]:
-        """Return the screen in which a candidate leaves least, with the scores: of the model or of what is found.
+        """Return the screen in which a candidate takes most, of the model or of what is found, and the scores.
+
+        Of the fit and of the model as declared, each candidate has the score in the screen of which it takes more.
 
         Args:
             problem: the record and the rig.
@@ -68,7 +70,14 @@ class Ground:
         if now.cost < max(problem.rules.small_residual * size, screens[0].total):
             screens = [self.screen(problem, now.hypothesis, instances, taken=True)]
         scored = [(screen, screen.scores(self.every)) for screen in screens]
-        return min(scored, key=lambda pair: pair[0].total - max((score.gain for score in pair[1]), default=0.0))
+        screen, scores = max(scored, key=lambda pair: pair[1][0].gain / (pair[0].total or np.inf) if pair[1] else 0.0)
+        best = {id(score.candidate): score for score in scores}
+        for other, others in scored:
+            for score in others:
+                gain = screen.total * score.gain / (other.total or np.inf)
+                if gain > best[id(score.candidate)].gain:
+                    best[id(score.candidate)] = replace(score, gain=gain)
+        return screen, sorted(best.values(), key=lambda score: -score.gain)
 
 
 def far_off(problem: EstimationProblem, fit: Hypothesis) -> Hypothesis | None:

@@ -28,6 +28,7 @@ from masking.numerics.arrays import Array, IntVector
 # largest: smaller ones are rounding.
 RANK, ROUNDING, COLLINEAR = 1e-9, 1e-12, 1e-10
 HUGE = 1e100  # standard deviations for a unit of a factor, whatever the unit: squares of larger ones overflow
+LIGHTEST = 0.7  # of a mass: most that an inertia may take away
 KEPT = 4e7  # numbers of what candidates do along a motion that are kept for the next screen of it
 
 
@@ -334,6 +335,9 @@ class Screen:
             instance = instance.with_values(scaled_by, factors[0] * np.array([instance.values[i] for i in scaled_by]))
         else:
             box = bounds([replace(instance, free=candidate.factors)])
+            if instance.entry.is_inertia:  # a mass that is left is positive
+                lightest = LIGHTEST / max(self.rig.mobilities.get(instance.at, 0.0), 1e-300)
+                box = replace(box, low=np.maximum(box.low, -lightest))
             if (factors < box.low).any():
                 if (factors <= 0.0).all() and (box.low >= 0.0).any():
                     return nothing
