@@ -96,13 +96,13 @@ def outcome(seed: int) -> Outcome:
 
 def _answered(made: Outcome, problem: Problem, found: Discovery) -> Outcome:
     """Return an outcome with an answer."""
-    names = {*found.twin.dictionary} - {"quantisation"}
-    causes = [(one.name, one.on) for one in found.effects if one.name in names]
+    named = [one for one in found.effects if one.name != "quantisation"]
+    causes = [(one.name, one.on) for one in named if one.name in found.twin.dictionary]
     words = f"{found.verdict}: {' + '.join(f'{name} at {on}' for name, on in causes) or 'nothing'}"
     if found.law is not None:
         words += f"; law in {found.law.place}"
     is_open = found.verdict == "unknown"
-    said = found.effects[-1].probability if found.effects else None
+    said = named[-1].probability if named else None
     floor = found.simulation_error.validation_noise_floor
     before, after = found.simulation_error.validation
     after = after if found.law is None else found.law.error[1]
