@@ -105,6 +105,7 @@ def test_what_names_leave_makes_none_of_them_likelier():
     assert values[0] == calibration.LEAST
     assert calibration.none_of_these(calibration.HALF) == pytest.approx(0.5 * (1.0 + calibration.LEAST))
     assert calibration.none_of_these(0.0, refused=True) > calibration.LIKELIER
+    assert calibration.none_of_these(0.0, shared=True) == calibration.SHARED
 
 
 def test_what_leaves_hardly_anything_has_no_rival():

@@ -143,7 +143,8 @@ def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
         law = law_of(found, found.validation, substeps)
         if law is not None:
             left, better = law.unexplained(found), evidence(found, found.after, law) - rules.effect_evidence
-    none = calibration.none_of_these(left if is_open else 0.0, better, refused=found.verdict == "unknown")
+    refused = found.verdict == "unknown"
+    none = calibration.none_of_these(left if is_open else 0.0, better, refused=refused, shared=are_two)
     at = len(found.explanation.hypothesis.instances) - 1
     last = found.effects[at]
     others = tuple((name, on, part * (1.0 - none)) for name, on, part in last.alternatives)
