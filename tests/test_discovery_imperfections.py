@@ -60,6 +60,16 @@ def test_slopes_by_imperfections_are_those_of_differences(problem):
         assert slopes[i] == pytest.approx((cost(theta + step) - cost(theta - step)) / (2.0 * step[i]), rel=2e-2), i
 
 
+def test_a_rig_in_which_other_effects_are_tried_has_its_imperfections(problem):
+    """As where a closed form is tried in the place of the dictionary."""
+    wider = with_imperfections(problem)
+    other = replace(wider, rig=replace(wider.rig, tried=(wider.rig.twin.dictionary["hardening_spring"],)))
+    start, theta = wider.rig.rest[None, :], wider.prior.mean + wider.prior.deviation
+    law = EffectInstance("hardening_spring", "spring1", (1e6,), (0,))
+    simulated = [one.equations(theta, start, [law], np.array([1e6])).simulated for one in (wider, other)]
+    np.testing.assert_allclose(*simulated, rtol=1e-12)
+
+
 def test_many_imperfections_are_adjusted_beside_a_law_and_written(tmp_path):
     case = Case(3, "hardening_spring", REAL, RATE, 12.0)
     twin, record = record_of(case, tmp_path)

@@ -187,7 +187,8 @@ class AugmentedModel:
     @cached_property
     def laws(self) -> dict[str, Effect]:
         """Return the effects that can be tried, in the order of their numbers."""
-        return laws.known({one.name: one for one in self.tried} or {**self.twin.dictionary, **laws.BASES})
+        tried = {one.name: one for one in self.tried} or {**self.twin.dictionary, **laws.BASES}
+        return laws.known({one.effect: one.entry for one in self.imperfections} | tried)
 
     @property
     def places(self) -> tuple[Place, ...]:
@@ -272,13 +273,12 @@ class AugmentedModel:
     @cached_property
     def start(self) -> Array:
         """Return the declared values of the parameters (k,), in declared units; those of imperfections come last."""
-        own = [value for one in self.imperfections for value in one.estimated]
-        return np.concatenate([self._sensitivity.start()[: len(self.names)], own])
+        return np.append(self._sensitivity.start()[: len(self.names)], [one.estimated for one in self.imperfections])
 
     def imperfect(self, theta: Array) -> list[EffectInstance]:
         """Return the imperfections with their values among those of all parameters (k,)."""
         values = theta[len(self.names) :]
-        return [one.with_values(one.free, (value,)) for one, value in zip(self.imperfections, values, strict=True)]
+        return [one.with_values(one.free, (x,)) for one, x in zip(self.imperfections, values, strict=True)]
 
     @property
     def bounds(self) -> tuple[Array, Array]:
