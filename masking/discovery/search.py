@@ -117,7 +117,7 @@ class Search:
         ground = Ground(base, far_off(self.problem, plain), motion, every)
         search = self.finer(substeps or self.problem.substeps)
         found = search._searched(ground)
-        while found.problem and found.problem.substeps > search.problem.substeps and not self.problem.work.ends():
+        while found.problem and found.problem.substeps > search.problem.substeps:
             search = self.finer(found.problem.substeps)
             self.tell(f"with {search.problem.substeps} steps between samples", 0.3)
             found = search._searched(ground)
