@@ -201,10 +201,10 @@ def test_two_lines_reach_their_closed_form():
 @pytest.mark.parametrize(("lines", "bar"), [(25, 1.40), (50, 1.45)])
 def test_flat_lines_reach_a_small_crest_factor_in_time(lines, bar):
     """The document reached 1.4838 with 25 lines and, with 50, stopped at p = 2."""
-    began = time.monotonic()
+    began = time.process_time()
     found = minimise_crest(flat(lines), starts=100)
     assert crest_factor(found) <= bar
-    assert time.monotonic() - began < 10.0
+    assert time.process_time() - began < 10.0
     dense = np.abs(found.sample(np.linspace(0.0, 1.0, 200_001))).max()
     assert dense / math.sqrt(lines / 2) <= bar
 

@@ -23,7 +23,7 @@ from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.search import Search, SearchResult, Tell
 from masking.discovery.work import Work
-from masking.effects import DELAY
+from masking.effects import DELAY, GAINS_AND_ZEROS
 
 GAIN = 0.02  # standard deviation of the gain of a sensor or an actuator, relative
 OFFSET = 0.02  # that of its zero, in parts of its rms
@@ -31,7 +31,6 @@ LATE = 1.0  # that of the time by which all actuators are late, in samples
 MOST = 3.0  # standard deviations: what is larger is a cause
 FEW = 2  # imperfections that are left to be causes
 TRIED = 3  # explanations of the first round that are fitted with all imperfections
-NAMES = ("sensor_gain", "sensor_offset", "actuator_gain", "actuator_offset")
 
 
 def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> tuple[SearchResult, EstimationProblem]:
@@ -102,7 +101,7 @@ class _Trial:
 
 def _laws(explanation: Explanation) -> int:
     """Return the number of causes that are no imperfections."""
-    return sum(name not in {*NAMES, DELAY.name} for name, _ in explanation.names)
+    return sum(name not in {*GAINS_AND_ZEROS, DELAY.name} for name, _ in explanation.names)
 
 
 def _last(found: SearchResult) -> Explanation:
@@ -161,8 +160,8 @@ def with_imperfections(problem: EstimationProblem) -> EstimationProblem:
 def _imperfections(problem: EstimationProblem) -> Iterator[tuple[EffectInstance, float]]:
     """Give each imperfection with the standard deviation of its prior; inputs that are a measured motion have none."""
     twin, record = problem.rig.twin, problem.record
-    sensors = zip(twin.sensors, record.readings.T, itertools.repeat(NAMES[:2]))
-    actuators = zip(twin.actuators, record.commands.T, itertools.repeat(NAMES[2:]))
+    sensors = zip(twin.sensors, record.readings.T, itertools.repeat(GAINS_AND_ZEROS[:2]))
+    actuators = zip(twin.actuators, record.commands.T, itertools.repeat(GAINS_AND_ZEROS[2:]))
     for at, values, (gain, offset) in (*sensors, *actuators):
         if at not in twin.measured_actuators:
             yield EffectInstance(gain, at, (0.0,), (0,)), GAIN

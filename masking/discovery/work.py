@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from threading import Lock
 
-MOST_STEPS = 3e7  # times states: about a minute on one core
-FEWEST_RUNS = 300  # of a record, however long it is
+MOST_STEPS = 5e7  # times states: about a minute on one core
+FEWEST_RUNS = 2000  # of a record, however long it is
 STIFF = 4.0  # steps within a step, where a contact sticks
 
 

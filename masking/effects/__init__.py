@@ -10,7 +10,18 @@ Imports: declaration.
 """
 
 from masking.effects.attachment import Attachment, Setting, attach, attach_all, expressions, find, parameters, unit_of
-from masking.effects.dictionary import DELAY, EFFECTS, FORCE, LATE, OFFSET, ROUNDING, dictionary, load, own
+from masking.effects.dictionary import (
+    DELAY,
+    EFFECTS,
+    FORCE,
+    GAINS_AND_ZEROS,
+    LATE,
+    OFFSET,
+    ROUNDING,
+    dictionary,
+    load,
+    own,
+)
 from masking.effects.entry import (
     FAMILIES,
     SATURATION,
@@ -27,6 +38,7 @@ __all__ = [
     "EFFECTS",
     "FAMILIES",
     "FORCE",
+    "GAINS_AND_ZEROS",
     "LATE",
     "OFFSET",
     "ROUNDING",

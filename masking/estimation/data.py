@@ -179,7 +179,9 @@ class Data:
             late: delay of commands beyond that of the plant, s.
         """
         unknown = self.delay + math.ceil(late * self.rate)
-        return np.where(np.arange(len(self))[:, None] < unknown, np.nan, self.readings)
+        counted = np.array(self.readings, dtype=float, order="C")
+        counted[:unknown] = np.nan
+        return counted
 
     def residuals(self, simulated: Array, late: float = 0.0) -> Array:
         """Return measured less simulated (m, sensors), 0 for readings that are not counted.
