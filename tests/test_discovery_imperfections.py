@@ -7,10 +7,11 @@ import pytest
 
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.discover import discover
-from masking.discovery.imperfections import GAIN, NAMES, with_imperfections
+from masking.discovery.imperfections import GAIN, with_imperfections
 from masking.discovery.prior import prior_of
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.settings import DiscoverySettings
+from masking.effects import GAINS_AND_ZEROS
 from masking.estimation.data import Data
 from masking.reports import discovery_text
 from masking.workflows import inputs
@@ -37,7 +38,7 @@ def problem(tmp_path):
 def test_readings_with_imperfections_are_those_of_the_rig_with_these_effects(problem):
     """A gain and a zero of the sensor and of the actuator, by hand; the rig is linear and at rest before."""
     wider = with_imperfections(problem)
-    assert [one.effect for one in wider.rig.imperfections] == [*NAMES, "delay"]
+    assert [one.effect for one in wider.rig.imperfections] == [*GAINS_AND_ZEROS, "delay"]
     start, theta = wider.rig.rest[None, :], wider.prior.mean.copy()
     theta[-5:-1] = 0.03, 2e-4, -0.02, 0.1
     pushed = replace(problem, record=replace(problem.record, commands=0.98 * problem.record.commands + 0.1))
