@@ -86,7 +86,7 @@ def discover(
     noise = noise_of(twin, unseen)
     found = _explained(problem, unseen, noise, say)
     if settings.shooting_interval is None and not problem.interval and _loses_phase(found):
-        problem = replace(problem, work=Work.allowed(len(train), len(twin.state_names)))
+        problem = problem.uncounted()
         for seconds in shooting.shorter(whole):
             say(f"the motion loses phase with the record: in shooting intervals of {seconds:.2g} s", 0.0)
             again = _explained(replace(problem, interval=shooting.interval(whole, seconds)), unseen, noise, say)

@@ -22,7 +22,6 @@ from masking.discovery.explanation import Explanation, fitted
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.search import Search, SearchResult, Tell
-from masking.discovery.work import Work
 from masking.effects import DELAY, GAINS_AND_ZEROS
 
 GAIN = 0.02  # standard deviation of the gain of a sensor or an actuator, relative
@@ -57,7 +56,7 @@ def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> tuple
     if _is_complete(wider, again) and (trial.is_shown or is_better):
         return again, wider
     if trial.is_shown:  # the first search ended early
-        found, known = _in_problem(Search(replace(problem, work=Work(problem.work.most)), tell), substeps)
+        found, known = _in_problem(Search(problem.uncounted(), tell), substeps)
         if not _is_complete(known, found) and _last(again).cost < _last(found).cost:
             return again, wider
     return found, known
@@ -153,8 +152,7 @@ def with_imperfections(problem: EstimationProblem) -> EstimationProblem:
         low=np.concatenate([prior.low, least]),
         high=np.concatenate([prior.high, most]),
     )
-    rig, work = replace(problem.rig, imperfections=instances), Work(problem.work.most)
-    return replace(problem, rig=rig, prior=wider, work=work)
+    return replace(problem.uncounted(), rig=replace(problem.rig, imperfections=instances), prior=wider)
 
 
 def _imperfections(problem: EstimationProblem) -> Iterator[tuple[EffectInstance, float]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -41,6 +41,10 @@ class EstimationProblem:
     interval: int = 0
     rules: DecisionRules = RULES
     work: Work = field(default_factory=partial(Work, np.inf), compare=False)
+
+    def uncounted(self) -> EstimationProblem:
+        """Return the problem with a count of work of its own, which may be as much."""
+        return replace(self, work=Work(self.work.most))
 
     @property
     def interval_samples(self) -> int:

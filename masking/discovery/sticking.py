@@ -8,7 +8,6 @@ least the other frictions that stick, from there.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 
 from masking.discovery import fitting, verdict
 from masking.discovery.augmented_model import EffectInstance
@@ -17,7 +16,6 @@ from masking.discovery.explanation import Explanation, Job
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.ground import Ground
 from masking.discovery.problem import EstimationProblem
-from masking.discovery.work import Work
 
 # Levels of a law that has two, in parts of that of dry friction, which lies between them.
 LEVELS = ((1.0, 1.5), (0.7, 1.1), (0.5, 1.0))
@@ -42,7 +40,7 @@ def fits(
     begun = ground.declared
     if begun is None or not _leaves_much(problem, now, found):
         return []
-    problem = replace(problem, work=Work(problem.work.most))  # few fits, beside those that a search may do
+    problem = problem.uncounted()  # few fits, beside those that a search may do
     simple = [one for one in ground.every if one.sticks and not one.entry.nested]
     scores = ground.screen(problem, begun, ()).scores(simple)
     first = {score.candidate.at: score for score in reversed(scores)}.values()
