@@ -26,7 +26,7 @@ from masking.modelling.model import Model, load_model
 
 PACKAGE = Path(effects.__file__).parent.parent
 IN_ELEMENTS = [name for name, effect in EFFECTS.items() if effect.where == "element"]
-OUTSIDE = [name for name, effect in EFFECTS.items() if effect.where in {"sensor", "actuator"}]
+OUTSIDE = [name for name, effect in EFFECTS.items() if effect.where in {"sensor", "actuator"} and effect.expression]
 LETTERS = {"element": ("d", "d_rate", "d_acc", "t"), "sensor": ("s", "xi"), "actuator": ("u",), "loop": ()}
 SIZES = st.floats(-1.0, 1.0)
 
@@ -72,7 +72,7 @@ class TestDictionary:
         for text in (effect.meaning, effect.cause, effect.remedy, effect.source):
             assert len(text) > 10
         assert any(year.strip("(),;").isdigit() for year in effect.source.split())
-        assert bool(effect.expression) == (effect.where != "loop")
+        assert bool(effect.expression) == (name not in {"delay", "actuator_delay"})
         for entry in effect.parameters.values():
             low, high = entry.prior
             assert low < high
@@ -459,7 +459,9 @@ class TestErrors:
         assert problems(setup.attach, "noise", "spring1") == [
             "spring1: the effect 'noise' sits in a sensor, not in an element of a model; declare it in a plant"
         ]
-        assert problems(effects.expressions, "delay") == ["the effect 'delay' has no expression: it sits in the loop"]
+        assert problems(effects.expressions, "delay") == [
+            "the effect 'delay' has no expression: it makes commands late"
+        ]
 
     def test_labels_that_are_none_or_taken(self, setup):
         assert problems(setup.attach, "constant_force", "beam", label="1a", f0=1.0) == [

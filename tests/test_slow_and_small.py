@@ -75,9 +75,9 @@ def test_an_offset_and_a_constant_force_are_one_to_a_record(tmp_path):
 
 
 def test_readings_of_commands_before_the_record_do_not_count():
-    record = Data("made", 100.0, np.zeros((6, 1)), np.arange(12.0).reshape(6, 2), delay=1)
-    assert np.isnan(record.counted(0.015)).all(axis=1).tolist() == [True] * 3 + [False] * 3
-    assert record.residuals(np.zeros((6, 2)), 0.015)[:, 0].tolist() == [0.0, 0.0, 0.0, 6.0, 8.0, 10.0]
+    record = Data("made", 100.0, np.zeros((6, 1)), np.arange(12.0).reshape(6, 2), late=1.0)
+    assert np.isnan(record.counted(np.array([1.5]))).all(axis=1).tolist() == [True] * 3 + [False] * 3
+    assert record.residuals(np.zeros((6, 2)), np.array([1.5]))[:, 0].tolist() == [0.0, 0.0, 0.0, 6.0, 8.0, 10.0]
 
 
 def test_work_is_counted_in_steps():

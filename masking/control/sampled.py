@@ -409,6 +409,6 @@ class SampledLoop:
         self.twin.add_to(module)
         self.sampled.add_to(module)
         size, work = len(self.twin.state_names), (self.sampled.sizes.work[0], self.width)
-        module.add_factory("step_rig", integrators.runge_kutta_4, "twin_derivative", size, exported=False)
-        module.add_factory("run", sampled_loop.run, "sense", "control", "step_rig", size, work=work)
+        module.add_factory("move_rig", integrators.steps_under_way, "twin_derivative", size, exported=False)
+        module.add_factory("run", sampled_loop.run, "sense", "control", "move_rig", size, work=work)
         return module

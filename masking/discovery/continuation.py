@@ -47,10 +47,8 @@ def parts(stage: EstimationProblem) -> Iterator[EstimationProblem]:
         stage: the problem, in short intervals.
     """
     record, count = stage.record, MOST * stage.interval_samples
-    acting = record.acting
     for begin in range(0, len(record), count):
-        own = slice(begin, begin + count)
-        yield replace(stage, record=replace(record, commands=acting[own], readings=record.readings[own], delay=0))
+        yield replace(stage, record=record.part(begin, begin + count))
 
 
 def loses_phase(problem: EstimationProblem, residuals: Array) -> bool:

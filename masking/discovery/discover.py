@@ -32,7 +32,7 @@ from masking.discovery.verdict import Scored
 from masking.discovery.work import Work
 from masking.effects import ROUNDING
 from masking.errors import IntegrationError
-from masking.estimation.data import Data
+from masking.estimation.data import NOT_LATE, Data
 from masking.estimation.simulation import relative
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
@@ -176,7 +176,7 @@ def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
     if found.record.hold != "zero-order" or not found.twin.actuators:
         return None
     problem, known = found.problem, found.explanation.hypothesis
-    problem = replace(problem, record=replace(found.record, hold="first-order", delay=0))
+    problem = replace(problem, record=replace(found.record, hold="first-order", late=NOT_LATE))
     with threadpool_limits(1), suppress(IntegrationError):
         other = fitting.fit(problem)
         size = found.record.readings.size

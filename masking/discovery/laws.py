@@ -88,7 +88,10 @@ def known(dictionary: Mapping[str, Effect]) -> dict[str, Effect]:
     found = {
         name: effect
         for name, effect in dictionary.items()
-        if effect.where in SUBJECTS and len(effect.states) <= MOST_STATES and len(effect.parameters) <= MOST_PARAMETERS
+        if effect.expression
+        and effect.where in SUBJECTS
+        and len(effect.states) <= MOST_STATES
+        and len(effect.parameters) <= MOST_PARAMETERS
     }
     rates = {name: replace(e, expression=e.takes_rate) for name, e in found.items() if e.takes_rate}
     return {**found, **{rate_of(name): effect for name, effect in rates.items()}, **ALL_TAKEN}

@@ -100,12 +100,12 @@ class EstimationProblem:
         derivatives[n:, k - states : k] = np.eye(states)
         matrices, gradients = np.zeros((intervals * width, width)), np.zeros(intervals * width)
         squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
-        late = float(given.late.max(initial=0.0))
+        late = given.late / self.dt
         status = rig.kernels.run(
             len(record), self.dt, self.substeps, self.interval_samples, is_first_order(record.hold), rig.sizes.table,
             np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives, p, basis,
-            spans(basis), given.table, given.estimated, given.values, given.acts, given.late / self.dt,
-            given.late_columns, np.ascontiguousarray(record.acting), record.counted(late), self.weights, matrices,
+            spans(basis), given.table, given.estimated, given.values, given.acts, record.late + late,
+            given.late_columns, record.commands, record.counted(late), self.weights, matrices,
             gradients, squares, simulated,
         )  # fmt: skip
         if status or not np.isfinite(squares).all() or not np.isfinite(matrices).all():

@@ -57,7 +57,7 @@ def expressions(name: str | Effect) -> tuple[Expression, dict[str, Expression]]:
     """
     effect = find(name)
     if not effect.expression:
-        raise _refusal("", f"the effect '{effect.name}' has no expression: it sits in the loop")
+        raise _refusal("", f"the effect '{effect.name}' has no expression: it makes commands late")
     subject = _SUBJECTS.get(effect.where)
     text = f"on*({effect.expression})" if subject is None else f"{subject} + on*({effect.expression} - {subject})"
     rates = {state: Expression(z.rate, path=f"{effect.name}.{state}") for state, z in effect.states.items()}

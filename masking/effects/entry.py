@@ -139,8 +139,8 @@ class Effect:
     Args:
         name: in declarations and reports.
         meaning: one sentence.
-        expression: of the force of an element, or of the value of a sensor or actuator; '' if it sits in the loop. Of
-            an effect in series, of the displacement that it takes up.
+        expression: of the force of an element, or of the value of a sensor or actuator; '' if it makes commands late.
+            Of an effect in series, of the displacement that it takes up.
         parameters: by their names.
         cause: usual causes on a rig.
         remedy: what helps.

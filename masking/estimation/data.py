@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import get_args
 
@@ -20,6 +20,8 @@ from masking.records.recording import Recording
 from masking.rig.twin import Twin
 
 _RENAMED = {"held": "zero-order", "straight": "first-order", "smooth": "band-limited"}
+
+NOT_LATE = np.zeros(())
 
 _STILL = 4.0  # deviations of the noise: readings that vary by less do not move
 _LINES = (1.0 / 12.0, 1.0 / 90.0, 1.0 / 560.0)  # (asin(x/2)/(x/2))**2 = 1 + x**2/12 + x**4/90 + x**6/560 + ...
@@ -55,7 +57,7 @@ class Data:
         rate: samples per second.
         commands: of the actuators, in their units (m, actuators).
         readings: of the sensors, in their units (m, sensors).
-        delay: samples after which a command acts.
+        late: samples after which a command of each actuator acts (actuators,), or one number for all.
         hold: 'zero-order': each command acts until the next, as the output of a converter does. 'first-order': inputs
             go in straight lines between samples, for inputs that were measured, not commanded. `band_limited` makes
             such lines of inputs that were filtered before they were sampled.
@@ -70,11 +72,13 @@ class Data:
     rate: float
     commands: Array
     readings: Array
-    delay: int = 0
+    late: Array = field(default_factory=lambda: NOT_LATE)
     hold: Hold = "zero-order"
 
     def __post_init__(self) -> None:
         is_first_order(self.hold)
+        object.__setattr__(self, "commands", np.ascontiguousarray(self.commands, dtype=float))
+        object.__setattr__(self, "late", np.full(self.commands.shape[1], self.late, dtype=float))
 
     @classmethod
     def of(cls, recording: Recording, twin: Twin, name: str = "the record", hold: InputHold | None = None) -> Data:
@@ -103,7 +107,7 @@ class Data:
         readings = _columns(recording, "sensor", twin.sensors, name)
         rate = clock.rate(np.asarray(recording.t, dtype=float), name)
         if hold == "zero-order":
-            found = cls(name, rate, commands, readings, twin.delay)
+            found = cls(name, rate, commands, readings, twin.late(rate))
         else:
             found = cls(name, rate, commands, readings, hold="first-order")
         found.check(twin)
@@ -166,29 +170,35 @@ class Data:
 
     @property
     def acting(self) -> Array:
-        """Return the commands that act at each sample (m, actuators); the first acts before the record, too."""
-        if not self.delay:
-            return self.commands
-        first = np.repeat(self.commands[:1], self.delay, axis=0)
-        return np.concatenate([first, self.commands[: -self.delay]])
+        """Return the commands that act at each sample (m, actuators); the first acts before the record, too.
 
-    def counted(self, late: float = 0.0) -> Array:
+        Held commands that act between samples are means over a sample.
+        """
+        if not self.late.any():
+            return self.commands
+        at = np.arange(len(self))[:, None] - self.late
+        low = np.floor(at).astype(int)
+        before, after = (np.take_along_axis(self.commands, np.clip(low + i, 0, len(self) - 1), 0) for i in (0, 1))
+        acting: Array = before + (at - low) * (after - before)
+        return acting
+
+    def counted(self, late: Array = NOT_LATE) -> Array:
         """Return the readings (m, sensors), not a number where they come from commands before the record.
 
         Args:
-            late: delay of commands beyond that of the plant, s.
+            late: samples by which commands are later than `late` says (actuators,).
         """
-        unknown = self.delay + math.ceil(late * self.rate)
+        unknown = math.ceil((self.late + late).max(initial=0.0))
         counted = np.array(self.readings, dtype=float, order="C")
         counted[:unknown] = np.nan
         return counted
 
-    def residuals(self, simulated: Array, late: float = 0.0) -> Array:
+    def residuals(self, simulated: Array, late: Array = NOT_LATE) -> Array:
         """Return measured less simulated (m, sensors), 0 for readings that are not counted.
 
         Args:
             simulated: readings (m, sensors).
-            late: delay of commands beyond that of the plant, s.
+            late: as for `counted`.
         """
         return np.nan_to_num(self.counted(late) - simulated)
 
@@ -222,11 +232,13 @@ class Data:
         """Return the record in pieces of about a given length, each long enough to be simulated by itself."""
         count = max(1, round(len(self) / (seconds * self.rate)))
         bounds = [len(self) * i // count for i in range(count + 1)]
-        acting = self.acting
-        return [
-            replace(self, commands=acting[a:b], readings=self.readings[a:b], delay=0)
-            for a, b in itertools.pairwise(bounds)
-        ]
+        return [self.part(a, b) for a, b in itertools.pairwise(bounds)]
+
+    def part(self, begin: int, end: int) -> Data:
+        """Return the samples from `begin` to before `end`, with the commands that act then."""
+        whole = np.floor(self.late)
+        acting = replace(self, late=whole).acting[begin:end]
+        return replace(self, commands=acting, readings=self.readings[begin:end], late=self.late - whole)
 
 
 def _columns(recording: Recording, prefix: str, names: Sequence[str], where: str) -> Array:

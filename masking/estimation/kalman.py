@@ -207,7 +207,7 @@ class _Scales:
 def _filters(sensing: Sensitivity) -> Kernels:
     """Return the compiled filters; from the cache on disk if they have been made before."""
     sizes, size = sensing.sizes, sensing.states + len(sensing.names)
-    rows = 3 * sizes.sensors + size + 11 + 2 * sizes.states + sizes.moving_rows
+    rows = 3 * sizes.sensors + size + 12 + 2 * sizes.states + sizes.moving_rows
     work = rows, max(3 * sizes.states, size, *sensing.widths)
 
     def factories() -> dict[str, tuple[Any, ...]]:

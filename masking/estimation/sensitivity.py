@@ -238,7 +238,7 @@ class Sensitivity:
         status = self.kernels.normal(
             count, 1.0 / record.rate, substeps, is_first_order(record.hold), self.sizes.coordinates, np.arange(states),
             np.array([start], dtype=float), y, derivatives, p, columns, spans(columns),
-            np.ascontiguousarray(record.acting, dtype=float), record.counted(),
+            record.late, record.commands, record.counted(),
             np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares, simulated,
         )  # fmt: skip
         if status:

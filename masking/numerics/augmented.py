@@ -13,7 +13,6 @@ Source: as `variational`; of inertias as `inertia`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -35,7 +34,7 @@ from masking.numerics.instances import (
     STATE,
     VALUE,
 )
-from masking.numerics.integrators import compiled, inlined
+from masking.numerics.integrators import compiled, held_late, inlined
 from masking.numerics.rig_sizes import (
     CHANNELS,
     COMMAND_COLUMNS,
@@ -49,7 +48,7 @@ from masking.numerics.rig_sizes import (
     SIZES,
     STATES,
 )
-from masking.numerics.variational import add_chain, command_at, normal_equations, take
+from masking.numerics.variational import add_chain, command_at, drive, normal_equations, take
 
 Kernel = Callable[..., Any]
 
@@ -117,31 +116,14 @@ def lead_of(commands, index, channel, late, part, dt, is_linear):
 
 
 @inlined
-def held_late(commands, index, channel, late, step, substeps):
-    """Return a held command as it was `late` samples before: its mean over an integration step, and half its rise.
-
-    The line through both has the mean and the first moment of the step that the command makes.
-    """
-    last = commands.shape[0] - 1
-    at = index * substeps + step - late * substeps  # in steps
-    low = math.floor(at / substeps)
-    share = max(at - (low + 1) * substeps + 1.0, 0.0)  # part of the step in which the next command acts
-    before, after = commands[min(max(low, 0), last), channel], commands[min(max(low + 1, 0), last), channel]
-    return (1.0 - share) * before + share * after, 3.0 * share * (1.0 - share) * (after - before)
-
-
-@inlined
 def drive_late(commands, index, step, substeps, dt, is_linear, given, u, end):
     """Write the delayed commands at the begin and `end` of an integration step, and their derivatives by the delay."""
+    drive(commands, index, step, substeps, dt, is_linear, given, u, end)
     for a in range(u.shape[0]):
         late = given.late[a]
         if is_linear:
-            u[a] = command_at(commands, index, a, late, step / substeps, is_linear)
-            end[a] = command_at(commands, index, a, late, (step + 1.0) / substeps, is_linear)
             given.lead[a] = lead_of(commands, index, a, late, (step + 0.5) / substeps, dt, is_linear)
         else:
-            mean, rise = held_late(commands, index, a, late, step, substeps)
-            u[a], end[a] = mean - rise, mean + rise
             before, _ = held_late(commands, index, a, late + 0.5 / substeps, step, substeps)
             after, _ = held_late(commands, index, a, late - 0.5 / substeps, step, substeps)
             given.lead[a] = (before - after) * substeps / dt

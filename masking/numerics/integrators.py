@@ -335,6 +335,46 @@ def runge_kutta_4(derivative: Kernel, size: int) -> Kernel:
     return advance
 
 
+@inlined
+def held_late(commands, index, channel, late, step, substeps):
+    """Return a held command as it was `late` samples before: its mean over an integration step, and half its rise.
+
+    The line through both has the mean and the first moment of the step that the command makes.
+    """
+    last = commands.shape[0] - 1
+    at = index * substeps + step - late * substeps  # in steps
+    low = math.floor(at / substeps)
+    share = max(at - (low + 1) * substeps + 1.0, 0.0)  # part of the step in which the next command acts
+    before, after = commands[min(max(low, 0), last), channel], commands[min(max(low + 1, 0), last), channel]
+    return (1.0 - share) * before + share * after, 3.0 * share * (1.0 - share) * (after - before)
+
+
+def steps_under_way(derivative: Kernel, size: int) -> Kernel:
+    """Make a rig move under commands that act late, in equal steps of the classical Runge-Kutta method.
+
+    Returns:
+        `move(t, y, queue, late, p, dt, substeps, acting, work)`, which moves y over the sample of length dt that
+        begins as the last row of `queue` (commands, actuators), the newest, is given; `late` (actuators,) in samples.
+        Each step takes the mean of what acts in it; `acting` (actuators,) gets that of the last. `work` (5, n).
+    """
+    step = runge_kutta_4(derivative, size)
+
+    @compiled
+    def move(
+        t: float, y: Vector, queue: Matrix, late: Vector, p: Vector, dt: float, substeps: int, acting: Vector,
+        work: Matrix,
+    ) -> None:  # fmt: skip
+        rows, channels = queue.shape
+        for i in range(substeps):
+            for j in range(channels):
+                acting[j], _ = held_late(queue, rows - 1, j, late[j], i, substeps)
+            step(t + i * (dt / substeps), y, acting, p, dt / substeps, work[:4], work[4])
+        for i in range(rows - 1):
+            copy(queue[i + 1], queue[i], channels)
+
+    return move
+
+
 def steps_of_runge_kutta_4(derivative: Kernel, size: int) -> Kernel:
     """Make equal steps of the classical Runge-Kutta method.
 

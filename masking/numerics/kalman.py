@@ -259,16 +259,17 @@ def extended_filter(slopes: Kernel, sensed: Kernel, form: Covariance) -> Kernel:
     ) -> tuple[int, int]:  # fmt: skip
         k, channels, h, last = theta.size, commands.shape[1], dt / substeps, readings.shape[0] - 1
         n, sensors = y.size, r.size
-        size, given = n + k, Given(p, basis, spans, coordinates)
+        size = n + k
         work[:] = 0.0
         by_state, work = take(work, sensors)
         by_entry, work = take(work, sensors)
         rows, work = take(work, sensors)
         prior, work = take(work, size)
-        vectors, work = take(work, 11)
+        vectors, work = take(work, 12)
         noise, s, residual, before, change = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
         gain, seen, since, origin = vectors[5], vectors[6], vectors[7], vectors[8]
         u, end = vectors[9][:channels], vectors[10][:channels]
+        given = Given(p, basis, spans, coordinates, vectors[11][:channels])  # the commands are those that act
         carried, work = take(work, 2 * n)
         copy(theta, since, k)
         for i in range(affected.size):

@@ -31,7 +31,7 @@ class RigSizes:
     @property
     def read_rows(self) -> int:
         """Return the rows of work space of readings with derivatives."""
-        return 2 * self.sensors + 1
+        return 2 * self.sensors + 2
 
     @property
     def moving_rows(self) -> int:

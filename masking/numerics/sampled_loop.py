@@ -309,33 +309,33 @@ def control_with_differences(law: Kernel, allocate: Kernel, sizes: Sizes) -> Ker
     return control
 
 
-def run(sense: Kernel, control: Kernel, advance: Kernel, size: int) -> Kernel:
+def run(sense: Kernel, control: Kernel, move: Kernel, size: int) -> Kernel:
     """Make the loop of a sampled controller and a simulated rig.
 
     At sample k, at time k h, the sensors are read, the controller answers, and its command joins those under way; the
-    rig then moves for h under the oldest of them.
+    rig then moves for h.
 
     Args:
         sense: `sense(t, y, p, noise, s)` writes the readings s of a state y for unit normal samples `noise`.
         control: the controller.
-        advance: `advance(t, y, u, p, h, k, state)` moves the rig.
+        move: moves the rig under the commands under way, as that of `integrators.steps_under_way`.
         size: number of the rig's states.
 
     Returns:
-        `run(begin, count, h, substeps, every, y, x, p, c, gain, table, queue, noise, first, states, estimates,
+        `run(begin, count, h, substeps, every, y, x, p, c, gain, table, queue, late, noise, first, states, estimates,
         sensed, demanded, applied, work) -> (status, samples done, first)`, where `p` are the parameters of the
-        rig and `c` those of the controller; `queue` (delay + 1, actuators) holds the commands under way; `noise`
-        (count, sensors); row k // every of the tables gets what happened at sample k, from sample 0 on; `first` as
-        for `integrators.sampled`.
+        rig and `c` those of the controller; `queue` (commands, actuators) holds the commands under way, the newest
+        last, and `late` (actuators,) after how many samples they act; `noise` (count, sensors); row k // every of the
+        tables gets what happened at sample k, from sample 0 on; `first` as for `integrators.sampled`.
     """
 
     @compiled
     def loop(
         begin: int, count: int, h: float, substeps: int, every: int, y: Vector, x: Vector, p: Vector, c: Vector,
-        gain: Matrix, table: Matrix, queue: Matrix, noise: Matrix, first: float, states: Matrix, estimates: Matrix,
-        sensed: Matrix, demanded: Matrix, applied: Matrix, work: Matrix,
+        gain: Matrix, table: Matrix, queue: Matrix, late: Vector, noise: Matrix, first: float, states: Matrix,
+        estimates: Matrix, sensed: Matrix, demanded: Matrix, applied: Matrix, work: Matrix,
     ) -> tuple[int, int, float]:  # fmt: skip
-        sensors, channels, under_way = noise.shape[1], queue.shape[1], queue.shape[0] - 1
+        sensors, channels = noise.shape[1], queue.shape[1]
         s, wanted, given = work[19][:sensors], work[20][:channels], work[21][:channels]
         row = 0
         for index in range(begin, begin + count):
@@ -356,11 +356,8 @@ def run(sense: Kernel, control: Kernel, advance: Kernel, size: int) -> Kernel:
                 copy(wanted, demanded[row], channels)
                 copy(given, applied[row], channels)
                 row += 1
-            copy(given, queue[under_way], channels)
-            for i in range(substeps):
-                advance(t + i * (h / substeps), y, queue[0], p, h / substeps, work[13:17], work[17])
-            for j in range(under_way):
-                copy(queue[j + 1], queue[j], channels)
+            copy(given, queue[queue.shape[0] - 1], channels)
+            move(t, y, queue, late, p, h, substeps, given, work[13:18])
         return REACHED, count, first
 
     return loop

@@ -28,7 +28,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from masking.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
-from masking.numerics.integrators import compiled, inlined
+from masking.numerics.integrators import compiled, held_late, inlined
 
 Kernel = Callable[..., Any]
 
@@ -41,12 +41,20 @@ class Given(NamedTuple):
         basis: derivatives of its affected entries by the parameters (affected, k).
         spans: first column, and the one after the last, in which a row of `basis` is not 0 (2, affected), integers.
         coordinates: how many of the states are coordinates, whose rates are the states that follow them.
+        late: samples after which each actuator acts.
     """
 
     p: Any
     basis: Any
     spans: Any
     coordinates: Any
+    late: Any
+
+
+class Late(NamedTuple):
+    """Samples after which each actuator acts, where nothing else is given to `drive`."""
+
+    late: Any
 
 
 @inlined
@@ -72,10 +80,15 @@ def command_at(commands, index, channel, late, part, is_linear):
 
 @compiled
 def drive(commands, index, step, substeps, dt, is_linear, given, u, end):
-    """Write the commands u at the begin and `end` of an integration step after a sample."""
-    for channel in range(u.shape[0]):
-        u[channel] = command_at(commands, index, channel, 0.0, step / substeps, is_linear)
-        end[channel] = command_at(commands, index, channel, 0.0, (step + 1.0) / substeps, is_linear)
+    """Write the commands u that act at the begin and `end` of an integration step after a sample."""
+    for a in range(u.shape[0]):
+        late = given.late[a]
+        if is_linear:
+            u[a] = command_at(commands, index, a, late, step / substeps, is_linear)
+            end[a] = command_at(commands, index, a, late, (step + 1.0) / substeps, is_linear)
+        else:
+            mean, rise = held_late(commands, index, a, late, step, substeps)
+            u[a], end[a] = mean - rise, mean + rise
 
 
 @inlined
@@ -130,7 +143,7 @@ def readings_with_columns(sensed: Kernel) -> Kernel:
 
     Returns:
         `read(t, dt, y, columns, commands, index, is_linear, given, s, rows, work)`, which writes the readings s at a
-        sample and their derivatives in `rows` (sensors, width); `work` has 2 sensors + 1 rows.
+        sample and their derivatives in `rows` (sensors, width); `work` has 2 sensors + 2 rows.
     """
 
     @compiled
@@ -138,7 +151,10 @@ def readings_with_columns(sensed: Kernel) -> Kernel:
         n, sensors = columns.shape[0], rows.shape[0]
         by_state, work = take(work, sensors)
         by_entry, work = take(work, sensors)
-        sensed(t, y, commands[index], given.p, work[0], s, by_state, by_entry)
+        u = work[1][: commands.shape[1]]
+        for a in range(u.size):
+            u[a] = command_at(commands, index, a, given.late[a], 0.0, is_linear)
+        sensed(t, y, u, given.p, work[0], s, by_state, by_entry)
         for o in range(sensors):
             for j in range(columns.shape[1]):
                 rows[o, j] = 0.0
@@ -206,16 +222,16 @@ def simulation(sensed: Kernel, derivative: Kernel) -> Kernel:
         work: Matrix,
     ) -> None:  # fmt: skip
         n, channels, h = y.size, commands.shape[1], dt / substeps
-        rows, work = take(work, 3)
-        noise, u, end = rows[0], rows[1][:channels], rows[2][:channels]
+        rows, work = take(work, 4)
+        noise, u, end, given = rows[0], rows[1][:channels], rows[2][:channels], Late(rows[3][:channels])
         none, work = take(work, n)
         work[:] = 0.0
-        noise[:] = 0.0
+        rows[:] = 0.0
         for index in range(count):
             t = index * dt
             sensed(t, y, commands[index], p, noise, readings[index])
             for step in range(substeps):
-                drive(commands, index, step, substeps, dt, is_linear, p, u, end)
+                drive(commands, index, step, substeps, dt, is_linear, given, u, end)
                 advance(t + step * h, y, none[:n, :0], u, end, p, h, work)
 
     return simulate
@@ -300,21 +316,22 @@ def twin_normal_equations(slopes: Kernel, sensed: Kernel) -> Kernel:
     """Make the normal equations of a twin over one record, from one initial state.
 
     Returns:
-        `normal(count, dt, substeps, is_linear, coordinates, free, starts, y, columns, p, basis, spans, commands,
-        readings, weights, matrix, gradient, squares, simulated, work) -> status`, as `normal_equations`; `starts` is
-        (1, n).
+        `normal(count, dt, substeps, is_linear, coordinates, free, starts, y, columns, p, basis, spans, late,
+        commands, readings, weights, matrix, gradient, squares, simulated, work) -> status`, as `normal_equations`;
+        `starts` is (1, n).
     """
     accumulate = normal_equations(readings_with_columns(sensed), drive, motion_with_columns(slopes))
 
     @compiled
     def normal(
         count: int, dt: float, substeps: int, is_linear: int, coordinates: int, free: IntVector, starts: Matrix,
-        y: Vector, columns: Matrix, p: Vector, basis: Matrix, spans: IntMatrix, commands: Matrix, readings: Matrix,
-        weights: Vector, matrix: Matrix, gradient: Vector, squares: Vector, simulated: Matrix, work: Matrix,
+        y: Vector, columns: Matrix, p: Vector, basis: Matrix, spans: IntMatrix, late: Vector, commands: Matrix,
+        readings: Matrix, weights: Vector, matrix: Matrix, gradient: Vector, squares: Vector, simulated: Matrix,
+        work: Matrix,
     ) -> int:  # fmt: skip
-        given = Given(p, basis, spans, coordinates)
+        given = Given(p, basis, spans, coordinates, late)
         work[:] = 0.0
-        read_work, work = take(work, 2 * readings.shape[1] + 1)
+        read_work, work = take(work, 2 * readings.shape[1] + 2)
         return accumulate(
             count, dt, substeps, count, is_linear, free, starts, y, columns, given, commands, readings, weights, matrix,
             gradient, squares, simulated, read_work, work,

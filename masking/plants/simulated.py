@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
@@ -38,8 +39,7 @@ class SimulatedPlant:
         self.sensors, self.actuators = twin.sensors, twin.actuators
         self._life = LifeCycle()
         self._y = twin.unpowered()
-        self._queue = np.zeros((twin.delay + 1, len(twin.actuators)))
-        self._acting = np.zeros(len(twin.actuators))
+        self._queue, self._acting = np.zeros((1, len(twin.actuators))), np.zeros(len(twin.actuators))
         self._tick, self._is_moved = 0, True
 
     def configure(self, settings: Settings) -> None:
@@ -49,12 +49,13 @@ class SimulatedPlant:
         self._rate, self._substeps, self._p = settings.rate, twin.substeps(settings.rate), twin.values()
         self._generator = np.random.default_rng(self.seed)
         self._y = twin.unpowered()
-        self._queue[:] = 0.0
+        self._late = twin.late(settings.rate)
+        self._queue = np.zeros((1 + math.ceil(self._late.max(initial=0.0)), len(twin.actuators)))
         self._acting[:] = 0.0
         self._tick, self._is_moved = -1, False
         self._readings = np.zeros(len(twin.sensors))
         twin.kernels.sense.prepare()
-        twin.kernels.advance.prepare()
+        twin.kernels.move.prepare()
 
     def activate(self) -> None:
         """Enable the outputs, at zero."""
@@ -82,10 +83,8 @@ class SimulatedPlant:
             raise CommandError("write: there is no sample to answer yet; call read first")
         del index  # the oldest command under way acts, whatever sample it answers
         self._queue[-1] = command
-        self._acting[:] = self._queue[0]
-        kernels, h = self.twin.kernels, 1.0 / self._rate
-        kernels.advance(self._tick * h, self._y, self._acting, self._p, h, self._substeps)
-        self._queue[:-1] = self._queue[1:].copy()
+        move, h = self.twin.kernels.move, 1.0 / self._rate
+        move(self._tick * h, self._y, self._queue, self._late, self._p, h, self._substeps, self._acting)
         self._is_moved = True
 
     def deactivate(self) -> None:

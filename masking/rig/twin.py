@@ -242,6 +242,14 @@ class Twin:
         """Return the samples between a reading and the first effect of the command that answers it."""
         return sum(round(self._value(effect, "samples")) for effect in self._of("loop") if effect.enabled)
 
+    def late(self, rate: float) -> Array:
+        """Return the samples after which a command of each actuator acts (actuators,): the delay, and dead times."""
+        found = np.full(len(self.actuators), float(self.delay))
+        for i, name in enumerate(self.actuators):
+            times = [self._value(e, "tau") for e in self._on("actuator", name) if e.enabled and not e.entry.expression]
+            found[i] += rate * sum(times)
+        return found
+
     @cached_property
     def chain_states(self) -> tuple[tuple[PlacedEffect, str], ...]:
         """Return the internal states of effects in actuators and sensors, which follow those of the model in y."""
@@ -334,7 +342,8 @@ class Twin:
 
     @property
     def _chain(self) -> list[PlacedEffect]:
-        actuators = [e for a in self.actuators for e in self._on("actuator", a)]
+        """Return the effects of actuators and sensors; those without an expression make commands late."""
+        actuators = [e for a in self.actuators for e in self._on("actuator", a) if e.entry.expression]
         return actuators + [e for s in self.sensors for e in self._on("sensor", s)]
 
     def gain(self, sensor: str) -> float:
@@ -392,7 +401,7 @@ class Twin:
 
     @cached_property
     def kernels(self) -> Kernels:
-        """Return the compiled functions `sense` and `advance`; from the cache on disk where they have been made."""
+        """Return the compiled functions `sense`, `advance` and `move`; from the cache on disk where they are."""
         return Kernels(store.load(store.key({"twin": self.structure()}), self._build))
 
     def _build(self) -> Module:
@@ -401,7 +410,7 @@ class Twin:
         return module
 
     def add_to(self, module: Module) -> None:
-        """Add `sense(t, y, p, noise, s)`, `twin_derivative(t, y, u, p, dy)` and `advance` to a generated module.
+        """Add `sense(t, y, p, noise, s)`, `twin_derivative(t, y, u, p, dy)`, `advance` and `move` to a module.
 
         What a command changes at once is read by `sense_under(t, y, u, p, noise, s)`, and `sense` is only there where
         nothing is.
@@ -416,6 +425,7 @@ class Twin:
         )
         size = len(self.state_names)
         module.add_factory("advance", integrators.steps_of_runge_kutta_4, "twin_derivative", size, work=(5, size))
+        module.add_factory("move", integrators.steps_under_way, "twin_derivative", size, work=(5, size))
 
 
 class LoweredTwin:
@@ -470,7 +480,7 @@ class LoweredTwin:
 
     def _through(self, where: str, at: str, x: Node, noise: Node | None = None) -> Node:
         """Return what the effects at one sensor or actuator make of a value, one after the other."""
-        for effect in self.twin._on(where, at):
+        for effect in (e for e in self.twin._chain if (e.entry.where, e.at) == (where, at)):
             result, rates = expressions(effect.entry)
             nodes = {name: self.states[effect.label, name] for name in rates}
             nodes |= {"on": self.switches[effect.label], "u" if where == "actuator" else "s": x}

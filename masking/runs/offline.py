@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Protocol, TypeVar
@@ -179,7 +180,8 @@ def run_twin(
     reading = np.empty(len(twin.sensors))
     twin.kernels.sense(-before / rate, y, p, noise[0], reading)
     memory = sampled.begin(reading)
-    queue = np.tile(memory.holding, (twin.delay + 1, 1))
+    late = twin.late(rate)
+    queue = np.tile(memory.holding, (1 + math.ceil(late.max(initial=0.0)), 1))
     widths = (len(y), len(memory.x), len(twin.sensors), sizes.actuators, sizes.actuators)
     out = [np.empty((len(rows), width)) for width in widths]
     bounds = [-before + (samples + before) * piece // PIECES for piece in range(PIECES + 1)]
@@ -193,7 +195,7 @@ def run_twin(
         row = max(0, -(-begin // every))
         status, done, first = kernels.run(
             begin, count, 1.0 / rate, substeps, every, y, memory.x, p, memory.p, sampled.gain, sampled.limits, queue,
-            noise, first, *(table[row:] for table in out),
+            late, noise, first, *(table[row:] for table in out),
         )  # fmt: skip
         check_status(kernels, status, (begin + done) / rate, y, mend)
         noise = noise[:0]

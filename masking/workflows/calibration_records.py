@@ -109,7 +109,7 @@ def _settings(plant: Plant, limits: Array, *, seconds: float, seed: int, size: f
     }
     if isinstance(plant, SimulatedPlant):
         values = [f"{value:.{_DIGITS}g}" for value in plant.twin.values()]
-        content = json.dumps([plant.twin.structure(), values, plant.twin.delay, plant.seed])
+        content = json.dumps([plant.twin.structure(), values, plant.twin.late(1.0).tolist(), plant.seed])
         found["twin"] = hashlib.sha256(content.encode()).hexdigest()[:16]
     return found
 

@@ -54,7 +54,7 @@ class Whole:
         self.found, self.sampled, self.twin = found, found.sampled, found.twin
         self.substeps, self.p = self.twin.substeps(self.sampled.rate), self.twin.values()
         self.noise = np.random.default_rng(0).standard_normal((SAMPLES, len(self.twin.sensors)))
-        self.reading = np.empty(len(self.twin.sensors))
+        self.reading, self.late = np.empty(len(self.twin.sensors)), self.twin.late(self.sampled.rate)
         self.states = np.zeros((SAMPLES, len(self.twin.state_names)))
 
     def begin(self) -> tuple[np.ndarray, Any, np.ndarray]:
@@ -70,7 +70,7 @@ class Whole:
         out = [np.empty((SAMPLES, n)) for n in (len(memory.x), len(self.reading), sizes.actuators, sizes.actuators)]
         self.found.sampled_loop.kernels.run(
             0, SAMPLES, 1.0 / self.sampled.rate, self.substeps, 1, y, memory.x, self.p, memory.p, self.sampled.gain,
-            self.sampled.limits, queue, self.noise, 0.0, self.states, *out,
+            self.sampled.limits, queue, self.late, self.noise, 0.0, self.states, *out,
         )  # fmt: skip
 
 
