@@ -16,6 +16,7 @@ from masking.errors import IntegrationError
 from masking.estimation.data import Data, is_first_order
 from masking.estimation.sensitivity import spans
 from masking.numerics.arrays import Array
+from masking.numerics.rig_sizes import COLUMN_ROWS
 
 
 @dataclass(frozen=True)
@@ -94,10 +95,10 @@ class EstimationProblem:
         p, basis = rig.basis(theta, len(added) + states)
         k, moving, intervals = basis.shape[1], rig.begins, self.intervals
         n, width = len(rig.twin.state_names), k + moving
-        y, derivatives = np.full(n + states, NEARLY_ZERO), np.zeros((n + states, width))
+        y, derivatives = np.full(n + states, NEARLY_ZERO), np.zeros((COLUMN_ROWS * (n + states), width))
         y[n:] += 0.0 if inner is None else inner
         self.work.add(len(record) * self.substeps, len(y), sticks=any(one.sticks for one in instances))
-        derivatives[n:, k - states : k] = np.eye(states)
+        derivatives[n : n + states, k - states : k] = np.eye(states)
         matrices, gradients = np.zeros((intervals * width, width)), np.zeros(intervals * width)
         squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
         late = given.late / self.dt

@@ -29,6 +29,7 @@ from masking.estimation.innovations import KalmanFit
 from masking.estimation.sensitivity import SENSED, SLOPES, Sensitivity, spans
 from masking.estimation.simulation import first_start, nearest, noise_alone, relative, validated
 from masking.numerics.arrays import Array
+from masking.numerics.rig_sizes import COLUMN_ROWS
 from masking.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE
 from masking.rig.twin import Twin
 
@@ -273,7 +274,7 @@ class _Run:
         theta = np.clip(theta, low, high)
         acting, readings = np.ascontiguousarray(record.acting), np.ascontiguousarray(record.readings)
         substeps, is_linear = sensing.twin.substeps(record.rate), is_first_order(record.hold)
-        derivatives = np.zeros((sensing.states, len(theta) + sensing.states))
+        derivatives = np.zeros((COLUMN_ROWS * sensing.states, len(theta) + sensing.states))
         p, basis = self._basis(theta)
         affected, at = np.array(sensing.affected or (0,), dtype=np.int64), 0
         for piece in range(1, PIECES + 1):

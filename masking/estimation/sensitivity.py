@@ -25,7 +25,7 @@ from masking.codegen.tangent import jacobian
 from masking.errors import IntegrationError, ModelError, nearest
 from masking.estimation.data import Data, is_first_order
 from masking.numerics.arrays import Array, IntMatrix
-from masking.numerics.rig_sizes import RigSizes
+from masking.numerics.rig_sizes import COLUMN_ROWS, RigSizes
 from masking.records.hold import Hold
 from masking.rig.twin import LoweredTwin, Twin
 
@@ -234,7 +234,11 @@ class Sensitivity:
         (p, columns), count, states = basis, len(record), self.states
         size = len(self.names) + states
         matrix, gradient, squares = np.zeros((size, size)), np.zeros(size), np.zeros(len(weights))
-        y, simulated, derivatives = np.empty(states), np.empty((count, len(squares))), np.zeros((states, size))
+        y, simulated, derivatives = (
+            np.empty(states),
+            np.empty((count, len(squares))),
+            np.zeros((COLUMN_ROWS * states, size)),
+        )
         status = self.kernels.normal(
             count, 1.0 / record.rate, substeps, is_first_order(record.hold), self.sizes.coordinates, np.arange(states),
             np.array([start], dtype=float), y, derivatives, p, columns, spans(columns),
@@ -248,13 +252,12 @@ class Sensitivity:
 
 
 def spans(basis: Array) -> IntMatrix:
-    """Return the first column, and the one after the last, in which each row of a matrix is not 0 (2, rows)."""
-    rows, columns = np.nonzero(basis)
-    found = np.zeros((2, len(basis)), dtype=np.int64)
-    found[0] = basis.shape[1]
-    np.minimum.at(found[0], rows, columns)
-    np.maximum.at(found[1], rows, columns + 1)
-    return found
+    """Return where a matrix is not 0: rows, and the first column and the one after the last of each (3, rows)."""
+    rows = np.flatnonzero(basis.any(axis=1))
+    held = basis[rows] != 0.0
+    if not len(rows):
+        return np.zeros((3, 0), dtype=np.int64)
+    return np.array([rows, held.argmax(axis=1), held.shape[1] - held[:, ::-1].argmax(axis=1)], dtype=np.int64)
 
 
 def add_slopes(module: Module, lowered: LoweredTwin, affected: Sequence[int]) -> list[Node]:

@@ -48,7 +48,7 @@ from masking.numerics.rig_sizes import (
     SIZES,
     STATES,
 )
-from masking.numerics.variational import add_chain, command_at, drive, normal_equations, take
+from masking.numerics.variational import add_chain, add_rows, command_at, drive, normal_equations, take
 
 Kernel = Callable[..., Any]
 
@@ -60,7 +60,7 @@ class Given(NamedTuple):
         table: sizes and indices of the rig, as `rig_sizes` has them.
         p: the parameter array of the rig.
         basis: derivatives of its affected entries by the parameters (affected, k).
-        spans: first column, and the one after the last, in which a row of `basis` is not 0 (2, affected), integers.
+        spans: where `basis` is not 0 (3, rows), as `variational.Given` has them.
         instances: of effects, those of sensors last; columns as `instances` says.
         estimated: column of each parameter of an instance, -1 where it is not estimated (instances, parameters).
         values: parameters of the instances, one after the other.
@@ -157,14 +157,6 @@ def at_once(table, by_entry, forces, commands, j):
 
 
 @inlined
-def project(followed, columns, n, row):
-    """Add the derivatives of what follows n states with derivatives `columns`."""
-    for i in range(n):
-        for j in range(columns.shape[1]):
-            row[j] += followed[i] * columns[i, j]
-
-
-@inlined
 def subject(kind, at, columns, given, ports, s, by_state, by_entry, by, by_rate):
     """Return what a law follows: the displacement of a place and its rate, a command, a reading, or 1 for an inertia.
 
@@ -176,8 +168,8 @@ def subject(kind, at, columns, given, ports, s, by_state, by_entry, by, by_rate)
         by[j] = ports.commands[at, j] if kind == ACTUATOR else 0.0
         by_rate[j] = 0.0
     if kind == ELEMENT:
-        project(ports.followed[at], columns, n, by)
-        project(ports.followed[places + at], columns, n, by_rate)
+        add_rows(ports.followed[at], columns, n, by)
+        add_rows(ports.followed[places + at], columns, n, by_rate)
         return ports.displacement[at], ports.displacement[places + at]
     if kind == ACTUATOR:
         return ports.command[at], 0.0
@@ -187,6 +179,12 @@ def subject(kind, at, columns, given, ports, s, by_state, by_entry, by, by_rate)
             by[j] += at_once(given.table, by_entry[at], ports.forces, ports.commands, j)
         return s[at], 0.0
     return 1.0, 0.0
+
+
+@inlined
+def is_same_place(instances, i):
+    """Tell whether instance i follows the same motion as the one before it."""
+    return i > 0 and instances[i - 1, KIND] == instances[i, KIND] and instances[i - 1, PLACE] == instances[i, PLACE]
 
 
 @inlined
@@ -218,10 +216,16 @@ def put(i, columns, given, ports, rows, by, by_rate, rate, column_rates):
     else:
         ports.acceleration[at] += rows[0, VALUE]
         target = ports.inertias[at]
-    for j in range(columns.shape[1] if kind != INERTIA else 0):
-        inside = rows[0, BY_STATE] * columns[z, j] if z >= 0 else 0.0
-        total = rows[0, BY_DISPLACEMENT] * by[j] + rows[0, BY_RATE] * by_rate[j] + inside
-        target[j] = total + (target[j] if kind == ELEMENT else 0.0)
+    by_motion, by_rates = rows[0, BY_DISPLACEMENT], rows[0, BY_RATE]
+    if kind == ACTUATOR:
+        for j in range(columns.shape[1]):
+            target[j] = by_motion * by[j]
+    elif kind == ELEMENT and (by_motion != 0.0 or by_rates != 0.0):  # pieces of a curve are 0 but for a few
+        for j in range(columns.shape[1]):
+            target[j] += by_motion * by[j] + by_rates * by_rate[j]
+    if z >= 0:
+        for j in range(columns.shape[1]):
+            target[j] += rows[0, BY_STATE] * columns[z, j]
     for m in range(given.estimated.shape[1]):
         if given.estimated[i, m] >= 0:
             target[given.estimated[i, m]] += rows[0, BY_PARAMETER + m]
@@ -261,7 +265,7 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
         rates of the effects' states go into `rate` and `column_rates`. `work` has 2 sensors + 6 rows.
     """
 
-    @compiled
+    @inlined
     def act(t, y, columns, u, given, rate, column_rates, ports, work):
         by_state, work = take(work, given.table[SIZES, SENSORS])
         by_entry, work = take(work, given.table[SIZES, SENSORS])
@@ -269,7 +273,7 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
         s, noise, by, by_rate = work[0], work[1], work[2], work[3]
         instances = given.instances
         clear(u, columns.shape[1], given, ports)
-        has_elements, has_inertia, is_sensed = False, False, False
+        has_elements, has_inertia, is_sensed, x, moved = False, False, False, 0.0, 0.0
         for i in range(instances.shape[0]):
             has_elements |= instances[i, KIND] == ELEMENT
             has_inertia |= instances[i, KIND] == INERTIA
@@ -282,7 +286,8 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
             if kind == SENSOR and not is_sensed:
                 sensed(t, y, ports.command, given.p, noise, s, by_state, by_entry)
                 is_sensed = True
-            x, moved = subject(kind, instances[i, PLACE], columns, given, ports, s, by_state, by_entry, by, by_rate)
+            if kind != ELEMENT or not is_same_place(instances, i):
+                x, moved = subject(kind, instances[i, PLACE], columns, given, ports, s, by_state, by_entry, by, by_rate)
             inside = y[z] if z >= 0 else 0.0
             law(instances[i, LAW], t, x, moved, inside, given.values[instances[i, FIRST] :], rows)
             put(i, columns, given, ports, rows, by, by_rate, rate, column_rates)
@@ -303,7 +308,7 @@ def motion_with_effects(act: Kernel, slopes: Kernel) -> Kernel:
         those of the ports.
     """
 
-    @compiled
+    @inlined
     def flow(t, y, columns, u, given, rate, column_rates, work):
         table, width = given.table, columns.shape[1]
         n, coordinates = table[SIZES, STATES], table[SIZES, COORDINATES]
@@ -323,14 +328,14 @@ def motion_with_effects(act: Kernel, slopes: Kernel) -> Kernel:
                 continue
             add_chain(by_state[i], by_entry[i], columns, given.basis, given.spans, n, column_rates[i])
             for e in range(places):
-                by = by_entry[i, table[FORCE_COLUMNS, e]]
-                if by != 0.0 and given.acts[e]:
-                    for j in range(width):
+                if given.acts[e]:
+                    by = by_entry[i, table[FORCE_COLUMNS, e]]
+                    for j in range(width if by != 0.0 else 0):
                         column_rates[i, j] += by * ports.forces[e, j]
             for a in range(channels):
-                by = by_entry[i, table[COMMAND_COLUMNS, a]]
-                if by != 0.0 and given.acts[places + a]:
-                    for j in range(width):
+                if given.acts[places + a]:
+                    by = by_entry[i, table[COMMAND_COLUMNS, a]]
+                    for j in range(width if by != 0.0 else 0):
                         column_rates[i, j] += by * ports.commands[a, j]
         if has_inertia:
             for e in range(places):
@@ -352,7 +357,7 @@ def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
         `read`, as that of `variational.readings_with_columns`; `work` has `PortSizes.read_rows` rows.
     """
 
-    @compiled
+    @inlined
     def bend(t, y, columns, given, s, rows, by):
         for i in range(given.instances.shape[0]):
             if given.instances[i, KIND] == SENSOR:
@@ -367,7 +372,7 @@ def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
                     if j >= 0:
                         rows[at, j] += by[0, BY_PARAMETER + m]
 
-    @compiled
+    @inlined
     def read(t, dt, y, columns, commands, index, is_linear, given, s, rows, work):
         table, width, n = given.table, columns.shape[1], given.table[SIZES, STATES]
         sensors, channels = table[SIZES, SENSORS], table[SIZES, CHANNELS]

@@ -259,6 +259,7 @@ def extended_filter(slopes: Kernel, sensed: Kernel, form: Covariance) -> Kernel:
     ) -> tuple[int, int]:  # fmt: skip
         k, channels, h, last = theta.size, commands.shape[1], dt / substeps, readings.shape[0] - 1
         n, sensors = y.size, r.size
+        columns, stages = take(columns, n)
         size = n + k
         work[:] = 0.0
         by_state, work = take(work, sensors)
@@ -333,7 +334,7 @@ def extended_filter(slopes: Kernel, sensed: Kernel, form: Covariance) -> Kernel:
                     columns[i, j] = 1.0 if j == k + i else 0.0
             for step in range(substeps):
                 drive(commands, index, step, substeps, dt, is_linear, given, u, end)
-                advance(t + step * h, y, columns, u, end, given, h, work)
+                advance(t + step * h, y, columns, stages, u, end, given, h, work)
             carry(matrix, columns, q, dt, k, carried)
             if has_moved:
                 return LINEARISE, index + 1
@@ -400,7 +401,7 @@ def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
             for step in range(substeps):
                 for a in range(channels):
                     u[a] = command_at(commands, index, a, 0.0, (step + 0.5) / substeps, is_linear)
-                advance(t + step * h, x, none[:n, :0], u, u, p, h, work)
+                advance(t + step * h, x, none[:n, :0], none[:, :0], u, u, p, h, work)
             for i in range(forces):
                 x[n + i] *= kept
         return REACHED

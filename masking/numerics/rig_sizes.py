@@ -14,6 +14,9 @@ SIZES, FORCE_ENTRIES, FORCE_COLUMNS, COMMAND_COLUMNS = range(4)
 STATES, COORDINATES, SENSORS, PLACES, CHANNELS, IS_FED, READ_ROWS = range(7)
 
 
+COLUMN_ROWS = 6  # of the columns of each state: its own, those of the four stages of a step, and one between them
+
+
 @dataclass(frozen=True)
 class RigSizes:
     """Sizes of a rig.
@@ -36,7 +39,7 @@ class RigSizes:
     @property
     def moving_rows(self) -> int:
         """Return the rows of work space of an integration step with derivatives."""
-        return 7 * self.states + 6
+        return 2 * self.states + 6
 
     @property
     def work_rows(self) -> int:
@@ -75,7 +78,7 @@ class PortSizes(RigSizes):
     @property
     def moving_rows(self) -> int:
         """Return the rows of work space of an integration step with derivatives."""
-        return 7 * self.states + 5 * self.most_states + 6 + self.port_rows
+        return 2 * self.states + 6 + self.port_rows
 
     @cached_property
     def table(self) -> IntMatrix:

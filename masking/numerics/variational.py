@@ -39,7 +39,8 @@ class Given(NamedTuple):
     Args:
         p: the parameter array.
         basis: derivatives of its affected entries by the parameters (affected, k).
-        spans: first column, and the one after the last, in which a row of `basis` is not 0 (2, affected), integers.
+        spans: rows of `basis` that are not 0, and the first column, and the one after the last, in which each is not
+            (3, rows), integers.
         coordinates: how many of the states are coordinates, whose rates are the states that follow them.
         late: samples after which each actuator acts.
     """
@@ -78,7 +79,7 @@ def command_at(commands, index, channel, late, part, is_linear):
     return (1.0 - share) * commands[before, channel] + share * commands[after, channel]
 
 
-@compiled
+@inlined
 def drive(commands, index, step, substeps, dt, is_linear, given, u, end):
     """Write the commands u that act at the begin and `end` of an integration step after a sample."""
     for a in range(u.shape[0]):
@@ -92,24 +93,39 @@ def drive(commands, index, step, substeps, dt, is_linear, given, u, end):
 
 
 @inlined
+def add_rows(by, columns, n, row):
+    """Add to a row (width,) the first n of `columns`, times `by`; two at once: measured, a row waits for its memory."""
+    first, width = -1, columns.shape[1]
+    for second in range(n):
+        if by[second] == 0.0:
+            continue
+        if first < 0:
+            first = second
+            continue
+        for j in range(width):
+            row[j] += by[first] * columns[first, j] + by[second] * columns[second, j]
+        first = -1
+    if first >= 0:
+        for j in range(width):
+            row[j] += by[first] * columns[first, j]
+
+
+@inlined
 def add_chain(by_state, by_entry, columns, basis, spans, n, row):
     """Add to a row (width,) what n states with derivatives `columns` and entries of the parameter array do."""
-    for i in range(n):
-        by = by_state[i]
-        if by != 0.0:
-            for j in range(columns.shape[1]):
-                row[j] += by * columns[i, j]
-    for i in range(spans.shape[1]):
+    add_rows(by_state, columns, n, row)
+    for m in range(spans.shape[1]):
+        i = spans[0, m]
         by = by_entry[i]
         if by != 0.0:
-            for j in range(spans[0, i], spans[1, i]):
+            for j in range(spans[1, m], spans[2, m]):
                 row[j] += by * basis[i, j]
 
 
 def motion_alone(derivative: Kernel) -> Kernel:
     """Make the flow of a motion without any columns, in which `given` is the parameter array."""
 
-    @compiled
+    @inlined
     def flow(t, y, columns, u, given, rate, column_rates, work):
         derivative(t, y, u, given, rate)
 
@@ -123,7 +139,7 @@ def motion_with_columns(slopes: Kernel) -> Kernel:
         `flow(t, y, columns, u, given, rate, column_rates, work)`, which writes y' and S'; `work` has 2 n rows.
     """
 
-    @compiled
+    @inlined
     def flow(t, y, columns, u, given, rate, column_rates, work):
         n, coordinates = columns.shape[0], given.coordinates
         by_state, work = take(work, n)
@@ -146,7 +162,7 @@ def readings_with_columns(sensed: Kernel) -> Kernel:
         sample and their derivatives in `rows` (sensors, width); `work` has 2 sensors + 2 rows.
     """
 
-    @compiled
+    @inlined
     def read(t, dt, y, columns, commands, index, is_linear, given, s, rows, work):
         n, sensors = columns.shape[0], rows.shape[0]
         by_state, work = take(work, sensors)
@@ -170,15 +186,15 @@ def runge_kutta_4(flow: Kernel) -> Kernel:
         flow: writes the rates of both.
 
     Returns:
-        `advance(t, y, columns, u, end, given, h, work)`, which moves y (n,) and the columns (n, width) over h, while
-        the commands go linearly from u to `end`; `work` has 5 n + 7 rows, and then those of the flow.
+        `advance(t, y, columns, stages, u, end, given, h, work)`, which moves y (n,) and the columns (n, width) over h,
+        while the commands go linearly from u to `end`; `stages` (5 n, width) is work space, and `work` has 6 rows, and
+        then those of the flow. Tables of the columns are contiguous: measured, a part of wider rows is not vectorised.
     """
 
-    @compiled
-    def advance(t, y, columns, u, end, given, h, work):
+    @inlined
+    def advance(t, y, columns, stages, u, end, given, h, work):
         size, width, channels = columns.shape[0], columns.shape[1], u.shape[0]
-        slopes, work = take(work, 4 * size)  # of the columns, one stage after the other
-        between, work = take(work, size)
+        between, slopes = take(stages, size)  # the slopes of one stage after the other
         rates, work = take(work, 4)
         rows, work = take(work, 2)
         state, now = rows[0], rows[1][:channels]
@@ -191,7 +207,7 @@ def runge_kutta_4(flow: Kernel) -> Kernel:
                 for j in range(width):
                     between[i, j] = columns[i, j] + (c * h * slopes[(stage - 1) * size + i, j] if stage > 0 else 0.0)
             flow(
-                t + c * h, state[:size], between[:size, :width], now, given, rates[stage],
+                t + c * h, state[:size], between, now, given, rates[stage],
                 slopes[stage * size : (stage + 1) * size], work,
             )  # fmt: skip
         for i in range(size):
@@ -232,7 +248,7 @@ def simulation(sensed: Kernel, derivative: Kernel) -> Kernel:
             sensed(t, y, commands[index], p, noise, readings[index])
             for step in range(substeps):
                 drive(commands, index, step, substeps, dt, is_linear, given, u, end)
-                advance(t + step * h, y, none[:n, :0], u, end, p, h, work)
+                advance(t + step * h, y, none[:n, :0], none[:, :0], u, end, p, h, work)
 
     return simulate
 
@@ -252,12 +268,12 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel) -> Kernel:
         (intervals, n), where the states `free` may have any value, each with a column of S at the end; each shooting
         interval has `width` rows of `matrix` (J^T W J, its lower triangle) and entries of `gradient` (J^T W r).
         `squares` gets squared residuals (sensors,), `simulated` the readings. A reading that is not a number counts
-        for nothing. States beyond n go on from one interval
-        to the next. `read_work` is work space of `read`.
+        for nothing. States beyond n go on from one interval to the next. `columns` has `COLUMN_ROWS` rows for each
+        state: the first are the columns, the others work space. `read_work` is work space of `read`.
     """
     advance = runge_kutta_4(flow)
 
-    @compiled
+    @inlined
     def restart(window, free, starts, y, columns):
         width = columns.shape[1]
         first = width - free.size
@@ -275,12 +291,13 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel) -> Kernel:
         for i in range(free.size):
             columns[free[i], first + i] = 1.0
 
-    @compiled
+    @inlined
     def accumulate(
         count, dt, substeps, interval, is_linear, free, starts, y, columns, given, commands, readings, weights, matrix,
         gradient, squares, simulated, read_work, work,
     ):  # fmt: skip
         channels, width, h, sensors = commands.shape[1], columns.shape[1], dt / substeps, readings.shape[1]
+        columns, stages = take(columns, y.size)
         rows, work = take(work, sensors)
         vectors, work = take(work, 3)
         s, u, end = vectors[0], vectors[1][:channels], vectors[2][:channels]
@@ -306,7 +323,7 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel) -> Kernel:
                             matrix[at, j] += weighted * rows[o, j]
             for step in range(substeps):
                 drive(commands, index, step, substeps, dt, is_linear, given, u, end)
-                advance(t + step * h, y, columns, u, end, given, h, work)
+                advance(t + step * h, y, columns, stages, u, end, given, h, work)
         return 0
 
     return accumulate
