@@ -60,3 +60,26 @@ def test_units_that_are_right_are_not_suspected(tmp_path, record):
     found = discovered(tmp_path, record)
     assert found.unit is None
     assert found.as_dict()["unit"] is None
+
+
+LEVEL = """
+name: level
+states: {x: {unit: m, initial: 1.0}}
+inputs: {u: {unit: V}}
+parameters: {b: {value: 0.1, unit: m/s/V}, a: {value: 0.1, unit: 1/s}}
+equations: {x': b*u - a*x}
+outputs: {s: {expression: x, unit: m}}
+"""
+
+
+def test_a_level_that_moves_little_about_its_mean_says_nothing_of_the_clock(tmp_path):
+    rng, count, dt = np.random.default_rng(2), 900, 0.5
+    u = 1.0 + np.repeat(rng.uniform(-0.5, 0.5, count // 30), 30)
+    x, b = np.ones(count), 1.0 - np.exp(-0.1 * dt)
+    for k in range(count - 1):
+        x[k + 1] = x[k] + b * (min(u[k], 1.1) - x[k])  # a valve that opens no further
+    np.savez(tmp_path / "record.npz", t=dt * np.arange(count), u=u, s=x + 1e-3 * rng.standard_normal(count))
+    (tmp_path / "model.yaml").write_text(LEVEL)
+    found = masking.discover(tmp_path / "record.npz", model=tmp_path / "model.yaml")
+    assert found.unit is None
+    assert [(one.name, one.on) for one in found.effects] == [("saturation", "u")]

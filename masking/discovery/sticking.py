@@ -7,7 +7,9 @@ least the other frictions that stick, from there.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 
 from masking.discovery import fitting, verdict
 from masking.discovery.augmented_model import EffectInstance
@@ -16,9 +18,14 @@ from masking.discovery.explanation import Explanation, Job
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.ground import Ground
 from masking.discovery.problem import EstimationProblem
+from masking.errors import IntegrationError
 
 # Levels of a law that has two, in parts of that of dry friction, which lies between them.
-LEVELS = ((1.0, 1.5), (0.7, 1.1), (0.5, 1.0))
+LEVELS = tuple((part * high, high) for high in (1.0, 1.1, 1.3, 1.5) for part in (0.4, 0.6, 0.8))
+FASTER = (1.0, 8.0)  # times what is tried of a law's motion: where a place sticks, it slides faster than by its rms
+MUCH = 1e-3  # of what the model without a law leaves beyond noise
+WORSE = 10.0  # times what another law leaves: with two levels, friction may leave far less than with one
+FITTED = 6  # starts of a law, those of least cost; from the others few fits end where the best one does
 
 
 def fits(
@@ -46,7 +53,7 @@ def fits(
     first = {score.candidate.at: score for score in reversed(scores)}.values()
     made = noted([(id(score.candidate), _job(problem, score.candidate, [score.instance], begun)) for score in first])
     best = min(made, key=lambda one: one.cost, default=now)
-    if best.cost > min(one.cost for one in (now, *found)) or not _leaves_much(problem, now, made):
+    if best.cost > WORSE * min(one.cost for one in (now, *found)) or not _leaves_much(problem, now, made):
         return made
     (effect, at), level = best.names[-1], best.hypothesis.instances[-1].estimated[0]
     others = [one for one in ground.every if one.sticks and one.at == at and one.effect != effect]
@@ -57,19 +64,21 @@ def _leaves_much(problem: EstimationProblem, now: Explanation, found: Sequence[E
     size = problem.record.readings.size
     least = min(one.cost for one in (now, *found))
     left, excess = (verdict.excess_cost(cost, size) for cost in (least, now.cost))
-    return left > problem.rules.trace_fraction * excess
+    return left > MUCH * excess
 
 
 def _starts(candidate: Candidate, level: float) -> Iterator[EffectInstance]:
     """Give instances from which a fit may start, with levels like that of dry friction."""
-    for instance in candidate.instances:
+    others = [i for i in candidate.free if i not in candidate.factors]
+    for instance, faster in itertools.product(candidate.instances, FASTER if others else FASTER[:1]):
+        moved = instance.with_values(others, [faster * instance.values[i] for i in others])
         for parts in LEVELS if len(candidate.factors) > 1 else ((1.0,),):
             levels = (parts[min(i, len(parts) - 1)] * level for i in range(len(candidate.factors)))
-            yield instance.with_values(candidate.factors, levels)
+            yield moved.with_values(candidate.factors, levels)
 
 
 def _job(problem: EstimationProblem, candidate: Candidate, starts: Sequence[EffectInstance], begun: Hypothesis) -> Job:
-    """Return the fit of a law from the best of its starts, from parameters and initial states of a hypothesis."""
+    """Return the best fit of a law from its best starts, from parameters and initial states of a hypothesis."""
     step = problem.dt / problem.substeps
     ready = [one.at_step(problem.rig.mobilities[one.at], step) for one in starts]
 
@@ -77,8 +86,12 @@ def _job(problem: EstimationProblem, candidate: Candidate, starts: Sequence[Effe
         return fitting.cost(problem, (instance,), begun.theta, begun.start)
 
     def made(rival: float) -> Explanation:
-        best = min(ready, key=cost)
-        found = fitting.fit(problem, (best,), theta=begun.theta, start=begun.start, rival=rival)
-        return Explanation("effects", (candidate.key,), found)
+        fits = []
+        for one in sorted(ready, key=cost)[:FITTED]:
+            with suppress(IntegrationError):
+                fits.append(fitting.fit(problem, (one,), theta=begun.theta, start=begun.start, rival=rival))
+        if not fits:
+            raise IntegrationError("the simulated motion is no longer finite")
+        return Explanation("effects", (candidate.key,), min(fits, key=lambda fit: fit.cost))
 
     return made

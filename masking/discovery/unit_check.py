@@ -115,10 +115,10 @@ def _alternatives(declared: str) -> list[str]:
 
 
 def _error(problem: EstimationProblem) -> float:
-    """Return the largest relative error of a sensor with the model as declared; infinite if its motion is."""
+    """Return the largest error of a sensor with the model as declared, of its variation; infinite if its motion is."""
     try:
         found = fitting.fit(problem, frozen=True)
     except IntegrationError:
         return np.inf
-    size = (problem.record.readings**2).sum(axis=0)
-    return float(np.sqrt((found.squares / np.maximum(size, 1e-300)).max()))
+    size = np.maximum(problem.record.readings.var(axis=0), 1e-300) * len(problem.record)
+    return float(np.sqrt((found.squares / size).max()))

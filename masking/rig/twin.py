@@ -244,11 +244,9 @@ class Twin:
 
     def late(self, rate: float) -> Array:
         """Return the samples after which a command of each actuator acts (actuators,): the delay, and dead times."""
-        found = np.full(len(self.actuators), float(self.delay))
-        for i, name in enumerate(self.actuators):
-            times = [self._value(e, "tau") for e in self._on("actuator", name) if e.enabled and not e.entry.expression]
-            found[i] += rate * sum(times)
-        return found
+        own = [e for e in self._of("actuator") if e.enabled and not e.entry.expression]
+        times = [sum(self._value(effect, "tau") for effect in own if effect.at == name) for name in self.actuators]
+        return self.delay + rate * np.array(times, dtype=float)
 
     @cached_property
     def chain_states(self) -> tuple[tuple[PlacedEffect, str], ...]:
@@ -348,20 +346,15 @@ class Twin:
 
     def gain(self, sensor: str) -> float:
         """Return the readings of a sensor per SI unit of what it measures."""
-        declared = self.declaration.sensors[sensor]
-        factors = self.kernels.meta["factors"]
+        declared, factors = self.declaration.sensors[sensor], self.kernels.meta["factors"]
         return float(declared.gain.value * factors[declared.gain.unit] / factors[declared.unit])
 
     def substeps(self, rate: float) -> int:
         """Return the integration steps between samples that resolve the fastest motion at rest."""
         p, u, lengths = self.values(), np.zeros(len(self.actuators)), self._lengths
-        state = self.rest(np.zeros(len(lengths)))
-
-        def slope(y: Array, out: Array) -> None:
-            self.kernels.twin_derivative(0.0, y, u, p, out)
-
+        state, derivative = self.rest(np.zeros(len(lengths))), self.kernels.twin_derivative
         sizes = np.resize(lengths, len(state)) if len(lengths) else np.ones(len(state))
-        return max(FEWEST_STEPS, steps_between(slope, state, sizes, rate))
+        return max(FEWEST_STEPS, steps_between(lambda y, out: derivative(0.0, y, u, p, out), state, sizes, rate))
 
     def size(self, unit: str) -> float:
         """Return the size in SI units of a unit that the plant file uses."""
@@ -484,9 +477,7 @@ class LoweredTwin:
             result, rates = expressions(effect.entry)
             nodes = {name: self.states[effect.label, name] for name in rates}
             nodes |= {"on": self.switches[effect.label], "u" if where == "actuator" else "s": x}
-            nodes |= self.parameters[effect.label]
-            if noise is not None:
-                nodes["xi"] = noise
+            nodes |= self.parameters[effect.label] | ({} if noise is None else {"xi": noise})
             symbols = {name: sp.Symbol(name, real=True) for name in nodes}
             known = {symbols[name]: node for name, node in nodes.items()}
             self.rates += [self.graph.lower(rate.to_sympy(symbols), known) for rate in rates.values()]
