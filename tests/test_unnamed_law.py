@@ -106,6 +106,7 @@ def test_what_names_leave_makes_none_of_them_likelier():
     assert calibration.none_of_these(calibration.HALF) == pytest.approx(0.5 * (1.0 + calibration.LEAST))
     assert calibration.none_of_these(0.0, refused=True) > calibration.LIKELIER
     assert calibration.none_of_these(0.0, shared=True) == calibration.SHARED
+    assert calibration.none_of_these(0.0, above=True) == calibration.ABOVE
 
 
 def test_what_leaves_hardly_anything_has_no_rival():

@@ -31,7 +31,7 @@ from masking.discovery.unnamed import evidence, law_of
 from masking.discovery.verdict import Scored
 from masking.discovery.work import Work
 from masking.effects import ROUNDING
-from masking.errors import IntegrationError
+from masking.errors import IntegrationError, MaskingError
 from masking.estimation.data import NOT_LATE, Data
 from masking.estimation.simulation import relative
 from masking.numerics.arrays import Array
@@ -69,8 +69,23 @@ def discover(
     rig = rig or AugmentedModel(twin, tuple(settings.parameters) or twin.equation_parameters())
     say = tell or (lambda text, part: None)
     say("preparing the rig; the first time, it is compiled", 0.0)
-    rules = settings.rules
-    train, unseen = train_validation_split(record, rules.held_out) if validation is None else (record, validation)
+    train, unseen = record, validation
+    if unseen is None:
+        train, unseen = train_validation_split(record, settings.rules.held_out)
+    found = _discovered(rig, train, unseen, settings, say)
+    if not found.is_hidden:
+        return found
+    say("only unseen data show it: they are searched, and validated by the others", 0.0)
+    try:
+        again = _discovered(rig, unseen, train, settings, say)
+    except MaskingError:
+        return found
+    return found if again.explanation.kind == "none" else replace(again, exchanged=True)
+
+
+def _discovered(rig: AugmentedModel, train: Data, unseen: Data, settings: DiscoverySettings, say: Tell) -> Discovery:
+    """Return what one record shows, validated by another."""
+    twin, rules = rig.twin, settings.rules
     prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
     whole = EstimationProblem(rig, train, prior, noise_of(twin, train), most, rules=rules)
     say("checking units", 0.0)
@@ -144,7 +159,9 @@ def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
         if law is not None:
             left, better = law.unexplained(found), evidence(found, found.after, law) - rules.effect_evidence
     refused = found.verdict == "unknown"
-    none = calibration.none_of_these(left if is_open else 0.0, better, refused=refused, shared=are_two)
+    none = calibration.none_of_these(
+        left if is_open else 0.0, better, refused=refused, shared=are_two, above=not found.is_at_noise_floor
+    )
     at = len(found.explanation.hypothesis.instances) - 1
     last = found.effects[at]
     others = tuple((name, on, part * (1.0 - none)) for name, on, part in last.alternatives)

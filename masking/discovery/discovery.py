@@ -107,6 +107,7 @@ class Discovery(Explained):
         before, after: the model as declared and with the causes, on the validation record.
         adjusted: the model without causes, its parameters adjusted within their priors, on the validation record.
         next_experiment: that separates the two likeliest explanations, if the record does not.
+        exchanged: whether the record to validate by was searched, since it alone shows the effect.
         first_order_hold: relative error of each sensor with adjusted parameters alone and inputs in straight lines
             between samples; None unless that is far less than what was found leaves.
         law: the law without a name, where no name explains the record.
@@ -126,6 +127,7 @@ class Discovery(Explained):
     adjusted: Hypothesis
     next_experiment: NextExperiment | None = None
     first_order_hold: dict[str, float] | None = None
+    exchanged: bool = False
     law: UnnamedLaw | None = None
     none_of_these: float = 0.0
     withheld: Withheld | None = None
@@ -237,6 +239,7 @@ class Discovery(Explained):
             "unexplained_fraction": self.unexplained,
             "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
             "first_order_hold": self.first_order_hold,
+            "exchanged": self.exchanged,
             "law": self.law and self.law.as_dict(),
             "none_of_these": self.none_of_these,
             "unit": self.unit and self.unit.as_dict(),

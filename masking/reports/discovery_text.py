@@ -27,8 +27,9 @@ APART = 0.02  # of its declared value by which it moved then
 LOST = 0.9  # part of a reading that is left, from which the model is said not to follow it
 LARGER = 1.05  # times the record's own peak, from which that of an experiment is stated
 MANY = 10.0  # relative error from which it is not given as a number
+EXCHANGED = "Unseen data alone show it: it was estimated from these, and validated by the others"
 EARLY = (
-    "The search ended early, with as much work as it may do: a part of the record, or fewer --parameters, leave more"
+    "The search ended early, after as much work as it may do: a part of the record, or fewer --parameters, leave more"
 )
 CHECK = "check units, columns and signs of the record against the model"
 NO_INPUTS = "no experiment is proposed, since the model has no inputs"
@@ -59,10 +60,10 @@ def sentence(found: Discovery) -> str:
         sentences = [first, hardly(found), gap(found), moved(found), capital(experiment(found))]
     else:
         what = listed([cause(found, one) for one in found.effects], "; ")
-        pause = "," if ", " in what else ""
-        first = f"{capital(what)}{pause} {'is' if len(found.effects) == 1 else 'are'} missing"
+        first = f"{capital(what)}{',' if ', ' in what else ''} {'is' if len(found.effects) == 1 else 'are'} missing"
         sentences = [first, hardly(found), gap(found), moved(found)]
-    sentences += [withheld(found), EARLY if found.problem.work.is_cut else "", measured(found)]
+    notes = [text for text, holds in ((EXCHANGED, found.exchanged), (EARLY, found.problem.work.is_cut)) if holds]
+    sentences += [withheld(found), *notes, measured(found)]
     return ". ".join(filter(None, [units_of_channels(found), *sentences]))
 
 
@@ -305,13 +306,10 @@ def cause(found: Discovery, named: Named) -> str:
 
 def gap(found: Discovery) -> str:
     """Say how the validation error falls, for the sensor in which it was largest beside its noise."""
-    before, how = without(found)
+    (before, how), what, name = without(found), "with this", worst(found)
     after, floor = found.simulation_error.validation[1], found.simulation_error.validation_noise_floor
-    name = worst(found)
     if not found.effects:
         before, how, what = found.simulation_error.validation[0], "as declared", "with adjusted parameters"
-    else:
-        what = "with this"
     return (
         f"The validation error of {name} is {percent(before[name])} {how} and {percent(after[name])} {what}; the noise "
         f"floor is {percent(floor[name])}"
