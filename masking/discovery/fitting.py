@@ -13,6 +13,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from masking.declaration.expression import Expression
 from masking.discovery import continuation, laws
 from masking.discovery.augmented_model import EffectInstance, Equations
 from masking.discovery.problem import EstimationProblem
@@ -340,6 +341,18 @@ class _LeastSquares:
         """Return how far from 0 the states of effects may begin, in one record after the other (s,)."""
         return np.tile([size for instance in self.instances for size in instance.begins], len(self.records))
 
+    @property
+    def steepest(self) -> Array:
+        """Return the least values of the effects' parameters that the steps of integration bear (f,)."""
+        rig, step = self.problem.rig, self.problem.dt / self.problem.substeps
+        found = list[float]()
+        for one in self.instances:
+            texts = {} if one.effect == laws.DELAY or one.sticks else one.entry.least
+            known = {**dict(zip(one.entry.parameters, one.values, strict=True)), "step": step} if texts else {}
+            known |= {"mobility": rig.mobilities[one.at]} if texts else {}
+            found += [Expression(texts[n]).evaluate(known) if n in texts else -np.inf for n in one.names]
+        return np.array(found)
+
     @cached_property
     def edges(self) -> tuple[int, int, int]:
         """Return where the unknowns of the rig, of the effects, and of the states of effects end."""
@@ -375,7 +388,8 @@ class _LeastSquares:
             return rules.converged * self.problem.tempering(at.found.residuals)
 
         prior, effects = self.problem.prior, bounds(self.instances)
-        low, high = np.concatenate([prior.low, effects.low]), np.concatenate([prior.high, effects.high])
+        low = np.concatenate([prior.low, np.maximum(effects.low, self.steepest)])
+        high = np.concatenate([prior.high, effects.high])
         box = Box(low, high, np.arange(len(low)) >= self.edges[0])
         made = minimise(
             self.linearised, self.unknowns(theta), box, DAMPING, rounds=rounds, tolerance=tolerance,

@@ -56,7 +56,9 @@ def _sliding(level: str, smooth: str, first: str) -> dict[str, Any]:
     target = f"min(min(max({s}, -2*{level} - {s}), max(2*{level} - {s}, -{level})), {level})"
     state = EffectState(f"hold*({target} - z)", "F", "force that it remembers", f"where(c > 0, {first}, 0)")
     expression = f"where(c > 0, min(max({s}, -{level}), {level}), {smooth})"
-    return {"expression": expression, "states": {"z": state}, "at_zero": {"c": smooth}, "by_step": _BY_STEP}
+    least = {"vs": f"0.55*mobility*step*{first}"}  # a sign as steep as what holds a contact that sticks
+    law = {"expression": expression, "states": {"z": state}, "at_zero": {"c": smooth}}
+    return {**law, "by_step": _BY_STEP, "least": least}
 
 
 ELEMENTS: tuple[Effect, ...] = (

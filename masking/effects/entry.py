@@ -169,6 +169,7 @@ class Effect:
         at_zero: the law without states where a parameter is 0, by this parameter.
         by_step: parameters that are no physics, but make a state as stiff as a step of integration bears: expressions
             over `step`, in s, and `mobility`, the acceleration of the displacement by a unit of force.
+        least: least values of parameters that a step of integration bears, as such expressions of the parameters, too.
     """
 
     name: str
@@ -200,6 +201,7 @@ class Effect:
     takes_rate: str = ""
     at_zero: Mapping[str, str] = field(default_factory=dict)
     by_step: Mapping[str, str] = field(default_factory=dict)
+    least: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def spoken(self) -> str:
