@@ -107,6 +107,7 @@ def test_what_names_leave_makes_none_of_them_likelier():
     assert calibration.none_of_these(0.0, refused=True) > calibration.LIKELIER
     assert calibration.none_of_these(0.0, shared=True) == calibration.SHARED
     assert calibration.none_of_these(0.0, above=True) == calibration.ABOVE
+    assert calibration.none_of_these(1.0, explained=False) == calibration.REFUSED
 
 
 def test_what_leaves_hardly_anything_has_no_rival():

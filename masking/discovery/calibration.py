@@ -21,12 +21,19 @@ SHARED = 0.3  # at least, where two forces of one place are named: together they
 ABOVE = (
     0.25  # at least, where unseen data are not at the noise floor: of 19 such answers to random records, 14 were right
 )
+EXPLAINED = 1.5  # times the noise that a law without a name leaves at most, where it speaks against all names
 LIKELIER = 0.5  # from which none of the names is likelier than all of them
 CHANGE = 1e-3  # of a probability: a law that changes it by less is not fitted
 
 
 def none_of_these(
-    left: float, better: float = -np.inf, *, refused: bool = False, shared: bool = False, above: bool = False
+    left: float,
+    better: float = -np.inf,
+    *,
+    refused: bool = False,
+    shared: bool = False,
+    above: bool = False,
+    explained: bool = True,
 ) -> float:
     """Return the probability that none of the names is right.
 
@@ -37,10 +44,12 @@ def none_of_these(
         refused: whether the names are refused for what they leave.
         shared: whether two of them are forces of one place.
         above: whether they leave more than the noise floor on unseen data.
+        explained: whether a law without a name leaves no more than noise; where neither does, little is sure.
     """
     found = LEAST + (1.0 - LEAST) / (1.0 + (HALF / left) ** SHARPNESS) if left > 0.0 else LEAST
     found = max(found, float(special.expit(0.5 * better)))
-    return max(found, REFUSED if refused else 0.0, SHARED if shared else 0.0, ABOVE if above else 0.0)
+    found = max(found, REFUSED if refused else 0.0, SHARED if shared else 0.0, ABOVE if above else 0.0)
+    return found if explained else min(found, REFUSED)
 
 
 def matters(left: float) -> bool:

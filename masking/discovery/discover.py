@@ -146,9 +146,11 @@ def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
         substeps: integration steps between samples of the model alone.
         say: called with what is done.
     """
+    floor = found.simulation_error.validation_noise_floor
     if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
         law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation, substeps)
-        return replace(found, law=law, none_of_these=1.0 if law else 0.0)
+        none = 0.0 if law is None else 1.0 if law.reaches(floor) else calibration.REFUSED
+        return replace(found, law=law, none_of_these=none)
     law, left, better = None, _left(found), -np.inf
     size, rules = found.problem.record.readings.size, found.problem.rules
     is_open = found.verdict == "unknown" or (calibration.matters(left) and not found.closed)
@@ -159,8 +161,10 @@ def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
         if law is not None:
             left, better = law.unexplained(found), evidence(found, found.after, law) - rules.effect_evidence
     refused = found.verdict == "unknown"
+    above = not found.is_at_noise_floor
+    explained = not above if law is None else law.reaches(floor)
     none = calibration.none_of_these(
-        left if is_open else 0.0, better, refused=refused, shared=are_two, above=not found.is_at_noise_floor
+        left if is_open else 0.0, better, refused=refused, shared=are_two, above=above, explained=explained
     )
     at = len(found.explanation.hypothesis.instances) - 1
     last = found.effects[at]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import closed_form, fitting, free_law, verdict
+from masking.discovery import calibration, closed_form, fitting, free_law, verdict
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.closed_form import ClosedForm
 from masking.discovery.explanation import Explanation
@@ -83,6 +83,10 @@ class UnnamedLaw:
         if not np.isfinite(named) or named >= base:
             return 1.0
         return float(np.sqrt(max(named - left, 0.0) / base))
+
+    def reaches(self, floor: Mapping[str, float]) -> bool:
+        """Return whether it leaves little more than the noise floor of each sensor on unseen data."""
+        return all(error <= calibration.EXPLAINED * floor[name] for name, error in self.error[1].items())
 
     def as_dict(self) -> dict[str, Any]:
         """Return the law as JSON can hold it."""
