@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import masking
-from masking.reports import discovery_text
 
 M, C, K = 2.0, 1.5, 800.0  # kg, N s/m, N/m: 3.2 Hz, damping ratio 0.019
 NOISE = 1e-5  # m
@@ -83,14 +82,12 @@ def test_a_strong_spring_is_found(discovered, k3):
     assert not found.problem.interval
 
 
-def test_what_only_the_record_that_judges_shows_is_not_nothing(discovered):
+def test_what_only_the_record_that_judges_shows_is_searched_for_there(discovered):
     found = discovered(lambda x, v: 5e3 * x**3, loud=0.05, louder=1.0)
-    assert found.explanation.kind == "none"
-    assert found.simulation_error.validation[1]["x"] > 2.0 * found.simulation_error.validation_noise_floor["x"]
-    assert (found.verdict, found.closed) == ("unknown", False)
-    assert discovery_text.sentence(found).startswith(
-        "The record shows no missing effect, but the validation record does: run discover on that one. The "
-    )
+    assert found.exchanged
+    assert (found.verdict, [(e.name, e.on) for e in found.effects]) == ("named", [("hardening_spring", "spring")])
+    assert found.effects[0].parameters["k3"][0] == pytest.approx(5e3, rel=0.05)
+    assert found.simulation_error.validation[1]["x"] < 1.1 * found.simulation_error.validation_noise_floor["x"]
 
 
 @pytest.mark.search

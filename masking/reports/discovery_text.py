@@ -50,7 +50,7 @@ def sentence(found: Discovery) -> str:
         near = f"The nearest known effect is {listed(known, '; ')}, which {do} not explain everything" if known else ""
         first = "The model misses an effect that is not in the dictionary"
         if found.is_hidden:
-            first = "The record shows no missing effect, but the validation record does: run discover on that one"
+            first = "The record shows no missing effect, but the validation record does, and does not tell which"
         sentences = [first, hardly(found), near, gap(found) if found.is_hidden else look(found), unnamed(found)]
     elif is_open(found):
         before = [cause(found, one) for one in found.effects[:-1]]
