@@ -18,9 +18,7 @@ HALF = 0.1  # l0: a law that is a tenth off is as likely another one
 SHARPNESS = 3.0  # s
 REFUSED = 0.6  # at least, where names are refused for what they leave: then it is likelier than not
 SHARED = 0.3  # at least, where two forces of one place are named: together they imitate many a single law
-ABOVE = (
-    0.25  # at least, where unseen data are not at the noise floor: of 19 such answers to random records, 14 were right
-)
+ABOVE = 0.25  # at least, where unseen data are not at the noise floor: of 19 such random records, 14 were right
 EXPLAINED = 1.5  # times the noise that a law without a name leaves at most, where it speaks against all names
 LIKELIER = 0.5  # from which none of the names is likelier than all of them
 CHANGE = 1e-3  # of a probability: a law that changes it by less is not fitted

@@ -348,8 +348,8 @@ class _LeastSquares:
         found = list[float]()
         for one in self.instances:
             texts = {} if one.effect == laws.DELAY or one.sticks else one.entry.least
-            known = {**dict(zip(one.entry.parameters, one.values, strict=True)), "step": step} if texts else {}
-            known |= {"mobility": rig.mobilities[one.at]} if texts else {}
+            known = {"step": step, "mobility": rig.mobilities[one.at]} if texts else {}
+            known |= zip(one.entry.parameters, one.values, strict=True) if texts else {}
             found += [Expression(texts[n]).evaluate(known) if n in texts else -np.inf for n in one.names]
         return np.array(found)
 

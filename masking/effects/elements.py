@@ -41,7 +41,8 @@ _HELD = {
 }
 _FALLING = "fc + (fs - fc)*exp(-(d_rate/vst)**2)"
 _BEYOND = "(1 + tanh(side*(d - edge)/width))"
-_BY_STEP = {"c": "1/(0.55*mobility*step)", "hold": "1/(1.75*step)"}
+_HOLDING = "0.55*mobility*step"  # inverse of the resistance
+_BY_STEP = {"c": f"1/({_HOLDING})", "hold": "1/(1.75*step)"}
 
 
 def _sliding(level: str, smooth: str, first: str) -> dict[str, Any]:
@@ -56,7 +57,7 @@ def _sliding(level: str, smooth: str, first: str) -> dict[str, Any]:
     target = f"min(min(max({s}, -2*{level} - {s}), max(2*{level} - {s}, -{level})), {level})"
     state = EffectState(f"hold*({target} - z)", "F", "force that it remembers", f"where(c > 0, {first}, 0)")
     expression = f"where(c > 0, min(max({s}, -{level}), {level}), {smooth})"
-    least = {"vs": f"0.55*mobility*step*{first}"}  # a sign as steep as what holds a contact that sticks
+    least = {"vs": f"{_HOLDING}*{first}"}  # a sign as steep as what holds a contact that sticks
     law = {"expression": expression, "states": {"z": state}, "at_zero": {"c": smooth}}
     return {**law, "by_step": _BY_STEP, "least": least}
 

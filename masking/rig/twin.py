@@ -245,7 +245,7 @@ class Twin:
     def late(self, rate: float) -> Array:
         """Return the samples after which a command of each actuator acts (actuators,): the delay, and dead times."""
         own = [e for e in self._of("actuator") if e.enabled and not e.entry.expression]
-        times = [sum(self._value(effect, "tau") for effect in own if effect.at == name) for name in self.actuators]
+        times = [sum(self._value(e, e.entry.grows_with) for e in own if e.at == name) for name in self.actuators]
         return self.delay + rate * np.array(times, dtype=float)
 
     @cached_property
@@ -473,7 +473,7 @@ class LoweredTwin:
 
     def _through(self, where: str, at: str, x: Node, noise: Node | None = None) -> Node:
         """Return what the effects at one sensor or actuator make of a value, one after the other."""
-        for effect in (e for e in self.twin._chain if (e.entry.where, e.at) == (where, at)):
+        for effect in (e for e in self.twin._on(where, at) if e.entry.expression):
             result, rates = expressions(effect.entry)
             nodes = {name: self.states[effect.label, name] for name in rates}
             nodes |= {"on": self.switches[effect.label], "u" if where == "actuator" else "s": x}
