@@ -118,7 +118,9 @@ def recorded(twin: Twin, commands: Array, *, moved: Array | None = None, name: s
     settle = round(SETTLE * RATE)
     count = len(twin.model.coordinates)
     begin = twin.rest(np.zeros(count))
-    idle = Data(name, RATE, np.zeros((settle, len(twin.actuators))), np.zeros((settle, len(twin.sensors))), twin.delay)
+    idle = Data(
+        name, RATE, np.zeros((settle, len(twin.actuators))), np.zeros((settle, len(twin.sensors))), twin.late(RATE)
+    )
     sensing = Sensitivity(twin, ())
     rest = sensing.simulate(np.empty(0), begin, idle.acting, rate=RATE, substeps=SUBSTEPS)[-1]
     gains = 200.0  # V/m, each sensor sees one coordinate of its own
@@ -126,7 +128,7 @@ def recorded(twin: Twin, commands: Array, *, moved: Array | None = None, name: s
     start[:count] = np.linalg.solve(_sensing(count), rest / gains)
     if moved is not None:
         start[:count] += moved
-    made = Data(name, RATE, commands, np.zeros((len(commands), len(twin.sensors))), twin.delay)
+    made = Data(name, RATE, commands, np.zeros((len(commands), len(twin.sensors))), twin.late(RATE))
     clean = sensing.simulate(np.empty(0), start, made.acting, rate=RATE, substeps=SUBSTEPS) - rest
     noise = np.array([twin.noise().get(sensor, 0.0) for sensor in twin.sensors])
     return replace(made, readings=clean + noise * np.random.default_rng(seed).standard_normal(clean.shape))
