@@ -4,6 +4,7 @@ Records are those of the benchmark: integrated by scipy from laws typed there.
 """
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 import masking
 from masking.declaration.expression import Expression
-from masking.discovery import calibration, grammar
+from masking.discovery import calibration, closed_form, grammar
 from masking.discovery.bases import Curve, pieces
 from masking.discovery.tabulated import tabulated
 from masking.reports import discovery_text
@@ -125,3 +126,9 @@ def test_scores_of_probabilities_are_those_of_their_definitions():
 
 def outcome(probability, is_right):
     return scoring.Outcome("", "cubic", "named", "", "", probability, is_right, 0.0, 1.0, None, "", 1.0)
+
+
+def test_a_law_that_ran_away_has_no_closed_form(found):
+    law = found[0].law.free
+    far = replace(law.hypothesis, covariance=1e308 * np.ones_like(law.hypothesis.covariance))
+    assert closed_form.forms(replace(law, hypothesis=far), 1000) == []

@@ -33,7 +33,6 @@ FITS = {1: 2, 2: 2, 3: 1}  # forms of so many terms that are fitted to the recor
 SAMPLES = 240  # of the motion at which forms are compared
 NAME = "unnamed_law"
 PLUS = "  +  "  # between the terms of a form
-STUCK, BEGINNING = 4.0, 12  # cost per reading from which an initial state is sought in such a part of a record
 ALIKE = 1e-6  # one less the cosine of two terms that are the same
 EXACT = 2e-3  # of a force: how exactly splines of few pieces hold a formula
 ROUNDING = 1e-14  # of the largest variance: what a smaller one is
@@ -97,13 +96,17 @@ class _Known:
         return {"d": x, "d_rate": v, **sizes}
 
     @cached_property
+    def spread(self) -> Array:
+        """Return the covariance of the free law at the samples (m, m), not finite where that ran away."""
+        at = self.law.rows(*self.samples)
+        with np.errstate(over="ignore", invalid="ignore"):
+            exact = np.eye(len(at)) * (EXACT * float((at @ self.law.factors).std())) ** 2
+            return np.asarray(at @ self.law.covariance @ at.T + exact)
+
+    @cached_property
     def _whitening(self) -> Array:
         """Return what makes deviations from the free law at the samples independent, of variance 1 (m, m)."""
-        at = self.law.rows(*self.samples)
-        spread = at @ self.law.covariance @ at.T
-        force = at @ self.law.factors
-        spread += np.eye(len(spread)) * (EXACT * float(force.std())) ** 2
-        sizes, vectors = linalg.eigh(spread)
+        sizes, vectors = linalg.eigh(self.spread)
         return np.asarray((vectors / np.sqrt(np.maximum(sizes, ROUNDING * sizes[-1]))).T)
 
     @cached_property
@@ -154,15 +157,15 @@ class _Known:
 
 
 def forms(law: FreeLaw, readings: int) -> list[Form]:
-    """Return forms that deviate least from a free law, the best first; none where its covariance is not finite.
+    """Return forms that deviate least from a free law, the best first; none where it ran away.
 
     Args:
         law: the free law.
         readings: of the record.
     """
-    if not np.isfinite(law.covariance).all():
-        return []
     known, place = _Known(law, float(np.log(readings))), law.place
+    if not np.isfinite(known.spread).all():
+        return []
     every = [
         (atom, values)
         for atom in atoms(place.element.displacement is not None, place.has_rate)
@@ -330,27 +333,6 @@ class ClosedForm:
         }
 
 
-def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:
-    """Return a hypothesis on a validation record, with the initial state of its beginning where that is better.
-
-    Args:
-        problem: of the record.
-        hypothesis: to validate.
-
-    Raises:
-        IntegrationError: the motion is not finite.
-    """
-    found = fitting.validated(problem, hypothesis)
-    if problem.interval or found.cost < STUCK * problem.record.readings.size:
-        return found
-    begin = problem.record.first(len(problem.record) / problem.record.rate / BEGINNING)
-    with suppress(IntegrationError):
-        first = fitting.validated(replace(problem, record=begin), hypothesis)
-        other = fitting.fit(problem, hypothesis.instances, theta=hypothesis.theta, start=first.start, frozen=True)
-        found = min(found, other, key=lambda one: one.cost)
-    return found
-
-
 def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProblem) -> ClosedForm | None:
     """Return the closed form of a free law that explains both records best; None where none can be simulated.
 
@@ -372,7 +354,7 @@ def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProbl
             rig = replace(problem.rig, tried=(one.entry, *(other.entry for other in others)))
             with suppress(IntegrationError):
                 made = fitting.fit(replace(problem, rig=rig), (*others, one), theta=known.theta, start=known.start)
-                checked = validated(replace(validation, rig=rig), made)
+                checked = fitting.validated(replace(validation, rig=rig), made)
                 score = made.cost + float(checked.squares @ validation.weights) + both * form.size + evidence * many
                 if best is None or score < best.score:
                     best = ClosedForm(form, made, checked, score)

@@ -8,22 +8,25 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
 
 from masking.declaration.expression import Expression
-from masking.discovery import continuation, laws
+from masking.discovery import continuation, initial_states, laws
 from masking.discovery.augmented_model import EffectInstance, Equations
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import IntegrationError
 from masking.estimation.least_squares import Box, Damping, Dense, Linearised, minimise
-from masking.estimation.simulation import guessed_state
+from masking.estimation.simulation import FIRST_READINGS, PARTS
 from masking.numerics.arrays import Array
 
 MOST_ROUNDS = 40
+STUCK = 4.0  # cost per reading of a validation from which another initial state is sought
+STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
 REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
 DAMPING = Damping(1e-6, least=1e-9, most=1e8)
 
@@ -109,7 +112,7 @@ def fit(
         IntegrationError: the motion is not finite from where it begins.
     """
     x = problem.prior.mean if theta is None else theta
-    begun = _Begun(tuple(instances), x, first_states(problem, x) if start is None else start)
+    begun = _Begun(tuple(instances), x, initial_states.first(problem, x) if start is None else start)
     solved = partial(_solved, problem, rounds=rounds, rival=rival, penalty=penalty)
     found, is_fresh = solved(begun, frozen=frozen), start is None and not frozen
     if is_fresh:  # the initial states that suit the parameters to begin from best count
@@ -179,7 +182,7 @@ def _continued(problem: EstimationProblem, begun: _Begun, *, frozen: bool) -> _B
         return None
     states = list[Array]()
     for part in continuation.parts(stages[0]):  # the parameters are those of the first
-        guess = first_states(part, begun.theta, max(4, min(20, part.interval_samples // continuation.LINE)))
+        guess = initial_states.first(part, begun.theta, max(4, min(20, part.interval_samples // continuation.LINE)))
         found = _solved(part, replace(begun, start=guess), rounds=continuation.ROUNDS, frozen=frozen or bool(states))
         states.append(guess if found is None else found.start)
         begun = begun if found is None else _Begun.at(found)
@@ -213,7 +216,7 @@ def together(
     Raises:
         IntegrationError: the motion is not finite.
     """
-    start = np.concatenate([known.start, first_states(other, known.theta)])
+    start = np.concatenate([known.start, initial_states.first(other, known.theta)])
     return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
 
 
@@ -270,8 +273,27 @@ def freed_scores(problem: EstimationProblem, known: Hypothesis) -> Array:
 
 
 def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:
-    """Return a hypothesis on a validation record: only its initial state is estimated."""
-    return fit(problem, hypothesis.instances, theta=hypothesis.theta, frozen=True)
+    """Return a hypothesis on a validation record: only its initial state is estimated, from growing parts if need be.
+
+    Args:
+        problem: of the record.
+        hypothesis: to validate.
+
+    Raises:
+        IntegrationError: the motion is not finite.
+    """
+    solved = partial(fit, instances=hypothesis.instances, theta=hypothesis.theta, frozen=True)
+    found, record = solved(problem), problem.record
+    if problem.interval or found.cost < STUCK * record.readings.size:
+        return found
+    start: Array | None = None
+    with suppress(IntegrationError):
+        for part in PARTS:
+            if part * len(record) >= FIRST_READINGS:
+                begin = replace(problem, record=record.first(part * len(record) / record.rate))
+                start = solved(begin, start=start).start
+        found = min(found, solved(problem, start=start), key=lambda one: one.cost)
+    return found
 
 
 def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta: Array, start: Array) -> float:
@@ -288,25 +310,6 @@ def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta:
         return whole.linearised(whole.unknowns(theta)).cost
     except IntegrationError:
         return np.inf
-
-
-def first_states(problem: EstimationProblem, theta: Array, samples: int = 20) -> Array:
-    """Return a first guess of initial states (w, states), from straight lines through the first readings.
-
-    Args:
-        problem: the record and the rig.
-        theta: parameters of the rig (k,).
-        samples: of each line.
-    """
-    rig, record, acting = problem.rig, problem.record, problem.record.acting
-    found = []
-    for begin in range(0, len(record), problem.interval_samples):
-        early = min(begin, max(len(record) - samples, 0))  # the line of a short last interval begins before it
-        read = record.readings[early:][:samples]
-        times = (np.arange(len(read)) + early - begin) / record.rate
-        at_rest = rig.reading(theta, rig.rest, acting[begin])
-        found.append(guessed_state(rig.rest, at_rest, rig.twin.free, times, read, n=len(rig.coordinates), degree=1))
-    return np.array(found)
 
 
 @dataclass(frozen=True)
@@ -363,6 +366,22 @@ class _LeastSquares:
     def free(self) -> list[int]:
         """Return the states of the motion that are estimated."""
         return [*self.problem.rig.twin.free]
+
+    @cached_property
+    def sizes(self) -> Array:
+        """Return the sizes of initial states that are estimated (w * e,); 0 of unseen ones."""
+        return np.tile(initial_states.sizes(self.problem)[self.free], len(self.start))
+
+    def resistance(self, matrix: Array) -> Array:
+        """Return what steps add to the diagonal of the normal equations (n,).
+
+        A speed that friction takes at once hardly shows in the readings: a full step of it would go anywhere, and keep
+        the others from theirs.
+        """
+        found, squares = np.zeros(len(matrix)), self.sizes**2
+        known = float((squares * np.diag(matrix)[self.edges[2] :]).max(initial=0.0))
+        found[self.edges[2] :] = np.divide(STEADY * known, squares, out=np.zeros_like(squares), where=squares > 0.0)
+        return found
 
     def unknowns(self, theta: Array) -> Array:
         """Return the unknowns (n,) at values of the rig's parameters (k,)."""
@@ -425,7 +444,8 @@ class _LeastSquares:
         known = self.begins == 0.0
         off[first:last], deviation[first:last], fixed[first:last] = -inner, np.where(known, np.inf, self.begins), known
         cost = float(found.squares @ self.problem.weights + ((off / deviation) ** 2).sum()) + rough
-        return Linearised(cost, Dense(found.matrix, found.gradient, fixed).with_prior(off, deviation), found)
+        equations = Dense(found.matrix, found.gradient, fixed, self.resistance(found.matrix))
+        return Linearised(cost, equations.with_prior(off, deviation), found)
 
 
 def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequence[Array]) -> Equations:

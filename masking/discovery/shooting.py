@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 
 from masking.declaration.couplings import driven_states
-from masking.discovery import fitting
+from masking.discovery import fitting, initial_states
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import linearised, smooth
@@ -63,7 +63,7 @@ def substeps(problem: EstimationProblem) -> int:
     """Return how many integration steps between samples simulate the readings within their noise."""
     least = problem.rules.stiff_steps if driven_states(problem.rig.twin.base) else 1
     theta = problem.prior.mean
-    start = fitting.first_states(problem, theta)
+    start = initial_states.first(problem, theta)
 
     def simulated(number: int) -> Array:
         return replace(problem, substeps=number).equations(theta, start).simulated

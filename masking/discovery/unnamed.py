@@ -149,7 +149,7 @@ def law_of(found: Explained, validation: EstimationProblem, substeps: int) -> Un
             law = again if again is not None and again.score < law.score else law
         validation = _followed(validation, law)
         try:
-            validated = closed_form.validated(validation, law.hypothesis)
+            validated = fitting.validated(validation, law.hypothesis)
             base = found.search.base.hypothesis
             declared = replace(base, theta=problem.prior.mean)
             without = [fitting.validated(validation, one) for one in (base, declared)]
@@ -182,7 +182,7 @@ def _followed(validation: EstimationProblem, law: FreeLaw) -> EstimationProblem:
     for samples in (law.problem.interval, *(size // part for part in PARTS)):
         part = replace(validation, interval=samples)
         with suppress(IntegrationError):
-            if closed_form.validated(part, law.hypothesis).cost < closed_form.STUCK * validation.record.readings.size:
+            if fitting.validated(part, law.hypothesis).cost < fitting.STUCK * validation.record.readings.size:
                 return part
     return replace(validation, interval=law.problem.interval)
 

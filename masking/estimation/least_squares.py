@@ -43,11 +43,13 @@ class Dense:
         matrix: J^T W J (n, n).
         gradient: J^T W r (n,), of the residuals r.
         fixed: unknowns that are not estimated (n,); none by default.
+        resistance: what a step adds to the diagonal of the matrix (n,); nothing by default.
     """
 
     matrix: Array
     gradient: Array
     fixed: NDArray[np.bool_] | None = None
+    resistance: Array | None = None
 
     def with_prior(self, off: Array, deviation: Array) -> Dense:
         """Return the equations with a normal prior.
@@ -69,7 +71,8 @@ class Dense:
         free = np.flatnonzero(np.isnan(step))
         step[free] = 0.0
         right = (self.gradient - self.matrix @ step)[free]
-        step[free] = _scaled_solution(self.matrix[np.ix_(free, free)], right, damping)
+        matrix = self.matrix if self.resistance is None else self.matrix + np.diag(self.resistance)
+        step[free] = _scaled_solution(matrix[np.ix_(free, free)], right, damping)
         return step, float(self.gradient @ step)
 
     def covariance(self) -> Array:
