@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import masking
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.discover import discover
 from masking.discovery.imperfections import GAIN, with_imperfections
@@ -73,9 +74,13 @@ def test_a_rig_in_which_other_effects_are_tried_has_its_imperfections(problem):
 
 def test_many_imperfections_are_adjusted_beside_a_law_and_written(tmp_path):
     case = Case(3, "hardening_spring", REAL, RATE, 12.0)
-    twin, record = record_of(case, tmp_path)
-    found = discover(twin, record, settings=DiscoverySettings(tolerance=REAL.off))
+    (tmp_path / "model.yaml").write_text(case.rig.model())
+    np.savez(tmp_path / "record.npz", **case.rig.columns(case.times, *case.told))
+    given = {"model": tmp_path / "model.yaml", "tolerance": REAL.off, "out": tmp_path / "found"}
+    found = masking.discover(tmp_path / "record.npz", **given)
     assert (found.verdict, [(one.name, one.on) for one in found.effects]) == ("named", [case.truth])
+    again = masking.simulate(tmp_path / "found" / "plant.yaml", tmp_path / f"record.npz@0:{0.7 * 12.0}")
+    assert again.chi == pytest.approx(found.simulation_error.estimation[1], rel=0.02)
     known = {one.name: next(iter(one.parameters.values())) for one in found.imperfections}
     late, std = known["delay"]
     assert late + 3.0 * std > 0.5 / RATE  # half a sample to a whole one

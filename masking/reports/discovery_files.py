@@ -119,8 +119,7 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     facts["model"] = None if files.model is None else str(files.model)
     facts["plant"] = None if files.plant is None else str(files.plant)
     facts["parameters"] = {
-        name: {"value": value, "std": std, "declared": float(start)}
-        for (name, value, std), start in zip(refitted(found), found.rig.start, strict=False)
+        name: {"value": value, "std": std, "declared": declared} for name, value, std, declared in refitted(found)
     }
     facts["adjusted"] = list(discovery_text.adjusted(found))
     facts["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
@@ -129,13 +128,11 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     return facts
 
 
-def refitted(found: Discovery) -> list[tuple[str, float, float]]:
-    """Return the parameters of the rig with their values and deviations, in declared units."""
-    count, theta = len(found.rig.names), found.written.hypothesis.theta
-    return [
-        (name, float(value), float(std))
-        for name, value, std in zip(found.rig.names, theta, found.written_deviations[:count], strict=True)
-    ]
+def refitted(found: Discovery) -> list[tuple[str, float, float, float]]:
+    """Return the parameters of the model with their values, deviations and declared values, in declared units."""
+    columns = (found.written.hypothesis.theta, found.written_deviations, found.rig.start)  # imperfections come last
+    rows = zip(found.rig.names, *(column.tolist() for column in columns), strict=False)
+    return [(name, value, std, declared) for name, value, std, declared in rows]
 
 
 def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
@@ -156,7 +153,7 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
         "extends": registry.name_from(twin.base, folder),
     }
     parameters: dict[str, Any] = {
-        name: model_files.parameter(value, std, STD_DIGITS) for name, value, std in refitted(found)
+        name: model_files.parameter(value, std, STD_DIGITS) for name, value, std, _ in refitted(found)
     }
     known = _uncertain(found)
 

@@ -213,10 +213,10 @@ def _paid(part: float) -> str:
 def _parameters(found: Discovery) -> Iterator[tuple[str, ...]]:
     """Yield the model's parameters as declared and as found beside the causes."""
     known = found.twin.base.parameters
-    for (name, value, std), start in zip(discovery_files.refitted(found), found.rig.start, strict=True):
-        change = _signed(value / start - 1.0) if start else ""
-        declared, estimate = number(float(start), 6), with_deviation(value, std, "")
-        yield name, declared, estimate, change, pretty(known[name].unit), known[name].meaning
+    for name, value, std, declared in discovery_files.refitted(found):
+        change = _signed(value / declared - 1.0) if declared else ""
+        estimate = with_deviation(value, std, "")
+        yield name, number(declared, 6), estimate, change, pretty(known[name].unit), known[name].meaning
 
 
 def _provenance(found: Discovery, origin: Origin, folder: Path) -> list[tuple[str, object]]:

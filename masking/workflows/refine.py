@@ -233,7 +233,7 @@ def refined(experiment: Experiment, found: Discovery, files: Files, folder: Path
         folder: where they will lie.
     """
     settings = experiment.declaration.controller
-    values = {name: value for name, value, _ in discovery_files.refitted(found)}
+    values = {name: value for name, value, *_ in discovery_files.refitted(found)}
     if files.model is None:  # all that was found are values
         controller = settings.model_copy(update={"parameters": {**settings.parameters, **values}})
         return experiment.changed(controller=controller.model_dump(mode="json", exclude_defaults=True))
