@@ -95,9 +95,8 @@ def _discovered(rig: AugmentedModel, train: Data, unseen: Data, settings: Discov
     if doubt is not None:
         whole, unseen = doubt.converted(whole), doubt.of(whole, unseen)
     problem = replace(whole, interval=shooting.interval(whole, settings.shooting_interval))
-    problem = replace(
-        problem, substeps=shooting.substeps(problem), work=Work.allowed(len(train), len(twin.state_names))
-    )
+    width = len(twin.state_names) + len(twin.free) + len(prior.mean)
+    problem = replace(problem, substeps=shooting.substeps(problem), work=Work.allowed(len(train), width))
     noise = noise_of(twin, unseen)
     found = _explained(problem, unseen, noise, say)
     if settings.shooting_interval is None and not problem.interval and _loses_phase(found):

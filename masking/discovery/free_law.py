@@ -125,7 +125,7 @@ def fit(found: Explained, known: Sequence[EffectInstance] = ()) -> FreeLaw | Non
         found: the record with its explanation.
         known: effects elsewhere that are fitted beside it, with values to begin from.
     """
-    problem = found.problem
+    problem = found.problem.uncounted()
     room = MOST_COLUMNS - len(found.rig.start) - len(fitting.estimated(known)) - 2 * len(found.twin.state_names)
     starts, many = list[_Start](), 0
     for ground in _grounds(found):
@@ -143,7 +143,7 @@ def fit(found: Explained, known: Sequence[EffectInstance] = ()) -> FreeLaw | Non
         law = _fitted(problem, one, known)
         if law is not None and (best is None or law.score < best.score):
             best = law
-        if best is not None and best.hypothesis.cost < ALIKE * noise:
+        if problem.work.ends() or (best is not None and best.hypothesis.cost < ALIKE * noise):
             break
     return best
 

@@ -97,7 +97,7 @@ class EstimationProblem:
         n, width = len(rig.twin.state_names), k + moving
         y, derivatives = np.full(n + states, NEARLY_ZERO), np.zeros((COLUMN_ROWS * (n + states), width))
         y[n:] += 0.0 if inner is None else inner
-        self.work.add(len(record) * self.substeps, len(y), sticks=any(one.sticks for one in instances))
+        self.work.add(len(record) * self.substeps, len(y) + width)
         derivatives[n : n + states, k - states : k] = np.eye(states)
         matrices, gradients = np.zeros((intervals * width, width)), np.zeros(intervals * width)
         squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)

@@ -5,19 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from threading import Lock
 
-MOST_STEPS = 5e7  # times states: about a minute on one core
+MOST_STEPS = 6e8  # times states and columns: about 40 s on one core
 FEWEST_RUNS = 2000  # of a record, however long it is
-STIFF = 4.0  # steps within a step, where a contact sticks
 
 
 @dataclass
 class Work:
-    """Simulation that a search has done, in steps of integration times states, and how much it may do.
+    """Simulation that a search has done, and how much it may do: steps of integration, times what each one moves.
 
-    Steps are counted and no seconds, so that a search ends in the same place on any machine.
+    That are states, and columns of sensitivities. Steps are counted and no seconds, so that a search ends in the same
+    place on any machine.
 
     Args:
-        most: steps times states after which a search begins nothing more.
+        most: steps, so weighted, after which a search begins nothing more.
         done: those that have been done.
         is_cut: whether a search has ended for that.
     """
@@ -28,25 +28,24 @@ class Work:
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     @classmethod
-    def allowed(cls, samples: int, states: int) -> Work:
+    def allowed(cls, samples: int, width: int) -> Work:
         """Return the work that a search of a record may do.
 
         Args:
             samples: of the record.
-            states: of the rig.
+            width: states and columns of the rig alone.
         """
-        return cls(max(MOST_STEPS, float(FEWEST_RUNS * samples * states)))
+        return cls(max(MOST_STEPS, float(FEWEST_RUNS * samples * width)))
 
-    def add(self, steps: int, states: int, *, sticks: bool) -> None:
+    def add(self, steps: int, width: int) -> None:
         """Add a simulation, from any thread.
 
         Args:
             steps: of integration.
-            states: that are integrated.
-            sticks: whether a contact in it sticks.
+            width: states and columns that each one moves.
         """
         with self._lock:
-            self.done += steps * states * (STIFF if sticks else 1.0)
+            self.done += steps * width
 
     def ends(self) -> bool:
         """Return whether a search is to begin nothing more; that it was so is noted."""
