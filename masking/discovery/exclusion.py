@@ -11,6 +11,7 @@ import numpy as np
 
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.problem import EstimationProblem
+from masking.numerics.arrays import Array
 
 OUTLIERS = 10  # readings that exclude nothing: a motion that passes a limit stays there longer
 REACH, POINTS = 10.0, 4001  # times the largest reading: the range of a law is that over these values of what is sensed
@@ -28,12 +29,33 @@ def is_excluded(problem: EstimationProblem, instances: Sequence[EffectInstance])
     return any(_is_beyond(problem, one) for one in alone)
 
 
+def folds(problem: EstimationProblem, instance: EffectInstance) -> bool:
+    """Return whether a law of a sensor reads the same for several values within the readings.
+
+    Args:
+        problem: the record and the rig.
+        instance: the law.
+    """
+    if instance.where != "sensor" or instance.entry.states:
+        return False
+    return bool((np.diff(given(problem, instance, 1.0)) < 0.0).any())
+
+
+def given(problem: EstimationProblem, instance: EffectInstance, reach: float) -> Array:
+    """Return what a law of a sensor reads over a range of values (v,).
+
+    Args:
+        problem: the record and the rig.
+        instance: the law, without a state.
+        reach: end of the range on both sides, in largest readings.
+    """
+    largest = float(np.abs(problem.record.readings[:, problem.rig.index(instance)]).max())
+    sensed = reach * largest * np.linspace(-1.0, 1.0, POINTS)
+    return np.asarray(problem.rig.along(instance, sensed, np.zeros(POINTS), problem.dt)[:, 0])
+
+
 def _is_beyond(problem: EstimationProblem, instance: EffectInstance) -> bool:
-    rig, rules = problem.rig, problem.rules
-    at = rig.index(instance)
+    at, law = problem.rig.index(instance), given(problem, instance, REACH)
     readings = problem.record.readings[:, at]
-    sensed = REACH * float(np.abs(readings).max()) * np.linspace(-1.0, 1.0, POINTS)
-    given = rig.along(instance, sensed, np.zeros(POINTS), problem.dt)[:, 0]
-    margin = rules.excluded_deviations * float(problem.sigma[at])
-    beyond = (readings > given.max() + margin) | (readings < given.min() - margin)
-    return int(beyond.sum()) > OUTLIERS
+    margin = problem.rules.excluded_deviations * float(problem.sigma[at])
+    return int(((readings > law.max() + margin) | (readings < law.min() - margin)).sum()) > OUTLIERS

@@ -15,7 +15,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from masking.declaration.expression import Expression
-from masking.discovery import continuation, initial_states, laws
+from masking.discovery import continuation, exclusion, initial_states, laws
 from masking.discovery.augmented_model import EffectInstance, Equations
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import RULES, DecisionRules
@@ -286,13 +286,20 @@ def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:
     found, record = solved(problem), problem.record
     if problem.interval or found.cost < STUCK * record.readings.size:
         return found
-    start: Array | None = None
-    with suppress(IntegrationError):
-        for part in PARTS:
-            if part * len(record) >= FIRST_READINGS:
-                begin = replace(problem, record=record.first(part * len(record) / record.rate))
-                start = solved(begin, start=start).start
-        found = min(found, solved(problem, start=start), key=lambda one: one.cost)
+    folded = [problem.rig.index(one) for one in hypothesis.instances if exclusion.folds(problem, one)]
+    for sides in itertools.product((1.0, -1.0), repeat=len(folded)):
+        signs = np.ones(record.readings.shape[1])
+        signs[folded] = sides
+        turned = replace(problem, record=replace(record, readings=signs * record.readings))
+        start = initial_states.first(turned, hypothesis.theta)
+        with suppress(IntegrationError):
+            for part in PARTS:
+                if part * len(record) >= FIRST_READINGS:
+                    begin = replace(problem, record=record.first(part * len(record) / record.rate))
+                    start = solved(begin, start=start).start
+            found = min(found, solved(problem, start=start), key=lambda one: one.cost)
+        if found.cost < STUCK * record.readings.size:
+            break
     return found
 
 
@@ -410,10 +417,11 @@ class _LeastSquares:
         low = np.concatenate([prior.low, np.maximum(effects.low, self.steepest)])
         high = np.concatenate([prior.high, effects.high])
         box = Box(low, high, np.arange(len(low)) >= self.edges[0])
-        made = minimise(
-            self.linearised, self.unknowns(theta), box, DAMPING, rounds=rounds, tolerance=tolerance,
-            is_hopeless=is_hopeless,
-        )  # fmt: skip
+        with np.errstate(over="ignore", invalid="ignore"):  # a step that runs away costs more, and is not taken
+            made = minimise(
+                self.linearised, self.unknowns(theta), box, DAMPING, rounds=rounds, tolerance=tolerance,
+                is_hopeless=is_hopeless,
+            )  # fmt: skip
         theta, added, _, start = self.parts(made.x)
         found, shared = made.at.found, self.edges[1]
         parts = zip(self.instances, by_instance(self.instances, added), strict=True)

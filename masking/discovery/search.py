@@ -14,7 +14,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from masking.discovery import fitting, shooting, sticking, verdict
+from masking.discovery import fitting, shooting, unscreened, verdict
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import candidates
 from masking.discovery.composites import are_composite
@@ -246,7 +246,7 @@ class Search:
             found += self._noted(some, rival, made)
         if parameters and not known:
             noted = partial(self._noted, rival=rival, made=made)
-            found += sticking.fits(self.problem, now, found, ground, noted)
+            found += unscreened.fits(self.problem, now, found, ground, noted)
         if not found:
             return [], now
         # Other shapes of a nested model are fitted if one takes a part of what the best does.

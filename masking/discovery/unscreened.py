@@ -1,8 +1,9 @@
-"""Sticking: frictions that hold their place for much of a record, fitted from the model as declared.
+"""Unscreened: laws that the smoothed motion does not show, fitted from the model as declared.
 
-Along a motion that sticks no law has the force that holds it, and parameters that are fitted without friction go far to
-stand for it. So dry friction is fitted at each place from the declared parameters, and at the place where it leaves
-least the other frictions that stick, from there.
+Along a motion that sticks no law has the force that holds it, and where a sensor reads the same for several values,
+such as a magnitude, the motion that is smoothed from its readings is another one. Parameters that are fitted without
+these laws go far to stand for them. So dry friction is fitted at each place from the declared parameters, and at the
+place where it leaves least the other frictions that stick, from there; and at each sensor the laws that fold its range.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 
-from masking.discovery import fitting, verdict
+from masking.discovery import exclusion, fitting, verdict
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.explanation import Explanation, Job
@@ -35,7 +36,7 @@ def fits(
     ground: Ground,
     noted: Callable[[Sequence[tuple[int, Job]]], list[Explanation]],
 ) -> list[Explanation]:
-    """Return fits of frictions that stick, where other fits leave much.
+    """Return fits of frictions that stick and of laws that fold the range of a sensor, where other fits leave much.
 
     Args:
         problem: the record and the rig.
@@ -51,7 +52,9 @@ def fits(
     simple = [one for one in ground.every if one.sticks and not one.entry.nested]
     scores = ground.screen(problem, begun, ()).scores(simple)
     first = {score.candidate.at: score for score in reversed(scores)}.values()
-    made = noted([(id(score.candidate), _job(problem, score.candidate, [score.instance], begun)) for score in first])
+    jobs = [(id(score.candidate), _job(problem, score.candidate, [score.instance], begun)) for score in first]
+    folding = [one for one in ground.every if any(exclusion.folds(problem, at) for at in one.instances)]
+    made = noted([*jobs, *((id(one), _job(problem, one, one.instances, begun)) for one in folding)])
     best = min(made, key=lambda one: one.cost, default=now)
     if best.cost > WORSE * min(one.cost for one in (now, *found)) or not _leaves_much(problem, now, made):
         return made
@@ -79,8 +82,9 @@ def _starts(candidate: Candidate, level: float) -> Iterator[EffectInstance]:
 
 def _job(problem: EstimationProblem, candidate: Candidate, starts: Sequence[EffectInstance], begun: Hypothesis) -> Job:
     """Return the best fit of a law from its best starts, from parameters and initial states of a hypothesis."""
-    step = problem.dt / problem.substeps
-    ready = [one.at_step(problem.rig.mobilities[one.at], step) for one in starts]
+    step, ready = problem.dt / problem.substeps, starts
+    if candidate.sticks:
+        ready = [one.at_step(problem.rig.mobilities[one.at], step) for one in starts]
 
     def cost(instance: EffectInstance) -> float:
         return fitting.cost(problem, (instance,), begun.theta, begun.start)
