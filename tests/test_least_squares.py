@@ -44,6 +44,16 @@ def test_a_minimum_beyond_a_bound_ends_at_the_bound():
     assert found.at.cost == pytest.approx(2.0 * scipy.cost, rel=1e-3)
 
 
+def test_a_direction_in_which_the_cost_hardly_bends_is_followed_to_its_minimum():
+    """A ratio is known a million times better than what it is a ratio of, as mass and stiffness of a free motion are."""
+    j, y = np.array([[1e6, -1e6], [1.0, 0.0], [0.0, 1.0]]), np.array([0.0, 1.0, 1.0])
+    settings = {"rounds": 10, "tolerance": lambda at: 1e-9}
+    found = minimise(
+        problem(lambda x: y - j @ x, lambda _: j), np.full(2, 1.5), NO_BOUNDS, Damping(1e-6, 1e-13, 1e8), **settings
+    )
+    np.testing.assert_allclose(found.x, 1.0, atol=1e-3)
+
+
 def test_a_linear_problem_takes_one_step():
     rng = np.random.default_rng(1)
     size = np.array([1.0, 1e-6, 1e6, 1.0])

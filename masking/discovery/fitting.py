@@ -28,7 +28,7 @@ MOST_ROUNDS = 40
 STUCK = 4.0  # cost per reading of a validation from which another initial state is sought
 STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
 REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
-DAMPING = Damping(1e-6, least=1e-9, most=1e8)
+DAMPING = Damping(1e-6, least=1e-13, most=1e8)
 
 
 @dataclass(frozen=True)

@@ -240,14 +240,19 @@ def minimise(
         except (IntegrationError, ModelError):
             return replace(at, cost=np.inf)
 
-    at, number = linearise(x), 0
+    at, number, is_last = linearise(x), 0, False
     for number in range(1, rounds + 1):
         if progress is not None:
             progress((number - 1) / rounds)
         step, gain = at.equations.step(damping.value)
-        farther, enough = box.after(x, step), tolerance(at)
+        enough = tolerance(at)
+        if gain < enough and damping.value > damping.least and not is_last:
+            # A direction in which the cost hardly bends is damped, however far its minimum is.
+            damping, is_last = replace(damping, value=damping.least), True
+            step, gain = at.equations.step(damping.value)
         if gain < enough:
             return Minimum(x, at, number, converged=True)
+        farther = box.after(x, step)
         tried = attempted(farther)
         given = None if tried.cost < at.cost else box.given(step, farther - x)
         if given is not None:  # the others take the step that suits what bounds leave of these
@@ -262,7 +267,7 @@ def minimise(
         damping = damping.after(success=success)
         if success:
             taken, x, at = at.cost - tried.cost, farther, tried
-            if taken < enough:
+            if taken < enough and (is_last or damping.value <= damping.least):
                 return Minimum(x, at, number, converged=True)
         elif damping.value > damping.most:
             return Minimum(x, at, number, converged=True)
