@@ -112,3 +112,11 @@ def test_steps_that_cannot_be_done_are_refused(begun, records):
     short = replace(free, commands=free.commands[:8], readings=free.readings[:8])
     with pytest.raises(RecordError, match="step 1, k: 8 samples of 2 sensors are too few"):
         fit_in_steps(begun, [(short, ["k"])])
+
+
+def test_a_motion_that_runs_away_in_smaller_steps_takes_the_smallest():
+    def simulated(number):
+        return np.full((4, 1), np.nan) if number > 4 else np.zeros((4, 1))
+
+    assert shooting._steps(simulated, 2, 32, np.ones(1), ahead=4) == 32
+    assert shooting._steps(lambda number: np.zeros((4, 1)), 2, 32, np.ones(1), ahead=4) == 2

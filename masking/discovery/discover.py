@@ -323,7 +323,11 @@ def _no_worse(
     withheld, declared = None, float(before.squares @ validation.weights)
     for rivals in offered[:-1]:
         chosen = _tempered(rivals[0], problem)
-        after = fitting.validated(validation, chosen.hypothesis)
+        try:
+            after = fitting.validated(validation, chosen.hypothesis)
+        except IntegrationError:
+            withheld = withheld or Withheld(chosen.names, None)
+            continue
         cost = float(after.squares @ validation.weights)
         if not verdict.is_worse(cost, declared, after.residuals.size, problem.rules):
             return rivals, chosen, after, withheld

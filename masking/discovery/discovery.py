@@ -55,11 +55,11 @@ class Withheld:
 
     Args:
         names: (parameter, '') or (effect, place) of each cause; none for adjusted parameters alone.
-        error: relative error of each sensor in the validation record, by name.
+        error: relative error of each sensor in the validation record, by name; None where the motion is not finite.
     """
 
     names: tuple[Key, ...]
-    error: dict[str, float]
+    error: dict[str, float] | None
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON can hold it."""

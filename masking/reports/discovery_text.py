@@ -87,9 +87,11 @@ def withheld(found: Discovery) -> str:
     if found.withheld is None:
         return ""
     before, after = found.simulation_error.validation[0], found.withheld.error
-    name = max(after, key=lambda sensor: after[sensor] / max(before[sensor], 1e-300))
     causes = [labelled(found, *one) for one in found.withheld.names]
     what = f"{listed(causes)} would explain more of this record, but the" if causes else "With adjusted parameters, the"
+    if after is None:
+        return f"{what} motion on unseen data is no longer finite then: that is not given"
+    name = max(after, key=lambda sensor: after[sensor] / max(before[sensor], 1e-300))
     return (
         f"{what} error of {name} on unseen data is {percent(after[name])} then, against {percent(before[name])} as "
         "declared: that is not given"
