@@ -26,7 +26,7 @@ QUICK := architecture vocabulary documentation declaration expression model scal
 export MASKING_CACHE ?= $(CURDIR)/.venv/kernels
 
 demo: $(READY)
-	$(BIN)/masking run examples/duffing.yaml --out results/duffing
+	$(BIN)/masking run examples/duffing.yaml --out results/duffing --overwrite
 
 test: $(READY)
 	$(BIN)/ruff format --check .

@@ -29,7 +29,7 @@ def _add_run(sub: argparse.ArgumentParser) -> None:
 def _add_report(sub: argparse.ArgumentParser) -> None:
     add_json(sub)
     sub.add_argument("record", metavar="RECORD", help="the folder of a recording")
-    sub.add_argument("--out", metavar="DIR", help="where to write (default: beside the recording)")
+    add_out(sub, "beside the recording")
 
 
 def _run(chosen: argparse.Namespace) -> int:
@@ -37,12 +37,12 @@ def _run(chosen: argparse.Namespace) -> int:
     from masking.reports import run_report
     from masking.runs import error_budget
     from masking.runs.experiment import Experiment
-    from masking.workflows.outputs import check_folder
+    from masking.workflows.outputs import RUN, check_folder
 
     changes = dict(_change(text) for text in chosen.set)
     made = Experiment.load(chosen.experiment, plant=chosen.plant, changes=changes)
     out = Path(chosen.out or f"results/{made.stem}")
-    check_folder(out)
+    check_folder(out, *RUN, overwrite=chosen.overwrite)
     before = _created(out)
     if not made.is_compiled:
         say_compiling()
@@ -79,7 +79,7 @@ def _report(chosen: argparse.Namespace) -> int:
     """Write the report of a recording."""
     from masking.workflows.run import report
 
-    written = report(chosen.record, chosen.out)
+    written = report(chosen.record, chosen.out, overwrite=chosen.overwrite)
     content = {"report": str(written.path), "figures": [str(f) for f in written.figures]}
     return answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 
