@@ -174,8 +174,7 @@ class Study:
 
     def unit(self, column: str) -> str:
         """Give the declared unit of a column; "" where it is dimensionless or not declared."""
-        unit = str(_entry(self.recording.manifest, "columns", column).get("unit") or "")
-        return "" if unit in {"1", "dimensionless"} else unit
+        return self.recording.units.get(column, "")
 
     def meaning(self, coordinate: str) -> str:
         """Give the declared meaning of a coordinate, "" where there is none."""

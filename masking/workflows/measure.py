@@ -22,7 +22,8 @@ PROCEDURES: Final[dict[str, Callable[..., Measurement[Any]]]] = {
     "friction": measurement.friction,
     "response": responses.response,
 }
-_ALWAYS = frozenset({"procedure", "records", "plant", "out", "overwrite"})  # parameters of `measure` that are no settings
+# Parameters of `measure` that are no settings.
+_ALWAYS = frozenset({"procedure", "records", "plant", "out", "overwrite"})
 
 
 def measure(
