@@ -77,8 +77,7 @@ class Recording:
         errors = ", ".join(f"{name} {float(value):.2g}" for name, value in chi.items())
         size = f"{len(self)} samples, t = {self.t[0]:g} to {self.t[-1]:g} {self.units.get('t', '')}".rstrip()
         subtitle = f"{size}; masking error chi: {errors}" if errors else size
-        table = views.table(self.columns, self.units, self.meanings)
-        return views.fragments.card(self.name or "Recording", subtitle, table)
+        return views.card(self.name or "Recording", subtitle, self.columns, self.units, self.meanings)
 
     @property
     def name(self) -> str:
@@ -174,8 +173,8 @@ class Recording:
             RecordError: there is no such column or prefix.
         """
         prefixes = dict.fromkeys(name.partition(".")[0] for name in self.columns if "." in name)
-        motion = [name for name in ("virtual", "input") if name in prefixes]
-        usual = motion or [*prefixes] or [name for name in self.columns if name != "t"]
+        usual = [name for name in prefixes if name in {"virtual", "input"}] or [*prefixes]
+        usual = usual or [name for name in self.columns if name != "t"]
         rows = []
         for name in columns or usual:
             if name not in self.columns and name not in prefixes:

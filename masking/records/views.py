@@ -118,11 +118,20 @@ def _label(name: str) -> str:
     return f"{symbols.tex(plain)}{name[len(plain) :]}"
 
 
-def table(columns: Columns, units: Mapping[str, str], meanings: Mapping[str, str]) -> fragments.Markup:
-    """Return a table of columns with their units, meanings, ranges and shapes, rates left out."""
+def card(title: str, subtitle: str, columns: Columns, units: Mapping[str, str], meanings: Mapping[str, str]) -> str:
+    """Return HTML with a table of columns: their units, meanings, ranges and shapes, rates left out.
+
+    Args:
+        title: of the recording.
+        subtitle: the line below it.
+        columns: of the recording.
+        units: of the columns, by name.
+        meanings: of the columns, by name.
+    """
     rows = [
         (name, units.get(name, ""), meanings.get(name, ""), f"{c.min():.4g}", f"{c.max():.4g}", fragments.line(c))
         for name, c in columns.items()
         if name != "t" and not name.endswith("'")
     ]
-    return fragments.table(("column", "unit", "meaning", "least", "greatest", ""), rows, numbers=(3, 4))
+    head = ("column", "unit", "meaning", "least", "greatest", "")
+    return fragments.card(title, subtitle, fragments.table(head, rows, numbers=(3, 4)))
