@@ -14,6 +14,7 @@ from .modelling.model import load_model as load_model
 from .plants.interface import Plant as Plant
 from .records.recording import Recording as Recording
 from .runs.experiment import Experiment as Experiment
+from .workflows.animate import animate as animate
 from .workflows.calibrate import calibrate as calibrate
 from .workflows.check import check as check
 from .workflows.describe import show as show

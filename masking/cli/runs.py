@@ -1,4 +1,4 @@
-"""Verbs that run an experiment and report what was recorded: run, report."""
+"""Verbs that run an experiment and show what was recorded: run, report, animate, compare."""
 
 from __future__ import annotations
 
@@ -84,6 +84,26 @@ def _report(chosen: argparse.Namespace) -> int:
     return answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 
 
+def _add_animate(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    sub.add_argument(
+        "record", metavar="RECORD", help="the folder of a recording; FOLDER@10:20 is its part from 10 s to 20 s"
+    )
+    text = "what to write: .html, .png or .svg for one instant, .gif or .mp4 (default: RECORD/animation.html)"
+    sub.add_argument("--out", metavar="FILE", help=text)
+    sub.add_argument("--overwrite", action="store_true", help="replace that file")
+    sub.add_argument("--at", metavar="SECONDS", type=float, help="instant of a picture (default: the middle)")
+
+
+def _animate(chosen: argparse.Namespace) -> int:
+    """Animate a recording: the rig beside its virtual system, in a page, a picture or a film."""
+    from masking.workflows.animate import animate
+
+    with Bar("drawing") as bar:
+        file = animate(chosen.record, out=chosen.out, overwrite=chosen.overwrite, at=chosen.at, progress=bar)
+    return answer(chosen.json, {"animation": str(file)}, f"animation: {file}")
+
+
 def _change(text: str) -> tuple[str, float]:
     """Read one NAME=VALUE of the command line."""
     name, equals, value = text.partition("=")
@@ -99,4 +119,5 @@ def _change(text: str) -> tuple[str, float]:
 VERBS = (
     Verb("run", _add_run, _run),
     Verb("report", _add_report, _report),
+    Verb("animate", _add_animate, _animate),
 )
