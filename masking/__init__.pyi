@@ -17,6 +17,7 @@ from .runs.experiment import Experiment as Experiment
 from .workflows.animate import animate as animate
 from .workflows.calibrate import calibrate as calibrate
 from .workflows.check import check as check
+from .workflows.compare import compare as compare
 from .workflows.describe import show as show
 from .workflows.discover import discover as discover
 from .workflows.identify import identify as identify

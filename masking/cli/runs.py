@@ -104,6 +104,25 @@ def _animate(chosen: argparse.Namespace) -> int:
     return answer(chosen.json, {"animation": str(file)}, f"animation: {file}")
 
 
+def _add_compare(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    sub.add_argument("first", metavar="RUN", help="the folder of a recording")
+    sub.add_argument("second", metavar="RUN", help="the folder of another one")
+    add_out(sub, "results/FIRST_SECOND")
+
+
+def _compare(chosen: argparse.Namespace) -> int:
+    """Compare two runs on one page: their motion, what was declared otherwise, and what came out of it."""
+    from masking.reports.comparison_page import PAGE
+    from masking.workflows.compare import compare
+    from masking.workflows.outputs import beside
+
+    names = [beside(path).resolve().name for path in (chosen.first, chosen.second)]
+    out = Path(chosen.out or f"results/{'_'.join(names)}")
+    made = compare(chosen.first, chosen.second, out=out, overwrite=chosen.overwrite)
+    return answer(chosen.json, {**made.as_dict(), "page": str(out / PAGE)}, f"{made}\npage: {out / PAGE}")
+
+
 def _change(text: str) -> tuple[str, float]:
     """Read one NAME=VALUE of the command line."""
     name, equals, value = text.partition("=")
@@ -120,4 +139,5 @@ VERBS = (
     Verb("run", _add_run, _run),
     Verb("report", _add_report, _report),
     Verb("animate", _add_animate, _animate),
+    Verb("compare", _add_compare, _compare),
 )

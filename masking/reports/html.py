@@ -31,7 +31,8 @@ _SHORT = frozenset({"A", "a", "an", "as", "at", "by", "in", "is", "it", "no", "o
                     "its", "not", "the"})  # fmt: skip
 _UNITS = frozenset({"A", "C", "F", "H", "Hz", "J", "K", "N", "Pa", "T", "V", "W", "g", "h", "kg", "m", "min", "mm",
                     "ms", "rad", "s"})  # fmt: skip
-_WORDS = {"chi": "<var>&chi;</var>", "pi": "&pi;", "alpha": "<var>&alpha;</var>", "eps": "<var>&epsilon;</var>"}
+_WORDS = {"chi": "<var>&chi;</var>", "pi": "&pi;", "alpha": "<var>&alpha;</var>", "eps": "<var>&epsilon;</var>",
+          "tau_s": "<var>&tau;</var><sub>s</sub>"}  # fmt: skip
 
 
 class Tile(NamedTuple):
