@@ -131,16 +131,17 @@ class Animation:
         main, units = self.main, self.recording.units
         kinds = [("motion", main.prefix, main.drawing.coordinates), ("inputs", "input", self.recording.inputs)]
         for title, prefix, names in kinds:
-            lines = []
-            for name, colour in zip(names, COLOURS, strict=False):
-                line: dict[str, Any] = {"name": name, "label": str(markup(name)), "colour": colour}
+            lines, each = [], [units.get(f"{prefix}.{name}", "") for name in names]
+            common = each[0] if len(set(each)) == 1 else ""
+            for name, unit, colour in zip(names, each, COLOURS, strict=False):
+                own = f" ({unit})" if unit and not common else ""
+                line: dict[str, Any] = {"name": name, "label": f"{markup(name)}{own}", "colour": colour}
                 line["y"] = self._series(f"{prefix}.{name}")
                 ideal = f"ideal.{name}"
                 line["ideal"] = self._series(ideal) if title == "motion" and ideal in self.recording.columns else None
                 lines.append(line)
             if lines:
-                unit = units.get(f"{prefix}.{names[0]}", "")
-                yield {"title": title, "unit": unit, "lines": lines}
+                yield {"title": title, "unit": common, "lines": lines}
 
     def _series(self, column: str) -> dict[str, Any]:
         """Return a column in 16 bits, with its size."""

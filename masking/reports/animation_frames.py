@@ -133,9 +133,13 @@ def _draw_trace(axes: Axes, shown: Animation, t: float) -> None:
     span = min(PERIODS * shown.period, last - first)
     begin = min(max(first, t - 0.7 * span), last - span)
     rows = (recording.t >= begin) & (recording.t <= begin + span)
-    for name, colour in zip(main.drawing.coordinates, COLOURS, strict=False):
+    units = [recording.units.get(f"{main.prefix}.{name}", "") for name in main.drawing.coordinates]
+    common = units[0] if len(set(units)) == 1 else ""
+    for name, unit, colour in zip(main.drawing.coordinates, units, COLOURS, strict=False):
         series = recording[f"{main.prefix}.{name}"]
-        axes.plot(recording.t[rows], series[rows], color=colour, lw=1.3, label=tex(name))
+        axes.plot(
+            recording.t[rows], series[rows], color=colour, lw=1.3, label=with_unit(tex(name), "" if common else unit)
+        )
         ideal = recording.columns.get(f"ideal.{name}")
         if ideal is not None:
             axes.plot(recording.t[rows], ideal[rows], color=INK, lw=0.8, ls=DASHED)
@@ -143,7 +147,7 @@ def _draw_trace(axes: Axes, shown: Animation, t: float) -> None:
     axes.axvline(t, color=MUTED, lw=0.9)
     most = float(np.abs(recording.array(main.prefix)).max()) or 1.0
     axes.set(xlim=(begin, begin + span), ylim=(-1.08 * most, 1.08 * most), xlabel="time (s)")
-    axes.set_ylabel(with_unit("motion", recording.units.get(f"{main.prefix}.{main.drawing.coordinates[0]}", "")))
+    axes.set_ylabel(with_unit("motion", common))
     axes.legend(frameon=False, fontsize=SIZE - 1, ncols=len(COLOURS), loc="lower right", bbox_to_anchor=(1.0, 0.97))
 
 
