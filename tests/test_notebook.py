@@ -4,6 +4,7 @@ import math
 import re
 import sys
 from html.parser import HTMLParser
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -120,6 +121,11 @@ def test_a_model_is_shown_with_equations_and_values_in_declared_units():
     assert shown.seen.count("mtr") == 4  # three equations and the energy
     assert {"12.5521", "rad/s", "\N{DIAERESIS}", "\N{GREEK SMALL LETTER MU}"} <= set(shown.words)
     assert repr(model) == "<Model experimental set-up: coordinates x1, x2, x3; inputs u1, u2, u3; 13 parameters>"
+
+
+def test_a_component_is_shown_with_its_outputs():
+    model = masking.load_model(Path(__file__).parent.parent / "examples" / "measured" / "dc_motor.yaml")
+    assert Markup(model._repr_html_()).seen.count("mtr") == len(model.states) + len(model.outputs)
 
 
 def test_an_experiment_is_shown_in_a_line_and_in_a_table():

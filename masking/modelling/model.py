@@ -73,9 +73,9 @@ class Model:
     def _repr_html_(self) -> str:
         e, d = self.equations, self.declaration
         left = [*(e.mass * sp.Matrix(e.symbols.a)), *(sp.Symbol(f"{name}'") for name in d.states)]
-        parts = [typeset.equations(zip(left, [*e.force, *e.rates], strict=True))]
-        if e.energy is not None:
-            parts.append(typeset.equations([(sp.Symbol("E"), e.energy)]))
+        pairs = [*zip(left, [*e.force, *e.rates], strict=True), *((sp.Symbol(n), e.output(n)) for n in d.outputs)]
+        pairs += [(sp.Symbol("E"), e.energy)] if e.energy is not None else []
+        parts = [typeset.equations(pairs)]
         units = Units.of(d)  # without compiling the model
         values = units.parameter_values(self.overrides, dimensionless=False)
         rows = []

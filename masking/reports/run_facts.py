@@ -194,6 +194,11 @@ class Study:
         return float(self.sum_peak[head].max()), float(self.sum_peak[-1])
 
     @property
+    def is_scaled(self) -> bool:
+        """Tell whether `tau` is another time than that of the plant."""
+        return float(self.recording.manifest.get("time_scale") or 1.0) != 1.0
+
+    @property
     def worst(self) -> str | None:
         """Coordinate with the largest chi, None where there is nothing to compare with."""
         return max(self.chi, key=lambda name: self.chi[name]) if self.chi else None

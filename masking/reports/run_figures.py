@@ -352,7 +352,7 @@ def _whole_record(axes: Axes, study: Study) -> None:
 
 def time_label(axes: Axes, study: Study) -> None:
     """Write below axes which time they show."""
-    if study.recording.manifest.get("time_scale"):
+    if study.is_scaled:
         axes.set_xlabel("virtual time τ")
     else:
         axes.set_xlabel(style.with_unit("time t", study.unit("t")))
