@@ -47,6 +47,13 @@ def test_a_run_is_replaced_only_if_asked_for(capsys, short, tmp_path):
     assert masking.Recording.load(out).manifest["parameters"]["w3"] == 0.6
 
 
+def test_an_animation_does_not_outlast_its_run(short, tmp_path):
+    masking.run(short, out=tmp_path / "a")
+    page = masking.animate(tmp_path / "a")
+    masking.run(short, out=tmp_path / "a", overwrite=True)
+    assert not page.exists()
+
+
 def test_a_report_replaces_that_of_its_own_recording_alone(short, tmp_path):
     for name in ("a", "b"):
         masking.run(short, out=tmp_path / name)

@@ -70,10 +70,10 @@ def _serve(chosen: argparse.Namespace) -> int:
 
 def _run(chosen: argparse.Namespace) -> int:
     """Run an experiment on a plant that runs by itself, and write its report."""
-    from masking.reports import run_report
     from masking.runs import hardware, stopping
     from masking.runs.experiment import Experiment
     from masking.workflows.outputs import RUN, check_folder
+    from masking.workflows.run import save
 
     made = Experiment.load(chosen.experiment)
     out = Path(chosen.out or f"results/{made.stem}_rig")
@@ -81,8 +81,7 @@ def _run(chosen: argparse.Namespace) -> int:
 
     def keep(recording: Recording) -> None:
         bar.close()
-        recording.save(out)
-        written = run_report.report(recording, out)
+        written = save(recording, out)
         content = {name: recording.manifest[name] for name in ("masking_error", "rig")} | {"recording": str(out)}
         answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 

@@ -38,6 +38,7 @@ def _run(chosen: argparse.Namespace) -> int:
     from masking.runs import error_budget
     from masking.runs.experiment import Experiment
     from masking.workflows.outputs import RUN, check_folder
+    from masking.workflows.run import save
 
     changes = dict(_change(text) for text in chosen.set)
     made = Experiment.load(chosen.experiment, plant=chosen.plant, changes=changes)
@@ -54,8 +55,7 @@ def _run(chosen: argparse.Namespace) -> int:
         if before:
             print(f"{out} still holds the run of {before}", file=sys.stderr)
         raise
-    recording.save(out)
-    written = run_report.report(recording, out)
+    written = save(recording, out)
     content = {
         "masking_error": recording.manifest["masking_error"],
         "limits_used": run_report.limits_used(recording),

@@ -22,6 +22,7 @@ from masking.codegen.source import Module
 from masking.declaration import registry, schema
 from masking.declaration.couplings import motions
 from masking.declaration.dimensions import check_dimensions, check_scales
+from masking.declaration.units import pretty
 from masking.display import fragments, symbols
 from masking.effects import Effect, Setting, attach
 from masking.errors import DeclarationError, ModelError
@@ -80,7 +81,7 @@ class Model:
         values = units.parameter_values(self.overrides, dimensionless=False)
         rows = []
         for name, p in d.parameters.items():
-            value, unit = values[name] / units.conversions[p.unit].factor, "" if p.unit == "1" else p.unit
+            value, unit = values[name] / units.conversions[p.unit].factor, pretty(p.unit)
             rows.append((symbols.markup(name), f"{value:.6g}", unit, p.meaning))
         parts.append(fragments.table(("parameter", "value", "unit", "meaning"), rows, numbers=(1,)))
         return fragments.card(self.name, self._size_in_words, *parts)

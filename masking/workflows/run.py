@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from masking.records.recording import Recording
-from masking.reports import run_report
+from masking.reports import animation, html, run_report
 from masking.runs import error_budget
 from masking.runs.experiment import Experiment
 from masking.workflows.outputs import RUN, beside, check_folder
@@ -40,9 +40,24 @@ def run(
     check_folder(out, *RUN, overwrite=overwrite)
     made = error_budget.run(wanted, budget, progress)
     if out is not None:
-        made.save(Path(out))
-        run_report.report(made, out)
+        save(made, Path(out))
     return made
+
+
+def save(recording: Recording, folder: Path) -> run_report.Report:
+    """Save a recording with its report; an animation of an earlier run in the folder is removed.
+
+    Args:
+        recording: of a run.
+        folder: made if need be.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
+    recording.save(folder)
+    with html.writing(folder):
+        (folder / animation.PAGE).unlink(missing_ok=True)
+    return run_report.report(recording, folder)
 
 
 def report(record: str | Path, out: str | Path | None = None, *, overwrite: bool = False) -> run_report.Report:
