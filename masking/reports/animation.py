@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from masking.analysis.synchronisation import period
 from masking.declaration import schema
@@ -135,13 +135,13 @@ class Animation:
             common = each[0] if len(set(each)) == 1 else ""
             for name, unit, colour in zip(names, each, COLOURS, strict=False):
                 own = f" ({unit})" if unit and not common else ""
-                line: dict[str, Any] = {"name": name, "label": f"{markup(name)}{own}", "colour": colour}
+                line: dict[str, Any] = {"name": name, "label": f"{markup(name)}{escape(own)}", "colour": colour}
                 line["y"] = self._series(f"{prefix}.{name}")
                 ideal = f"ideal.{name}"
                 line["ideal"] = self._series(ideal) if title == "motion" and ideal in self.recording.columns else None
                 lines.append(line)
             if lines:
-                yield {"title": title, "unit": common, "lines": lines}
+                yield {"title": title, "unit": str(escape(common)), "lines": lines}
 
     def _series(self, column: str) -> dict[str, Any]:
         """Return a column in 16 bits, with its size."""
