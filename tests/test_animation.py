@@ -178,9 +178,9 @@ def test_a_page_needs_no_other_file_and_holds_the_motion(run):
 
 
 def test_a_page_of_a_record_from_elsewhere_runs_nothing_of_it(tmp_path):
-    recording = recorded()
-    recording.manifest["parameters"]["w1"] = "</script><script>alert(1)</script>"
-    recording.manifest["columns"] = {"virtual.th1": {"unit": "<img src=x>"}, "input.u1": {"unit": "<img src=y>"}}
+    recording = recorded("setup")
+    recording.manifest["parameters"]["l"] = "</script><script>alert(1)</script>"
+    recording.manifest["columns"] = {"virtual.x1": {"unit": "<img src=x>"}, "input.u1": {"unit": "<img src=y>"}}
     text = masking.animate(recording.save(tmp_path / "run")).read_text(encoding="utf-8")
     assert "alert(1)" not in text
     data = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)[1])

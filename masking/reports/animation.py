@@ -183,11 +183,8 @@ def _drawing(recording: Recording, prefix: str, reach: Array) -> Drawing:
         if not model.drawing or tuple(model.coordinates) != names:
             return drawing.generic(title, names, reach)
         values = manifest["parameters"] if prefix == "virtual" else _rig_values(model, manifest)
-    except (
-        ValueError,
-        KeyError,
-        MaskingError,
-    ):  # a record from elsewhere, or of a model that is declared otherwise now
+        values = {name: float(value) for name, value in values.items()}
+    except (ValueError, TypeError, KeyError, MaskingError):  # a record from elsewhere, or of another version
         return drawing.generic(title, names, reach)
     return Drawing(title, recording.units.get(f"{prefix}.{names[0]}", ""), names, model.drawing, values)
 
