@@ -228,6 +228,9 @@ def test_what_cannot_be_animated_is_told(capsys, run, tmp_path, monkeypatch):
     still = Recording({"t": [0.0, 1.0], "sensor.s": [0.0, 1.0]}, {}).save(tmp_path / "still")
     assert main(["animate", str(still)]) == 2
     assert "the recording holds no motion to animate" in capsys.readouterr().err
+    odd = Recording({"t": [0.0, 1.0], "rig.left mass": [0.0, 1.0]}, {}).save(tmp_path / "odd")
+    assert main(["animate", str(odd)]) == 2
+    assert "one of left mass is no name of a coordinate; rename its columns" in capsys.readouterr().err
     monkeypatch.setattr(animation_frames.films.FFMpegWriter, "isAvailable", lambda *_: False)
     assert main(["animate", str(run), "--out", str(tmp_path / "a.mp4")]) == 2
     assert "an mp4 file needs ffmpeg, which is not installed; write a .gif or .html file" in capsys.readouterr().err

@@ -12,6 +12,7 @@ import numpy as np
 from masking.declaration.drawing import Shape
 from masking.declaration.operations import CONSTANTS, Step
 from masking.display.palette import COLOURS, MUTED
+from masking.errors import RecordError
 from masking.numerics.arrays import Array
 
 _LOOKED = 240  # instants at which the extent of a motion is looked at
@@ -116,9 +117,16 @@ def generic(title: str, names: Sequence[str], reach: Array) -> Drawing:
         title: of the system.
         names: of its coordinates.
         reach: the largest size of each coordinate (n,).
+
+    Raises:
+        RecordError: a name cannot stand in an expression.
     """
     note = "No drawing is declared: each coordinate moves a body on a line, its largest value by one unit."
-    return Drawing(title, "", tuple(names), tuple(_on_lines(names, reach)), {}, note)
+    try:
+        return Drawing(title, "", tuple(names), tuple(_on_lines(names, reach)), {}, note)
+    except ValueError:  # of pydantic
+        mend = "rename its columns: a name is made of letters, digits and underscores"
+        raise RecordError(f"{title}: one of {', '.join(names)} is no name of a coordinate; {mend}") from None
 
 
 def _on_lines(names: Sequence[str], reach: Array) -> Iterator[Shape]:
