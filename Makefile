@@ -1,4 +1,4 @@
-# make demo   run the Duffing experiment and write its report
+# make demo   run the Duffing experiment, write its report and its animation; a second time replaces the first
 # make test   format, lint, types and tests: the gate
 # make quick  format, lint and the tests that need no long compilation: the inner loop, under a minute
 # make docs-check  every number in README and docs against the code: minutes; OPTIONS=--write writes them anew
@@ -26,7 +26,8 @@ QUICK := architecture vocabulary documentation declaration expression model scal
 export MASKING_CACHE ?= $(CURDIR)/.venv/kernels
 
 demo: $(READY)
-	$(BIN)/masking run examples/duffing.yaml --out results/duffing
+	$(BIN)/masking run examples/duffing.yaml --out results/duffing --overwrite
+	$(BIN)/masking animate results/duffing
 
 test: $(READY)
 	$(BIN)/ruff format --check .

@@ -40,6 +40,7 @@ with TemporaryDirectory() as name:
         validation=folder / "records" / "unseen",
         tolerance=0.05,
         out="results/refined",
+        overwrite=True,
     )
 
 print(found)

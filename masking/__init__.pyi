@@ -14,8 +14,10 @@ from .modelling.model import load_model as load_model
 from .plants.interface import Plant as Plant
 from .records.recording import Recording as Recording
 from .runs.experiment import Experiment as Experiment
+from .workflows.animate import animate as animate
 from .workflows.calibrate import calibrate as calibrate
 from .workflows.check import check as check
+from .workflows.compare import compare as compare
 from .workflows.describe import show as show
 from .workflows.discover import discover as discover
 from .workflows.identify import identify as identify

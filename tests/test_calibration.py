@@ -147,7 +147,9 @@ def test_the_command_line_goes_on_where_it_stopped(tmp_path, capsys):
     for name, floor in told["floor"].items():
         assert told["chi"]["validation"][name] < 1.5 * floor
     assert "fit: recording 20 s" in first.err
-    assert cli.main(arguments) == 0
+    assert cli.main(arguments) == 2
+    assert "holds an earlier result, calibration.json" in capsys.readouterr().err
+    assert cli.main([*arguments, "--overwrite"]) == 0
     again = capsys.readouterr()
     assert "fit: recorded before" in again.err
     assert json.loads(again.out) == json.loads(first.out)
@@ -254,7 +256,7 @@ def test_records_made_with_other_settings_are_refused(full):
         (rig, SimulatedPlant(rig.with_parameters({"friction1_fc": 0.1}), 3), {}, "of another twin"),
     ):
         with pytest.raises(RecordError, match=f"small was recorded with other settings: {said}{end}"):
-            calibrate(twin, plant, out, lockstep=True, **{"seconds": 20.0, **settings})
+            calibrate(twin, plant, out, overwrite=True, lockstep=True, **{"seconds": 20.0, **settings})
 
 
 def test_records_that_do_not_tell_their_settings_are_refused(tmp_path):

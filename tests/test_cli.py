@@ -289,7 +289,7 @@ def test_an_unstable_sampled_loop_is_told_as_such_and_keeps_the_last_recording(c
         SHORT.replace("continuous", "20 Hz, observer: exact").replace("duration: 20", "duration: 2000"),
         encoding="utf-8",
     )
-    status, printed, err = run(capsys, "run", short, "--out", out)
+    status, printed, err = run(capsys, "run", short, "--out", out, "--overwrite")
     assert status == 1
     assert printed == ""
     assert "the masked rig became unstable and grew without bound" in err

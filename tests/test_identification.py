@@ -352,7 +352,8 @@ def test_identify_fits_a_part_of_a_table(folders, tmp_path, capsys):
     names = [{"t": "time", "input.V1": "force"}.get(name, name) for name in kept.columns]
     table = np.column_stack([*kept.columns.values()])
     np.savetxt(tmp_path / "a.csv", table, "%.17g", ",", header=",".join(names), comments="")
-    settings = ["--plant", "linear_rig", "--parameters", "w1,z1", "--json", "--out", str(tmp_path / "out")]
+    settings = ["--plant", "linear_rig", "--parameters", "w1,z1", "--json", "--overwrite"]
+    settings += ["--out", str(tmp_path / "out")]
     told = []
     for record in ([str(tmp_path / "part")], [f"{tmp_path / 'a.csv'}@1:5", "--map", "t=time,V1=force"]):
         assert cli.main(["identify", *record, *settings]) == 0

@@ -330,7 +330,7 @@ def test_inputs_that_were_measured_go_in_straight_lines(capsys, tmp_path, mass, 
     x = signal.lsim(system, u, t, interp=True)[1] + 1e-3 * generator.standard_normal(len(t))
     Recording({"t": t, "input.u": u, "sensor.s": x}, {}).save(tmp_path / "record")
     arguments = ["identify", tmp_path / "record", "--plant", mass / "plant.yaml", "--parameters", "w,z"]
-    arguments += ["--method", method, "--out", tmp_path / "out", "--json", "--hold"]
+    arguments += ["--method", method, "--out", tmp_path / "out", "--overwrite", "--json", "--hold"]
     found = []
     for between in ("first-order", "zero-order"):
         status, printed, _ = run(capsys, *arguments, between)

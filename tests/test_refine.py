@@ -131,7 +131,7 @@ def test_command_line(rubs, found, tmp_path, capsys):
     said = capsys.readouterr().out
     for words in (found.sentence, "masking error chi", f"experiment: {tmp_path / 'out' / 'experiment.yaml'}"):
         assert words in said
-    assert cli.main([*asked, "--json"]) == 0
+    assert cli.main([*asked, "--overwrite", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["after"]["masking_error"] == found.after.chi
 
 

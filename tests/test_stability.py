@@ -434,7 +434,7 @@ def test_a_box_of_velocities_is_what_the_energy_is_looked_at_on(capsys, tmp_path
         "equations: {x'': -w**2*x - 0.1*w*x' + e*x**2*x'}\n"
         "energy: x'**2/2 + w**2*x**2/2\n"
     )
-    arguments = ("stability", path, "--out", tmp_path / "out")
+    arguments = ("stability", path, "--overwrite", "--out", tmp_path / "out")
     assert run(capsys, *arguments)[0] == 0
     assert "the energy can grow" in run(capsys, *arguments)[1]
     status, out, _ = run(capsys, *arguments, "--box", "x=-2:2", "--box", "x'=-3:3")

@@ -11,8 +11,8 @@ import masking
 from masking.discovery.settings import DiscoverySettings
 
 VERBS = (
-    *("calibrate", "catalogue", "check", "discover", "identify", "measure", "refine", "report", "run", "show"),
-    *("simulate", "stability"),
+    *("animate", "calibrate", "catalogue", "check", "compare", "discover", "identify", "measure", "refine", "report"),
+    *("run", "show", "simulate", "stability"),
 )
 
 

@@ -49,8 +49,9 @@ def _add_settings(sub: argparse.ArgumentParser) -> None:
 
 
 def _settings(chosen: argparse.Namespace) -> dict[str, Any]:
-    """Return the fields of `DiscoverySettings`, and the plant."""
-    return {**settings_of_fit(chosen), "tolerance": chosen.tolerance, "effects": chosen.effects}
+    """Return the fields of `DiscoverySettings`, the plant, and whether a result may be replaced."""
+    given = {"tolerance": chosen.tolerance, "effects": chosen.effects, "overwrite": chosen.overwrite}
+    return {**settings_of_fit(chosen), **given}
 
 
 def _discover(chosen: argparse.Namespace) -> int:

@@ -57,6 +57,7 @@ def _identify(chosen: argparse.Namespace) -> int:
             square_root=chosen.square_root,
             iterated=chosen.iterated,
             out=out,
+            overwrite=chosen.overwrite,
             progress=bar,
             **settings_of_fit(chosen),
         )
@@ -86,7 +87,7 @@ def _simulate(chosen: argparse.Namespace) -> int:
     prepare(chosen.json, out)
     read = {"hold": chosen.hold, "columns": columns(chosen), "dt": chosen.dt}
     settings = {"plant": chosen.plant, "initial": chosen.initial, **read}
-    made = simulate(chosen.model, chosen.record, out=out, **settings)
+    made = simulate(chosen.model, chosen.record, out=out, overwrite=chosen.overwrite, **settings)
     page = out / "simulation.html"
     return answer(
         chosen.json, page.with_suffix(".json").read_text("utf-8"), f"{fit_figures.summary(made)}\npage: {page}"
@@ -162,7 +163,7 @@ def _measure(chosen: argparse.Namespace) -> int:
 
     out = Path(chosen.out or f"results/{chosen.procedure}")
     given = {name: value for name in chosen.settings if (value := getattr(chosen, name)) is not None}
-    found = measure(chosen.procedure, *chosen.records, plant=chosen.plant, out=out, **given)
+    found = measure(chosen.procedure, *chosen.records, plant=chosen.plant, out=out, overwrite=chosen.overwrite, **given)
     page = out / f"{chosen.procedure}.html"
     content = {**found.as_dict(), "page": str(page), "numbers": str(page.with_suffix(".json"))}
     del content["series"]  # which the file has

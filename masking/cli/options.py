@@ -62,8 +62,9 @@ def add_json(sub: argparse.ArgumentParser, *, after: str = "") -> None:
 
 
 def add_out(sub: argparse.ArgumentParser, default: str) -> None:
-    """Add `--out`, with what its help says of the default."""
+    """Add `--out`, with what its help says of the default, and `--overwrite`."""
     sub.add_argument("--out", metavar="DIR", help=f"where to save (default: {default})")
+    sub.add_argument("--overwrite", action="store_true", help="replace an earlier result in that folder")
 
 
 def answer(wanted: bool | str, content: object, text: object) -> int:

@@ -48,7 +48,7 @@ def _add_calibrate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--at", metavar="ADDRESS", help="such as udp://127.0.0.1:5005 (default: the plant's twin)")
     sub.add_argument("--model", metavar="MODEL", help="a model of the rig to fit beside that of the plant file")
     sub.add_argument("--seconds", type=float, default=40.0, help="length of each record (default: 40)")
-    sub.add_argument("--out", metavar="DIR", help="records and result (default: results/PLANT_calibration)")
+    add_out(sub, "results/PLANT_calibration; records that it holds are used again")
 
 
 def _serve(chosen: argparse.Namespace) -> int:
@@ -70,19 +70,18 @@ def _serve(chosen: argparse.Namespace) -> int:
 
 def _run(chosen: argparse.Namespace) -> int:
     """Run an experiment on a plant that runs by itself, and write its report."""
-    from masking.reports import run_report
     from masking.runs import hardware, stopping
     from masking.runs.experiment import Experiment
-    from masking.workflows.outputs import check_folder
+    from masking.workflows.outputs import RUN, check_folder
+    from masking.workflows.run import save
 
     made = Experiment.load(chosen.experiment)
     out = Path(chosen.out or f"results/{made.stem}_rig")
-    check_folder(out)
+    check_folder(out, *RUN, overwrite=chosen.overwrite)
 
     def keep(recording: Recording) -> None:
         bar.close()
-        recording.save(out)
-        written = run_report.report(recording, out)
+        written = save(recording, out)
         content = {name: recording.manifest[name] for name in ("masking_error", "rig")} | {"recording": str(out)}
         answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 
@@ -115,6 +114,7 @@ def _calibrate(chosen: argparse.Namespace) -> int:
                 out,
                 model=chosen.model,
                 seconds=chosen.seconds,
+                overwrite=chosen.overwrite,
                 lockstep=chosen.lockstep or not chosen.at,
                 say=bar.say,
                 progress=bar,

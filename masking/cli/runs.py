@@ -1,4 +1,4 @@
-"""Verbs that run an experiment and report what was recorded: run, report."""
+"""Verbs that run an experiment and show what was recorded: run, report, animate, compare."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _add_run(sub: argparse.ArgumentParser) -> None:
 def _add_report(sub: argparse.ArgumentParser) -> None:
     add_json(sub)
     sub.add_argument("record", metavar="RECORD", help="the folder of a recording")
-    sub.add_argument("--out", metavar="DIR", help="where to write (default: beside the recording)")
+    add_out(sub, "beside the recording")
 
 
 def _run(chosen: argparse.Namespace) -> int:
@@ -37,12 +37,13 @@ def _run(chosen: argparse.Namespace) -> int:
     from masking.reports import run_report
     from masking.runs import error_budget
     from masking.runs.experiment import Experiment
-    from masking.workflows.outputs import check_folder
+    from masking.workflows.outputs import RUN, check_folder
+    from masking.workflows.run import save
 
     changes = dict(_change(text) for text in chosen.set)
     made = Experiment.load(chosen.experiment, plant=chosen.plant, changes=changes)
     out = Path(chosen.out or f"results/{made.stem}")
-    check_folder(out)
+    check_folder(out, *RUN, overwrite=chosen.overwrite)
     before = _created(out)
     if not made.is_compiled:
         say_compiling()
@@ -54,8 +55,7 @@ def _run(chosen: argparse.Namespace) -> int:
         if before:
             print(f"{out} still holds the run of {before}", file=sys.stderr)
         raise
-    recording.save(out)
-    written = run_report.report(recording, out)
+    written = save(recording, out)
     content = {
         "masking_error": recording.manifest["masking_error"],
         "limits_used": run_report.limits_used(recording),
@@ -79,9 +79,48 @@ def _report(chosen: argparse.Namespace) -> int:
     """Write the report of a recording."""
     from masking.workflows.run import report
 
-    written = report(chosen.record, chosen.out)
+    written = report(chosen.record, chosen.out, overwrite=chosen.overwrite)
     content = {"report": str(written.path), "figures": [str(f) for f in written.figures]}
     return answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
+
+
+def _add_animate(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    sub.add_argument(
+        "record", metavar="RECORD", help="the folder of a recording; FOLDER@10:20 is its part from 10 s to 20 s"
+    )
+    text = "what to write: .html, .png or .svg for one instant, .gif or .mp4 (default: RECORD/animation.html)"
+    sub.add_argument("--out", metavar="FILE", help=text)
+    sub.add_argument("--overwrite", action="store_true", help="replace that file")
+    sub.add_argument("--at", metavar="SECONDS", type=float, help="instant of a picture (default: the middle)")
+
+
+def _animate(chosen: argparse.Namespace) -> int:
+    """Animate a recording: the rig beside its virtual system, in a page, a picture or a film."""
+    from masking.workflows.animate import animate
+
+    with Bar("drawing") as bar:
+        file = animate(chosen.record, out=chosen.out, overwrite=chosen.overwrite, at=chosen.at, progress=bar)
+    return answer(chosen.json, {"animation": str(file)}, f"animation: {file}")
+
+
+def _add_compare(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    sub.add_argument("first", metavar="RUN", help="the folder of a recording")
+    sub.add_argument("second", metavar="RUN", help="the folder of another one")
+    add_out(sub, "results/FIRST_SECOND")
+
+
+def _compare(chosen: argparse.Namespace) -> int:
+    """Compare two runs on one page: their motion, what was declared otherwise, and what came out of it."""
+    from masking.reports.comparison_page import PAGE
+    from masking.workflows.compare import compare
+    from masking.workflows.outputs import beside
+
+    names = [beside(path).resolve().name for path in (chosen.first, chosen.second)]
+    out = Path(chosen.out or f"results/{'_'.join(names)}")
+    made = compare(chosen.first, chosen.second, out=out, overwrite=chosen.overwrite)
+    return answer(chosen.json, {**made.as_dict(), "page": str(out / PAGE)}, f"{made}\npage: {out / PAGE}")
 
 
 def _change(text: str) -> tuple[str, float]:
@@ -99,4 +138,6 @@ def _change(text: str) -> tuple[str, float]:
 VERBS = (
     Verb("run", _add_run, _run),
     Verb("report", _add_report, _report),
+    Verb("animate", _add_animate, _animate),
+    Verb("compare", _add_compare, _compare),
 )

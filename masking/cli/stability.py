@@ -35,7 +35,14 @@ def _stability(chosen: argparse.Namespace) -> int:
     prepare(chosen.json, out)
     with Bar("deriving") as bar:
         found = stability(
-            chosen.name, kind=chosen.kind, changes=changes, box=box, exponent=chosen.exponent, out=out, tell=bar.tell
+            chosen.name,
+            kind=chosen.kind,
+            changes=changes,
+            box=box,
+            exponent=chosen.exponent,
+            out=out,
+            overwrite=chosen.overwrite,
+            tell=bar.tell,
         )
     numbers = (out / "stability.json").read_text(encoding="utf-8")
     return answer(chosen.json, numbers, f"{found}\npage: {out / 'stability.html'}")

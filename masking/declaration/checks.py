@@ -10,6 +10,7 @@ from graphlib import CycleError, TopologicalSorter
 from masking.declaration.couplings import driven_outputs, motions
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ModelDeclaration
+from masking.declaration.tables import TABLES
 from masking.errors import DeclarationError, Problem, nearest
 
 _COHERENT = frozenset(
@@ -67,7 +68,7 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
         whole: whether the schema refused nothing of it.
         lost: names in a section whose key is not known, which pass for anything.
     """
-    problems = [*_names(model, lost), *_symbols(model, lost)]
+    problems = [*_names(model, lost), *_symbols(model, lost), *_drawing(model, lost)]
     if whole:
         problems += [
             *_structure(model),
@@ -156,6 +157,21 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
                     what = "is an acceleration" if symbol.endswith("''") else "contains an acceleration"
                     message = f"'{symbol}' {what}, which {where} may not contain"
                     yield expression.problem(expression.first(symbol), message)
+
+
+def _drawing(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
+    """Check that each shape is of one kind, and is placed by coordinates and parameters."""
+    coordinates = [*model.coordinates, *lost]
+    for i, shape in enumerate(model.drawing):
+        if len(shape.kinds) != 1:
+            message = f"a shape is of one kind, not {_joined(shape.kinds, 'and') or 'none'}"
+            yield problem_at(model, f"drawing.{i}", message, f"write one of {', '.join(shape.KINDS)}")
+        for _, expression in shape.formulas:
+            known = [*velocities(coordinates), *model.inputs, *model.definitions, *model.states]
+            yield from check_symbols(expression, [*coordinates, *model.parameters, "t"], coordinates, known)
+            for step in expression.steps:
+                if step.operation in TABLES:
+                    yield expression.problem(step, "a drawing takes no tables", "write the curve as an expression")
 
 
 def check_symbols(

@@ -197,7 +197,19 @@ class _Checker:
             self.lagrangian(action, time)
         for name in model.elements:
             self.element(name, action, time)
+        self.drawing()
         return self.problems
+
+    def drawing(self) -> None:
+        """Check that angles of a drawing are numbers, and that all its lengths have one dimension."""
+        length: Dimension | None = None
+        for shape in self.model.drawing:
+            for path, expression in shape.formulas:
+                if path.endswith(".angle"):
+                    self.same(NONE, expression, "an angle must be {}, not {}")
+                else:
+                    self.same(length, expression, "the drawing begins with lengths in {}, this is {}")
+                    length = length if length is not None else self.of(expression)
 
     def has_time(self) -> bool:
         """Tell whether time has a unit here: whether any unit but those of the scales involves it."""

@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
+from masking.declaration.drawing import Shape
 from masking.declaration.expression import Expression
 from masking.declaration.fields import (
     ControllerRate,
@@ -400,6 +401,7 @@ class ModelDeclaration(Declaration):
     scales: dict[TextField, Scale] = {}
     oscillators: tuple[Name, ...] | None = None
     elements: dict[Name, Element] = {}
+    drawing: tuple[Shape, ...] = ()
 
     def state_of(self, left: Expression) -> str | None:
         """Give the internal state whose equation has this left-hand side, None for an equation of motion."""

@@ -17,6 +17,7 @@ from masking.discovery.rules import DecisionRules
 from masking.discovery.unit_check import UnitDoubt
 from masking.discovery.unnamed import UnnamedLaw
 from masking.discovery.verdict import Key, at_noise_floor, is_closed
+from masking.display import fragments, symbols
 from masking.effects import Effect
 from masking.estimation.data import Data
 from masking.estimation.whiteness import Whiteness, whiteness
@@ -140,6 +141,22 @@ class Discovery(Explained):
             causes, after = f"a law without a name in {self.law.place}", self.law.error[1]
         errors = ", ".join(f"{name} {before[name]:.2g} to {after[name]:.2g}" for name in after)
         return f"<Discovery: {self.verdict}{f', {causes}' if causes else ''}; error on unseen data: {errors}>"
+
+    def _repr_html_(self) -> str:
+        found = [*self.effects, *([self.unnamed] if self.unnamed else [])]
+        causes = [
+            (one.name.replace("_", " "), one.on, symbols.markup(name), *(f"{x:.4g}" for x in (*pair, one.probability)))
+            for one in found
+            for name, pair in one.parameters.items()
+        ]
+        three = (*self.simulation_error.validation, self.simulation_error.validation_noise_floor)
+        errors = [(name, *(f"{each[name]:.2g}" for each in three)) for name in three[1]]
+        head = ("cause", "in", "parameter", "value", "standard deviation", "probability")
+        parts = [
+            fragments.table(head, causes, numbers=(3, 4, 5)),
+            fragments.table(("error on unseen data", "before", "after", "noise floor"), errors, numbers=(1, 2, 3)),
+        ]
+        return fragments.card(f"Discovery in {self.twin.declaration.name}", f"verdict: {self.verdict}", *parts)
 
     @property
     def validation_record(self) -> Data:

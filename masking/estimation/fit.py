@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from masking.display import fragments, symbols
 from masking.errors import IntegrationError, RecordError
 from masking.estimation.data import Data
 from masking.estimation.least_squares import Arrow, Box, Damping, Linearised, minimise
@@ -37,7 +38,7 @@ COARSE_SAMPLES = 2000  # and samples at least: processes that are sampled slowly
 FEWEST = 5  # samples of each sensor for each unknown
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class Estimate:
     """Parameters of a twin that were found from records, by any method.
 
@@ -61,6 +62,24 @@ class Estimate:
     floor: dict[str, float]
     validation: dict[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.names, self.values, strict=True))
+        return f"<{type(self).__name__} {values}; chi {_each(self.chi)}>"
+
+    def _repr_html_(self) -> str:
+        declared = {name: p.unit for name, p in self.twin.model.declaration.parameters.items() if p.unit != "1"}
+        rows = [
+            (symbols.markup(name), f"{value:.6g}", f"{Z_975 * std:.2g}", declared.get(name, ""))
+            for name, value, std in zip(self.names, self.values, self.std, strict=True)
+        ]
+        kinds = {"error chi": self.chi, "chi of the noise alone": self.floor, "chi on unseen data": self.validation}
+        errors = [(kind, *(f"{chi[name]:.2g}" for name in self.chi)) for kind, chi in kinds.items() if chi]
+        parts = [
+            fragments.table(("parameter", "value", "\N{PLUS-MINUS SIGN} (95 %)", "unit"), rows, numbers=(1, 2)),
+            fragments.table(("", *self.chi), errors, numbers=range(1, len(self.chi) + 1)),
+        ]
+        return fragments.card(f"Fit of {self.twin.declaration.name}", " ".join(self.notes), *parts)
 
     @property
     def std(self) -> Array:
@@ -97,7 +116,7 @@ class Estimate:
         return [*rows, "; ".join([*text, f"the noise alone {_each(self.floor)}"])]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class Fit(Estimate):
     """Parameters that reproduce records.
 

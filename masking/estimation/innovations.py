@@ -15,7 +15,7 @@ from masking.numerics.arrays import Array
 LAGS = 20  # of the autocorrelation of the innovations
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class KalmanFit(Estimate):
     """Final values of parameters that a filter found, how sure it is of them, and whether its assumptions hold.
 

@@ -2,5 +2,5 @@
 
 In: a declared model.
 Out: its equations, its scales and its compiled functions.
-Imports: numerics, declaration, effects, codegen.
+Imports: numerics, declaration, display, effects, codegen.
 """

@@ -22,6 +22,8 @@ from masking.codegen.source import Module
 from masking.declaration import registry, schema
 from masking.declaration.couplings import motions
 from masking.declaration.dimensions import check_dimensions, check_scales
+from masking.declaration.units import pretty
+from masking.display import fragments, symbols
 from masking.effects import Effect, Setting, attach
 from masking.errors import DeclarationError, ModelError
 from masking.modelling.equations import Equations
@@ -31,9 +33,12 @@ from masking.modelling.scales import Units
 if TYPE_CHECKING:
     import control
     import sympy as sp
+
+    from masking.modelling import typeset
 else:
     control = lazy.load("control")
     sp = lazy.load("sympy")
+    typeset = lazy.load("masking.modelling.typeset", suppress_warning=True)
 
 
 def load_model(name_or_path: str | Path) -> Model:
@@ -62,6 +67,30 @@ class Model:
     declaration: schema.ModelDeclaration
     overrides: Mapping[str, float] = field(default_factory=dict)
     is_dimensionless: bool = False
+
+    def __repr__(self) -> str:
+        return f"<Model {self.name}: {self._size_in_words}>"
+
+    def _repr_html_(self) -> str:
+        e, d = self.equations, self.declaration
+        left = [*(e.mass * sp.Matrix(e.symbols.a)), *(sp.Symbol(f"{name}'") for name in d.states)]
+        pairs = [*zip(left, [*e.force, *e.rates], strict=True), *((sp.Symbol(n), e.output(n)) for n in d.outputs)]
+        pairs += [(sp.Symbol("E"), e.energy)] if e.energy is not None else []
+        parts = [typeset.equations(pairs)]
+        units = Units.of(d)  # without compiling the model
+        values = units.parameter_values(self.overrides, dimensionless=False)
+        rows = []
+        for name, p in d.parameters.items():
+            value, unit = values[name] / units.conversions[p.unit].factor, pretty(p.unit)
+            rows.append((symbols.markup(name), f"{value:.6g}", unit, p.meaning))
+        parts.append(fragments.table(("parameter", "value", "unit", "meaning"), rows, numbers=(1,)))
+        return fragments.card(self.name, self._size_in_words, *parts)
+
+    @property
+    def _size_in_words(self) -> str:
+        kinds = {"coordinates": self.coordinates, "states": self.states, "inputs": self.inputs}
+        named = [f"{kind} {', '.join(names)}" for kind, names in kinds.items() if names]
+        return "; ".join([*named, f"{len(self.parameters)} parameters"])
 
     @property
     def name(self) -> str:

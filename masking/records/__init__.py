@@ -2,5 +2,5 @@
 
 In: files of recordings and measured tables.
 Out: columns on one steady clock, and their noise.
-Imports: numerics.
+Imports: numerics, display.
 """

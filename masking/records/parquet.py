@@ -44,17 +44,27 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             os.close(folder)
 
 
-def write(stream: BinaryIO, columns: Mapping[str, NDArray[np.float64]], manifest: bytes) -> None:
+def write(
+    stream: BinaryIO,
+    columns: Mapping[str, NDArray[np.float64]],
+    manifest: bytes,
+    facts: Mapping[str, Mapping[str, str]],
+) -> None:
     """Write equally long, contiguous float64 columns and the manifest text as one zstd-compressed parquet table.
 
     Args:
         stream: what is written to.
         columns: (samples,) each.
         manifest: JSON.
+        facts: texts for the metadata of fields, such as their units, by key and column.
     """
     # From buffers: pa.array() would look whether its argument is a pandas object and import pandas for that (0.4 s).
     arrays = [pa.Array.from_buffers(pa.float64(), len(c), [None, pa.py_buffer(c)]) for c in columns.values()]
-    schema = pa.schema([(name, pa.float64()) for name in columns], metadata={MANIFEST_KEY: manifest})
+    fields = [
+        pa.field(name, pa.float64(), metadata={key: texts[name] for key, texts in facts.items() if name in texts})
+        for name in columns
+    ]
+    schema = pa.schema(fields, metadata={MANIFEST_KEY: manifest})
     # Dictionaries do not pay for real numbers: measured 11 times the time and 1.3 times the size.
     pq.write_table(pa.Table.from_arrays(arrays, schema=schema), stream, compression="zstd", use_dictionary=False)
 

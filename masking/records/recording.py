@@ -6,6 +6,7 @@
 Column names: `t` (time of the plant), `rig.<coord>` and `rig.<coord>'` (the plant's coordinates and velocities),
 `virtual.<coord>` and `virtual.<coord>'` (the same motion seen through the transform T), `ideal.<coord>` and
 `ideal.<coord>'` (the virtual system integrated by itself), `input.<name>`; further columns are kept as they are.
+Each column of the table has its unit and its meaning in the metadata of its field.
 """
 
 from __future__ import annotations
@@ -24,9 +25,11 @@ from masking.errors import RENAMED, RecordError, nearest
 from masking.records.json_text import json_text
 
 if TYPE_CHECKING:
-    from masking.records import parquet
+    from masking.display.axes import NotebookFigure
+    from masking.records import parquet, views
 else:
     parquet = lazy.load("masking.records.parquet", suppress_warning=True)
+    views = lazy.load("masking.records.views", suppress_warning=True)
 
 FORMAT: Final = "masking recording 1"
 TABLE: Final = "recording.parquet"
@@ -69,6 +72,34 @@ class Recording:
         size = f"{len(self)} samples of {len(self.columns)} columns"
         return f"<Recording {name}: {size}, t = {self.t[0]:g} to {self.t[-1]:g}>"
 
+    def _repr_html_(self) -> str:
+        chi = self.manifest.get("masking_error") or {}
+        errors = ", ".join(f"{name} {float(value):.2g}" for name, value in chi.items())
+        size = f"{len(self)} samples, t = {self.t[0]:g} to {self.t[-1]:g} {self.units.get('t', '')}".rstrip()
+        subtitle = f"{size}; masking error chi: {errors}" if errors else size
+        return views.card(self.name or "Recording", subtitle, self.columns, self.units, self.meanings)
+
+    @property
+    def name(self) -> str:
+        """Name of the run, "" where it has none."""
+        return str(self.manifest.get("name") or "")
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column that has one, by name; numbers without a unit have none."""
+        return {name: unit for name, unit in self._declared("unit").items() if unit not in {"1", "dimensionless"}}
+
+    @property
+    def meanings(self) -> dict[str, str]:
+        """Meaning of each column that has one, by name."""
+        return self._declared("meaning")
+
+    def _declared(self, key: str) -> dict[str, str]:
+        entries = self.manifest.get("columns")
+        entries = entries if isinstance(entries, Mapping) else {}
+        found = {name: entries[name] for name in self.columns if isinstance(entries.get(name), Mapping)}
+        return {name: str(entry[key]) for name, entry in found.items() if entry.get(key)}
+
     @property
     def t(self) -> NDArray[np.float64]:
         """Time of the plant, shape (samples,)."""
@@ -84,8 +115,14 @@ class Recording:
         """Names of the plant's inputs, in the order of the columns."""
         return self.names("input")
 
-    def names(self, prefix: str) -> tuple[str, ...]:
-        """Names behind `prefix.` ("rig", "virtual", "ideal", "input"), derivatives left out."""
+    def names(self, prefix: str | None = None) -> tuple[str, ...]:
+        """Names behind `prefix.`, derivatives left out; without a prefix, the names of all columns.
+
+        Args:
+            prefix: "rig", "virtual", "ideal", "input" or any other.
+        """
+        if prefix is None:
+            return tuple(self.columns)
         start = f"{prefix}."
         return tuple(c.removeprefix(start) for c in self.columns if c.startswith(start) and not c.endswith("'"))
 
@@ -109,6 +146,43 @@ class Recording:
         primes = "'" * derivative
         return np.column_stack([self[f"{prefix}.{name}{primes}"] for name in names])
 
+    def to_pandas(self) -> Any:  # noqa: ANN401  # pandas is optional
+        """Return a pandas DataFrame with the time as its index, and `units` and `meanings` in its `attrs`.
+
+        Raises:
+            RecordError: pandas is not installed.
+        """
+        return views.frame(self.columns, self.units, self.meanings)
+
+    def to_xarray(self) -> Any:  # noqa: ANN401  # xarray is optional
+        """Return an xarray Dataset over the time `t`, whose variables have `units` and `long_name`.
+
+        Raises:
+            RecordError: xarray is not installed.
+        """
+        return views.dataset(self.columns, self.units, self.meanings, self.name)
+
+    def plot(self, *columns: str) -> NotebookFigure:
+        """Draw columns over the time, one row of axes for each argument; a notebook shows the figure.
+
+        Args:
+            columns: names, such as "virtual.x1", or prefixes, such as "input"; by default the virtual motion, with that
+                of the virtual system by itself as dashed lines, and the inputs.
+
+        Raises:
+            RecordError: there is no such column or prefix.
+        """
+        prefixes = dict.fromkeys(name.partition(".")[0] for name in self.columns if "." in name)
+        usual = [name for name in prefixes if name in {"virtual", "input"}] or [*prefixes]
+        usual = usual or [name for name in self.columns if name != "t"]
+        rows = []
+        for name in columns or usual:
+            if name not in self.columns and name not in prefixes:
+                allowed = {**prefixes, **self.columns}
+                raise RecordError(f"the recording has no column or prefix '{name}'; {nearest(name, allowed)}")
+            rows.append([name] if name in self.columns else [f"{name}.{short}" for short in self.names(name)])
+        return views.figure(self.columns, self.units, rows, self.name)
+
     def save(self, folder: str | Path) -> Path:
         """Write both files into `folder`, made if need be, and return it; after an error the folder is as it was.
 
@@ -121,7 +195,7 @@ class Recording:
             folder.mkdir(parents=True, exist_ok=True)
             with parquet.replacing(folder / MANIFEST) as manifest, parquet.replacing(folder / TABLE) as table:
                 manifest.write(text.encode())
-                parquet.write(table, self.columns, text.encode())
+                parquet.write(table, self.columns, text.encode(), {"unit": self.units, "meaning": self.meanings})
         except OSError as error:
             raise RecordError(f"{folder}: the recording cannot be written: {error.strerror or error}") from error
         return folder

@@ -2,5 +2,6 @@
 
 In: results.
 Out: their text, figures, pages and files.
-Imports: numerics, declaration, effects, modelling, records, analysis, rig, estimation, discovery, procedures.
+Imports: numerics, declaration, display, effects, modelling, records, analysis, rig, estimation, discovery,
+procedures.
 """

@@ -17,21 +17,22 @@ import jinja2
 import markupsafe
 from markupsafe import Markup
 
+from masking.display.symbols import is_symbol
+from masking.display.symbols import markup as symbol
 from masking.errors import RecordError
 from masking.records.json_text import json_text
-from masking.reports.text import GREEK
 
 if TYPE_CHECKING:  # drawing is loaded by what draws
     from masking.reports.style import CaptionedFigure
 
 _TEMPLATES = Path(__file__).with_name("templates")
-_SYMBOL = re.compile(r"([A-Za-z]{1,3}|" + "|".join(sorted(GREEK)) + r")(\d*|_\w+)")
 # Short words and units that may be names, too: symbols where a value follows, or where they do not stand as units.
 _SHORT = frozenset({"A", "a", "an", "as", "at", "by", "in", "is", "it", "no", "of", "on", "or", "to", "all", "and",
                     "its", "not", "the"})  # fmt: skip
 _UNITS = frozenset({"A", "C", "F", "H", "Hz", "J", "K", "N", "Pa", "T", "V", "W", "g", "h", "kg", "m", "min", "mm",
                     "ms", "rad", "s"})  # fmt: skip
-_WORDS = {"chi": "<var>&chi;</var>", "pi": "&pi;", "alpha": "<var>&alpha;</var>", "eps": "<var>&epsilon;</var>"}
+_WORDS = {"chi": "<var>&chi;</var>", "pi": "&pi;", "alpha": "<var>&alpha;</var>", "eps": "<var>&epsilon;</var>",
+          "tau_s": "<var>&tau;</var><sub>s</sub>"}  # fmt: skip
 
 
 class Tile(NamedTuple):
@@ -160,21 +161,6 @@ def prose(text: object, names: Collection[str] = ()) -> Markup:
     escaped = re.sub(r"(?<=\d)e(-?)(\d+)\b", _power_of_ten, escaped)
     escaped = re.sub(r"(?<=\d) (?=%)", "\N{NO-BREAK SPACE}", escaped)
     return Markup(escaped.replace("&lt;=", "&le;").replace(" - ", " &minus; ").replace("-&gt;", "&rarr;"))  # noqa: S704  # escaped above
-
-
-def symbol(name: str) -> Markup:
-    """Typeset a name where it is a symbol: letters in italics, a number as an index."""
-    if not is_symbol(name):
-        return markupsafe.escape(name)
-    letters, index = re.fullmatch(r"(.*?)_?(\d*)", name).groups()  # type: ignore[union-attr]  # matches any word
-    letters, index = (letters, index) if letters else (name, "")
-    letters = f"&{letters};" if letters in GREEK else letters
-    return Markup(f"<var>{letters}</var>" + (f"<sub>{index}</sub>" if index else ""))  # noqa: S704  # letters and digits
-
-
-def is_symbol(name: str) -> bool:
-    """Return whether a name is a symbol: a few letters or a Greek one, with or without an index; no English word."""
-    return _SYMBOL.fullmatch(name) is not None
 
 
 def _is_word(text: str, match: re.Match[str]) -> bool:

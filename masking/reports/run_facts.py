@@ -174,8 +174,7 @@ class Study:
 
     def unit(self, column: str) -> str:
         """Give the declared unit of a column; "" where it is dimensionless or not declared."""
-        unit = str(_entry(self.recording.manifest, "columns", column).get("unit") or "")
-        return "" if unit in {"1", "dimensionless"} else unit
+        return self.recording.units.get(column, "")
 
     def meaning(self, coordinate: str) -> str:
         """Give the declared meaning of a coordinate, "" where there is none."""
@@ -193,6 +192,11 @@ class Study:
             return math.nan, math.nan
         head, _ = ends(self.tau, self.period)
         return float(self.sum_peak[head].max()), float(self.sum_peak[-1])
+
+    @property
+    def is_scaled(self) -> bool:
+        """Tell whether `tau` is another time than that of the plant."""
+        return float(self.recording.manifest.get("time_scale") or 1.0) != 1.0
 
     @property
     def worst(self) -> str | None:

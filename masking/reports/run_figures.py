@@ -43,17 +43,17 @@ def _displacements(study: Study) -> CaptionedFigure:
     for name, axes, colour in zip(names, rows, COLOURS, strict=False):
         _motion(axes, study, name, colour)
     _same_range(rows[: len(names)], [study.unit(f"{study.prefix}.{name}") for name in names])
-    _time_label(rows[len(names) - 1], study)
+    time_label(rows[len(names) - 1], study)
     if zoom:
         span = _ZOOM_PERIODS * study.period
         head, tail = study.tau <= study.tau[0] + span, study.tau >= study.tau[-1] - span
         for axes, part, text in zip(rows[len(names) :], (head, tail), ("first", "last"), strict=True):
             for name, colour in zip(names, COLOURS, strict=False):
                 _lines(axes, study, name, colour, part)
-            _symmetric(axes, [study.motion(name)[part] for name in names])
+            symmetric(axes, [study.motion(name)[part] for name in names])
             axes.set_xlim(study.tau[part][0], study.tau[part][-1])
             axes.set_title(f"{text} {_ZOOM_PERIODS} periods", loc="left", fontsize=SIZE, color=MUTED)
-            _time_label(axes, study)
+            time_label(axes, study)
     _legend(figure, study, [(style.symbol(name), colour) for name, colour in zip(names, COLOURS, strict=False)])
     more = parts.first_of(len(names), len(study.oscillators))
     return CaptionedFigure("displacements", title, _meanings(study, names) + more + _band_words(study), figure)
@@ -69,7 +69,7 @@ def _others(study: Study) -> CaptionedFigure:
     figure, rows = style.sheet([1.5 if len(names) == 1 else 1.15] * len(names))
     for name, axes in zip(names, rows, strict=True):
         _motion(axes, study, name, COLOURS[2])
-    _time_label(rows[-1], study)
+    time_label(rows[-1], study)
     _legend(figure, study, [(style.symbol(name), COLOURS[2]) for name in names[:1]] if len(names) == 1 else [])
     return CaptionedFigure("others", title, _meanings(study, names) + _band_words(study), figure)
 
@@ -105,7 +105,7 @@ def _synchronisation(study: Study) -> CaptionedFigure:
     below.set_ylabel(style.with_unit(f"peak |{total}|", study.unit(f"{study.prefix}.{study.oscillators[0]}")))
     for axes in (above, below):
         _whole_record(axes, study)
-    _time_label(below, study)
+    time_label(below, study)
     caption = (
         "Above: phase difference from the analytic signals (Hilbert transform). "
         f"Below: largest |{' + '.join(_few(study.oscillators))}| over the {SUM_WINDOW_PERIODS} periods before."
@@ -124,9 +124,9 @@ def _inputs(study: Study) -> CaptionedFigure:
         if use.demanded is not None and use.is_cut:
             most = _SHOWN_DEMAND * (use.limit or use.peak)
             demanded = np.clip(use.demanded, -most, most)
-            _trace(axes, study, demanded, COLOURS[5], thin_line=True)
+            trace(axes, study, demanded, COLOURS[5], thin_line=True)
             reach.append(demanded)
-        _trace(axes, study, use.series, COLOURS[0])
+        trace(axes, study, use.series, COLOURS[0])
         if use.limit is None:
             words = "no limit declared"
         else:
@@ -139,11 +139,11 @@ def _inputs(study: Study) -> CaptionedFigure:
                     axes.axhline(level, color=LIMIT, lw=1.1, ls=(0, (6, 2)))
             else:
                 hidden.append(use.name)
-        _symmetric(axes, reach)
+        symmetric(axes, reach)
         _whole_record(axes, study)
         axes.set_ylabel(style.with_unit(style.symbol(use.name), use.unit))
         parts.note(axes, words, colour=LIMIT if use.is_exceeded or use.is_cut else MUTED)
-    _time_label(rows[-1], study)
+    time_label(rows[-1], study)
     drawn = any(use.limit is not None and use.name not in hidden for use in uses)
     lines = "Dashed red lines are the limits. " if drawn else ""
     lines += "Thin orange lines are what was demanded. " if any(use.is_cut for use in uses) else ""
@@ -167,7 +167,7 @@ def _masking_error(study: Study) -> CaptionedFigure:
     axes.legend(frameon=False, fontsize=SIZE, ncols=len(errors), loc="lower right", bbox_to_anchor=(1.0, 0.995))
     axes.set_ylabel(style.with_unit("|virtual \N{MINUS SIGN} ideal|", study.unit(f"virtual.{next(iter(errors))}")))
     _whole_record(axes, study)
-    _time_label(axes, study)
+    time_label(axes, study)
     caption = "Distance between the masked rig and the virtual system by itself, the largest over the period before."
     return CaptionedFigure("masking_error", title, caption, figure)
 
@@ -227,16 +227,26 @@ _FIGURES: Final = (_displacements, _others, _synchronisation, _inputs, _masking_
 
 def _motion(axes: Axes, study: Study, name: str, colour: str) -> None:
     """Draw one coordinate over the whole record, as it moved and as it ideally moves."""
-    _trace(axes, study, study.motion(name), colour, study.ideal(name))
+    trace(axes, study, study.motion(name), colour, study.ideal(name))
     ideal = study.ideal(name)
-    _symmetric(axes, [study.motion(name)] + ([ideal] if ideal is not None else []))
+    symmetric(axes, [study.motion(name)] + ([ideal] if ideal is not None else []))
     _whole_record(axes, study)
     axes.set_ylabel(style.with_unit(style.symbol(name), study.unit(f"{study.prefix}.{name}")))
 
 
-def _trace(
+def trace(
     axes: Axes, study: Study, series: Series, colour: str, ideal: Series | None = None, *, thin_line: bool = False
 ) -> None:
+    """Draw a series over the whole record, as a band from trough to crest where its periods are too many to be seen.
+
+    Args:
+        axes: to draw on.
+        study: of the record.
+        series: samples (m,).
+        colour: of the line.
+        ideal: drawn over it as a dashed line, if given.
+        thin_line: whether the line is thin, without a filled band.
+    """
     cycles = _cycles(study)
     if thin_line and cycles <= _ENVELOPE_PERIODS:
         axes.plot(*style.thin(study.tau, series), color=colour, lw=0.9)
@@ -310,8 +320,13 @@ def _legend(figure: Figure, study: Study, entries: Iterable[tuple[str, str]]) ->
     parts.legend(figure, None, handles)
 
 
-def _symmetric(axes: Axes, all_series: Iterable[Series]) -> None:
-    """Set the range of y about zero, or about the data where they lie far from it."""
+def symmetric(axes: Axes, all_series: Iterable[Series]) -> None:
+    """Set the range of y about zero, or about the data where they lie far from it.
+
+    Args:
+        axes: to set.
+        all_series: that are drawn on it.
+    """
     low = min(float(series.min()) for series in all_series)
     high = max(float(series.max()) for series in all_series)
     reach = max(abs(low), abs(high))
@@ -335,8 +350,9 @@ def _whole_record(axes: Axes, study: Study) -> None:
     axes.set_xlim(first, last if last > first else first + 1.0)
 
 
-def _time_label(axes: Axes, study: Study) -> None:
-    if study.recording.manifest.get("time_scale"):
+def time_label(axes: Axes, study: Study) -> None:
+    """Write below axes which time they show."""
+    if study.is_scaled:
         axes.set_xlabel("virtual time τ")
     else:
         axes.set_xlabel(style.with_unit("time t", study.unit("t")))

@@ -309,7 +309,7 @@ def _duration(facts: Study) -> str:
 
 def length(facts: Study) -> tuple[str, str]:
     """Give the length of the record and its unit."""
-    unit = "units of time" if facts.recording.manifest.get("time_scale") else facts.unit("t")
+    unit = "" if facts.is_scaled else facts.unit("t")
     return number(facts.tau[-1] - facts.tau[0], 4), unit or "units of time"
 
 

@@ -1,7 +1,6 @@
 """Drawing: the parts that every figure of a report is made of, in one style.
 
-Drawn through matplotlib's objects, without pyplot, so that nothing global is read or changed.
-Colours are Okabe and Ito's, distinguishable with any colour vision; what is ideal is always a thin dark dashed line.
+Colours, axes and typeset names are those of `masking.display`.
 """
 
 from __future__ import annotations
@@ -10,35 +9,30 @@ import functools
 import io
 import re
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, ScalarFormatter
-from numpy.typing import NDArray
 
-from masking.reports.text import GREEK
+from masking.display.axes import DASHED, DPI, SIZE, dress, with_unit
+from masking.display.palette import COLOURS, GRID, INK, LIMIT, MUTED
+from masking.display.symbols import tex as symbol
+from masking.display.thinning import BINS, Series, envelope, thin
 
-Series = NDArray[np.float64]
+__all__ = [
+    "BAND", "BARE", "BELOW", "BINS", "BOTTOM", "COLOURS", "DASHED", "DPI", "GAP", "GRID", "INK", "LEFT", "LEGEND",
+    "LIMIT", "MUTED", "NOTE", "RIGHT", "SIZE", "WIDTH", "CaptionedFigure", "Series", "absent", "dress", "envelope",
+    "panels", "sheet", "symbol", "thin", "with_unit",
+]  # fmt: skip
 
-COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-INK: Final = "#1b1f24"
-MUTED: Final = "#5b6470"
-GRID: Final = "#dfe3e8"
-LIMIT: Final = "#B22222"
-DPI = 160
 WIDTH = 9.0  # inches, all figures
 LEFT, RIGHT, BOTTOM, GAP = 0.95, 0.22, 0.55, 0.24  # inches
 LEGEND, NOTE, BARE = 0.52, 0.32, 0.14  # inches above the first axes: for a legend, a line of text, nothing
 BELOW = 0.24  # inches below a heading, for a legend
 _LINE, _LINES = 90, 3  # of a heading: letters in a line, and lines at most
-SIZE = 9.5  # points
-DASHED: Final = (0, (4, 3))
 BAND: Final = 0.22  # opacity
-BINS: Final = 700  # across a whole record: about one for every two pixels
 
 
 @dataclass(frozen=True)
@@ -69,16 +63,6 @@ def absent(name: str, title: str, why: str) -> CaptionedFigure:
         why: reason, without a full stop.
     """
     return CaptionedFigure(name, title, f"Not shown: {why}.", None)
-
-
-def symbol(name: str) -> str:
-    """Typeset a declared name for a figure: letters with a number become a symbol with an index."""
-    match = re.fullmatch(r"([A-Za-z]+)_?(\d*)", name)
-    letters, index = match.groups() if match else ("", "")
-    if letters in GREEK or len(letters) == 1:
-        letter = rf"\{letters}" if letters in GREEK else letters
-        return rf"${letter}_{{{index}}}$" if index else f"${letter}$"
-    return rf"$\mathit{{{letters}}}_{{{index}}}$" if index else name.replace("$", r"\$")
 
 
 def sheet(
@@ -154,62 +138,3 @@ def _grid(
     figure.text(LEFT / WIDTH, 1.0 - 0.12 / total, "\n".join(lines), fontsize=SIZE + 1.5, color=INK, va="top", ha="left",
                 linespacing=1.25)  # fmt: skip
     return figure, rows
-
-
-def dress(axes: Axes) -> None:
-    """Give axes the style of the house: two thin spines, a light grid, few ticks."""
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(MUTED)
-        axes.spines[side].set_linewidth(0.8)
-    axes.tick_params(colors=INK, labelsize=SIZE - 1, width=0.8, length=3, color=MUTED)
-    axes.grid(visible=True, color=GRID, lw=0.6)
-    axes.set_axisbelow(True)
-    axes.xaxis.label.set(color=INK, fontsize=SIZE)
-    axes.yaxis.label.set(color=INK, fontsize=SIZE)
-    axes.xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
-    axes.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
-    formatter = ScalarFormatter(useMathText=True)
-    formatter.set_powerlimits((-3, 4))
-    axes.yaxis.set_major_formatter(formatter)
-    axes.yaxis.get_offset_text().set(fontsize=SIZE - 1.5, color=MUTED)
-
-
-def with_unit(text: str, unit: str) -> str:
-    """Return a label with its unit in brackets, where there is one."""
-    return f"{text} ({unit})" if unit else text
-
-
-def envelope(tau: Series, series: Series, bins: int) -> tuple[Series, Series, Series]:
-    """Give (middle, least, greatest) of each of at most `bins` stretches of equally many samples.
-
-    Args:
-        tau: times (m,).
-        series: samples (m,).
-        bins: number of stretches, at most.
-    """
-    starts = np.unique(np.linspace(0, len(tau), max(1, min(bins, len(tau))), endpoint=False).astype(int))
-    last = np.append(starts[1:], len(tau)) - 1
-    middle = (tau[starts] + tau[last]) / 2
-    middle[0], middle[-1] = tau[0], tau[-1]
-    return middle, np.minimum.reduceat(series, starts), np.maximum.reduceat(series, starts)
-
-
-def thin(tau: Series, series: Series, bins: int = BINS) -> tuple[Series, Series]:
-    """Keep the ends and, of each stretch, the least and the greatest sample in their order: a line looks the same.
-
-    Args:
-        tau: times (m,).
-        series: samples (m,).
-        bins: number of stretches.
-    """
-    if len(tau) <= 4 * bins:
-        return tau, series
-    length = len(tau) // bins
-    body = series[: length * bins].reshape(bins, length)
-    offset = np.arange(bins) * length
-    extremes: Callable[..., NDArray[np.intp]] = np.concatenate
-    rest = np.arange(length * bins, len(tau))
-    keep = np.unique(extremes([[0], offset + body.argmin(1), offset + body.argmax(1), rest, [len(tau) - 1]]))
-    return tau[keep], series[keep]

@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 from masking.declaration.quantities import percent
-
-GREEK: Final = frozenset(
-    {"alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu"}
-    | {"xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}
-)
 
 
 def listed(words: Sequence[str], between: str = ", ") -> str:

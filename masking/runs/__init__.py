@@ -2,5 +2,6 @@
 
 In: an experiment.
 Out: its recording: offline, in real time or on hardware, and what limits it.
-Imports: numerics, declaration, effects, codegen, modelling, records, analysis, rig, control, plants.
+Imports: numerics, declaration, display, effects, codegen, modelling, records, analysis, rig, control,
+plants.
 """

@@ -23,6 +23,7 @@ from masking.control.law import Controller
 from masking.control.observer import Differences, Kalman, Observer
 from masking.control.sampled import SampledController, SampledLoop
 from masking.declaration import cross_checks, registry, schema
+from masking.display import fragments
 from masking.errors import DeclarationError, ModelError, Problem
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
@@ -30,10 +31,9 @@ from masking.records.recording import Recording
 from masking.rig.twin import PlacedEffect, Twin
 from masking.runs.columns import Columns
 from masking.runs.offline import Run, TwinRun, cut, rig_state, run_continuous, run_sampled, run_twin
+from masking.runs.record_rate import rows_per_unit
 from masking.runs.stopping import SYNCHRONISED, StopCondition
 
-# Rows per unit of virtual time in the record of a continuous run, by default.
-ROWS_PER_UNIT = 10
 LIBRARIES = ("masking", "numpy", "numba", "sympy")
 
 
@@ -42,6 +42,32 @@ class Experiment:
     """Which plant moves as which virtual system, from where, for how long, under which controller."""
 
     assembly: registry.Assembly
+
+    def __repr__(self) -> str:
+        return f"<Experiment {self.declaration.name}: {self._in_words}>"
+
+    def _repr_html_(self) -> str:
+        d = self.declaration
+        observer = f", {self.observer_settings.kind} observer" if d.controller.rate is not None else ""
+        rows = [
+            ("plant", self.assembly.plant.name),
+            ("virtual system", self.assembly.virtual_model.name),
+            ("controller", f"{self._rate_in_words}{observer}"),
+            ("initial", ", ".join(f"{name} = {value:g}" for name, value in d.initial.items())),
+            ("parameters", ", ".join(f"{name} = {value:g}" for name, value in d.parameters.items())),
+            ("duration", f"{d.duration:g} units of virtual time"),
+        ]
+        return fragments.card(d.name, d.description or "", fragments.table(("", ""), [row for row in rows if row[1]]))
+
+    @property
+    def _rate_in_words(self) -> str:
+        rate = self.declaration.controller.rate
+        return "in continuous time" if rate is None else f"at {rate:g} Hz"
+
+    @property
+    def _in_words(self) -> str:
+        plant, virtual = self.assembly.plant.name, self.assembly.virtual_model.name
+        return f"{plant} as {virtual}, {self._rate_in_words}, {self.declaration.duration:g} units of virtual time"
 
     @classmethod
     def load(
@@ -205,10 +231,17 @@ class Experiment:
         declaration, rate = self.declaration, self.declaration.controller.rate
         if declaration.stop is None:
             return None
-        rows = declaration.record.rate * self.time_scale if declaration.record else float(ROWS_PER_UNIT)
-        step = 1.0 / rows if rate is None else self.every / (rate * self.time_scale)
         initial = self.virtual.initial_state(declaration.initial)
+        step = 1.0 / self._rows_per_unit if rate is None else self.every / (rate * self.time_scale)
         return StopCondition.of(declaration.stop, self.virtual, initial, step=step, duration=declaration.duration)
+
+    @cached_property
+    def _rows_per_unit(self) -> float:
+        """Return the rows per unit of virtual time of a record."""
+        declared = self.declaration.record.rate if self.declaration.record else self.declaration.controller.rate
+        if declared is not None:
+            return declared * self.time_scale
+        return rows_per_unit(self.virtual, self.virtual.initial_state(self.declaration.initial))
 
     @property
     def stem(self) -> str:
@@ -241,7 +274,7 @@ class Experiment:
         _ = self.stop_condition
 
     def _check_size(self) -> list[Problem]:
-        rows = cross_checks.recorded_rows(self.declaration, self.time_scale, ROWS_PER_UNIT)
+        rows = cross_checks.recorded_rows(self.declaration, self.time_scale, self._rows_per_unit)
         columns = cross_checks.count_columns(self.assembly.plant_model, self.assembly.virtual_model)
         if self.has_observer:
             columns += len(self.twin.state_names) + 3 * len(self.twin.actuators) + len(self.twin.sensors)
@@ -299,7 +332,7 @@ class Experiment:
         duration = declaration.duration * self.time_scale
         if rate is not None:
             return partial(run_sampled, self.loop, state, rate=rate, duration=duration, every=self.every)
-        times = np.linspace(0.0, duration, max(2, round(ROWS_PER_UNIT * declaration.duration) + 1))
+        times = np.linspace(0.0, duration, max(2, round(self._rows_per_unit * declaration.duration) + 1))
         if declaration.record:
             times = np.arange(int(duration * declaration.record.rate * (1.0 + 1e-12)) + 1) / declaration.record.rate
         return partial(run_continuous, self.loop, state, times, tolerance=declaration.tolerance)

@@ -223,7 +223,8 @@ class Excitation:
             manifest = json.dumps({"format": FORMAT, **recording.manifest}, ensure_ascii=False, allow_nan=False)
         except (TypeError, ValueError) as error:
             raise RecordError(f"{self.name}: its meta holds what JSON cannot ({error})") from error
-        parquet.write(stream, recording.columns, manifest.encode())
+        facts = {"unit": recording.units, "meaning": recording.meanings}
+        parquet.write(stream, recording.columns, manifest.encode(), facts)
         return stream.getvalue()
 
     def _index(self, channel: str) -> int:

@@ -18,11 +18,13 @@ from masking.reports import calibration_page, fit_files
 from masking.rig.twin import Twin
 from masking.workflows import calibration_records
 from masking.workflows.calibration_records import Progress, Say
+from masking.workflows.outputs import check_folder
 
 __all__ = ["Calibration", "Stage", "calibrate"]
 
 # What takes time, in parts of a record's own: making one in lockstep, fitting a parameter, and writing the report.
 _LOCKSTEP, _PARAMETER, _REPORT = 0.03, 0.01, 0.1
+NUMBERS = "calibration.json"
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ def calibrate(
     *,
     model: str | Path | None = None,
     seconds: float = 2.0 * PERIOD,
+    overwrite: bool = False,
     lockstep: bool = False,
     seed: int = 0,
     say: Say | None = None,
@@ -54,12 +57,14 @@ def calibrate(
         out: folder of the records and of the result; records that are there are not made again.
         model: a model to fit between that of the plant file, without effects in its elements, and all of it.
         seconds: length of each record.
+        overwrite: whether an earlier result in that folder may be replaced; its records are kept.
         lockstep: run as fast as both sides can, each waiting for the other.
         seed: of the phases.
         say: called with what is done.
         progress: called with the part done, of recordings, fits and report together.
 
     Raises:
+        RecordError: the folder cannot be written, or holds an earlier result.
         ModelError: the plant file has no limits to stay within.
         PlantError: the plant is lost, refuses, or has other channels.
         MaskingError: a recording was interrupted.
@@ -69,6 +74,7 @@ def calibrate(
         raise ModelError(
             f"records of {seconds:g} s are shorter than the excitation's period; give at least {PERIOD:g} s"
         )
+    check_folder(out, NUMBERS, overwrite=overwrite)
     twin.validate()
     folder, tell = Path(out), say or (lambda text: None)
     candidates = tuple(_candidates(twin, model))
@@ -87,7 +93,7 @@ def calibrate(
     calibration = Calibration(twin, made, tuple(stages), folder)
     fit_files.save(calibration.best.fit, folder)
     calibration_page.save(calibration)
-    (folder / "calibration.json").write_text(json_text(calibration.as_dict()), encoding="utf-8")
+    (folder / NUMBERS).write_text(json_text(calibration.as_dict()), encoding="utf-8")
     if progress is not None:
         progress(1.0)
     return calibration

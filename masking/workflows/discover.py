@@ -9,7 +9,7 @@ from masking.discovery import discover as discovery
 from masking.discovery.discovery import Discovery
 from masking.discovery.search import Tell
 from masking.discovery.settings import DiscoverySettings
-from masking.reports import discovery_page
+from masking.reports import discovery_files, discovery_page
 from masking.workflows import inputs
 from masking.workflows.outputs import check_folder
 from masking.workflows.settings import with_fields_of
@@ -25,12 +25,14 @@ class Discover(DiscoverySettings):
             its coordinates or states, and its inputs are the actuators.
         out: folder to save `models/<model>+<effect>.yaml`, `plant.yaml`, `discovery.json`, `discovery.html` and its
             figures in, all of them or none; by default nothing is saved.
+        overwrite: whether an earlier result in that folder may be replaced.
         tell: called with the step under way, and the fraction done.
     """
 
     model: str | Path | None = None
     plant: str | Path | None = None
     out: str | Path | None = None
+    overwrite: bool = False
     tell: Tell | None = None
 
 
@@ -46,7 +48,7 @@ def discover(record: str | Path, settings: Discover) -> Discovery:
     Raises:
         MaskingError: a declaration, a name, a setting or a record is wrong; the message says what to do about it.
     """
-    check_folder(settings.out)
+    check_folder(settings.out, discovery_files.NUMBERS, "plant.yaml", overwrite=settings.overwrite)
     twin = inputs.with_effects(inputs.rig(settings.model, settings.plant), settings.effects)
     given = inputs.read(twin, record, settings)
     named = replace(settings, parameters=inputs.parameters(twin, settings.parameters))

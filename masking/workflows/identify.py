@@ -31,6 +31,7 @@ def identify(
     columns: Names | None = None,
     dt: float | None = None,
     out: str | Path | None = None,
+    overwrite: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> fits.Fit | KalmanFit:
     """Fit parameters of a plant to recordings of it.
@@ -53,13 +54,14 @@ def identify(
         dt: time between samples in s, for a table without a clock.
         out: folder to save `model.yaml`, `plant.yaml`, `fit.json`, `fit.html` and its figures in: `fit.png`,
             `validation.png` if there is a validation, `estimates.png` of a filter; by default nothing is saved.
+        overwrite: whether an earlier result in that folder may be replaced.
         progress: called with the fraction done.
 
     Raises:
         MaskingError: a declaration, a name, a setting or a recording is wrong; the message says what to do about it.
     """
     _check_method(method, records, shooting_interval, other=square_root or iterated != 1)
-    check_folder(out)
+    check_folder(out, "fit.json", "model.yaml", "plant.yaml", overwrite=overwrite)
     twin = Twin.load(plant) if model is None else Twin.load(plant).as_model(model)
     twin.validate()
     names = parameters or twin.equation_parameters()

@@ -22,7 +22,8 @@ PROCEDURES: Final[dict[str, Callable[..., Measurement[Any]]]] = {
     "friction": measurement.friction,
     "response": responses.response,
 }
-_ALWAYS = frozenset({"procedure", "records", "plant", "out"})  # parameters of `measure` that are no settings
+# Parameters of `measure` that are no settings.
+_ALWAYS = frozenset({"procedure", "records", "plant", "out", "overwrite"})
 
 
 def measure(
@@ -30,6 +31,7 @@ def measure(
     *records: str | Path,
     plant: str | Path | None = None,
     out: str | Path | None = None,
+    overwrite: bool = False,
     input: str | None = None,
     sensor: str | None = None,
     order: int | None = None,
@@ -54,6 +56,7 @@ def measure(
         plant: a plant file, or a packaged plant, whose sensors turn readings into what they measure, such as a
             displacement in m; by default results are in the units of the readings.
         out: folder to save `<procedure>.html`, `<procedure>.json` and PNG files in; by default nothing is saved.
+        overwrite: whether an earlier result in that folder may be replaced.
         input: springs, friction: the input that pushes; by default the only one that moves.
         sensor: springs, actuators, friction: the sensor of the displacement; by default the only one.
         order: springs: order of the polynomial, 5 by default.
@@ -86,7 +89,7 @@ def measure(
     takes_one = not any(p.kind is p.VAR_POSITIONAL for p in parameters)
     if not records or (takes_one and len(records) > 1):
         raise RecordError(f"{procedure} takes {'one record' if takes_one else 'records'}; {len(records)} are given")
-    check_folder(out)
+    check_folder(out, f"{procedure}.json", overwrite=overwrite)
     twin = None if plant is None else Twin.load(plant)
     sources = [Source(str(record), Recording.load(Path(record)), twin) for record in records]
     found = PROCEDURES[procedure](*sources, **settings)

@@ -1,18 +1,34 @@
-"""Folders that results are saved in."""
+"""Folders that results are saved in: they can be written, and hold no other result of the same verb."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Final
 
 from masking.errors import RecordError
+from masking.records.recording import MANIFEST, TABLE
+
+RUN: Final = (TABLE, MANIFEST)  # what every run saves
+_MEND: Final = "name another folder with --out, or replace it with --overwrite (in Python, out= and overwrite=True)"
 
 
-def check_folder(out: str | Path | None) -> None:
-    """Refuse a folder that nothing can be written into, before anything is run.
+def beside(record: str | Path) -> Path:
+    """Return the folder of a recording, in which what is made of it lies by default."""
+    path = Path(record)
+    return path if path.is_dir() else path.parent
+
+
+def check_folder(out: str | Path | None, *files: str, overwrite: bool = True) -> None:
+    """Refuse a folder that cannot be written, or one that holds an earlier result, before anything is run.
+
+    Args:
+        out: folder; None where nothing is saved.
+        files: paths below the folder that every result of the verb has.
+        overwrite: whether an earlier result may be replaced.
 
     Raises:
-        RecordError: it is a file, or it is or lies in a folder that may not be written.
+        RecordError: it is a file, may not be written, or holds one of `files` that may not be replaced.
     """
     if out is None:
         return
@@ -22,3 +38,6 @@ def check_folder(out: str | Path | None) -> None:
         raise RecordError(f"{existing} is a file; name a folder to save in")
     if not os.access(existing, os.W_OK):
         raise RecordError(f"{existing} may not be written; name another folder to save in")
+    held = [name for name in files if (path / name).exists()]
+    if held and not overwrite:
+        raise RecordError(f"{path} holds an earlier result, {held[0]}; {_MEND}")

@@ -151,12 +151,14 @@ class Refine(DiscoverySettings):
         plant: a plant that replaces the declared one.
         out: folder to save the files of a discovery, both runs in `before/` and `after/`, each with its report,
             `experiment.yaml` and `refine.json` in, all of them or none; by default nothing is saved.
+        overwrite: whether an earlier result in that folder may be replaced.
         tell: called with the step under way, and the fraction done.
     """
 
     record: str | Path
     plant: str | None = None
     out: str | Path | None = None
+    overwrite: bool = False
     tell: Tell | None = None
 
 
@@ -172,7 +174,7 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
         MaskingError: a declaration, a name, a setting or a record is wrong, or the experiment cannot be run.
     """
     out, tell = settings.out, settings.tell
-    check_folder(out)
+    check_folder(out, NUMBERS, EXPERIMENT, discovery_files.NUMBERS, overwrite=settings.overwrite)
     experiment = Experiment.load(name_or_path, plant=settings.plant)
     say = tell or (lambda text, part: None)
     twin = inputs.with_effects(assumed(experiment), settings.effects)

@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from masking.records.recording import Recording
-from masking.reports import run_report
+from masking.reports import animation, html, run_report
 from masking.runs import error_budget
 from masking.runs.experiment import Experiment
-from masking.workflows.outputs import check_folder
+from masking.workflows.outputs import RUN, beside, check_folder
 
 
 def run(
@@ -18,6 +18,7 @@ def run(
     changes: Mapping[str, float] | None = None,
     plant: str | None = None,
     out: str | Path | None = None,
+    overwrite: bool = False,
     budget: bool | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
@@ -28,6 +29,7 @@ def run(
         changes: parameters of the virtual system that replace the declared ones.
         plant: a plant that replaces the declared one.
         out: folder to save the recording and its report in; by default nothing is saved.
+        overwrite: whether an earlier run in that folder may be replaced.
         budget: whether to make an error budget, by further runs; by default if these take a few seconds.
         progress: called with the fraction done.
 
@@ -35,24 +37,41 @@ def run(
         MaskingError: a declaration is wrong, the rig cannot be masked as asked, or the run could not go on.
     """
     wanted = Experiment.load(name_or_path, plant=plant, changes=changes)
-    check_folder(out)
+    check_folder(out, *RUN, overwrite=overwrite)
     made = error_budget.run(wanted, budget, progress)
     if out is not None:
-        made.save(Path(out))
-        run_report.report(made, out)
+        save(made, Path(out))
     return made
 
 
-def report(record: str | Path, out: str | Path | None = None) -> run_report.Report:
+def save(recording: Recording, folder: Path) -> run_report.Report:
+    """Save a recording with its report; an animation of an earlier run in the folder is removed.
+
+    Args:
+        recording: of a run.
+        folder: made if need be.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
+    recording.save(folder)
+    with html.writing(folder):
+        (folder / animation.PAGE).unlink(missing_ok=True)
+    return run_report.report(recording, folder)
+
+
+def report(record: str | Path, out: str | Path | None = None, *, overwrite: bool = False) -> run_report.Report:
     """Write the report of a recording: one HTML page and its figures.
 
     Args:
         record: the folder of a recording, or its parquet file.
         out: folder of the report; by default the recording's own.
+        overwrite: whether an earlier report in another folder may be replaced.
 
     Raises:
-        RecordError: there is no recording, or the report cannot be written.
+        RecordError: there is no recording, or the report cannot be written, or would replace another one.
     """
-    path = Path(record)
-    folder = Path(out) if out is not None else path if path.is_dir() else path.parent
-    return run_report.report(Recording.load(path), folder)
+    own = beside(record)
+    folder = own if out is None else Path(out)
+    check_folder(folder, run_report.PAGE, overwrite=overwrite or folder.resolve() == own.resolve())
+    return run_report.report(Recording.load(record), folder)

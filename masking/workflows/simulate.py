@@ -25,6 +25,7 @@ def simulate(
     dt: float | None = None,
     initial: float | None = None,
     out: str | Path | None = None,
+    overwrite: bool = False,
 ) -> Simulated:
     """Simulate a record with a model, from the initial state that fits best, and compare.
 
@@ -41,6 +42,7 @@ def simulate(
         dt: time between samples in s, for a table without a clock.
         initial: s from the beginning in which readings are taken for the initial state; by default all.
         out: folder to save `simulation.html`, its figures and `simulation.json` in; by default nothing is saved.
+        overwrite: whether an earlier result in that folder may be replaced.
 
     Returns:
         measured and simulated readings, the residual, and the relative errors `chi` beside the noise `floor`.
@@ -48,7 +50,7 @@ def simulate(
     Raises:
         MaskingError: a declaration, a name, a setting or the record is wrong; the message says what to do about it.
     """
-    check_folder(out)
+    check_folder(out, "simulation.json", overwrite=overwrite)
     alone = plant is None and catalogue.kind_of(model) == "plant"
     twin = inputs.rig(None, model) if alone else inputs.rig(model, plant)
     given = Data.read(record, twin, hold, columns, dt)

@@ -28,6 +28,7 @@ def stability(
     box: Mapping[str, tuple[float, float]] | None = None,
     exponent: float | None = None,
     out: str | Path | None = None,
+    overwrite: bool = False,
     tell: Callable[[str, float], None] | None = None,
 ) -> Stability:
     """Find the equilibria and modes of a system, and what its energy proves of all its motions.
@@ -42,13 +43,14 @@ def stability(
         exponent: time over which the largest Lyapunov exponent of the motion from the initial state is found, in the
             scales of the system, or in s; it is not where none is given.
         out: folder to save `stability.html`, `stability.json` and figures in; by default nothing is saved.
+        overwrite: whether an earlier result in that folder may be replaced.
         tell: called with the step under way, and the fraction done.
 
     Raises:
         DeclarationError: a declaration is wrong, or of another kind.
         ModelError: the box names what is no coordinate or velocity, or no rig position gives the virtual equilibrium.
     """
-    check_folder(out)
+    check_folder(out, "stability.json", overwrite=overwrite)
     kind = kind or catalogue.kind_of(name_or_path)
     if kind not in STUDIED:
         message = f"{name_or_path} is a {kind}, which has no stability of its own"

@@ -71,7 +71,7 @@ def listing(cache: str) -> Row:
 
 def warm(cache: str, out: Path) -> Iterator[Row]:
     """Measure `masking run` from the cache: the whole, and what is neither simulation nor report."""
-    arguments = ["run", "examples/duffing.yaml", "--out", str(out)]
+    arguments = ["run", "examples/duffing.yaml", "--overwrite", "--out", str(out)]
     walls = timed([*script(), *arguments], cache)
     overheads, reports = [], []
     for _ in range(ROUNDS):

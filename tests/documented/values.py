@@ -160,7 +160,7 @@ def measured(procedure: str) -> str:
     }[procedure]
     made = records(rig, folder)
     paths = [str(path) for path in (made if isinstance(made, list) else [made])]
-    return listing(printed("measure", procedure, *paths, *words, "--out", "page").splitlines()[0])
+    return listing(printed("measure", procedure, *paths, *words, "--overwrite", "--out", "page").splitlines()[0])
 
 
 # Discovery.
@@ -197,7 +197,7 @@ def discovered(case: str, part: str = "all") -> str:
         for name, record in zip(("train", "valid"), records, strict=True):
             Recording(test_discovery.table(record), {"name": name}).save(name)
         words = ["train", "--validate", "valid", "--plant", "plant.yaml"]
-    text = printed("discover", *words, "--out", "results/discovered")
+    text = printed("discover", *words, "--overwrite", "--out", "results/discovered")
     return listing(text if part == "all" else text.split("\nAll of the")[0])
 
 

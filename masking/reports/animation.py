@@ -1,0 +1,202 @@
+"""Animation of a recording: the rig beside its virtual system, in a page that needs no other file and no network."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from markupsafe import Markup, escape
+
+from masking.analysis.synchronisation import period
+from masking.declaration import schema
+from masking.display.palette import COLOURS
+from masking.display.symbols import markup
+from masking.errors import MaskingError, RecordError
+from masking.modelling.scales import Units
+from masking.numerics.arrays import Array
+from masking.records.recording import Recording
+from masking.reports import drawing, html
+from masking.reports.drawing import Drawing
+
+PAGE: Final = "animation.html"
+_MOST_ROWS: Final = 20_000  # in a page: 40 points in each of 500 periods
+_LEVELS: Final = 32_767  # of a series, which is kept in 16 bits
+_SPEEDS: Final = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+_SECONDS: Final = 1.6  # that a period takes at first, about
+PERIODS: Final = 12.0  # that the traces show at once
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One system of a recording, as it is drawn.
+
+    Args:
+        prefix: of its columns.
+        what: it is, in words.
+        drawing: of the system.
+        view: extent (left, right, bottom, top), in the unit of the drawing.
+        factor: by which its motion is magnified.
+    """
+
+    prefix: str
+    what: str
+    drawing: Drawing
+    view: tuple[float, float, float, float]
+    factor: int
+
+
+@dataclass(frozen=True)
+class Animation:
+    """What a recording shows as an animation."""
+
+    recording: Recording
+
+    @cached_property
+    def scenes(self) -> tuple[Scene, ...]:
+        """Return the rig and the virtual system, as far as they were recorded.
+
+        Raises:
+            RecordError: the recording holds no motion.
+            DeclarationError: an expression of a drawing has no value.
+        """
+        words = {"rig": "The rig", "virtual": "The virtual system"}
+        found = tuple(self._scene(prefix, what) for prefix, what in words.items() if self.recording.names(prefix))
+        if not found:
+            raise RecordError("the recording holds no motion to animate: no columns 'rig.*' or 'virtual.*'")
+        return found
+
+    def _scene(self, prefix: str, what: str) -> Scene:
+        motion = self.recording.array(prefix)
+        drawn = _drawing(self.recording, prefix, np.abs(motion).max(axis=0))
+        return Scene(prefix, what, drawn, *drawn.view(self.recording.t, motion))
+
+    @property
+    def main(self) -> Scene:
+        """Return the scene whose coordinates are the traces: the virtual system, where there is one."""
+        return self.scenes[-1]
+
+    @cached_property
+    def period(self) -> float:
+        """Return the period of the first coordinate that has one, in s; a twentieth of the record where none has."""
+        t, main = self.recording.t, self.main
+        series = [self.recording[f"{main.prefix}.{name}"] for name in main.drawing.coordinates]
+        found = (period(t, one) for one in series)
+        return next((one for one in found if math.isfinite(one)), (t[-1] - t[0]) / 20.0)
+
+    @property
+    def speed(self) -> float:
+        """Return how fast it is played at first, so that a period can be seen: 1 is as fast as the rig."""
+        wanted = self.period / _SECONDS
+        return 1.0 if 0.3 < wanted < 3.0 else min(_SPEEDS, key=lambda speed: abs(math.log(speed / wanted)))
+
+    @property
+    def rows(self) -> slice:
+        """Return the rows that a page holds."""
+        return slice(None, None, max(1, -(-len(self.recording) // _MOST_ROWS)))
+
+    def data(self) -> dict[str, Any]:
+        """Return all that a page shows, as JSON can hold it."""
+        recording = self.recording
+        return {
+            "t": _packed(recording.t[self.rows], np.float32),
+            "scale": float(recording.manifest.get("time_scale") or 1.0),
+            "speed": self.speed,
+            "speeds": list(_SPEEDS),
+            "window": PERIODS * self.period,
+            "scenes": [self._scene_data(scene) for scene in self.scenes],
+            "traces": list(self._traces()),
+        }
+
+    def _scene_data(self, scene: Scene) -> dict[str, Any]:
+        names = scene.drawing.coordinates
+        ideal = [f"ideal.{name}" for name in names] if scene.prefix == "virtual" else []
+        is_there = bool(ideal) and all(name in self.recording.columns for name in ideal)
+        return {
+            "shapes": drawing.shape_facts(scene.drawing),
+            "view": scene.view,
+            "factor": scene.factor,
+            "unit": scene.drawing.unit,
+            "q": [self._series(f"{scene.prefix}.{name}") for name in names],
+            "ideal": [self._series(name) for name in ideal] if is_there else [],
+        }
+
+    def _traces(self) -> Iterator[dict[str, Any]]:
+        """Give the coordinates of the main scene, the dashed ideal ones below them, and the inputs."""
+        main, units = self.main, self.recording.units
+        kinds = [("motion", main.prefix, main.drawing.coordinates), ("inputs", "input", self.recording.inputs)]
+        for title, prefix, names in kinds:
+            lines, each = [], [units.get(f"{prefix}.{name}", "") for name in names]
+            common = each[0] if len(set(each)) == 1 else ""
+            for name, unit, colour in zip(names, each, COLOURS, strict=False):
+                own = f" ({unit})" if unit and not common else ""
+                line: dict[str, Any] = {"name": name, "label": f"{markup(name)}{escape(own)}", "colour": colour}
+                line["y"] = self._series(f"{prefix}.{name}")
+                ideal = f"ideal.{name}"
+                line["ideal"] = self._series(ideal) if title == "motion" and ideal in self.recording.columns else None
+                lines.append(line)
+            if lines:
+                yield {"title": title, "unit": str(escape(common)), "lines": lines}
+
+    def _series(self, column: str) -> dict[str, Any]:
+        """Return a column in 16 bits, with its size."""
+        series = self.recording[column][self.rows]
+        size = float(np.abs(series).max()) or 1.0
+        return {"size": size, "data": _packed(np.rint(series / size * _LEVELS), np.int16)}
+
+
+def save(made: Animation, page: Path) -> None:
+    """Write an animation as one HTML file.
+
+    Args:
+        made: the animation.
+        page: the file; its folder is made if need be.
+
+    Raises:
+        RecordError: the recording holds no motion, or the file cannot be written.
+    """
+    text = html.render(
+        "animation",
+        title=made.recording.name or "Recording",
+        tiles=(),
+        names=made.main.drawing.coordinates,
+        scenes=made.scenes,
+        data=made.data(),
+        code=Markup(f"[{','.join(scene.drawing.code() for scene in made.scenes)}]"),  # noqa: S704  # numbers and names
+    )
+    html.write({page: text})
+
+
+def _drawing(recording: Recording, prefix: str, reach: Array) -> Drawing:
+    """Return the drawing that the system of a prefix declares, or a generic one."""
+    names = recording.names(prefix)
+    manifest, key = recording.manifest, {"rig": "plant_model", "virtual": "virtual"}[prefix]
+    title = str(manifest.get({"rig": "plant_name", "virtual": "virtual_name"}[prefix]) or prefix)
+    declared = (manifest.get("declarations") or {}).get(key)
+    try:
+        model = schema.ModelDeclaration.model_validate(declared)
+        if not model.drawing or tuple(model.coordinates) != names:
+            return drawing.generic(title, names, reach)
+        values = manifest["parameters"] if prefix == "virtual" else _rig_values(model, manifest)
+        values = {name: float(value) for name, value in values.items()}
+    except (ValueError, TypeError, KeyError, MaskingError):  # a record from elsewhere, or of another version
+        return drawing.generic(title, names, reach)
+    return Drawing(title, recording.units.get(f"{prefix}.{names[0]}", ""), names, model.drawing, values)
+
+
+def _rig_values(model: schema.ModelDeclaration, manifest: Mapping[str, Any]) -> dict[str, float]:
+    """Return the parameters of the rig in SI units, as its plant file has them."""
+    given = manifest["declarations"]["plant"].get("parameters", {})
+    known = {name: value for name, value in given.items() if name in model.parameters}
+    return Units.of(model).parameter_values(known, dimensionless=False)
+
+
+def _packed(series: Array | Sequence[float], kind: type[np.generic]) -> str:
+    """Return numbers as text that a page unpacks: little-endian, base64."""
+    dtype = np.dtype(kind).newbyteorder("<")
+    return base64.b64encode(np.ascontiguousarray(series, dtype=dtype).tobytes()).decode("ascii")

@@ -1,0 +1,42 @@
+"""Rate of a recording that follows the motion of the virtual system, where none is declared."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array
+
+FEWEST: Final = 10.0  # rows per unit of virtual time
+PER_PERIOD: Final = 40.0  # rows in a period of the fastest oscillation
+_STEP: Final = 1e-6  # of a size of each state, for differences
+
+
+def rows_per_unit(virtual: Model, initial: Array) -> float:
+    """Return the rows per unit of virtual time that show each period of the motion, and at least 10.
+
+    The period is that of the fastest oscillation about the initial state and about rest.
+
+    Args:
+        virtual: the virtual system.
+        initial: its initial state, coordinates then velocities (2 k,), in its units.
+    """
+    fastest = max(_fastest(virtual, state) for state in (initial, np.zeros(len(initial))))
+    return max(FEWEST, PER_PERIOD * fastest / (2.0 * math.pi))
+
+
+def _fastest(virtual: Model, state: Array) -> float:
+    """Return the largest angular frequency of the motion about a state; 0 where it has none."""
+    size, p, u = len(state), virtual.values(), np.zeros(len(virtual.inputs))
+    lengths = np.ones(size) if virtual.is_dimensionless else np.resize(virtual.lengths, size)
+    jacobian, ahead, behind = np.empty((size, size)), np.empty(size), np.empty(size)
+    for i, step in enumerate(_STEP * lengths):
+        for sign, out in ((1.0, ahead), (-1.0, behind)):
+            virtual.kernels.derivative(0.0, state + sign * step * np.eye(size)[i], u, p, out)
+        jacobian[:, i] = (ahead - behind) / (2.0 * step)
+    if not np.all(np.isfinite(jacobian)):
+        return 0.0
+    return float(np.abs(np.linalg.eigvals(jacobian).imag).max(initial=0.0))
