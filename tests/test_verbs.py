@@ -12,7 +12,7 @@ from masking.discovery.settings import DiscoverySettings
 
 VERBS = (
     *("calibrate", "catalogue", "check", "discover", "identify", "measure", "refine", "report", "run", "show"),
-    *("simulate", "stability"),
+    *("export", "simulate", "stability"),
 )
 
 

@@ -39,7 +39,7 @@ def _run(chosen: argparse.Namespace) -> int:
     from masking.runs.experiment import Experiment
     from masking.workflows.outputs import check_folder
 
-    changes = dict(_change(text) for text in chosen.set)
+    changes = dict(change(text) for text in chosen.set)
     made = Experiment.load(chosen.experiment, plant=chosen.plant, changes=changes)
     out = Path(chosen.out or f"results/{made.stem}")
     check_folder(out)
@@ -84,7 +84,7 @@ def _report(chosen: argparse.Namespace) -> int:
     return answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 
 
-def _change(text: str) -> tuple[str, float]:
+def change(text: str) -> tuple[str, float]:
     """Read one NAME=VALUE of the command line."""
     name, equals, value = text.partition("=")
     try:

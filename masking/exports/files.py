@@ -1,0 +1,32 @@
+"""Files of an exported unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from masking.exports.c import CUnit
+from masking.exports.python import python_source
+from masking.exports.unit import Unit
+
+
+def write(unit: Unit, folder: Path, to: str, real: str) -> tuple[Path, ...]:
+    """Write a unit into a folder, and return its files.
+
+    Args:
+        unit: the unit.
+        folder: made where it is not there.
+        to: `c`, `fmu` or `python`.
+        real: numbers of C.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if to == "python":
+        return _written(folder, {f"{unit.name}.py": python_source(unit)})
+    text = CUnit(unit, real)
+    return _written(folder, {f"{unit.name}.h": text.header(), f"{unit.name}.c": text.source()})
+
+
+def _written(folder: Path, texts: Mapping[str, str]) -> tuple[Path, ...]:
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return tuple(folder / name for name in texts)
