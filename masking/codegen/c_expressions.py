@@ -201,14 +201,15 @@ class CExpressions:
         """Return an element of an array, a row of a matrix, or a view."""
         index = node.slice
         if array.kind == TUPLE:
-            return array.parts[self.value(index).known]
+            place: int = self.value(index).known
+            return array.parts[place]
         if isinstance(index, ast.Slice):
             first = self.value(index.lower) if index.lower is not None else self._constant(0, node)
             end = self.value(index.upper) if index.upper is not None else self._constant(array.shape[0], node)
             known = first.known is not None and end.known is not None
             return _view(array, first, (end.known - first.known if known else None, *array.shape[1:]))
-        for place in index.elts if isinstance(index, ast.Tuple) else [index]:
-            at = self.value(place)
+        for part in index.elts if isinstance(index, ast.Tuple) else [index]:
+            at = self.value(part)
             if at.kind != INT:
                 raise self.refusal(node, "an index is a whole number")
             array = _view(array, at, array.shape[1:])

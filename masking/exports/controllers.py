@@ -73,7 +73,7 @@ def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit
             f"The first step is sample {-sampled.before}; at sample 0 the rig is released.",
             f"Commands are within the limits; the watchdog allows {patience} periods without a step.",
         ),
-        tuple(Channel(f"estimate of {n}") for n in names),
+        tuple(Channel(n, "SI", "estimate") for n in names),
     )
 
 

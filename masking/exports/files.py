@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from masking.exports import fmu
 from masking.exports.c import CUnit
 from masking.exports.python import python_source
 from masking.exports.unit import Unit
@@ -22,6 +23,8 @@ def write(unit: Unit, folder: Path, to: str, real: str) -> tuple[Path, ...]:
     folder.mkdir(parents=True, exist_ok=True)
     if to == "python":
         return _written(folder, {f"{unit.name}.py": python_source(unit)})
+    if to == "fmu":
+        return fmu.write(unit, folder)
     text = CUnit(unit, real)
     return _written(folder, {f"{unit.name}.h": text.header(), f"{unit.name}.c": text.source()})
 

@@ -105,5 +105,5 @@ def model_unit(model: Model, name: str, rate: float) -> Unit:
         operations,
         period,
         (f"A period has {substeps} step{'s' * (substeps != 1)} of the classical Runge-Kutta method.",),
-        tuple(Channel(c, units) for c in names),
+        tuple(Channel(c, units) for c in names) if d.outputs else (),
     )
