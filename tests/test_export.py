@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+import subprocess
 from functools import cache
 
 import numpy as np
@@ -17,7 +18,7 @@ from masking.exports.python import python_source
 from masking.modelling.model import load_model
 from masking.rig.twin import Twin
 from masking.runs.experiment import Experiment
-from tests.compiled_unit import GCC, CompiledUnit
+from tests.compiled_unit import GCC, STRICT, CompiledUnit
 
 needs_gcc = pytest.mark.skipif(GCC is None, reason="there is no gcc")
 LAWS = [name for name in catalogue.names("experiment") if not Experiment.load(name).has_observer]
@@ -238,6 +239,30 @@ def test_the_verb_writes_files_and_says_what_they_are(tmp_path):
     found = masking.export("duffing", to="python", kind="model", rate=50, out=tmp_path / "python")
     assert found.as_dict()["files"] == [str(tmp_path / "python" / "duffing.py")]
     assert "numba" not in (tmp_path / "python" / "duffing.py").read_text()
+
+
+@needs_gcc
+@pytest.mark.parametrize(
+    ("name", "kind", "line"),
+    [
+        ("duffing", "experiment", "0 1e-3 0 0 0 0 0"),
+        ("tue_rig", "plant", "0 0 0 0 0 0"),
+        ("duffing", "model", "0"),
+        ("huygens_rig", "experiment", "0 0 0"),
+    ],
+)
+def test_the_example_on_linux_answers_lines_with_lines(name, kind, line, tmp_path):
+    found = masking.export(name, to="c", kind=kind, out=tmp_path)
+    sources = [file for file in found.files if file.suffix == ".c" and "cortex" not in file.name]
+    subprocess.run([GCC, *STRICT, "-O2", *sources, "-o", tmp_path / "example", "-lm"], check=True)
+    shown = subprocess.run([tmp_path / "example"], input=f"{line}\n" * 3, capture_output=True, text=True, check=True)
+    numbers = np.array([row.split() for row in shown.stdout.splitlines()], dtype=float)
+    assert len(numbers) == 3
+    assert np.all(np.isfinite(numbers))
+    if name == "duffing" and kind == "experiment":
+        loop, u = Experiment.load(name).loop, np.empty(3)
+        loop.kernels.step(0.0, np.array([1e-3, 0.0, 0.0]), np.zeros(3), u, loop.values())
+        assert np.allclose(numbers, u, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

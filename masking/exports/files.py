@@ -7,6 +7,7 @@ from pathlib import Path
 
 from masking.exports import fmu
 from masking.exports.c import CUnit
+from masking.exports.examples import programs
 from masking.exports.python import python_source
 from masking.exports.unit import Unit
 
@@ -26,7 +27,8 @@ def write(unit: Unit, folder: Path, to: str, real: str) -> tuple[Path, ...]:
     if to == "fmu":
         return fmu.write(unit, folder)
     text = CUnit(unit, real)
-    return _written(folder, {f"{unit.name}.h": text.header(), f"{unit.name}.c": text.source()})
+    texts = {f"{unit.name}.h": text.header(), f"{unit.name}.c": text.source()}
+    return _written(folder, texts | programs(unit, real))
 
 
 def _written(folder: Path, texts: Mapping[str, str]) -> tuple[Path, ...]:
