@@ -20,51 +20,13 @@ from tests.test_export import by_kernel
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed: pip install 'masking[fmu]'")
 validation = pytest.importorskip("fmpy.validation")
-fmi2, fmi3 = (pytest.importorskip(f"fmpy.fmi{version}") for version in (2, 3))
+Slave = pytest.importorskip("tests.fmu_slave").Slave
 pytestmark = [
     pytest.mark.skipif(not has_binary(), reason=f"FMUs get no binary on {platform.system()} {platform.machine()}"),
     pytest.mark.filterwarnings("ignore"),  # fmpy's own
 ]
 EXACT = 1e-12
 CASES = [("huygens_rig", "experiment"), ("duffing", "experiment"), ("tue_rig", "plant"), ("huygens", "model")]
-
-
-class Slave:
-    """An FMU in fmpy, stepped by hand."""
-
-    def __init__(self, path, folder):
-        self.description = fmpy.read_model_description(str(path))
-        fmpy.extract(str(path), str(folder))
-        kind = fmi2.FMU2Slave if self.description.fmiVersion == "2.0" else fmi3.FMU3Slave
-        self.is_2 = kind is fmi2.FMU2Slave
-        simulation = self.description.coSimulation
-        self.fmu = kind(
-            guid=self.description.guid,
-            unzipDirectory=str(folder),
-            modelIdentifier=simulation.modelIdentifier,
-            instanceName="one",
-        )
-        self.fmu.instantiate()
-        listed = self.description.modelVariables
-        self.inputs, self.outputs = (
-            [v.valueReference for v in listed if v.causality == kind] for kind in ("input", "output")
-        )
-
-    def begin(self, inputs):
-        if self.is_2:
-            self.fmu.setupExperiment(startTime=0.0)
-        self.fmu.enterInitializationMode()
-        self.set(inputs)
-        self.fmu.exitInitializationMode()
-
-    def set(self, inputs):
-        (self.fmu.setReal if self.is_2 else self.fmu.setFloat64)(self.inputs, list(map(float, inputs)))
-
-    def get(self):
-        return np.array((self.fmu.getReal if self.is_2 else self.fmu.getFloat64)(self.outputs))
-
-    def step(self, time, length):
-        self.fmu.doStep(currentCommunicationPoint=time, communicationStepSize=length)
 
 
 @pytest.mark.parametrize(("name", "kind"), CASES)

@@ -71,21 +71,28 @@ static void send(const void *from, uint32_t size)
     }
 }
 
+static uint32_t *stack_pointer(void)
+{
+    uint32_t *here;
+    __asm volatile("mov %0, sp" : "=r"(here));
+    return here;
+}
+
 static void paint(void)
 {
-    uint32_t *here = __builtin_frame_address(0);
-    for (uint32_t *at = stack_limit; at < here - 64; at++) {
+    uint32_t *here = stack_pointer();
+    for (uint32_t *at = stack_limit; at < here; at++) {
         *at = PAINT;
     }
 }
 
-static uint32_t painted_over(void)
+static uint32_t painted_over(const uint32_t *top)
 {
     const uint32_t *at = stack_limit;
-    while (at < stack_top && *at == PAINT) {
+    while (at < top && *at == PAINT) {
         at++;
     }
-    return (uint32_t)((const char *)__builtin_frame_address(0) - (const char *)at);
+    return (uint32_t)((const char *)top - (const char *)at);
 }
 
 static uint32_t elapsed(uint32_t since)
@@ -103,6 +110,7 @@ int main(void)
     SYSTICK_RELOAD = TICKS;
     SYSTICK_VALUE = 0;
     SYSTICK_CONTROL = 5;
+    const uint32_t *top = stack_pointer();
     paint();
     uint32_t since = SYSTICK_VALUE;
     const uint32_t nothing = elapsed(since);
@@ -111,7 +119,7 @@ int main(void)
         int32_t status = 0;
         receive(&order, 1);
         if (order == 'r') {
-            measured[2] = painted_over();
+            measured[2] = painted_over(top);
             send(measured, sizeof(measured));
             continue;
         }
