@@ -4,6 +4,7 @@ QEMU does not model the time that an instruction takes. With `-icount shift=6` e
 and SysTick counts at 25 MHz: ticks times 40 / 64 are the instructions that were executed, exact to two.
 """
 
+import select
 import shutil
 import struct
 import subprocess
@@ -33,6 +34,7 @@ MACHINE = (
     "shift=6,sleep=off",
 )
 INSTRUCTIONS_PER_TICK = 40 / 64
+PATIENCE = 30.0  # seconds without an answer
 TYPES = {"double": np.float64, "float": np.float32}
 
 
@@ -86,6 +88,7 @@ class CortexM4:
     def _read(self, size):
         found = b""
         while len(found) < size:
+            assert select.select([self.process.stdout], [], [], PATIENCE)[0], "the emulator does not answer"
             part = self.process.stdout.read(size - len(found))
             assert part, "the emulator has ended"
             found += part

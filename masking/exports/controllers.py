@@ -33,10 +33,11 @@ def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit
     period, a = 1.0 / sampled.rate, sizes.actuators
     operations: dict[str, Operation] = {}
     module.add_factory("clear", kernels.clear, -sampled.before, exported=False)
+    module.add_factory("instant", kernels.instant, period, exported=False)
     constants = _begin(sampled, module, operations)
     arguments = "readings commands x p demanded applied work first counters gain limits"
     step = Operation(tuple(arguments.split()), STEP, returns_status=True)
-    add_operation(operations, module, "step", (kernels.controller_step, ("control", a, period)), step)
+    add_operation(operations, module, "step", (kernels.controller_step, ("control", "instant", a, period)), step)
     memory = {
         "x": constants["memory0"].shape,
         "p": constants["values"].shape,
@@ -46,12 +47,15 @@ def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit
         "work": (sizes.work[0], max(sizes.work[1], len(known.sensors))),
     }
     if sampled.has_model:
-        made: Kernel = (kernels.miss_with_model, ("control", sizes, period))
+        made: Kernel = (kernels.miss_with_model, ("control", "instant", sizes, period))
         arguments = "readings x p applied unsent before work counters blind limits"
         memory |= {"unsent": (a,), "before": (a,)}
         constants |= {"blind": np.zeros_like(sampled.gain)}
     else:
-        made, arguments = (kernels.miss_with_differences, ("skip", period)), "x p applied work counters limits"
+        made, arguments = (
+            (kernels.miss_with_differences, ("skip", "instant", period)),
+            "x p applied work counters limits",
+        )
     add_operation(operations, module, "miss", made, Operation(tuple(arguments.split()), MISS))
     patience = max(1, math.ceil(watchdog * sampled.rate - 1e-9))
     watch = Operation(("commands", "counters"), WATCH, returns_status=True)

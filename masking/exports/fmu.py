@@ -17,6 +17,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from masking.codegen.content import digest
 from masking.errors import ModelError
+from masking.exports import calls
 from masking.exports.c import CUnit
 from masking.exports.unit import Channel, Unit
 
@@ -25,25 +26,6 @@ VERSIONS = (2, 3)
 FOLDERS = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
 CREATED = (1980, 1, 1, 0, 0, 0)  # of every file, so that the same unit gives the same bytes
-
-# How each kind of unit begins, and what it does in a step; `i` is the instance.
-BEGIN = {
-    "controller": "{name}_init(&i->unit, i->inputs);\n"
-    "    memcpy(i->outputs, i->unit.applied, sizeof(i->unit.applied));",
-    "law": "{name}_init(&i->unit);\n    {name}_step(&i->unit, i->time, i->inputs, i->outputs);",
-    "plant": "{name}_init(&i->unit);\n    {read};",
-    "model": "{name}_init(&i->unit);\n    {read};",
-}
-ADVANCE = {
-    "controller": "status = {name}_step(&i->unit, i->inputs, i->outputs);",
-    "law": "status = {name}_step(&i->unit, time, i->inputs, i->outputs);",
-    "plant": "{name}_step(&i->unit, i->inputs);\n        {read};",
-    "model": "{name}_step(&i->unit, i->inputs);\n        {read};",
-}
-READ = {
-    "plant": "{name}_read(&i->unit, i->inputs + {first}, i->outputs)",
-    "model": "{name}_read(&i->unit, {given}i->outputs)",
-}
 
 GLUE = """/* The unit of this FMU: its variables, how it begins, and its step. */
 
@@ -81,6 +63,7 @@ static const char *advance(instance_t *i, double time, double length)
     if (PERIOD > 0.0 && (count < 1.0 || fabs(length - count * PERIOD) > 1e-6 * PERIOD)) {{
         return "the length of a communication step must be a multiple of the period, " "{period!r}";
     }}
+    i->time = time;
     for (double k = 0.0; k < count; k++) {{
         {advance}
     }}
@@ -120,11 +103,8 @@ class Variable:
 
 def variables(unit: Unit) -> tuple[Variable, ...]:
     """Return the variables of a unit: the time, inputs, outputs, and its state."""
-    written = unit.written("read" if "read" in unit.operations else "step")
-    ports = {name: "output" if name in written else "input" for name in unit.ports}
-    order: list[tuple[str, Channel]] = []
-    for kind in ("input", "output"):
-        order += [(kind, channel) for port, k in ports.items() if k == kind for channel in unit.ports[port]]
+    order: list[tuple[str, Channel]] = [("input", channel) for channel in unit.inputs]
+    order += [("output", channel) for channel in unit.outputs]
     order += [("local", Channel(f"state.{channel.name}", channel.unit, channel.meaning)) for channel in unit.states]
     found = [Variable(i, c.name, c.unit, c.meaning, kind) for i, (kind, c) in enumerate(order, 1)]
     return (Variable(0, "time", "", "", "independent"), *found)
@@ -174,29 +154,25 @@ def _binary(unit: Unit, sources: Mapping[str, str]) -> bytes:
 
 
 def _glue(unit: Unit, token: str) -> str:
-    found = variables(unit)
-    counts = {kind: sum(v.causality == kind for v in found) for kind in ("input", "output", "local")}
-    first = next(iter(unit.ports.values()))
-    read = READ.get(unit.kind, "").format(
-        name=unit.name, first=len(first), given="i->inputs, " if "inputs" in _arguments(unit, "read") else ""
-    )
+    names = calls.Names("&i->unit", "i->inputs", "i->outputs", "i->time", "status")
+    begun = [calls.begin(unit, names), calls.read(unit, names)]
+    if unit.kind == "controller":
+        begun.append("memcpy(i->outputs, i->unit.applied, sizeof(i->unit.applied));")
+    elif unit.kind == "law":
+        begun += [f"const int {calls.step(unit, names)}", "(void)status;"]
     return GLUE.format(
         name=unit.name,
         token=token,
-        inputs=counts["input"],
-        outputs=counts["output"],
-        states=counts["local"],
-        inputs_size=max(1, counts["input"]),
-        outputs_size=max(1, counts["output"]),
+        inputs=len(unit.inputs),
+        outputs=len(unit.outputs),
+        states=len(unit.states),
+        inputs_size=max(1, len(unit.inputs)),
+        outputs_size=len(unit.outputs),
         period=unit.period or 0.0,
-        begin=BEGIN[unit.kind].format(name=unit.name, read=read),
-        advance=ADVANCE[unit.kind].format(name=unit.name, read=read),
-        memory="x" if unit.kind == "controller" else next(iter(unit.memory)),
+        begin="\n    ".join(filter(None, begun)),
+        advance="\n        ".join(filter(None, (calls.step(unit, names), calls.read(unit, names)))),
+        memory=next(iter(unit.memory)),
     )
-
-
-def _arguments(unit: Unit, operation: str) -> tuple[str, ...]:
-    return unit.operations[operation].arguments if operation in unit.operations else ()
 
 
 def _description(unit: Unit, token: str, version: int, sources: Mapping[str, str]) -> Element:

@@ -36,6 +36,34 @@ def clear(start: int) -> Kernel:
     return clear
 
 
+def instant(period: float) -> Kernel:
+    """Make `instant(index)`, the time of a sample, as the loops of this package compute it."""
+
+    def instant(index):
+        return index * period
+
+    return instant
+
+
+def nearest_instant(rate: float) -> Kernel:
+    """Make `instant(index)`, the number nearest to the time of a sample.
+
+    In float, the product with the period passes the end of the rest and the release by a rounding: a sample late.
+    measured: chi of `huygens_rig` with a controller in float is 0.017 with this, 0.022 with the product.
+    """
+
+    def instant(index):
+        return index / rate
+
+    return instant
+
+
+def count(counters) -> None:
+    """Go on to the next sample; where counting ends, the time stands still."""
+    if counters[INDEX] < LAST:
+        counters[INDEX] += 1
+
+
 def resting(clear: Kernel, memory: int, parameters: int, actuators: int) -> Kernel:
     """Make the beginning of a controller of which nothing depends on the first readings.
 
@@ -115,7 +143,7 @@ def beginning(
     return init
 
 
-def controller_step(control: Kernel, actuators: int, period: float) -> Kernel:
+def controller_step(control: Kernel, instant: Kernel, actuators: int, period: float) -> Kernel:
     """Make the step of a sampled controller; where it cannot go on, commands are zero until `init`.
 
     Returns:
@@ -128,7 +156,7 @@ def controller_step(control: Kernel, actuators: int, period: float) -> Kernel:
             commands[i] = 0.0
         if counters[STATUS] != REACHED:
             return counters[STATUS]
-        t = counters[INDEX] * period
+        t = instant(counters[INDEX])
         health = control(t, period, readings, x, p, gain, limits, demanded, applied, work)
         if first[0] == 0.0:
             first[0] = health
@@ -139,41 +167,42 @@ def controller_step(control: Kernel, actuators: int, period: float) -> Kernel:
         if status == REACHED:
             copy(applied, commands, actuators)
         counters[STATUS] = status
-        if counters[INDEX] < LAST:
-            counters[INDEX] += 1
+        count(counters)
         return status
 
     return step
 
 
-def miss_with_model(control: Kernel, sizes: Sizes, period: float) -> Kernel:
+def miss_with_model(control: Kernel, instant: Kernel, sizes: Sizes, period: float) -> Kernel:
     """Make the step over a sample that was missed, as `masking.control.sampled.Memory` takes it.
 
     Returns:
         `miss(readings, x, p, applied, unsent, before, work, counters, blind, limits)`, for the readings of the next
         sample.
     """
-    count, powers = sizes.actuators, sizes.power.start
+    channels, powers = sizes.actuators, sizes.power.start
 
     def miss(readings, x, p, applied, unsent, before, work, counters, blind, limits):
-        copy(x[powers : powers + count], before, count)
-        control(counters[INDEX] * period, period, readings, x, p, blind, limits, unsent, unsent, work)
-        for i in range(count):
+        copy(x[powers : powers + channels], before, channels)
+        control(instant(counters[INDEX]), period, readings, x, p, blind, limits, unsent, unsent, work)
+        for i in range(channels):
             part = -math.expm1(-period / limits[i, TIME])
             x[powers + i] = before[i] + part * (limits[i, HEATING] * applied[i] * applied[i] - before[i])
-        if counters[INDEX] < LAST:
-            counters[INDEX] += 1
+        count(counters)
 
     return miss
 
 
-def miss_with_differences(skip: Kernel, period: float) -> Kernel:
-    """Make the step over a missed sample of a controller without a model: `miss(x, p, applied, counters, limits)`."""
+def miss_with_differences(skip: Kernel, instant: Kernel, period: float) -> Kernel:
+    """Make the step over a missed sample of a controller without a model.
+
+    Returns:
+        `miss(x, p, applied, work, counters, limits)`.
+    """
 
     def miss(x, p, applied, work, counters, limits):
-        skip(counters[INDEX] * period, period, x, p, limits, applied, work)
-        if counters[INDEX] < LAST:
-            counters[INDEX] += 1
+        skip(instant(counters[INDEX]), period, x, p, limits, applied, work)
+        count(counters)
 
     return miss
 
@@ -253,23 +282,22 @@ def rig_beginning(clear: Kernel, states: int, parameters: int, rows: int, actuat
     return init
 
 
-def rig_reading(sense: Kernel, period: float) -> Kernel:
+def rig_reading(sense: Kernel, instant: Kernel) -> Kernel:
     """Make `read(noise, readings, y, p, acting, counters)`: what the sensors read now, with samples of unit noise."""
 
     def read(noise, readings, y, p, acting, counters):
-        sense(counters[INDEX] * period, y, acting, p, noise, readings)
+        sense(instant(counters[INDEX]), y, acting, p, noise, readings)
 
     return read
 
 
-def rig_step(move: Kernel, actuators: int, substeps: int, period: float) -> Kernel:
+def rig_step(move: Kernel, instant: Kernel, actuators: int, substeps: int, period: float) -> Kernel:
     """Make `step(commands, y, p, queue, acting, work, counters, late)`: the rig moves by one period under commands."""
 
     def step(commands, y, p, queue, acting, work, counters, late):
         copy(commands, queue[queue.shape[0] - 1], actuators)
-        move(counters[INDEX] * period, y, queue, late, p, period, substeps, acting, work)
-        if counters[INDEX] < LAST:
-            counters[INDEX] += 1
+        move(instant(counters[INDEX]), y, queue, late, p, period, substeps, acting, work)
+        count(counters)
 
     return step
 
@@ -285,11 +313,11 @@ def model_beginning(clear: Kernel, states: int, parameters: int) -> Kernel:
     return init
 
 
-def model_outputs(outputs: Kernel, coordinates: int, states: int, period: float) -> Kernel:
+def model_outputs(outputs: Kernel, instant: Kernel, coordinates: int, states: int) -> Kernel:
     """Make `read(inputs, readings, y, p, counters)`: the declared outputs now."""
 
     def read(inputs, readings, y, p, counters):
-        outputs(counters[INDEX] * period, y[:coordinates], y[coordinates:states], inputs, p, readings)
+        outputs(instant(counters[INDEX]), y[:coordinates], y[coordinates:states], inputs, p, readings)
 
     return read
 
@@ -303,12 +331,11 @@ def model_states(states: int) -> Kernel:
     return read
 
 
-def model_step(advance: Kernel, substeps: int, period: float) -> Kernel:
+def model_step(advance: Kernel, instant: Kernel, substeps: int, period: float) -> Kernel:
     """Make `step(inputs, y, p, work, counters)`: the model moves by one period under inputs that are held."""
 
     def step(inputs, y, p, work, counters):
-        advance(counters[INDEX] * period, y, inputs, p, period, substeps, work)
-        if counters[INDEX] < LAST:
-            counters[INDEX] += 1
+        advance(instant(counters[INDEX]), y, inputs, p, period, substeps, work)
+        count(counters)
 
     return step

@@ -27,17 +27,18 @@ def twin_unit(twin: Twin, name: str, rate: float) -> Unit:
     module = Module(name, {})
     twin.add_to(module)
     state, values, late = twin.unpowered(), twin.values(), twin.late(rate)
-    a, rows, period, substeps = len(twin.actuators), 1 + math.ceil(late.max(initial=0.0)), 1.0 / rate, 0
+    a, rows, period = len(twin.actuators), 1 + math.ceil(late.max(initial=0.0)), 1.0 / rate
     substeps = twin.substeps(rate)
     operations: dict[str, Operation] = {}
     module.add_factory("clear", kernels.clear, 0, exported=False)
+    module.add_factory("instant", kernels.instant, period, exported=False)
     made: Kernel = (kernels.rig_beginning, ("clear", len(state), len(values), rows, a))
     init = Operation(("y", "p", "queue", "acting", "counters", "state0", "values"), "Begin at rest, without power.")
     add_operation(operations, module, "init", made, init)
     text = "Read the sensors; noise holds samples of mean 0 and deviation 1."
     read = Operation(("noise", "readings", "y", "p", "acting", "counters"), text)
-    add_operation(operations, module, "read", (kernels.rig_reading, ("sense_under", period)), read)
-    made = (kernels.rig_step, ("move", a, substeps, period))
+    add_operation(operations, module, "read", (kernels.rig_reading, ("sense_under", "instant")), read)
+    made = (kernels.rig_step, ("move", "instant", a, substeps, period))
     arguments = ("commands", "y", "p", "queue", "acting", "work", "counters", "late")
     add_operation(operations, module, "step", made, Operation(arguments, "Move by one period under commands."))
     sensors, units = twin.declaration.sensors, twin.declaration.actuators or twin.base.inputs
@@ -79,16 +80,17 @@ def model_unit(model: Model, name: str, rate: float) -> Unit:
     module.add_factory("advance", integrators.steps_of_runge_kutta_4, "derivative", size, exported=False)
     operations: dict[str, Operation] = {}
     module.add_factory("clear", kernels.clear, 0, exported=False)
+    module.add_factory("instant", kernels.instant, period, exported=False)
     made: Kernel = (kernels.model_beginning, ("clear", size, len(values)))
     init = Operation(("y", "p", "counters", "state0", "values"), "Begin in the initial state.")
     add_operation(operations, module, "init", made, init)
     names = [*model.coordinates, *(f"{c}'" for c in model.coordinates), *d.states]
     if d.outputs:
-        made, arguments = (kernels.model_outputs, ("outputs", n, size, period)), "inputs readings y p counters"
+        made, arguments = (kernels.model_outputs, ("outputs", "instant", n, size)), "inputs readings y p counters"
     else:
         made, arguments = (kernels.model_states, (size,)), "readings y"
     add_operation(operations, module, "read", made, Operation(tuple(arguments.split()), "Read the outputs now."))
-    made = (kernels.model_step, ("advance", substeps, period))
+    made = (kernels.model_step, ("advance", "instant", substeps, period))
     step = Operation(("inputs", "y", "p", "work", "counters"), "Move by one period under inputs that are held.")
     add_operation(operations, module, "step", made, step)
     units = "scales" if model.is_dimensionless else "SI"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from masking.codegen.source import Module
@@ -53,6 +53,7 @@ class Unit:
         operations: by name; `init` begins, `step` is called once a period.
         period: seconds, or units of a model's time, between steps; None where the caller gives the time.
         notes: further sentences on its use.
+        states: what the first numbers of the first array of its memory are; empty where no one wants them.
     """
 
     name: str
@@ -66,13 +67,26 @@ class Unit:
     operations: Mapping[str, Operation]
     period: float | None
     notes: tuple[str, ...] = ()
-    states: tuple[Channel, ...] = field(default=())
+    states: tuple[Channel, ...] = ()
+
+    @property
+    def inputs(self) -> tuple[Channel, ...]:
+        """Return the channels that a caller gives, of all ports."""
+        return tuple(c for port, channels in self.ports.items() if port != self._output for c in channels)
+
+    @property
+    def outputs(self) -> tuple[Channel, ...]:
+        """Return the channels that a unit writes."""
+        return self.ports[self._output]
+
+    @property
+    def _output(self) -> str:
+        return "commands" if self.kind in {"controller", "law"} else "readings"
 
     def written(self, operation: str) -> tuple[str, ...]:
         """Return the ports that an operation writes."""
-        port = "commands" if self.kind in {"controller", "law"} else "readings"
-        is_written = operation == "read" if port == "readings" else port in self.operations[operation].arguments
-        return (port,) if is_written else ()
+        is_written = self._output in self.operations[operation].arguments
+        return (self._output,) if is_written else ()
 
 
 def add_operation(

@@ -81,7 +81,7 @@ static uint32_t *stack_pointer(void)
 static void paint(void)
 {
     uint32_t *here = stack_pointer();
-    for (uint32_t *at = stack_limit; at < here; at++) {
+    for (volatile uint32_t *at = stack_limit; at < here; at++) { /* volatile: memset would paint over its own stack */
         *at = PAINT;
     }
 }
