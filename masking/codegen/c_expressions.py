@@ -228,6 +228,8 @@ class CExpressions:
             for one in given[1:]:
                 result = self._extreme(node, known, result, one)
             return result
+        if known is abs:
+            return Value(REAL, f"fabs{self.suffix}({given[0].text})")
         found = self.call(known, given)
         for value, is_written in zip(given, found.written, strict=True):
             if is_written and value.root:

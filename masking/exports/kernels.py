@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from masking.numerics.arrays import IntVector
 from masking.numerics.integrators import copy, fault
 from masking.numerics.sizes import HEATING, LARGEST, TIME, Sizes
 from masking.numerics.stop_codes import NOT_FINITE, REACHED
@@ -58,7 +59,7 @@ def nearest_instant(rate: float) -> Kernel:
     return instant
 
 
-def count(counters) -> None:
+def count(counters: IntVector) -> None:
     """Go on to the next sample; where counting ends, the time stands still."""
     if counters[INDEX] < LAST:
         counters[INDEX] += 1
