@@ -20,6 +20,7 @@ from .workflows.check import check as check
 from .workflows.compare import compare as compare
 from .workflows.describe import show as show
 from .workflows.discover import discover as discover
+from .workflows.export import export as export
 from .workflows.identify import identify as identify
 from .workflows.measure import measure as measure
 from .workflows.refine import refine as refine

@@ -27,6 +27,7 @@ FLOORS: dict[str, set[str]] = {
     "rig": {"numerics", "declaration", "effects", "codegen", "modelling"},
     "control": {"numerics", "declaration", "codegen", "modelling", "rig"},
     "plants": {"numerics", "records", "rig"},
+    "exports": {"numerics", "codegen", "modelling", "rig", "control"},
     "runs": {
         *("numerics", "declaration", "display", "effects", "codegen", "modelling", "records", "analysis", "rig"),
         *("control", "plants"),
@@ -42,7 +43,7 @@ FLOORS: dict[str, set[str]] = {
     },
     "workflows": {
         *("numerics", "declaration", "effects", "modelling", "records", "signals", "analysis", "rig", "control"),
-        *("plants", "runs", "estimation", "discovery", "procedures", "reports"),
+        *("plants", "exports", "runs", "estimation", "discovery", "procedures", "reports"),
     },
     "cli": {"declaration", "records", "rig", "plants", "runs", "reports", "workflows"},
 }

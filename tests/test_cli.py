@@ -313,3 +313,15 @@ def test_progress_is_written_in_lines_where_there_is_no_terminal(monkeypatch, ca
         monkeypatch.setattr(progress, "APART", -1.0)
         bar.tell("fitting", 0.3)
     assert capsys.readouterr().err == " 30%  fitting\n"
+
+
+def test_export_says_what_was_written_and_what_is_wrong(capsys, short, tmp_path):
+    status, printed, _ = run(capsys, "export", short, "--to", "c", "--set", "w3=0.6", "--out", tmp_path / "c", "--json")
+    content = json.loads(printed)
+    assert status == 0
+    assert content["kind"] == "law"
+    assert all(Path(file).is_file() for file in content["files"])
+    assert {"short.h", "short.c", "short_linux.c"} <= {Path(file).name for file in content["files"]}
+    status, _, error = run(capsys, "export", "duffing", "--kind", "model", "--to", "python", "--rate", "0")
+    assert status == 2
+    assert "--rate: 0 is no positive number; give one, such as 1000" in error

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from masking.discovery import shooting
 from masking.errors import ModelError, RecordError
 from masking.estimation.data import Data
 from masking.estimation.fit import fit

@@ -11,7 +11,19 @@ import masking
 from masking.discovery.settings import DiscoverySettings
 
 VERBS = (
-    *("animate", "calibrate", "catalogue", "check", "compare", "discover", "identify", "measure", "refine", "report"),
+    *(
+        "animate",
+        "calibrate",
+        "catalogue",
+        "check",
+        "compare",
+        "discover",
+        "export",
+        "identify",
+        "measure",
+        "refine",
+        "report",
+    ),
     *("run", "show", "simulate", "stability"),
 )
 

@@ -9,12 +9,14 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from masking.cli import declarations, discovery, identification, rig, runs, stability
+from masking.cli import declarations, discovery, export, identification, rig, runs, stability
 from masking.cli.options import add_verb
 from masking.cli.progress import INTERRUPTED, NOTHING_SAVED
 from masking.errors import RENAMED, DeclarationError, MaskingError
 
-VERBS = tuple(one for module in (declarations, runs, identification, discovery, stability, rig) for one in module.VERBS)
+VERBS = tuple(
+    one for module in (declarations, runs, identification, discovery, stability, export, rig) for one in module.VERBS
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

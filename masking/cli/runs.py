@@ -40,7 +40,7 @@ def _run(chosen: argparse.Namespace) -> int:
     from masking.workflows.outputs import RUN, check_folder
     from masking.workflows.run import save
 
-    changes = dict(_change(text) for text in chosen.set)
+    changes = dict(change(text) for text in chosen.set)
     made = Experiment.load(chosen.experiment, plant=chosen.plant, changes=changes)
     out = Path(chosen.out or f"results/{made.stem}")
     check_folder(out, *RUN, overwrite=chosen.overwrite)
@@ -123,7 +123,7 @@ def _compare(chosen: argparse.Namespace) -> int:
     return answer(chosen.json, {**made.as_dict(), "page": str(out / PAGE)}, f"{made}\npage: {out / PAGE}")
 
 
-def _change(text: str) -> tuple[str, float]:
+def change(text: str) -> tuple[str, float]:
     """Read one NAME=VALUE of the command line."""
     name, equals, value = text.partition("=")
     try:

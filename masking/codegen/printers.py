@@ -12,11 +12,15 @@ ATOM, UNARY, PRODUCT, SUM = 4, 3, 2, 1
 
 @dataclass(frozen=True)
 class Language:
-    """How one language writes the operations: `templates` for calls, `declare` and `end` for statements."""
+    """How one language writes the operations: `templates` for calls, `declare` and `end` for statements.
+
+    `suffix` follows a number.
+    """
 
     templates: dict[str, str]
     declare: str
     end: str
+    suffix: str = ""
 
 
 PYTHON = Language(
@@ -38,24 +42,33 @@ PYTHON = Language(
     declare="",
     end="",
 )
-C = Language(
-    templates={
-        **{f: f"{f}({{0}})" for f in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh")},
-        **{f: f"{f}({{0}})" for f in ("exp", "log", "floor")},
-        "pow": "pow({0}, {1})",
-        "abs": "fabs({0})",
-        "sign": "(double)(({0} > 0.0) - ({0} < 0.0))",
-        "min": "fmin({0}, {1})",
-        "max": "fmax({0}, {1})",
-        "atan2": "atan2({0}, {1})",
-        "heaviside": "({0} == 0.0 ? 0.5 : ({0} > 0.0 ? 1.0 : 0.0))",
-        "where": "({0} ? {1} : {2})",
-        "lt": "({0} < {1})",
-        "le": "({0} <= {1})",
-    },
-    declare="const double ",
-    end=";",
-)
+
+
+def c_language(real: str) -> Language:
+    """Return C99 with numbers of one type, `double` or `float`; `smaller` and `larger` are those of `codegen.c`."""
+    f = {"double": "", "float": "f"}[real]
+    same = ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log", "floor")
+    return Language(
+        templates={
+            **{name: f"{name}{f}({{0}})" for name in same},
+            "pow": f"pow{f}({{0}}, {{1}})",
+            "abs": f"fabs{f}({{0}})",
+            "sign": f"({real})(({{0}} > 0.0{f}) - ({{0}} < 0.0{f}))",
+            "min": "smaller({0}, {1})",
+            "max": "larger({0}, {1})",
+            "atan2": f"atan2{f}({{0}}, {{1}})",
+            "heaviside": f"({{0}} == 0.0{f} ? 0.5{f} : ({{0}} > 0.0{f} ? 1.0{f} : 0.0{f}))",
+            "where": "({0} ? {1} : {2})",
+            "lt": "({0} < {1})",
+            "le": "({0} <= {1})",
+        },
+        declare=f"const {real} ",
+        end=";",
+        suffix=f,
+    )
+
+
+C = c_language("double")
 INFIX = {"add": (SUM, "+"), "sub": (SUM, "-"), "mul": (PRODUCT, "*"), "div": (PRODUCT, "/")}
 
 
@@ -90,9 +103,9 @@ def arguments(graph: Graph, node: Node) -> list[Node]:
     return [] if name in {"number", "symbol"} else [int(r) for r in rest]
 
 
-def number(value: float) -> str:
-    """Return a floating-point literal that reads back to the same value."""
-    return repr(value) if value >= 0.0 else f"({value!r})"
+def number(value: float, suffix: str = "") -> str:
+    """Return a floating-point literal that reads back to the same value; a suffix gives it another type."""
+    return f"{value!r}{suffix}" if value >= 0.0 else f"({value!r}{suffix})"
 
 
 class _Statements:
@@ -128,7 +141,7 @@ class _Statements:
         if name == "symbol":
             return str(rest[0]), ATOM
         if name == "number":
-            return number(float(rest[0])), ATOM
+            return number(float(rest[0]), self.language.suffix), ATOM
         texts = [self.text[int(r)] for r in rest]
         if name == "neg":
             return f"-{self._at_least(texts[0], UNARY)}", UNARY

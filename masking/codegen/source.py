@@ -24,7 +24,7 @@ from typing import Any
 
 from masking.codegen import native
 from masking.codegen.graph import Graph, Node
-from masking.codegen.printers import needed, statements
+from masking.codegen.printers import PYTHON, Language, needed, statements
 from masking.codegen.taylor import coefficients
 
 # No liberty is taken with floating point: NaN, infinity and the order of operations are kept, so that every path
@@ -60,17 +60,37 @@ def taylor_order(products: int) -> int:
     return TAYLOR_ORDERS[products > MOST_PRODUCTS_OF_HIGH_ORDER]
 
 
+@dataclass(frozen=True)
+class Expressions:
+    """What `Module.add` was given; `types` are those of the arguments by their names."""
+
+    types: Mapping[str, str]
+    graph: Graph
+    results: Sequence[tuple[str, Node]]
+    loads: Mapping[str, str]
+    returns: Node | None
+
+
+@dataclass(frozen=True)
+class Made:
+    """What `Module.add_factory` was given: text among `given` names a function of the module."""
+
+    factory: Callable[..., Any]
+    given: tuple[object, ...]
+
+
 @dataclass
 class Module:
     """A generated module: what it was made from, what it says of itself, and the text of its functions.
 
     `meta["functions"]` holds for each exported function the types of its arguments and results and the shape of its
-    work space, as `native` reads them.
+    work space, as `native` reads them; `parts` holds what functions were made of, for other printers.
     """
 
     title: str
     meta: dict[str, Any]
     functions: list[str] = field(default_factory=list)
+    parts: dict[str, Expressions | Made] = field(default_factory=dict)
     _imports: set[str] = field(default_factory=set)
 
     def text(self) -> str:
@@ -94,8 +114,10 @@ class Module:
             loads: for each symbol text, the text that reads it from the arguments.
             returns: the node whose value is returned, if any.
         """
+        name, types = _read(signature)
+        self.parts[name] = Expressions(types, graph, results, loads, returns)
         pairs = [*results, ("result", returns)] if returns is not None else list(results)
-        body = _loads(graph, [node for _, node in pairs], loads) + statements(graph, pairs)
+        body = reads(graph, [node for _, node in pairs], loads) + statements(graph, pairs)
         if returns is not None:
             body.append("return result")
         self._function(signature, body)
@@ -123,7 +145,7 @@ class Module:
             order: highest k.
         """
         body = [f"y{i}_0 = y[{i}]" for i in range(len(states))]
-        body += _loads(graph, [*derivatives, health], loads)
+        body += reads(graph, [*derivatives, health], loads)
         body += coefficients(graph, states, derivatives, time, order)
         body += [f"c[{k}, {i}] = y{i}_{k}" for k in range(order + 1) for i in range(len(states))]
         body += statements(graph, [("health", health)])
@@ -146,6 +168,7 @@ class Module:
             work: the shape of the work space, which is the last argument of the function.
             exported: whether the function is called from outside of the module.
         """
+        self.parts[name] = Made(factory, given)
         written = [one if isinstance(one, str) else self._written(one) for one in given]
         self.functions.append(f"{name} = {self._name(factory)}({', '.join(written)})")
         if exported:
@@ -209,7 +232,18 @@ def _read(signature: str) -> tuple[str, dict[str, str]]:
     return function.name, types
 
 
-def _loads(graph: Graph, nodes: Sequence[Node], loads: Mapping[str, str]) -> list[str]:
-    """Return the statements that read the symbols which `nodes` use."""
+def reads(graph: Graph, nodes: Sequence[Node], loads: Mapping[str, str], language: Language = PYTHON) -> list[str]:
+    """Return the statements that read the symbols which nodes use.
+
+    Args:
+        graph: the graph that holds the nodes.
+        nodes: that are to be computed.
+        loads: for each symbol text, the text that reads it.
+        language: the language to print.
+    """
     used = {str(graph.operations[n][1]) for n in needed(graph, nodes) if graph.operations[n][0] == "symbol"}
-    return [f"{symbol} = {text}" for symbol, text in loads.items() if symbol in used and symbol != text]
+    return [
+        f"{language.declare}{symbol} = {text}{language.end}"
+        for symbol, text in loads.items()
+        if symbol in used and symbol != text
+    ]

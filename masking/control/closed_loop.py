@@ -160,10 +160,10 @@ class ClosedLoop:
 
     def _build(self) -> Module:
         check_actuation(self.controller.model, self.controller.transform)
-        return _module(self)
+        return module(self)
 
 
-def _module(loop: ClosedLoop) -> Module:
+def module(loop: ClosedLoop) -> Module:
     """Return the generated module of a closed loop."""
     controller, n = loop.controller, len(loop.plant.coordinates)
     graph = Graph()
@@ -197,11 +197,11 @@ def _module(loop: ClosedLoop) -> Module:
         "method": "runge_kutta",
     }
     title = f"{loop.plant.name}, masked as {controller.virtual.name}"
-    module = Module(title, meta)
+    made = Module(title, meta)
 
     def add(signature: str, target: str, nodes: list[Node], returns: Node | None = None) -> None:
         reads = joined if ", y," in signature else split
-        module.add(signature, graph, [(f"{target}[{i}]", x) for i, x in enumerate(nodes)], reads, returns)
+        made.add(signature, graph, [(f"{target}[{i}]", x) for i, x in enumerate(nodes)], reads, returns)
 
     add("transform(t: float, q, v, p, out)", "out", [*law.eta, *law.rate])
     add("desired(t: float, q, v, p, out)", "out", law.desired)
@@ -211,7 +211,7 @@ def _module(loop: ClosedLoop) -> Module:
     add("step(t: float, q, v, u, p)", "u", law.inputs, law.health)
     add("plant_derivative(t: float, y, u, p, dy)", "dy", [*rig.v, *plant.accelerations, *plant.rates], plant.health)
     add("derivative(t: float, y, u, p, dy)", "dy", derivatives, health)
-    module.add_factory("solve_runge_kutta", integrators.runge_kutta, "derivative", size, work=(24, size))
-    module.add_factory("run_sampled", integrators.sampled, "step", "plant_derivative", size, n, work=(5, size))
-    module.add_factory("along", sampled_loop.along, "transform", "step", n)
-    return module
+    made.add_factory("solve_runge_kutta", integrators.runge_kutta, "derivative", size, work=(24, size))
+    made.add_factory("run_sampled", integrators.sampled, "step", "plant_derivative", size, n, work=(5, size))
+    made.add_factory("along", sampled_loop.along, "transform", "step", n)
+    return made

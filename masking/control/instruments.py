@@ -120,7 +120,7 @@ class Instruments:
         n = len(self.model.coordinates)
         dynamics, driven = self._linear()
         check_rate(rate, dynamics)
-        sensing = self._sensing()
+        sensing = self.sensing()
         check_sensing(sensing[:, :n], self.model.coordinates, self.sensors)
         unknown = [name for name in self.sensors if noise is None and name not in self.noise]
         if unknown:
@@ -163,7 +163,7 @@ class Instruments:
             driven[:, i] = 0.5 * (slope(np.zeros(size), u) - slope(np.zeros(size), -u))[n:]
         return dynamics, driven
 
-    def _sensing(self) -> Array:
+    def sensing(self) -> Array:
         """Return the readings per unit of [q, v] (sensors, 2 n) at rest."""
         names = [*self.model.coordinates, *(f"{c}'" for c in self.model.coordinates)]
         steps = _STEP * np.tile(self.model.lengths, 2)
@@ -178,7 +178,7 @@ class Instruments:
 
     def positions(self, readings: Array) -> Array:
         """Return the coordinates (n,) at which a rig at rest would give readings (sensors,), by Newton's method."""
-        inverse = np.linalg.pinv(self._sensing()[:, : len(self.model.coordinates)])
+        inverse = np.linalg.pinv(self.sensing()[:, : len(self.model.coordinates)])
         q = np.zeros(len(self.model.coordinates))
         for _ in range(20):
             q = q + inverse @ (readings - self.readings(q))

@@ -10,5 +10,8 @@ from masking.records.hold import InputHold
 HOLDS = get_args(InputHold)
 METHODS = ("least-squares", "kalman")  # of identify
 STUDIED = ("model", "experiment")  # kinds of declaration that stability studies
+EXPORTED = ("experiment", "plant", "model")  # kinds of declaration that export writes, in the order of preference
+TARGETS = ("c", "fmu", "python")  # of export
+REALS = ("double", "float")
 
-__all__ = ["HOLDS", "METHODS", "STUDIED", "TOLERANCE"]
+__all__ = ["EXPORTED", "HOLDS", "METHODS", "REALS", "STUDIED", "TARGETS", "TOLERANCE"]

@@ -1,0 +1,6 @@
+"""Export: controllers, rigs and models as C, as FMUs and as Python that needs numpy only.
+
+In: a controller, a rig or a model.
+Out: source files and FMUs that compute what the compiled kernels compute.
+Imports: numerics, codegen, modelling, rig, control.
+"""

@@ -1,0 +1,37 @@
+"""Programs around an exported unit: on Linux, and on a Cortex-M4F without an operating system."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from masking.exports.calls import Names, begin, read, step
+from masking.exports.unit import Unit
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+def programs(unit: Unit, real: str) -> dict[str, str]:
+    """Return the texts of example programs by the names of their files.
+
+    Args:
+        unit: the unit.
+        real: `double` or `float`.
+    """
+    is_law = unit.kind == "law"  # which is given the time before the readings
+    names = Names("&unit", "in + 1" if is_law else "in", "out", "in[0]", "status")
+    marks = {
+        "NAME": unit.name,
+        "REAL": real,
+        "INPUTS": str(max(1, len(unit.inputs) + is_law)),
+        "OUTPUTS": str(len(unit.outputs)),
+        "BEGIN": begin(unit, names),
+        "STEP": "\n        ".join(filter(None, (step(unit, names), read(unit, names)))),
+    }
+    found = {f"{unit.name}_{file}": file for file in ("linux.c", "cortex_m4.c")} | {"cortex_m4.ld": "cortex_m4.ld"}
+    return {name: _filled((TEMPLATES / file).read_text(encoding="utf-8"), marks) for name, file in found.items()}
+
+
+def _filled(text: str, marks: dict[str, str]) -> str:
+    for mark, value in marks.items():
+        text = text.replace(f"@{mark}@", value)
+    return text

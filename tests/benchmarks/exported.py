@@ -1,0 +1,278 @@
+"""Every packaged experiment exported: `python -m tests.benchmarks.exported [NAME ...]`.
+
+Commands of C, Python, FMUs and a Cortex-M4F against those of the compiled kernel: of a law, for 500 random states; of a
+sampled controller, for the readings of a run around the twin, which the Cortex-M4F drives itself. Then the closed loop
+of C in double and in float, and the size, stack and instructions of a step in float on a Cortex-M4F. What is not
+installed is left out and named.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from masking.analysis.masking_error import masking_error
+from masking.codegen.c import CFunctions
+from masking.codegen.c_expressions import ARRAY, REAL, Value
+from masking.control.closed_loop import module as module_of
+from masking.declaration import catalogue
+from masking.exports.c import CUnit
+from masking.exports.controllers import law_unit, sampled_unit
+from masking.exports.fmu import write
+from masking.runs.experiment import Experiment
+from masking.runs.offline import TwinRun, rig_state
+from tests import cortex_m4
+from tests.compiled_unit import GCC, TYPES, CompiledUnit
+from tests.test_export import by_kernel, by_unit, python_unit
+
+COLUMNS = (
+    *("experiment", "C", "Python", "FMI 2.0", "FMI 3.0", "Cortex-M4F", "chi, kernel", "chi, double", "chi, float"),
+    *("code", "state", "stack", "instructions"),
+)
+HEAD = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|"
+STATES = 500
+SAMPLES = 6000  # of a sampled controller, in the comparison of commands
+FEW = 300  # of them, where a step takes a millisecond
+STEPS_PER_SECOND = 8000.0  # of the closed loop of a law in continuous time
+
+# The closed loop of a law: the classical Runge-Kutta method, the law at each of its stages, or held between samples.
+LOOP = """
+#include <math.h>
+#include <stdint.h>
+#include "{name}.h"
+
+{functions}
+
+static {name}_state unit;
+
+static int slope(double t, const double *y, const double *p, double *dy, double *u, int is_held)
+{{
+    {real} readings[{size}], commands[{inputs}];
+    int status = 0;
+    if (!is_held) {{
+        for (int i = 0; i < {size}; i++) readings[i] = ({real})y[i];
+        status = {name}_step(&unit, ({real})t, readings, commands);
+        for (int i = 0; i < {inputs}; i++) u[i] = (double)commands[i];
+    }}
+    plant_derivative(t, y, u, p, dy);
+    return status;
+}}
+
+int run(double h, long steps, long substeps, long every, double *y, const double *p, double *out)
+{{
+    double k[4][{size}], x[{size}], u[{inputs}];
+    int status = 0;
+    {name}_init(&unit);
+    for (long n = 0; n <= steps * substeps && status == 0; n++) {{
+        const double t = (double)n * h;
+        if (n % (every * substeps) == 0)
+            for (int i = 0; i < {size}; i++) out[n / (every * substeps) * {size} + i] = y[i];
+        status |= slope(t, y, p, k[0], u, substeps > 1 && n % substeps != 0);
+        for (int i = 0; i < {size}; i++) x[i] = y[i] + 0.5 * h * k[0][i];
+        status |= slope(t + 0.5 * h, x, p, k[1], u, substeps > 1);
+        for (int i = 0; i < {size}; i++) x[i] = y[i] + 0.5 * h * k[1][i];
+        status |= slope(t + 0.5 * h, x, p, k[2], u, substeps > 1);
+        for (int i = 0; i < {size}; i++) x[i] = y[i] + h * k[2][i];
+        status |= slope(t + h, x, p, k[3], u, substeps > 1);
+        for (int i = 0; i < {size}; i++) y[i] += h / 6.0 * (k[0][i] + 2.0 * (k[1][i] + k[2][i]) + k[3][i]);
+    }}
+    return status;
+}}
+"""
+
+
+class Law:
+    """A control law: its kernel, and random states."""
+
+    def __init__(self, experiment: Experiment, name: str) -> None:
+        loop = experiment.loop
+        self.experiment, self.unit, self.loop = experiment, law_unit(loop, name, None), loop
+        self.size = len(self.unit.ports["readings"])
+        sizes = np.concatenate([loop.controller.lengths, loop.controller.lengths / experiment.time_scale])
+        self.states = sizes * np.random.default_rng(0).uniform(-0.5, 0.5, (STATES, self.size))
+        n, u, p = len(loop.plant.coordinates), np.empty(len(loop.plant.inputs)), loop.values()
+        self.commands = np.empty((STATES, len(u)))
+        for i, y in enumerate(self.states):
+            loop.kernels.step(float(i), y[:n], y[n:], u, p)
+            self.commands[i] = u
+
+    def difference(self, answer: Callable[[float, np.ndarray], np.ndarray], count: int = STATES) -> float:
+        """Return the largest difference of commands, in parts of the largest command."""
+        found = np.array([answer(float(i), y) for i, y in enumerate(self.states[:count])])
+        return float(np.max(np.abs(found - self.commands[:count])) / np.max(np.abs(self.commands[:count])))
+
+    def exact(self, unit: Any) -> float:
+        """Return the difference of a unit that is called with time and states."""
+        unit.init()
+        return self.difference(unit.step)
+
+    def of_fmu(self, slave: Any) -> float:
+        """Return the difference of an FMU."""
+        slave.begin(self.states[0])
+
+        def answer(t: float, y: np.ndarray) -> np.ndarray:
+            slave.set(y)
+            slave.step(t, 1.0)
+            return slave.get()
+
+        return self.difference(answer)
+
+    def on_board(self, board: cortex_m4.CortexM4) -> float:
+        """Return the difference of the law on a Cortex-M4F."""
+        board.init(np.zeros(self.size + 1))
+        return self.difference(lambda t, y: board.step([t, *y]), FEW)
+
+    def chi(self, folder: Path, real: str) -> float:
+        """Return the worst masking error of the closed loop of the law in C with the rig in double."""
+        made, loop, unit = self.experiment, self.loop, self.unit
+        rate = made.declaration.controller.rate
+        substeps = 1 if rate is None else 4
+        step = 1.0 / (STEPS_PER_SECOND if rate is None else rate * substeps)
+        steps = math.floor(made.declaration.duration * made.time_scale / (step * substeps) * (1 + 1e-12))
+        every = max(1, steps // 20_000)
+        functions = CFunctions(module_of(loop), "double")
+        shapes = [(self.size,), (self.commands.shape[1],), loop.values().shape, (self.size,)]
+        functions.add("plant_derivative", [Value(REAL), *(Value(ARRAY, shape=shape) for shape in shapes)])
+        names = {"name": unit.name, "size": self.size, "inputs": self.commands.shape[1], "real": real}
+        files = {"loop.c": LOOP.format(functions=functions.text(), **names)}
+        files |= {f"{unit.name}.h": CUnit(unit, real).header(), f"{unit.name}.c": CUnit(unit, real).source()}
+        for file, text in files.items():
+            (folder / file).write_text(text)
+        given = [folder / file for file in files if file.endswith(".c")]
+        library = folder / f"loop_{real}.so"
+        command = [GCC, "-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC", *given, "-o", library, "-lm"]
+        subprocess.run(command, check=True)
+        run = ctypes.CDLL(str(library)).run
+        array = np.ctypeslib.ndpointer(dtype=np.float64)
+        run.argtypes = [ctypes.c_double, *[ctypes.c_long] * 3, array, array, array]
+        y = rig_state(loop, made.virtual.initial_state(made.declaration.initial))
+        out = np.zeros((steps // every + 1, self.size))
+        if run(step, steps, substeps, every, y, loop.values(), out):
+            return math.nan
+        times = np.arange(len(out)) * step * substeps * every
+        k = len(made.virtual.coordinates)
+        virtual, inputs = np.empty((len(times), 2 * k)), np.empty((len(times), self.commands.shape[1]))
+        loop.kernels.along(times, out, loop.values(), virtual, inputs)
+        ideal = made._ideal(times)
+        return max(masking_error(virtual[:, i], ideal[:, i]) for i in range(k))
+
+
+class Sampled:
+    """A sampled controller: its kernel around the twin."""
+
+    def __init__(self, experiment: Experiment, name: str) -> None:
+        self.experiment, self.unit = experiment, sampled_unit(experiment.sampled, name, 0.02)
+        self.samples = experiment.sampled.before + SAMPLES
+
+    def difference(self, unit: Any, samples: int = 0) -> float:
+        """Return the largest difference of commands for the same readings, in parts of the largest command."""
+        samples = samples or self.samples
+        _, ours, (found,) = by_kernel(self.experiment, samples, others=[unit])
+        return float(np.max(np.abs(found - ours)) / max(np.max(np.abs(ours)), 1e-300))
+
+    exact = difference
+
+    def of_fmu(self, slave: Any) -> float:
+        """Return the difference of an FMU."""
+        period, index = self.unit.period or 0.0, iter(range(self.samples + 1))
+
+        class Unit:
+            init = staticmethod(slave.begin)
+
+            @staticmethod
+            def step(readings: np.ndarray) -> np.ndarray:
+                slave.set(readings)
+                slave.step(next(index) * period, period)
+                return slave.get()
+
+        return self.difference(Unit)
+
+    def on_board(self, board: cortex_m4.CortexM4) -> float:
+        """Return the difference of commands where the board drives the twin, to a second after the release."""
+        samples = self.experiment.sampled.before + 1000
+        _, ours, _ = by_kernel(self.experiment, samples)
+        _, found, _ = by_unit(self.experiment, board, samples)
+        return float(np.max(np.abs(found - ours)) / np.max(np.abs(ours)))
+
+    def chi(self, folder: Path, real: str) -> float:
+        """Return the worst masking error of the closed loop of the controller in C around the twin."""
+        made, before = self.experiment, self.experiment.sampled.before
+        count = math.floor(made.declaration.duration * made.time_scale * made.sampled.rate * (1 + 1e-12)) + 1
+        states, commands, _ = by_unit(made, CompiledUnit(folder, self.unit, real), before + count)
+        states, commands = states[before:], commands[before:]
+        readings = np.zeros((count, len(self.unit.ports["readings"])))
+        run = TwinRun(np.arange(count) / made.sampled.rate, states, states, readings, commands, commands, commands)
+        found = made.sampled_columns(run).columns
+        return max(masking_error(found[f"virtual.{c}"], found[f"ideal.{c}"]) for c in made.virtual.coordinates)
+
+
+def row(name: str) -> str:
+    """Return the line of an experiment."""
+    experiment = Experiment.load(name)
+    case = (Sampled if experiment.has_observer else Law)(experiment, name)
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        cells = [f"{case.exact(CompiledUnit(folder, case.unit)):.1g}"]
+        python = python_unit(folder, case.unit)
+        cells.append(f"{case.exact(python) if isinstance(case, Law) else case.difference(python, FEW * 20):.1g}")
+        cells += _of_fmus(case, folder)
+        has_board = cortex_m4.COMPILER and cortex_m4.EMULATOR
+        cells.append(_on_board(case, folder, "double")[0] if has_board else "")
+        cells.append(f"{max(experiment.run().manifest['masking_error'].values()):.3g}")
+        cells += [f"{case.chi(folder, real):.3g}" for real in TYPES]
+        cells += _on_board(case, folder, "float")[1] if has_board else [""] * 4
+    return f"| `{name}` | {' | '.join(cells)} |"
+
+
+def _of_fmus(case: Law | Sampled, folder: Path) -> list[str]:
+    try:
+        from tests.fmu_slave import Slave
+    except ImportError:
+        return ["", ""]
+    paths = write(case.unit, folder)
+    return [f"{case.of_fmu(Slave(path, folder / path.stem)):.1g}" for path in paths]
+
+
+def _on_board(case: Law | Sampled, folder: Path, real: str) -> tuple[str, list[str]]:
+    with cortex_m4.CortexM4(folder, case.unit, real) as board:
+        difference = case.on_board(board)
+        _, longest, stack, state = board.measured()
+    return f"{difference:.1g}", [str(board.flash), str(state), str(stack), str(longest)]
+
+
+def rows(names: tuple[str, ...] = ()) -> Iterator[str]:
+    """Yield the lines of the table, as Markdown."""
+    yield HEAD
+    for name in names or catalogue.names("experiment"):
+        yield row(name)
+
+
+def main() -> None:
+    """Print the table as it comes."""
+    if GCC is None:
+        sys.exit("there is no gcc")
+    for line in rows(tuple(sys.argv[1:])):
+        print(line, flush=True)
+    for what, is_there in (("fmpy", _has_fmpy()), (cortex_m4.MISSING, cortex_m4.COMPILER and cortex_m4.EMULATOR)):
+        if not is_there:
+            print(f"left out: {what}", file=sys.stderr)
+
+
+def _has_fmpy() -> bool:
+    try:
+        import fmpy  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+if __name__ == "__main__":
+    main()
