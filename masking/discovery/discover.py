@@ -138,7 +138,8 @@ def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     """Return a discovery with the probability that no name is right, and with the law without a name where it is not.
 
     Where the names leave so much more than noise that it could explain, that law is fitted, as their rival; also where
-    they leave a little more or two act at one place, for a closed form may do as well with no more numbers.
+    they leave a little more, two act at one place or the last takes what another left, for a closed form may do as well
+    with no more numbers.
 
     Args:
         found: the discovery.
@@ -154,7 +155,8 @@ def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     size, rules = found.problem.record.readings.size, found.problem.rules
     is_open = found.verdict == "unknown" or (calibration.matters(left) and not found.closed)
     are_two = share_a_place(found.explanation.names, found.problem.rig)
-    if is_open or are_two or found.explanation.cost > (1.0 + rules.screen_resolution) * size:
+    is_close = found.explanation.cost > (1.0 + rules.screen_resolution) * size or _takes_a_rest(found)
+    if is_open or are_two or is_close:
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps)
         if law is not None:
@@ -173,6 +175,15 @@ def _beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     answer = "unknown" if none > calibration.LIKELIER else found.verdict
     kept = law if answer == "unknown" else None
     return replace(found, verdict=answer, law=kept, none_of_these=none, effects=effects)
+
+
+def _takes_a_rest(found: Discovery) -> bool:
+    """Return whether the last cause takes no more than a trace that the others leave: of one law, they may be two."""
+    if len(found.search.steps) < 2 or len(found.explanation.names) < 2:
+        return False
+    size = found.problem.record.readings.size
+    left, whole = (verdict.excess_cost(one.cost, size) for one in (found.search.steps[-2][0], found.search.base))
+    return left < found.problem.rules.trace_fraction * whole
 
 
 def _left(found: Discovery) -> float:
