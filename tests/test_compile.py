@@ -19,6 +19,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from masking.codegen import content, store
+from masking.codegen.c import EXTREMES
 from masking.codegen.files import write_whole
 from masking.codegen.graph import Graph
 from masking.codegen.printers import PYTHON, C, statements
@@ -96,7 +97,8 @@ def run_c(texts, points, folder):
     body = [f"const double {name} = v[{i}];" for i, name in enumerate(NAMES)]
     body += statements(graph, [(f"out[{i}]", n) for i, n in enumerate(nodes)], C)
     source, library = folder / "f.c", folder / "f.so"
-    source.write_text("\n".join(["#include <math.h>", "void f(const double *v, double *out) {", *body, "}"]))
+    extremes = [EXTREMES[name].format(real="double") for name in ("smaller", "larger")]
+    source.write_text("\n".join(["#include <math.h>", *extremes, "void f(const double *v, double *out) {", *body, "}"]))
     subprocess.run(
         ["gcc", "-O2", "-Wall", "-Werror", "-Wno-unused", "-shared", "-fPIC", source, "-lm", "-o", library], check=True
     )

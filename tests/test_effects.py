@@ -789,6 +789,7 @@ def test_floor_is_flat_between_its_steps(declared):
 ALSO_WORDS = {
     "codegen": {"noise"},
     "declaration": {"stop"},
+    "exports": {"noise"},
     "procedures": {"hysteresis", "noise"},
     "reports": {"delay", "noise", "stop"},
     "runs": {"delay", "noise", "stop"},
