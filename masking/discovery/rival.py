@@ -1,0 +1,87 @@
+"""Rival: the law without a name beside the names, and the probability that none of these is right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from masking.discovery import calibration, verdict
+from masking.discovery.composites import share_a_place
+from masking.discovery.discovery import Discovery
+from masking.discovery.search import Tell
+from masking.discovery.unnamed import evidence, law_of
+
+
+def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
+    """Return a discovery with the probability that no name is right, and with the law without a name where it is not.
+
+    Where the names leave so much more than noise that it could explain, that law is fitted, as their rival; also where
+    they leave a little more, two act at one place or the last takes what another left, for a closed form may do as well
+    with no more numbers.
+
+    Args:
+        found: the discovery.
+        substeps: integration steps between samples of the model alone.
+        say: called with what is done.
+    """
+    floor = found.simulation_error.validation_noise_floor
+    if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
+        law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation, substeps)
+        none = 0.0 if law is None else 1.0 if law.reaches(floor) else calibration.REFUSED
+        return replace(found, law=law, none_of_these=none)
+    law, left, better = None, _left(found), -np.inf
+    size, rules = found.problem.record.readings.size, found.problem.rules
+    is_open = found.verdict == "unknown" or (calibration.matters(left) and not found.closed)
+    are_two = share_a_place(found.explanation.names, found.problem.rig)
+    leaves_more = found.explanation.cost > (1.0 + rules.screen_resolution) * size or _errs(found) > rules.noise_floor
+    if is_open or are_two or leaves_more or _takes_a_rest(found):
+        say("fitting a law without a name", 0.97)
+        law = law_of(found, found.validation, substeps)
+        if law is not None:
+            left, better = law.unexplained(found), evidence(found, found.after, law) - rules.effect_evidence
+    refused = found.verdict == "unknown"
+    above = not found.is_at_noise_floor
+    explained = not above if law is None else law.reaches(floor)
+    none = calibration.none_of_these(
+        left if is_open else 0.0, better, refused=refused, shared=are_two, above=above, explained=explained
+    )
+    at = len(found.explanation.hypothesis.instances) - 1
+    last = found.effects[at]
+    others = tuple((name, on, part * (1.0 - none)) for name, on, part in last.alternatives)
+    last = replace(last, probability=last.probability * (1.0 - none), alternatives=others)
+    effects = (*found.effects[:at], last, *found.effects[at + 1 :])
+    answer = "unknown" if none > calibration.LIKELIER else found.verdict
+    kept = law if answer == "unknown" else None
+    return replace(found, verdict=answer, law=kept, none_of_these=none, effects=effects)
+
+
+def _errs(found: Discovery) -> float:
+    """Return the largest error of a sensor on unseen data, over its noise."""
+    after, floor = found.simulation_error.validation[1], found.simulation_error.validation_noise_floor
+    return max(after[name] / floor[name] for name in floor)
+
+
+def _takes_a_rest(found: Discovery) -> bool:
+    """Return whether the last cause takes no more than a trace that the others leave: of one law, they may be two."""
+    if len(found.search.steps) < 2 or len(found.explanation.names) < 2:
+        return False
+    size = found.problem.record.readings.size
+    left, whole = (verdict.excess_cost(one.cost, size) for one in (found.search.steps[-2][0], found.search.base))
+    return left < found.problem.rules.trace_fraction * whole
+
+
+def _left(found: Discovery) -> float:
+    """Return what the names leave in both records, beyond noise, as part of the rms of the model error."""
+    pairs = zip(
+        (found.search.base.hypothesis, found.adjusted),
+        (found.explanation.hypothesis, found.after),
+        (found.problem, found.validation),
+        strict=True,
+    )
+    excess = [
+        [verdict.excess_cost(float(one.squares @ part.weights), part.record.readings.size) for one in (base, named)]
+        for base, named, part in pairs
+    ]
+    whole, left = np.sum(excess, axis=0)
+    return float(np.sqrt(left / whole)) if whole > left else 1.0
