@@ -9,9 +9,10 @@ import masking
 from masking.discovery import fitting
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.exclusion import is_excluded
-from masking.discovery.prior import prior_of
+from masking.discovery.prior import prior_of, train_validation_split
 from masking.discovery.rules import RULES
 from masking.discovery.verdict import is_worse
+from masking.estimation.data import Data
 from masking.reports import discovery_text
 from tests.test_continuation import models, problem
 
@@ -87,3 +88,14 @@ def test_no_parameter_is_known_worse_than_before_the_record(models):
 def test_a_parameter_keeps_its_sign_unless_its_deviation_is_larger_than_its_value(models):
     rig = models["pendulum"]
     assert (prior_of(rig.twin, rig, 0.99).low == 0.0).all()
+
+
+def test_of_a_decay_that_comes_to_rest_the_motion_is_split():
+    t = np.arange(4000) / 100.0
+    decay = np.exp(-t) * np.cos(20.0 * t) + 1e-3 * np.random.default_rng(1).standard_normal(len(t))
+    record = Data("a decay", 100.0, np.zeros((len(t), 0)), decay[:, None])
+    parts = train_validation_split(record, 0.3)
+    assert all(part.moves for part in parts)
+    assert sum(len(part) for part in parts) / 100.0 == pytest.approx(np.log(1e3 / 8.0), abs=0.5)
+    driven = replace(record, commands=np.sin(t)[:, None])
+    assert [len(part) for part in train_validation_split(driven, 0.3)] == [2800, 1200]

@@ -61,6 +61,13 @@ def prior_of(twin: Twin, rig: AugmentedModel, tolerance: float, rules: DecisionR
 
 
 def train_validation_split(record: Data, held_out: float) -> tuple[Data, Data]:
-    """Return the part of a record that is fitted, and its last part, a fraction of it, held out for validation."""
-    seconds = len(record) / record.rate
-    return record.first((1.0 - held_out) * seconds), record.windows(held_out * seconds)[-1]
+    """Return the part of a record that is fitted, and its last part, a fraction of it, held out for validation.
+
+    Of one that comes to rest, so that this part would show nothing, they are those of the motion before.
+    """
+    for one in (record, record.until_rest()):
+        count = round((1.0 - held_out) * len(one))
+        train, unseen = one.part(0, count), one.part(count, len(one))
+        if unseen.moves:
+            break
+    return train, unseen

@@ -152,16 +152,24 @@ class Data:
                         f"{self.name}: {column} is {values[wrong[0]]} at sample {wrong[0]}, and not finite at "
                         f"{len(wrong)} samples in all; cut these out, and give the parts as records of their own"
                     )
-        if not np.ptp(self.commands, axis=0).any() and not self._moves:
+        if not self.moves:
             raise RecordError(
                 f"{self.name}: nothing moves: the commands are constant, and the readings vary no more than their "
                 "noise; excite the rig, or let it go from somewhere else than rest"
             )
 
     @property
-    def _moves(self) -> bool:
-        noise = self.noise
-        return bool(np.any(np.ptp(self.readings, axis=0) > 2.0 * _STILL * np.maximum(noise, 1e-300)))
+    def moves(self) -> bool:
+        """Return whether a command changes, or the readings vary by more than their noise."""
+        far = 2.0 * _STILL * np.maximum(self.noise, 1e-300)
+        return bool(np.ptp(self.commands, axis=0).any() or np.any(np.ptp(self.readings, axis=0) > far))
+
+    def until_rest(self) -> Data:
+        """Return the record up to where it comes to rest; all of it where it moves to its end."""
+        rest = np.median(self.readings[-math.ceil(len(self) / 10) :], axis=0)
+        moves = np.asarray((np.abs(self.readings - rest) > 2.0 * _STILL * self.noise).any(axis=1))
+        moves[1:] |= (np.diff(self.commands, axis=0) != 0.0).any(axis=1)
+        return self.first((np.flatnonzero(moves)[-1] + 1) / self.rate) if moves.any() else self
 
     @property
     def noise(self) -> Array:
