@@ -97,5 +97,5 @@ def test_of_a_decay_that_comes_to_rest_the_motion_is_split():
     parts = train_validation_split(record, 0.3)
     assert all(part.moves for part in parts)
     assert sum(len(part) for part in parts) / 100.0 == pytest.approx(np.log(1e3 / 8.0), abs=0.5)
-    driven = replace(record, commands=np.sin(t)[:, None])
+    driven = Data("driven", 100.0, np.sin(t)[:, None], decay[:, None])
     assert [len(part) for part in train_validation_split(driven, 0.3)] == [2800, 1200]
