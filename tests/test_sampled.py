@@ -385,7 +385,7 @@ def test_the_compiled_step_gets_the_declared_allocation_and_its_inverse(plant):
     rows = sp.Matrix([sp.sympify(written["allocation"][name]) for name in ("u1", "u2", "u3")])
     declared = np.array(rows.jacobian(sp.symbols(["V1", "V2", "V3"])), dtype=float)
     found = experiment(plant=plant)
-    sampled = SampledController(found.controller, found.instruments, found.observer, 1000.0, None, 0.0, np.zeros(3))
+    sampled = SampledController(found.law, found.instruments, found.observer, 1000.0, None, 0.0, np.zeros(3))
     inverse, matrix = sampled.values()[-18:].reshape(2, 3, 3)
     np.testing.assert_allclose(inverse, np.linalg.inv(declared), atol=1e-12)
     np.testing.assert_allclose(matrix, declared, atol=1e-12)

@@ -287,7 +287,7 @@ class _Bench:
         settings, twin = self.experiment.declaration.controller, self.experiment.twin
         if settings.model is None and not settings.parameters:
             return frozenset()
-        model, n = self.experiment.controller.model, len(twin.model.coordinates)
+        model, n = self.experiment.law.model, len(twin.model.coordinates)
         rows = np.unique(np.linspace(0, len(run.times) - 1, _PROBES).astype(int))
         p, u, out = model.values(), np.zeros(len(model.inputs)), np.empty(run.estimates.shape[1])
         assumed = []

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import datetime
-import platform
-import subprocess
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +25,11 @@ from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
 from masking.rig.twin import PlacedEffect, Twin
+from masking.runs import manifest
 from masking.runs.columns import Columns
 from masking.runs.offline import Run, TwinRun, cut, rig_state, run_continuous, run_sampled, run_twin
 from masking.runs.record_rate import rows_per_unit
 from masking.runs.stopping import SYNCHRONISED, StopCondition
-
-LIBRARIES = ("masking", "numpy", "numba", "sympy")
 
 
 @dataclass(frozen=True)
@@ -125,8 +120,8 @@ class Experiment:
         return model.dimensionless() if model.declaration.scales else model
 
     @cached_property
-    def controller(self) -> Controller:
-        """Return the controller."""
+    def law(self) -> Controller:
+        """Return the control law."""
         settings = self.declaration.controller
         overrides = {} if settings.model else self.assembly.plant.parameters
         assumed = Model(self.assembly.believed_model, {**overrides, **settings.parameters})
@@ -148,7 +143,7 @@ class Experiment:
     @cached_property
     def loop(self) -> ClosedLoop:
         """Return controller and plant, compiled together, for a controller that knows the true state."""
-        return ClosedLoop(self.controller, self.plant)
+        return ClosedLoop(self.law, self.plant)
 
     @property
     def has_observer(self) -> bool:
@@ -173,7 +168,7 @@ class Experiment:
     def instruments(self) -> Instruments:
         """Return what the controller knows of sensors, actuators and limits."""
         assumed, factors = self.twin.changed(self.assumed_effects), self.twin.kernels.meta["factors"]
-        return Instruments(self.assembly.plant, self.controller.model, factors, assumed.noise(), assumed.delay)
+        return Instruments(self.assembly.plant, self.law.model, factors, assumed.noise(), assumed.delay)
 
     @cached_property
     def assumed_effects(self) -> dict[str, schema.EffectChange]:
@@ -202,13 +197,13 @@ class Experiment:
         """
         settings = self.declaration.controller
         made = SampledController(
-            self.controller,
+            self.law,
             self.instruments,
             self.observer,
             settings.rate or 0.0,
             self.observer_settings.noise,
             settings.homing or 0.0,
-            np.zeros(len(self.controller.model.coordinates)),
+            np.zeros(len(self.law.model.coordinates)),
             settings.rest or 0.0,
         )
         state = rig_state(made, self.virtual.initial_state(self.declaration.initial))
@@ -260,14 +255,14 @@ class Experiment:
             MaskingError: a model is wrong, the rig's inputs cannot accelerate every virtual coordinate, or no rig
                 position gives the initial state.
         """
-        for model in (self.plant, self.controller.model, self.virtual):
+        for model in (self.plant, self.law.model, self.virtual):
             model.validate()
         self.twin.validate()
         _ = self.assumed_effects
         problems = [*registry.check_units(self.assembly), *self._check_size()]
         if problems:
             raise DeclarationError(problems)
-        check_actuation(self.controller.model, self.controller.transform)
+        check_actuation(self.law.model, self.law.transform)
         self.virtual.initial_state(self.declaration.initial)
         if self.has_observer:
             _ = self.sampled.gain
@@ -408,7 +403,18 @@ class Experiment:
         at = float(columns["t"][-1]) / self.time_scale if is_stopped else None
         stop = {"stop": self.stop_condition.entry(at)} if self.stop_condition else {}
         chi = {c: masking_error(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in self.virtual.coordinates}
-        return Recording(columns, {**self._manifest(made.units, chi, timing), **self._start_entry(columns), **stop})
+        limits = self.assembly.plant.limits.inputs
+        entries = {
+            "columns": dict(made.units),
+            "time_scale": self.time_scale,
+            "limits": {name: self._limit_entry(name, limit) for name, limit in limits.items()},
+            "effects": {effect.label: effect.enabled and self._acts(effect) for effect in self.twin.effects},
+            "observer": self._observer_entry() if self.has_observer else None,
+            "masking_error": chi,
+            "timing": dict(timing),
+        }
+        entries |= self._start_entry(columns) | stop
+        return Recording(columns, manifest.content(self.assembly, self.virtual, entries))
 
     def _start_entry(self, columns: Mapping[str, Array]) -> dict[str, Any]:
         """Return where homing should have brought the rig, and where it did, for the manifest."""
@@ -440,59 +446,3 @@ class Experiment:
     def _acts(self, effect: PlacedEffect) -> bool:
         """Tell whether an effect acts in a run: one outside the rig does not, where the true state is known."""
         return self.has_observer or effect.entry.where == "element"
-
-    def _manifest(
-        self, columns: Mapping[str, Mapping[str, str]], chi: Mapping[str, float], timing: Mapping[str, float]
-    ) -> dict[str, Any]:
-        declaration, assembly = self.declaration, self.assembly
-        rate = declaration.controller.rate
-        limits = assembly.plant.limits.inputs
-        files = {**declaration.files, **assembly.plant.files}
-        for model in (assembly.plant_model, assembly.virtual_model, assembly.believed_model):
-            files |= model.files
-        return {
-            "format": "masking recording 1",
-            "name": declaration.name,
-            "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            "seed": declaration.seed,
-            "versions": {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
-            "commit": _commit(files),
-            "files": {Path(path).name: digest for path, digest in files.items()},
-            "declarations": {
-                "experiment": declaration.canonical(),
-                "plant": assembly.plant.canonical(),
-                "plant_model": assembly.plant_model.canonical(),
-                "virtual": assembly.virtual_model.canonical(),
-                "controller_model": assembly.believed_model.canonical(),
-            },
-            "parameters": self.virtual.parameter_values(),
-            "columns": dict(columns),
-            "time_scale": self.time_scale,
-            "virtual_name": self.virtual.name,
-            "plant_name": assembly.plant.name,
-            "oscillators": list(self.virtual.oscillators),
-            "mode": "continuous" if rate is None else "sampled",
-            "rate": rate,
-            "limits": {name: self._limit_entry(name, limit) for name, limit in limits.items()},
-            "effects": {effect.label: effect.enabled and self._acts(effect) for effect in self.twin.effects},
-            "observer": self._observer_entry() if self.has_observer else None,
-            "masking_error": dict(chi),
-            "timing": dict(timing),
-        }
-
-
-def _commit(files: Mapping[str, str]) -> str | None:
-    """Return the git commit of the folder that the experiment was read from, if it is in a repository."""
-    folder = Path(next(iter(files))).resolve().parent if files else Path.cwd()
-    try:
-        found = subprocess.run(  # the user's own git, wherever it is
-            ["git", "rev-parse", "HEAD"],  # noqa: S607
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=5,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return found.stdout.strip() or None

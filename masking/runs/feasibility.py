@@ -227,7 +227,7 @@ class Motion:
     @cached_property
     def loop(self) -> ClosedLoop:
         """Return the controller with its own model as the plant."""
-        controller = self.experiment.controller
+        controller = self.experiment.law
         return ClosedLoop(controller, controller.model)
 
     @property

@@ -155,7 +155,7 @@ def plant(declaration: schema.PlantDeclaration) -> Description:
 
 def experiment(subject: Experiment) -> Description:
     """Describe an experiment: what moves as what, and the blocks T, D, L and G of its control law."""
-    d, controller = subject.declaration, subject.controller
+    d, controller = subject.declaration, subject.law
     rig, virtual, transform = controller.model, controller.virtual, controller.transform
     e = rig.equations
     rate = "in continuous time" if d.controller.rate is None else f"at {d.controller.rate:g} Hz"

@@ -80,6 +80,6 @@ def _loop(experiment: Experiment, found: Stability) -> LoopModes:
     virtual = np.array([*point.position.values(), *([0.0] * len(point.position))])
     state = np.concatenate([rig_state(loop, virtual), np.zeros(len(experiment.plant.states))])
     lengths = np.ones(len(state))
-    lengths[:n] = experiment.controller.lengths
-    lengths[n : 2 * n] = experiment.controller.lengths / experiment.time_scale
+    lengths[:n] = experiment.law.lengths
+    lengths[n : 2 * n] = experiment.law.lengths / experiment.time_scale
     return loop_modes(loop, state, lengths, experiment.time_scale, modes.eigenvalues)
