@@ -81,3 +81,23 @@ def test_what_cannot_be_simulated_is_refused_with_the_mend(folder):
     (folder / "oscillator.yaml").write_text(OSCILLATOR.replace("-w**2*x", "1e6*w**2*x"))
     with pytest.raises(ModelError, match=r"is not finite; check signs and units .*decay\.csv@0:1"):
         masking.simulate(folder / "oscillator.yaml", folder / "decay.csv", columns={"t": "time"})
+
+
+def test_steps_between_samples_resolve_what_rest_does_not_show(tmp_path):
+    """A mass flies through a gap between two springs, which it does not touch at rest: closed form."""
+    w, gap, speed, rate = 800.0, 2e-3, 0.1, 2000.0
+    t = np.arange(1000) / rate
+    half = np.pi / w + gap / speed  # half a sine outside of the gap, and the way through it
+    into = (t + 0.5 * gap / speed) % (2 * half)  # since the mass left one spring
+    late = into % half
+    inside = -gap / 2 + speed * late
+    outside = gap / 2 + speed / w * np.sin(w * (late - gap / speed))
+    x = np.where(late < gap / speed, inside, outside) * np.where(into < half, 1, -1)
+    np.savetxt(tmp_path / "flight.csv", np.column_stack([t, x + 1e-6 * np.random.default_rng(0).standard_normal(1000)]))
+    (tmp_path / "gap.yaml").write_text(f"""
+name: gap
+coordinates: {{x: position}}
+equations: {{"x''": "-{w**2}*(x - min(max(x, -{gap / 2}), {gap / 2}))"}}
+""")
+    made = masking.simulate(tmp_path / "gap.yaml", tmp_path / "flight.csv", columns=["t", "x"])
+    assert made.residual.std() == pytest.approx(1e-6, rel=0.1)

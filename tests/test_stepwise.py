@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from masking.discovery import shooting
 from masking.errors import ModelError, RecordError
 from masking.estimation.data import Data
 from masking.estimation.fit import fit
 from masking.estimation.sensitivity import Sensitivity
-from masking.estimation.simulation import simulate
+from masking.estimation.simulation import refined, simulate
 from masking.estimation.stepwise import fit_in_steps
 from masking.rig.twin import Twin
 
@@ -119,5 +118,5 @@ def test_a_motion_that_runs_away_in_smaller_steps_takes_the_smallest():
     def simulated(number):
         return np.full((4, 1), np.nan) if number > 4 else np.zeros((4, 1))
 
-    assert shooting._steps(simulated, 2, 32, np.ones(1), ahead=4) == 32
-    assert shooting._steps(lambda number: np.zeros((4, 1)), 2, 32, np.ones(1), ahead=4) == 2
+    assert refined(simulated, 2, 32, np.ones(1), ahead=4) == 32
+    assert refined(lambda number: np.zeros((4, 1)), 2, 32, np.ones(1), ahead=4) == 2

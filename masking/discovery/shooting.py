@@ -7,9 +7,8 @@ Inverse Problems in Differential and Integral Equations, Birkhaeuser, for multip
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import linearised, smooth
 from masking.discovery.thinning import thinning
 from masking.errors import IntegrationError, RecordError
+from masking.estimation.simulation import refined
 from masking.numerics.arrays import Array
 
 SHORTEST = 3e-3  # of the travel: the shortest displacement with which a friction that builds up begins to be fitted
@@ -69,7 +69,7 @@ def substeps(problem: EstimationProblem) -> int:
         return replace(problem, substeps=number).equations(theta, start).simulated
 
     allowed = problem.rules.integration_error * problem.sigma
-    least = _steps(simulated, least, max(least, problem.substeps), allowed, ahead=2)
+    least = refined(simulated, least, max(least, problem.substeps), allowed, ahead=2)
     return min(max(least, _moved(problem, start)), problem.rules.most_refinement * least)
 
 
@@ -110,7 +110,7 @@ def finer(problem: EstimationProblem, found: Hypothesis, least: int) -> int:
 
     rules, left = problem.rules, np.maximum(problem.sigma, np.sqrt((found.residuals**2).mean(axis=0)))
     most, allowed = rules.most_refinement * least, rules.law_error * left
-    return _steps(residuals, problem.substeps, most, allowed, ahead=4)
+    return refined(residuals, problem.substeps, most, allowed, ahead=4)
 
 
 def corrected(rough: EstimationProblem, known: Hypothesis) -> tuple[EstimationProblem, Hypothesis] | None:
@@ -132,17 +132,6 @@ def corrected(rough: EstimationProblem, known: Hypothesis) -> tuple[EstimationPr
         return None
     record = replace(rough.record, readings=found.simulated + known.residuals)
     return replace(rough, record=record), replace(known, instances=instances)
-
-
-def _steps(simulated: Callable[[int], Array], least: int, most: int, allowed: Array, *, ahead: int) -> int:
-    """Return steps, doubled until `ahead` times as many change readings by less than is allowed (sensors,)."""
-    made, steps = cache(simulated), least
-    while steps < most:
-        change = made(min(ahead * steps, ahead * most // 2)) - made(steps)
-        if bool((np.sqrt((change**2).mean(axis=0)) < allowed).all()):
-            break
-        steps = min(2 * steps, most)
-    return steps
 
 
 def modes(problem: EstimationProblem) -> Array:

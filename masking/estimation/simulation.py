@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -21,6 +22,9 @@ FIRST_READINGS = 20  # readings that the initial state is guessed from
 ROUNDS = 25  # steps for the initial state, at most
 DAMPING = Damping(1e-9, least=1e-12, most=1e6)
 SETTLED = 1e-9  # fraction of the cost that a step must take off
+# Of the noise, or of what a model leaves where that is more: what smaller steps may change, and most refinement.
+STEP_ERROR = 0.05
+MOST_REFINEMENT = 16
 
 
 @dataclass(frozen=True)
@@ -111,11 +115,23 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
     size = np.maximum(np.abs(record.readings).max(axis=0), 1e-300)
     weights = np.maximum(record.noise, 1e-12 * size) ** -2.0
     beginning = record if initial is None else record.first(initial)
-    state, found = nearest(sensing, sensing.start(), beginning, weights)
+    theta, basis, steps = sensing.start(), sensing.basis(sensing.start()), twin.substeps(record.rate)
+    state, found = nearest(sensing, theta, beginning, weights)
+
+    def simulated(number: int) -> Array:
+        try:
+            return sensing.normal_equations(basis, state, beginning, weights, number).simulated
+        except IntegrationError:
+            return np.full_like(beginning.readings, np.nan)
+
+    allowed = STEP_ERROR * np.maximum(record.noise, np.sqrt(found.squares / len(beginning)))
+    enough = refined(simulated, steps, MOST_REFINEMENT * steps, allowed, ahead=4)
+    if enough > steps:
+        with suppress(IntegrationError):
+            state, found = _nearest(sensing, theta, beginning, weights, state, steps=enough)
     if initial is not None:
         try:
-            basis = sensing.basis(sensing.start())
-            found = sensing.normal_equations(basis, state, record, weights, twin.substeps(record.rate))
+            found = sensing.normal_equations(basis, state, record, weights, enough)
         except IntegrationError:
             raise IntegrationError(f"the simulated motion is no longer finite in {record.name}") from None
     plant = twin.declaration.sensors
@@ -148,13 +164,32 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
         raise IntegrationError(f"the simulated motion is no longer finite in {record.name}") from None
 
 
+def refined(simulated: Callable[[int], Array], least: int, most: int, allowed: Array, *, ahead: int) -> int:
+    """Return integration steps between samples, doubled until smaller ones change readings by less than is allowed.
+
+    Args:
+        simulated: readings (m, sensors) in a number of steps.
+        least: steps that are tried first.
+        most: steps at most.
+        allowed: change of the readings, rms (sensors,).
+        ahead: factor of the smaller steps.
+    """
+    made, steps = cache(simulated), least
+    while steps < most:
+        change = made(min(ahead * steps, ahead * most // 2)) - made(steps)
+        if bool((np.sqrt((change**2).mean(axis=0)) < allowed).all()):
+            break
+        steps = min(2 * steps, most)
+    return steps
+
+
 def _nearest(
-    sensing: Sensitivity, theta: Array, record: Data, weights: Array, start: Array
+    sensing: Sensitivity, theta: Array, record: Data, weights: Array, start: Array, *, steps: int | None = None
 ) -> tuple[Array, NormalEquations]:
-    """Return what `nearest` does, near a state to begin with (states,)."""
+    """Return what `nearest` does, near a state to begin with (states,), in integration steps between samples."""
     free = np.array(sensing.twin.free, dtype=int)
     first, basis = start.copy(), sensing.basis(theta)
-    substeps, at = sensing.twin.substeps(record.rate), len(theta) + free
+    substeps, at = steps or sensing.twin.substeps(record.rate), len(theta) + free
 
     def linearised(x: Array) -> Linearised[Dense, NormalEquations]:
         first[free] = x
