@@ -120,6 +120,16 @@ def test_a_step_to_where_the_problem_has_no_value_is_made_shorter():
     assert found.x[0] == pytest.approx(0.01, rel=1e-6)
 
 
+def test_a_step_to_where_derivatives_are_not_finite_is_made_shorter():
+    def slope(x):
+        return np.diag(np.where(x > 0.2, 0.5 / np.sqrt(np.abs(x)), np.inf))
+
+    made = problem(lambda x: 0.5 - np.sqrt(np.abs(x)), slope)  # the first full step goes from 4 to -2
+    assert minimise(made, np.array([4.0]), NO_BOUNDS, DAMPING, **SETTINGS).x[0] == pytest.approx(0.25, rel=1e-6)
+    with pytest.raises(IntegrationError, match="derivatives of the motion by the parameters"):
+        minimise(made, np.array([0.1]), NO_BOUNDS, DAMPING, **SETTINGS)
+
+
 def test_a_fit_without_hope_is_given_up():
     found = minimise(
         problem(rosenbrock, slopes), np.array([-1.2, 1.0]), NO_BOUNDS, DAMPING, is_hopeless=lambda now, _: now < 4.5,

@@ -34,7 +34,7 @@ FADING = 1e-3  # rad, times the rate of a record: how fast forces fade that the 
 MOVING = 3.0
 STRONGER = (1e3, 1e4)  # intensities that are tried, too, where readings follow forces at once
 UNSEEN = 1e-200  # intensity of a force that no sensor shows at once: it is not estimated
-SHORT = 8.0  # s of the record by which the intensity is chosen
+SHORT = 8000  # samples of the record by which the intensity is chosen
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
         IntegrationError: the readings do not tell all coordinates, or the motion is no longer finite.
     """
     rig, record, sigma = problem.rig, problem.record, problem.sigma
-    part = replace(problem, record=record.first(SHORT)) if len(record) > SHORT * record.rate else problem
+    part = replace(problem, record=record.first(SHORT / record.rate))
     unit, walks = _unit(rig, theta, sigma, record.rate), WALKS if rig.coordinates else (*FURTHER, *WALKS)
     walks = (*walks, *STRONGER) if rig.coordinates and rig.twin.is_fed else walks
     costs = []

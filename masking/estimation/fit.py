@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from masking.display import fragments, symbols
-from masking.errors import IntegrationError, RecordError
+from masking.errors import RecordError
 from masking.estimation.data import Data
 from masking.estimation.least_squares import Arrow, Box, Damping, Linearised, minimise
 from masking.estimation.sensitivity import Sensitivity
@@ -285,8 +285,6 @@ class _Problem:
             gradient += found.gradient[:k]
             blocks.append((found.matrix[np.ix_(at, at)], found.matrix[at, :k], found.gradient[at]))
             squares += found.squares
-        if not all(np.isfinite(part).all() for block in ((matrix, gradient), *blocks) for part in block):
-            raise IntegrationError("the derivatives of the motion by the parameters or initial states are not finite")
         return Linearised(float((squares / self.sigma**2).sum()), Arrow(matrix, gradient, blocks), squares)
 
     def unknowns(self, theta: Array) -> Array:

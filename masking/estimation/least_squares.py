@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -25,6 +26,10 @@ GROWTH = 2.0  # times its size that a positive value may take in a step
 
 class NormalEquations(Protocol):
     """Normal equations that a damped step can be found from."""
+
+    @property
+    def is_finite(self) -> bool:
+        """Tell whether all numbers are finite: those of a motion that runs away are not."""
 
     def step(self, damping: float, given: Array | None = None) -> tuple[Array, float]:
         """Return the step of all unknowns (n,), and the reduction of the cost that it should give.
@@ -50,6 +55,11 @@ class Dense:
     gradient: Array
     fixed: NDArray[np.bool_] | None = None
     resistance: Array | None = None
+
+    @property
+    def is_finite(self) -> bool:
+        """Tell whether all numbers are finite: those of a motion that runs away are not."""
+        return bool(np.isfinite(self.matrix).all() and np.isfinite(self.gradient).all())
 
     def with_prior(self, off: Array, deviation: Array) -> Dense:
         """Return the equations with a normal prior.
@@ -96,6 +106,11 @@ class Arrow:
     gradient: Array
     blocks: Sequence[tuple[Array, Array, Array]]
 
+    @property
+    def is_finite(self) -> bool:
+        """Tell whether all numbers are finite: those of a motion that runs away are not."""
+        return all(np.isfinite(part).all() for part in (self.matrix, self.gradient, *chain(*self.blocks)))
+
     def step(self, damping: float, given: Array | None = None) -> tuple[Array, float]:
         """Return the step of all unknowns (k + b + b ...,), and the reduction of the cost that it should give."""
         matrix, gradient, inverses = self._condensed(damping)
@@ -126,11 +141,19 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Linearised(Generic[E, T]):
-    """A problem at values of its unknowns: the cost, the normal equations, and whatever else was computed."""
+    """A problem at values of its unknowns: the cost, the normal equations, and whatever else was computed.
+
+    Raises:
+        IntegrationError: the equations are not finite.
+    """
 
     cost: float
     equations: E
     found: T
+
+    def __post_init__(self) -> None:
+        if not self.equations.is_finite:
+            raise IntegrationError("the derivatives of the motion by the parameters or initial states are not finite")
 
 
 @dataclass(frozen=True)
