@@ -202,7 +202,7 @@ def _continued(problem: EstimationProblem, begun: _Begun, *, frozen: bool) -> _B
 def together(
     problem: EstimationProblem, other: EstimationProblem, known: Hypothesis, rival: float = np.inf
 ) -> Hypothesis:
-    """Fit a hypothesis to its own record and to another one at once, from where the first has left it.
+    """Fit a hypothesis to its own record and to another one at once, from where each leaves it by itself.
 
     Args:
         problem: of its own record.
@@ -216,7 +216,7 @@ def together(
     Raises:
         IntegrationError: the motion is not finite.
     """
-    start = np.concatenate([known.start, initial_states.first(other, known.theta)])
+    start = np.concatenate([known.start, validated(other, known).start])
     return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
 
 
