@@ -171,6 +171,8 @@ def fit(
     records, unseen = several(records), several(validation)
     sensitivity = Sensitivity(twin, tuple(names), tuple(shared))
     theta = sensitivity.start()
+    if sensitivity.dead_times:  # records that were read with other ones
+        records, unseen = (tuple(replace(one, late=twin.late(one.rate)) for one in each) for each in (records, unseen))
     stages = [list(records)]
     if shooting_interval:
         stages.insert(0, [window for record in records for window in record.windows(shooting_interval)])
@@ -280,7 +282,8 @@ class _Problem:
         for piece, start, begun, substeps in zip(self.pieces, self.starts, moving, self.substeps, strict=True):
             y = start.copy()
             y[self.free] = begun
-            found = self.sensitivity.normal_equations(basis, y, piece, weights, substeps)
+            late = self.sensitivity.later(theta, piece)
+            found = self.sensitivity.normal_equations(basis, y, late, weights, substeps)
             matrix += found.matrix[:k, :k]
             gradient += found.gradient[:k]
             blocks.append((found.matrix[np.ix_(at, at)], found.matrix[at, :k], found.gradient[at]))

@@ -101,8 +101,8 @@ def extended_kalman(
         Final values, their course over time, and the innovations.
 
     Raises:
-        ModelError: a parameter is not known or named twice, a variance is not positive (0 is allowed for `process` and
-            `initial`) or their number is wrong, `start` has the wrong length, or `iterated` is no count.
+        ModelError: a parameter is not known, named twice or a dead time, a variance is not positive (0 is allowed for
+            `process` and `initial`) or their number is wrong, `start` has the wrong length, or `iterated` is no count.
         RecordError: the record has other channels than the plant, or fewer than 4 samples.
         IntegrationError: the estimate diverged, or the covariance lost its sign; says when, and what to change.
     """
@@ -114,6 +114,9 @@ def extended_kalman(
             f"{twin.base.name} has no coordinates, whose motion the filter follows; take the method least-squares"
         )
     sensing = Sensitivity(twin, tuple(names))
+    if sensing.dead_times:
+        late = ", ".join(names[i] for i in sensing.dead_times)
+        raise ModelError(f"{late}: a filter cannot follow a dead time; take the method least-squares")
     scales, moving = _Scales.of(sensing), 2 * len(twin.model.coordinates)
     none = np.zeros(sensing.states - moving)
     r = _variances("measurement", measurement, len(twin.sensors)) * scales.readings**2

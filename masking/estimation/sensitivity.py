@@ -10,7 +10,7 @@ Source: Ljung, System Identification (1999), section 10.3; Hairer, Norsett and W
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +41,9 @@ SENSED = "sensed(t: float, y, u, p, noise, s, jy: Matrix, jp: Matrix)"
 SIGNATURES = RATES, SLOPES, READING, SENSED
 
 _STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other
+_LATER = (
+    0.01  # of a sample, by which commands are later in the differences that tell how readings depend on a dead time
+)
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,19 @@ class Sensitivity:
     def parameters(self, theta: Array) -> Array:
         """Return the twin's parameter array for values (k,) of the parameters, with sensors that do not round."""
         return self._unrounded.with_parameters(dict(zip(self.names, map(float, theta), strict=True))).values()
+
+    @cached_property
+    def dead_times(self) -> dict[int, int]:
+        """Return of each parameter that is a dead time, by its number, the number of the actuator."""
+        found = {f"{e.label}_{e.entry.grows_with}": e.at for e in self.twin.dead_times}
+        return {i: self.twin.actuators.index(found[name]) for i, name in enumerate(self.names) if name in found}
+
+    def later(self, theta: Array, record: Data) -> Data:
+        """Return a record whose commands are as late as dead times (k,) say, in the place of the twin's own."""
+        late = record.late.copy()
+        for i, actuator in self.dead_times.items():
+            late[actuator] += record.rate * (theta[i] - self.twin.parameter_value(self.names[i]))
+        return replace(record, late=late) if self.dead_times else record
 
     def basis(self, theta: Array) -> tuple[Array, Array]:
         """Return the twin's parameter array, and how its entries depend on the parameters (affected, k)."""
@@ -231,6 +247,26 @@ class Sensitivity:
         Raises:
             IntegrationError: the motion is no longer finite.
         """
+        found = self._accumulated(basis, start, record, weights, substeps)
+        matrix, gradient = found.matrix, found.gradient
+        residual, columns = record.residuals(found.simulated), dict[int, Array]()
+        for i, actuator in self.dead_times.items():
+            late = record.late.copy()
+            late[actuator] += _LATER
+            later = self._accumulated(basis, start, replace(record, late=late), weights, substeps).simulated
+            readings, each = np.where(np.isnan(record.readings), np.nan, later), record.rate / _LATER
+            turned = self._accumulated(basis, start, replace(record, readings=readings), weights, substeps)
+            matrix[i] = matrix[:, i] = each * turned.gradient
+            columns[i] = np.where(np.isnan(record.counted()), 0.0, each * (later - found.simulated))
+            gradient[i] = ((columns[i] * residual) @ weights).sum()
+            for k, other in columns.items():
+                matrix[i, k] = matrix[k, i] = ((columns[i] * other) @ weights).sum()
+        return found
+
+    def _accumulated(
+        self, basis: tuple[Array, Array], start: Array, record: Data, weights: Array, substeps: int
+    ) -> NormalEquations:
+        """Return what `normal_equations` does, with dead times that are known."""
         (p, columns), count, states = basis, len(record), self.states
         size = len(self.names) + states
         matrix, gradient, squares = np.zeros((size, size)), np.zeros(size), np.zeros(len(weights))

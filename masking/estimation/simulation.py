@@ -187,7 +187,7 @@ def _nearest(
     sensing: Sensitivity, theta: Array, record: Data, weights: Array, start: Array, *, steps: int | None = None
 ) -> tuple[Array, NormalEquations]:
     """Return what `nearest` does, near a state to begin with (states,), in integration steps between samples."""
-    free = np.array(sensing.twin.free, dtype=int)
+    free, record = np.array(sensing.twin.free, dtype=int), sensing.later(theta, record)
     first, basis = start.copy(), sensing.basis(theta)
     substeps, at = steps or sensing.twin.substeps(record.rate), len(theta) + free
 

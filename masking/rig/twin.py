@@ -244,9 +244,13 @@ class Twin:
 
     def late(self, rate: float) -> Array:
         """Return the samples after which a command of each actuator acts (actuators,): the delay, and dead times."""
-        own = [e for e in self._of("actuator") if e.enabled and not e.entry.expression]
-        times = [sum(self._value(e, e.entry.grows_with) for e in own if e.at == name) for name in self.actuators]
-        return self.delay + rate * np.array(times, dtype=float)
+        own = [(e.at, self._value(e, e.entry.grows_with)) for e in self.dead_times]
+        return self.delay + rate * np.array([float(sum(tau for at, tau in own if at == a)) for a in self.actuators])
+
+    @property
+    def dead_times(self) -> list[PlacedEffect]:
+        """Return the dead times that act in actuators: effects without an expression."""
+        return [effect for effect in self._of("actuator") if effect.enabled and not effect.entry.expression]
 
     @cached_property
     def chain_states(self) -> tuple[tuple[PlacedEffect, str], ...]:
@@ -293,9 +297,8 @@ class Twin:
         return found
 
     def _value(self, effect: PlacedEffect, name: str) -> float:
-        if f"{effect.label}_{name}" in self.chosen:
-            return self.chosen[f"{effect.label}_{name}"]
-        value = effect.parameters.get(name, effect.entry.parameters[name].value)
+        declared = effect.parameters.get(name, effect.entry.parameters[name].value)
+        value = self.chosen.get(f"{effect.label}_{name}", declared)
         if isinstance(value, Expression):
             return value.evaluate(self.model.parameter_values())
         return float(value)  # type: ignore[arg-type]  # checked in `effects`
@@ -303,15 +306,14 @@ class Twin:
     def values(self) -> Array:
         """Return the parameter array: model, allocation, gains of the sensors, parameters of their effects."""
         rest = [self._value(effect, name) for effect in self._chain for name in effect.entry.parameters]
-        switches = [float(effect.enabled) for effect in self._chain]
-        gains = [self.gain(name) for name in self.sensors]
+        gains, switches = [self.gain(name) for name in self.sensors], [float(e.enabled) for e in self._chain]
         return np.concatenate([self.model.values(), self.allocation.ravel(), gains, rest, switches])
 
     @cached_property
     def parameter_names(self) -> dict[str, tuple[PlacedEffect, str] | None]:
         """Return the parameters that may be changed by name: None for those of the model, else effect and parameter."""
         model = {name: None for name in self.model.parameters if not name.endswith("_on")}
-        chain = {f"{e.label}_{name}": (e, name) for e in self._chain for name in e.entry.parameters}
+        chain = {f"{e.label}_{n}": (e, n) for e in (*self._chain, *self.dead_times) for n in e.entry.parameters}
         return {**model, **chain}
 
     def parameter_value(self, name: str) -> float:
@@ -325,10 +327,8 @@ class Twin:
     def parameter_bounds(self, name: str) -> tuple[float | None, float | None]:
         """Return the bounds of a parameter, in its declared unit; None where there is none."""
         found = self.parameter_names[name]
-        if found is not None:
-            effect, parameter = found
-            return effect.entry.parameters[parameter].bounds
-        return self.model.declaration.parameters[name].bounds
+        known = self.model.declaration.parameters[name] if found is None else found[0].entry.parameters[found[1]]
+        return known.bounds
 
     def with_parameters(self, values: Mapping[str, float]) -> Twin:
         """Return the twin with other values of parameters, in their declared units; nothing is recompiled."""
@@ -340,7 +340,7 @@ class Twin:
 
     @property
     def _chain(self) -> list[PlacedEffect]:
-        """Return the effects of actuators and sensors; those without an expression make commands late."""
+        """Return the effects of actuators and sensors, but for dead times."""
         actuators = [e for a in self.actuators for e in self._on("actuator", a) if e.entry.expression]
         return actuators + [e for s in self.sensors for e in self._on("sensor", s)]
 
