@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import masking
-from masking.declaration import catalogue
 from masking.control.step import SampledStep
+from masking.declaration import catalogue
 from masking.errors import DeclarationError, ModelError
 from masking.exports.c import CUnit
 from masking.exports.controllers import law_unit, sampled_unit

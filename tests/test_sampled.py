@@ -18,8 +18,8 @@ from scipy import linalg
 from scipy.integrate import solve_ivp
 
 from masking.control.sampled import SampledController, SampledLoop
-from masking.declaration import catalogue, registry, schema
 from masking.control.step import SampledStep
+from masking.declaration import catalogue, registry, schema
 from masking.errors import CommandError, ModelError, SingularityError
 from masking.numerics import sampled_loop as sampling
 from masking.numerics.sizes import Sizes

@@ -114,7 +114,6 @@ def test_a_call_allocates_nothing(kind):
         (0.0, r"got shape \(\); give \(3,\)"),
         (["a", "b", "c"], r"got \['a', 'b', 'c'\], which are not numbers; give \(3,\)"),
         ({"s1": 0.0, "s2": 0.0, "s3": 0.0}, "which are not numbers"),
-        (None, "which are not numbers"),
     ],
 )
 def test_readings_of_another_shape_are_named(readings, said):
@@ -135,17 +134,18 @@ def test_after_commands_that_are_not_finite_they_are_zero_until_a_reset():
     step = clocks().controller()
     readings = [0.01, -0.01, 0.02]
     first = step(readings).copy()
-    with pytest.raises(CommandError, match=r"command of V1, V2, V3 is no longer finite, at sample -\d+; look at what"):
+    step.index = 7  # no longer at rest
+    with pytest.raises(CommandError, match="command of V1, V2, V3 is no longer finite, at sample 7; look at what it"):
         step([0.0, np.nan, 0.0])
     assert not step.applied.any()
-    with pytest.raises(CommandError, match=r"the controller stopped at sample -\d+; call reset to begin again"):
+    with pytest.raises(CommandError, match="the controller stopped at sample 7; call reset to begin again"):
         step(readings)
     step.reset()
     assert step(readings).tolist() == first.tolist()
 
 
 def test_a_law_stops_where_its_matrix_is_singular():
-    bent = {"x1": "x1 - x1**3/3", "x2": "x2", "x3": "x3"}
+    bent = {"expressions": {"x1": "x1 - x1**3/3", "x2": "x2", "x3": "x3"}}
     step = masking.Experiment.load("duffing").changed(transform=bent).controller()
     state = np.array([0.5 * LENGTH, 0.0, 0.0, 0.0, 0.0, 0.0])
     found = step(0.0, state).copy()

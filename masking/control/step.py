@@ -56,8 +56,8 @@ class SampledStep:
         self.estimate, self.power = self.state[: sizes.states], self.state[sizes.power]
         self.demanded, self.applied = np.zeros(sizes.actuators), np.zeros(sizes.actuators)
         self._readings, self._index = np.zeros(len(self.sensors)), np.zeros(1, dtype=np.int64)
-        self._given, self._sample = _numbers(self._readings), _numbers(self._index)
-        self._first = np.zeros(1)
+        self._array, self._numbers = _buffers(self._readings)
+        self._sample, self._first = self._index.data, np.zeros(1)
         self._bind()
         self.reset()
 
@@ -89,7 +89,7 @@ class SampledStep:
         self._first[:] = self.demanded[:] = self.applied[:] = 0.0
         self._call: Callable[[], object] = self._begin_and_call
         if readings is not None:
-            self._take(readings)
+            _copy(readings, self._readings, "reading", self.sensors)
             self._begin()
 
     def __call__(self, readings: ArrayLike, index: int | None = None) -> Array:
@@ -107,9 +107,12 @@ class SampledStep:
             SingularityError: the matrix that gives the inputs became singular.
         """
         try:
-            self._given[:] = readings
+            if type(readings) is np.ndarray:
+                self._array[:] = readings
+            else:
+                self._numbers[:] = readings
         except (TypeError, ValueError):
-            self._take(readings)
+            _copy(readings, self._readings, "reading", self.sensors)
         if index is None:
             index = self.index
         elif index != self.index and self._begun:
@@ -120,10 +123,6 @@ class SampledStep:
         if self._results[0]:
             self._stop(int(self._results[0]), index)
         return self.applied
-
-    def _take(self, readings: ArrayLike) -> None:
-        """Take readings that are not as many numbers in a row as there are sensors, where they are a single one."""
-        _copy(readings, self._given, "reading", self.sensors)
 
     def _begin(self) -> None:
         """Begin with the readings."""
@@ -199,8 +198,9 @@ class LawStep:
         self.states = (*names, *(f"{name}'" for name in names), *loop.plant.declaration.states)
         self.state, self.inputs = np.zeros(len(self.states)), np.zeros(len(loop.plant.inputs))
         self.estimate, self.applied = self.state, np.zeros(len(self.actuators))
-        self._given, time = _numbers(self.state), np.zeros(1)
-        self._time, self._first = _numbers(time), np.zeros(1)
+        self._array, self._numbers = _buffers(self.state)
+        time, self._first = np.zeros(1), np.zeros(1)
+        self._time, _ = _buffers(time)
         given = (time, self.state, loop.values(), np.ascontiguousarray(inverse), self.inputs, self.applied, self._first)
         self._bound = loop.kernels.answer.bind(*given)
         self._results = self._bound.results
@@ -226,9 +226,12 @@ class LawStep:
             SingularityError: the matrix that gives the inputs became singular.
         """
         try:
-            self._given[:] = state
+            if type(state) is np.ndarray:
+                self._array[:] = state
+            else:
+                self._numbers[:] = state
         except (TypeError, ValueError):
-            _copy(state, self._given, "state", self.states)
+            _copy(state, self.state, "state", self.states)
         self._time[0] = t
         self._call()
         if self._results[0]:
@@ -243,14 +246,16 @@ class LawStep:
         raise CommandError(f"the control law's inputs are no longer finite, at t = {t:g} s; {MEND}")
 
 
-def _numbers(array: Any) -> Any:  # noqa: ANN401  (a ctypes array)
-    """Return the numbers of an array as what lists and arrays of the same length are copied into fast."""
-    kind = ctypes.c_double if array.dtype == np.float64 else ctypes.c_int64
-    return (kind * len(array)).from_buffer(array)
+def _buffers(array: Any) -> tuple[Any, Any]:  # noqa: ANN401  (what ctypes takes)
+    """Return an array as what another array is copied into fastest, and as what a list is.
+
+    measured: 6 numbers take 0.09 us and 0.15 us; a list into the array itself takes 0.7 us.
+    """
+    return array.data, (ctypes.c_double * len(array)).from_buffer(array)
 
 
-def _copy(given: ArrayLike, target: Any, what: str, names: Sequence[str]) -> None:  # noqa: ANN401
-    """Copy a single number where one is wanted; refuse all else.
+def _copy(given: ArrayLike, target: Array, what: str, names: Sequence[str]) -> None:
+    """Copy one number for each name, and a single number where one is wanted.
 
     Raises:
         PlantMismatchError: there is not one number for each name.
@@ -259,10 +264,14 @@ def _copy(given: ArrayLike, target: Any, what: str, names: Sequence[str]) -> Non
         target[0] = given
         return
     try:
-        found = f"shape {np.shape(given)}"
-        np.asarray(given, dtype=float)
+        array = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
         found = f"{given!r}, which are not numbers"
+    else:
+        if array.shape == (len(names),):
+            target[:] = array
+            return
+        found = f"shape {array.shape}"
     raise PlantMismatchError(f"got {found}; give ({len(names)},), one {what} for each of {', '.join(names)}")
 
 
