@@ -85,12 +85,12 @@ class SampledStep:
         Raises:
             PlantMismatchError: there is not one reading for each sensor.
         """
-        self.index, self._begun = -self.sampled.before, False
+        self.index, self._is_placed, self._has_begun = -self.sampled.before, False, False
         self._first[:] = self.demanded[:] = self.applied[:] = 0.0
-        self._call: Callable[[], object] = self._begin_and_call
+        self._call: Callable[[], object] = self._begin
         if readings is not None:
             _copy(readings, self._readings, "reading", self.sensors)
-            self._begin()
+            self._place()
 
     def __call__(self, readings: ArrayLike, index: int | None = None) -> Array:
         """Return the commands (actuators,) that answer the readings (sensors,) of a sample.
@@ -115,7 +115,7 @@ class SampledStep:
             _copy(readings, self._readings, "reading", self.sensors)
         if index is None:
             index = self.index
-        elif index != self.index and self._begun:
+        elif index != self.index and self._has_begun:
             self._pass_over(index)
         self._sample[0] = index
         self.index = index + 1
@@ -124,14 +124,17 @@ class SampledStep:
             self._stop(int(self._results[0]), index)
         return self.applied
 
-    def _begin(self) -> None:
-        """Begin with the readings."""
+    def _place(self) -> None:
+        """Take the rig to rest where the readings say."""
         begun = self.sampled.begin(self._readings)
         self.state[:], self.parameters[:], self.applied[:] = begun.x, begun.p, begun.holding
-        self._call, self._begun = self._bound[0].call, True
+        self._is_placed = True
 
-    def _begin_and_call(self) -> None:
-        self._begin()
+    def _begin(self) -> None:
+        """Answer the first sample."""
+        if not self._is_placed:
+            self._place()
+        self._call, self._has_begun = self._bound[0].call, True
         self._call()
 
     def _pass_over(self, index: int) -> None:
