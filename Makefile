@@ -69,6 +69,7 @@ $(READY): pyproject.toml constraints.txt
 $(BENCH_READY): $(READY)
 	-$(PIP) heyoka
 	-$(PIP) numbalsoda
+	-$(PIP) casadi
 	@touch $@
 
 $(DOCS_READY): $(READY)

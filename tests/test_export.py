@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import masking
+from masking.control.step import SampledStep
 from masking.declaration import catalogue
 from masking.errors import DeclarationError, ModelError
 from masking.exports.c import CUnit
@@ -87,15 +88,14 @@ def around_a_twin(experiment, step, init, samples, *, others=(), missed=()):
 
 def by_kernel(experiment, samples, read=lambda readings: readings, **settings):
     """Run the compiled controller around the twin; `read` changes what it sees."""
-    memory = []
-
-    def init(readings):
-        memory.append(experiment.sampled.begin(read(readings)))
-
-    def step(index, readings):
-        return memory[0].step(index, read(readings))
-
-    return around_a_twin(experiment, step, init, samples, **settings)
+    step = SampledStep(experiment.sampled)
+    return around_a_twin(
+        experiment,
+        lambda index, readings: step(read(readings), index),
+        lambda readings: step.reset(read(readings)),
+        samples,
+        **settings,
+    )
 
 
 def by_unit(experiment, unit, samples):

@@ -18,8 +18,9 @@ from scipy import linalg
 from scipy.integrate import solve_ivp
 
 from masking.control.sampled import SampledController, SampledLoop
+from masking.control.step import SampledStep
 from masking.declaration import catalogue, registry, schema
-from masking.errors import ModelError, SingularityError
+from masking.errors import CommandError, ModelError, SingularityError
 from masking.numerics import sampled_loop as sampling
 from masking.numerics.sizes import Sizes
 from masking.runs.experiment import Experiment
@@ -323,7 +324,8 @@ def step_by_hand(readings, memory, sampled, h, delay):
 def test_compiled_step_is_that_of_numpy(delay):
     found = experiment(effects={"delay": {"parameters": {"samples": delay}}})
     sampled, generator = found.sampled, np.random.default_rng(delay)
-    memory = sampled.begin(np.zeros(3))
+    step = SampledStep(sampled)
+    step.reset(np.zeros(3))
     h = 1e-3
     limited = 0
     for index in range(40):
@@ -337,9 +339,9 @@ def test_compiled_step_is_that_of_numpy(delay):
         z = x[15:18]
         readings = 200.0 * np.array([z[0] - z[2], z[1] - z[2], z[2]]) + 10.0 ** generator.uniform(-8, -4, 3)
         expected, demanded, applied = step_by_hand(readings, x, sampled, h, delay)
-        memory.x[:] = x
-        given_out = memory.step(index, readings)
-        for a, b in ((memory.x, expected), (memory.demanded, demanded), (given_out, applied)):
+        step.state[:] = x
+        given_out = step(readings, index)
+        for a, b in ((step.state, expected), (step.demanded, demanded), (given_out, applied)):
             np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12 * np.abs(b).max())
         limited += (np.abs(demanded) > np.abs(applied)).any()
     assert 0 < limited < 40
@@ -353,13 +355,14 @@ def by_python(found, seconds, *, start, seed):
     y, readings, substeps = twin.rest(start), np.empty(3), twin.substeps(rate)
     noise = generator.standard_normal((before + int(seconds * rate * (1 + 1e-12)) + 1, 3))
     twin.kernels.sense(-before / rate, y, p, noise[0], readings)
-    memory = sampled.begin(readings)
-    under_way = [memory.holding.copy() for _ in range(twin.delay)]
+    step = SampledStep(sampled)
+    step.reset(readings)
+    under_way = [step.applied.copy() for _ in range(twin.delay)]
     rows = {name: [] for name in ("state", "estimate", "reading", "demanded", "applied")}
     for index, xi in enumerate(noise, start=-before):
         twin.kernels.sense(index / rate, y, p, xi, readings)
-        applied = memory.step(index, readings)
-        parts = (y, memory.estimate, readings, memory.demanded, applied)
+        applied = step(readings, index).copy()
+        parts = (y, step.estimate, readings, step.demanded, applied)
         for column, value in zip(rows.values(), parts, strict=True):
             column.append(value.copy())
         under_way.append(applied)
@@ -392,9 +395,10 @@ def test_the_compiled_step_gets_the_declared_allocation_and_its_inverse(plant):
 
 
 def test_commands_that_are_not_finite_are_refused():
-    memory = experiment().sampled.begin(np.zeros(3))
-    with pytest.raises(ModelError, match=r"the controller's command of V1, V2, V3 is no longer finite, at sample 7"):
-        memory.step(7, np.array([np.nan, 0.0, 0.0]))
+    step = SampledStep(experiment().sampled)
+    step.reset(np.zeros(3))
+    with pytest.raises(CommandError, match=r"the controller's command of V1, V2, V3 is no longer finite, at sample 7"):
+        step(np.array([np.nan, 0.0, 0.0]), 7)
 
 
 def test_a_model_with_other_coordinates_is_refused(tmp_path):

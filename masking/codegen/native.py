@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import itertools
 import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -39,8 +40,26 @@ NUMBA_TYPES = {"float": "f8", "int": "i8"}
 NUMBA_TYPES |= {
     kind: f"CPointer({'i8' if kind.startswith('Int') else 'f8'})" + axes * ", i8" for kind, axes in DIMENSIONS.items()
 }
+LLVM_TYPES = {"float": "double", "int": "i64"}
 ENTRY = "masking_entry"
 RESULTS = 4  # room for the results of a function
+
+
+@dataclass(frozen=True, eq=False)
+class BoundFunction:
+    """A function with its arguments, which costs little to call: machine code that passes the same arrays each time.
+
+    Args:
+        call: calls it; other threads of Python wait meanwhile, so that the caller never waits for them.
+        results: of the last call, (RESULTS,).
+        arguments: the arrays, kept alive.
+        code: the machine code, kept alive.
+    """
+
+    call: Callable[[], object]
+    results: ctypes.Array[ctypes.c_double]
+    arguments: Sequence[np.ndarray]
+    code: object = field(repr=False)
 
 
 @dataclass
@@ -73,20 +92,10 @@ class NativeFunction:
             TypeError: an array is not C-contiguous, of the right type and dimension, or one is missing.
         """
         call = self.prepare()
-        values = list(given) if self.work is None else [*given, np.empty(self.work)]
-        if len(values) != len(self.arguments):
-            raise TypeError(f"{self.name} takes {', '.join(self.arguments)}: got {len(given)} arguments")
         passed: list[object] = []
-        for (name, kind), value in zip(self.arguments.items(), values, strict=True):
+        for (name, kind), value in zip(self.arguments.items(), self._completed(given), strict=True):
             if kind in DIMENSIONS:
-                if not isinstance(value, np.ndarray):
-                    raise TypeError(f"{self.name}: {name} must be an array, not {type(value).__name__}")
-                dtype = np.int64 if kind.startswith("Int") else np.float64
-                if value.ndim != DIMENSIONS[kind] or value.dtype != dtype or not value.flags.c_contiguous:
-                    raise TypeError(
-                        f"{self.name}: {name} must be a C-contiguous {dtype.__name__} array of dimension "
-                        f"{DIMENSIONS[kind]}, not {value.dtype} of shape {value.shape}"
-                    )
+                self._check(name, kind, DIMENSIONS[kind], value)
                 passed += [value.ctypes.data, *value.shape]
             else:
                 passed.append(value)
@@ -94,6 +103,50 @@ class NativeFunction:
         call(*passed, found)
         read = [int(x) if kind == "int" else x for kind, x in zip(self.results, found, strict=False)]
         return None if not read else read[0] if len(read) == 1 else tuple(read)
+
+    def bind(self, *given: np.ndarray) -> BoundFunction:
+        """Return the function with arrays that it reads and writes at each call; a number is an array of one.
+
+        Raises:
+            TypeError: an array is not C-contiguous, of the right type and dimension, or one is missing.
+        """
+        results, passed, lines = (ctypes.c_double * RESULTS)(), list[str](), list[str]()
+        arrays = self._completed(given)
+        for (name, kind), value in zip(self.arguments.items(), arrays, strict=True):
+            self._check(name, kind, DIMENSIONS.get(kind, 1), value)
+            address = _pointer(value.ctypes.data)
+            if kind in DIMENSIONS:
+                passed += [address, *(f"i64 {size}" for size in value.shape)]
+            else:
+                lines.append(f"  %{name} = load {LLVM_TYPES[kind]}, {address}")
+                passed.append(f"{LLVM_TYPES[kind]} %{name}")
+        passed.append(_pointer(ctypes.addressof(results)))
+        called = _pointer(self.address).removeprefix("ptr ")
+        body = [f"define void @{ENTRY}() {{", *lines, f"  call void {called}({', '.join(passed)})", "  ret void", "}"]
+        _initialise()
+        code = llvm.JITLibraryBuilder().add_ir("\n".join(body)).export_symbol(ENTRY)
+        with _linking:
+            library = code.link(_linker(), f"bound {next(_numbers)}")
+        call = ctypes.PYFUNCTYPE(None)(library[ENTRY])
+        return BoundFunction(call, results, arrays, (library, self))
+
+    def _completed(self, given: Sequence[Any]) -> Sequence[Any]:
+        """Return all arguments for those that a caller has given."""
+        values = list(given) if self.work is None else [*given, np.empty(self.work)]
+        if len(values) != len(self.arguments):
+            raise TypeError(f"{self.name} takes {', '.join(self.arguments)}: got {len(given)} arguments")
+        return values
+
+    def _check(self, name: str, kind: str, dimension: int, value: Any) -> None:  # noqa: ANN401
+        """Refuse what machine code cannot read as an array."""
+        if not isinstance(value, np.ndarray):
+            raise TypeError(f"{self.name}: {name} must be an array, not {type(value).__name__}")
+        dtype = np.int64 if kind in {"int", "IntVector", "IntMatrix"} else np.float64
+        if value.ndim != dimension or value.dtype != dtype or not value.flags.c_contiguous:
+            raise TypeError(
+                f"{self.name}: {name} must be a C-contiguous {dtype.__name__} array of dimension "
+                f"{dimension}, not {value.dtype} of shape {value.shape}"
+            )
 
     def prepare(self) -> Any:  # noqa: ANN401  (a ctypes function)
         """Compile or load the function now; return its C interface."""
@@ -236,6 +289,7 @@ def _processor() -> str:
 
 _libraries: dict[str, Any] = {}  # the machine code that this process has linked, which lives as long as these
 _linking = threading.Lock()
+_numbers = itertools.count()  # of bound functions, each of which is a library of its own
 
 
 def symbol(name: str) -> str:
@@ -254,6 +308,11 @@ def _linked(content: str, code: bytes, addresses: Mapping[str, int]) -> int:
                 builder.import_symbol(one, address)
             _libraries[name] = builder.link(_linker(), name)
         return int(_libraries[name][ENTRY])
+
+
+def _pointer(address: int) -> str:
+    """Return an address as LLVM code has it."""
+    return f"ptr inttoptr (i64 {address} to ptr)"
 
 
 @cache

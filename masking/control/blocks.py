@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 else:
     sp = lazy.load("sympy")
 
+# What to do about a matrix W = J B that becomes singular on the way.
+INVERTIBLE = "choose a transform that is invertible, and that the actuators can follow, over the whole motion"
+
 
 @dataclass(frozen=True)
 class Transform:

@@ -24,10 +24,11 @@ from masking.numerics.arrays import Array
 if TYPE_CHECKING:
     import control
 
-    from masking.numerics import integrators, sampled_loop
+    from masking.numerics import integrators, sampled_loop, single_step
 else:
     integrators = lazy.load("masking.numerics.integrators", suppress_warning=True)
     sampled_loop = lazy.load("masking.numerics.sampled_loop", suppress_warning=True)
+    single_step = lazy.load("masking.numerics.single_step", suppress_warning=True)
     control = lazy.load("control")
 
 
@@ -160,7 +161,9 @@ class ClosedLoop:
 
     def _build(self) -> Module:
         check_actuation(self.controller.model, self.controller.transform)
-        return module(self)
+        made = module(self)
+        made.add_factory("answer", single_step.law_step, "step", len(self.plant.coordinates), len(self.plant.inputs))
+        return made
 
 
 def module(loop: ClosedLoop) -> Module:

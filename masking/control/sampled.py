@@ -7,7 +7,7 @@ actuators, limits. It is compiled whole, alone to run against a rig, and togethe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -22,16 +22,16 @@ from masking.control.blocks import check_actuation
 from masking.control.instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols, check_same_rig
 from masking.control.observer import Differences, Observer
-from masking.errors import ModelError
 from masking.modelling.lowering import LoweredEquations
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import HEATING, LARGEST, TIME, Sizes
 from masking.rig.twin import Twin
 
 if TYPE_CHECKING:
-    from masking.numerics import integrators, sampled_loop
+    from masking.numerics import integrators, sampled_loop, single_step
 else:
     integrators = lazy.load("masking.numerics.integrators", suppress_warning=True)
+    single_step = lazy.load("masking.numerics.single_step", suppress_warning=True)
     sampled_loop = lazy.load("masking.numerics.sampled_loop", suppress_warning=True)
 
 
@@ -146,7 +146,14 @@ class SampledController:
         meta = {"kind": "controller", "coordinates": list(self.controller.model.coordinates)}
         module = Module(f"{self.instruments.plant.name}, masked as {self.controller.virtual.name}", meta)
         self.add_to(module)
+        module.add_factory("answer", single_step.sampled_step, "control", self.sizes, work=self.work)
         return module
+
+    @property
+    def work(self) -> tuple[int, int]:
+        """Return the shape of the work space of a step."""
+        rows, width = self.sizes.work
+        return rows, max(width, len(self.instruments.sensors))
 
     def add_to(self, module: Module) -> None:
         """Add the parts of the controller and `control`, which is all of them, to a generated module."""
@@ -154,9 +161,7 @@ class SampledController:
         for signature, results, returns in lowered.functions():
             loads = lowered.loads if "q, v" not in signature else lowered.apart
             module.add(signature, lowered.graph, results, loads, returns)
-        sizes = self.sizes
-        rows, width = sizes.work
-        work = (rows, max(width, len(self.instruments.sensors)))
+        sizes, work = self.sizes, self.work
         if self.has_model:
             parts = ("law", "rate", "measure", "allocate", "wire", "virtual", "momentum")
             module.add_factory("control", sampled_loop.control_with_model, *parts, sizes, work=work)
@@ -165,8 +170,8 @@ class SampledController:
             module.add_factory("skip", sampled_loop.skip_with_differences, sizes, work=work)
         module.add_factory("transforms", sampled_loop.transforms, "transform", sizes.coordinates)
 
-    def begin(self, readings: Array) -> Memory:
-        """Return the memory of a controller that starts on a rig at rest, which it holds where it is.
+    def begin(self, readings: Array) -> Beginning:
+        """Return how a controller begins on a rig at rest, which it holds where it is.
 
         Args:
             readings: what the sensors read first (sensors,).
@@ -187,7 +192,7 @@ class SampledController:
         power = warmed * self.limits[:, HEATING] * command**2
         balance = np.zeros(sizes.balance.stop - sizes.balance.start)
         x = np.concatenate([estimate, power, estimate, balance, self._standing(q), np.tile(acting, self.delay)])
-        return Memory(self, x, p, command)
+        return Beginning(x, p, command)
 
     def _standing(self, q: Array) -> Array:
         """Return what the memory holds of a rest at coordinates (n,), as `Sizes.rest` says."""
@@ -198,70 +203,19 @@ class SampledController:
         return np.concatenate([np.zeros(len(expected)), expected, [-self.homing, part]])
 
 
-@dataclass
-class Memory:
-    """The evolving state of a sampled controller.
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """What a sampled controller knows when it begins.
 
     Args:
-        controller: the controller.
         x: its memory, as `masking.numerics.sizes.Sizes.power` says.
         p: its parameter array.
         holding: the commands (actuators,) that hold the rig where it was found.
-
-    Beside them, `demanded` and `applied` are the last commands before and after the limits.
     """
 
-    controller: SampledController
     x: Array
     p: Array
     holding: Array
-    demanded: Array = field(init=False)
-    applied: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.demanded, self.applied = np.zeros(self.controller.sizes.actuators), self.holding.copy()
-        self._gain, self._limits = self.controller.gain, self.controller.limits
-        self._control, self._blind = self.controller.kernels.control, np.zeros_like(self._gain)
-        self._next: int | None = None
-
-    def step(self, index: int, readings: Array) -> Array:
-        """Return the commands (actuators,) that answer the readings (sensors,) of a sample; 0 is the release.
-
-        Raises:
-            ModelError: the commands are not finite.
-        """
-        h = 1.0 / self.controller.rate
-        for missed in range(index if self._next is None else self._next, index):
-            self._miss(missed * h, h, readings)
-        self._next = index + 1
-        self.applied = applied = np.empty_like(self.demanded)
-        self._control(index * h, h, readings, self.x, self.p, self._gain, self._limits, self.demanded, applied)
-        if not np.isfinite(applied).all():
-            names = self.controller.instruments.actuators
-            bad = ", ".join(n for n, value in zip(names, applied, strict=True) if not np.isfinite(value))
-            raise ModelError(f"the controller's command of {bad} is no longer finite, at sample {index}")
-        return applied
-
-    def _miss(self, t: float, h: float, readings: Array) -> None:
-        """Step over a sample that was missed, at time t.
-
-        The observer is propagated with the command that it would have sent. In fact the previous command was held; the
-        observer sees the difference as a short disturbance and rejects it. measured: ten times 15 samples missed in
-        7000 cost 0.003 of masking error; propagated with the command that was held, 0.39.
-        """
-        limits, power, command = self._limits, self.x[self.controller.sizes.power], self.applied
-        if not self.controller.has_model:
-            self.controller.kernels.skip(t, h, self.x, self.p, limits, command)
-            return
-        before, scratch = power.copy(), np.empty_like(command)
-        self._control(t, h, readings, self.x, self.p, self._blind, limits, scratch, scratch.copy())
-        part = -np.expm1(-h / limits[:, TIME])
-        power[:] = before + part * (limits[:, HEATING] * command**2 - before)
-
-    @property
-    def estimate(self) -> Array:
-        """Return the estimated rig state [q, v, s] at the last sample."""
-        return self.x[: self.controller.sizes.states]
 
 
 Results = list[tuple[str, Node]]

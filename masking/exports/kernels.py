@@ -175,7 +175,7 @@ def controller_step(control: Kernel, instant: Kernel, actuators: int, period: fl
 
 
 def miss_with_model(control: Kernel, instant: Kernel, sizes: Sizes, period: float) -> Kernel:
-    """Make the step over a sample that was missed, as `masking.control.sampled.Memory` takes it.
+    """Make the step over a sample that was missed, as `masking.control.step.SampledStep` takes it.
 
     Returns:
         `miss(readings, x, p, applied, unsent, before, work, counters, blind, limits)`, for the readings of the next

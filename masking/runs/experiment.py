@@ -18,6 +18,7 @@ from masking.control.instruments import Instruments
 from masking.control.law import Controller
 from masking.control.observer import Differences, Kalman, Observer
 from masking.control.sampled import SampledController, SampledLoop
+from masking.control.step import LawStep, SampledStep
 from masking.declaration import cross_checks, registry, schema
 from masking.display import fragments
 from masking.errors import DeclarationError, ModelError, Problem
@@ -219,6 +220,20 @@ class Experiment:
     def sampled_loop(self) -> SampledLoop:
         """Return sampled controller and twin, compiled together."""
         return SampledLoop(self.sampled, self.twin)
+
+    def controller(self) -> SampledStep | LawStep:
+        """Return the controller for a loop of one's own; each call of this gives one of its own.
+
+        An experiment whose controller reads sensors gives a `SampledStep`, called with readings; one whose controller
+        knows the true state gives a `LawStep`, called with time and state. Everything is compiled here.
+
+        Raises:
+            MaskingError: as for `validate`.
+        """
+        self.validate()
+        if self.has_observer:
+            return SampledStep(self.sampled)
+        return LawStep(self.loop, self.instruments.allocation_inverse, self.instruments.actuators)
 
     @cached_property
     def stop_condition(self) -> StopCondition | None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import lazy_loader as lazy
 import numpy as np
 
+from masking.control.blocks import INVERTIBLE
 from masking.control.closed_loop import ClosedLoop
 from masking.declaration.expression import Expression
 from masking.declaration.operations import CONSTANTS, OPERATIONS, Step
@@ -25,7 +26,6 @@ from masking.numerics.arrays import Array
 from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME
 from masking.runs.experiment import Experiment
 from masking.runs.offline import rig_state
-from masking.runs.stopping import INVERTIBLE
 
 if TYPE_CHECKING:
     from scipy import signal

@@ -10,7 +10,8 @@ from typing import final
 import numpy as np
 
 from masking.analysis.synchronisation import Watch
-from masking.control.sampled import Memory, SampledController
+from masking.control.sampled import SampledController
+from masking.control.step import SampledStep
 from masking.errors import MaskingError, ModelError
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import LARGEST
@@ -110,10 +111,12 @@ def run(
     sampled = experiment.sampled
     before = sampled.before
     after = int(np.floor(experiment.declaration.duration * experiment.time_scale * sampled.rate * (1.0 + 1e-12))) + 1
-    _prepare(sampled)
+    controller = _prepare(sampled)
     condition = experiment.stop_condition
-    watched = _Watched(condition.detector.begin(), condition.columns, experiment.every) if condition else None
-    keeper = _Keeper(sampled, before, after, watched)
+    watched = None
+    if condition:
+        watched = _Watched(condition.detector.begin(), condition.columns, experiment.every, controller)
+    keeper = _Keeper(controller, before, after, watched)
     declared, instruments = experiment.assembly.plant, experiment.instruments
     wanted = Path(next(iter(declared.files), declared.name)).stem
 
@@ -164,11 +167,11 @@ def _check(experiment: Experiment) -> None:
     experiment.validate()
 
 
-def _prepare(sampled: SampledController) -> None:
-    """Compile and load everything before the plant is touched."""
-    for name in ("control", "still", "transform", "transforms", *([] if sampled.has_model else ["skip"])):
+def _prepare(sampled: SampledController) -> SampledStep:
+    """Compile and load everything before the plant is touched; return the controller, ready to begin."""
+    for name in ("transform", "transforms"):
         getattr(sampled.kernels, name).prepare()
-    _ = sampled.gain
+    return SampledStep(sampled)
 
 
 @dataclass
@@ -179,18 +182,20 @@ class _Watched:
         watch: what has been seen of it.
         columns: where the two are among the virtual coordinates.
         every: of how many samples one is looked at: those that are recorded, as offline.
+        controller: that is watched.
     """
 
     watch: Watch
     columns: tuple[int, int]
     every: int
+    controller: SampledStep
 
-    def follow(self, memory: Memory) -> None:
-        """Watch a controller that has begun."""
-        n = memory.controller.sizes.coordinates
-        self._transform, self._p = memory.controller.kernels.transform, memory.p
-        self._q, self._v = memory.estimate[:n], memory.estimate[n:]
-        self._virtual = np.empty(2 * len(memory.controller.controller.virtual.coordinates))
+    def __post_init__(self) -> None:
+        estimate, sampled = self.controller.estimate, self.controller.sampled
+        n = sampled.sizes.coordinates
+        self._transform, self._p = sampled.kernels.transform, self.controller.parameters
+        self._q, self._v = estimate[:n], estimate[n:]
+        self._virtual = np.empty(2 * len(sampled.controller.virtual.coordinates))
 
     def step(self, index: int, t: float) -> None:
         """Look at a sample at time t, which the controller has answered."""
@@ -206,17 +211,16 @@ class _Keeper:
     """A sampled controller with a row for each of its steps.
 
     Args:
-        sampled: the controller.
+        controller: the controller, which begins with the first sample.
         before: samples before the release.
         after: samples from the release on.
         watched: what ends the run before that.
     """
 
-    def __init__(self, sampled: SampledController, before: int, after: int, watched: _Watched | None) -> None:
-        self.sampled, self.before, self.after, self.watched = sampled, before, after, watched
-        self.memory: Memory | None = None
+    def __init__(self, controller: SampledStep, before: int, after: int, watched: _Watched | None) -> None:
+        self.controller, self.before, self.after, self.watched = controller, before, after, watched
         self.first, self.row = 0, 0
-        sizes, samples = sampled.sizes, before + after
+        sizes, samples = controller.sampled.sizes, before + after
         self.estimates = np.zeros((samples, sizes.states))
         self.demanded = np.zeros((samples, sizes.actuators))
         self.power = np.zeros((samples, sizes.actuators))
@@ -247,20 +251,18 @@ class _Keeper:
 
     def step(self, tick: int, readings: Array) -> Array:
         """Return the commands (actuators,) that answer the readings (sensors,) of a tick of the plant."""
-        if self.memory is None:
-            self.memory, self.first = self.sampled.begin(readings), tick
-            if self.watched is not None:
-                self.watched.follow(self.memory)
+        controller, row = self.controller, self.row
+        if row == 0:
+            self.first = tick
         index = tick - self.first - self.before
-        applied = self.memory.step(index, readings)
-        row = self.row
+        applied = controller(readings, index)
         self.row += 1
         self.index[row] = index
-        self.estimates[row] = self.memory.estimate
-        self.demanded[row] = self.memory.demanded
-        self.power[row] = self.memory.x[self.sampled.sizes.power]
+        self.estimates[row] = controller.estimate
+        self.demanded[row] = controller.demanded
+        self.power[row] = controller.power
         if self.watched is not None:
-            self.watched.step(index, index / self.sampled.rate)
+            self.watched.step(index, index / controller.rate)
         return applied
 
     def rows(self, ran: RigRun, every: int) -> TwinRun:
@@ -268,7 +270,7 @@ class _Keeper:
         index = self.index[: self.row]
         kept = np.flatnonzero((index >= 0) & (index < self.after) & (index % every == 0))
         return TwinRun(
-            index[kept] / self.sampled.rate,
+            index[kept] / self.controller.rate,
             self.estimates[kept],
             self.estimates[kept],
             ran.sensors[kept],

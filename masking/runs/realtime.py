@@ -177,9 +177,9 @@ def _loop(
         sample = plant.read()
         began = time.perf_counter()
         rows.begin(sample.index, sample.values, began, deadlines.missed)
-        demanded = step(sample.index, sample.values)
-        rows.durations[row] = time.perf_counter() - began
         try:
+            demanded = step(sample.index, sample.values)
+            rows.durations[row] = time.perf_counter() - began
             command = rows.limited(demanded, plant.actuators)
         except CommandError:
             plant.write(sample.index, rows.applied[row])  # still zero

@@ -14,6 +14,7 @@ import numpy as np
 from masking.analysis.synchronisation import Detector, period
 from masking.analysis.synchronisation.detector import PHASES
 from masking.codegen.kernels import Kernels
+from masking.control.blocks import INVERTIBLE
 from masking.declaration.schema import Stop
 from masking.errors import IntegrationError, ModelError
 from masking.modelling.model import Model
@@ -36,7 +37,6 @@ REASONS: Final = {
     REFUSED: "the controller's command was not one finite number for each actuator",
     FAILED: "an error was raised",
 }
-INVERTIBLE: Final = "choose a transform that is invertible, and that the actuators can follow, over the whole motion"
 _ROWS: Final = 2**15  # of the ideal motion, of which the period is taken
 
 

@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 HEAD = ("what", "ours", "theirs", "ratio", "aim", "verdict")
-PACKAGES = ("masking", "numba", "numpy", "scipy", "sympy", "numbalsoda", "heyoka", "control")
+PACKAGES = ("masking", "numba", "numpy", "scipy", "sympy", "numbalsoda", "heyoka", "control", "casadi")
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from masking.control.step import SampledStep
 from masking.numerics import sampled_loop as sampling
 from masking.runs.experiment import Experiment
 from tests.benchmarks.table import Row, interleaved, judged, missing, ratio, told
@@ -221,7 +222,11 @@ class Boxes(Loop):
 class Step(Whole):
     """One step of the controller after the other, as a rig calls it."""
 
+    def __init__(self, found: Experiment) -> None:
+        super().__init__(found)
+        self.step = SampledStep(self.sampled)
+
     def __call__(self) -> None:
-        _, memory, _ = self.begin()
+        self.step.reset(self.reading)
         for index in range(SAMPLES):
-            memory.step(index, self.reading)
+            self.step(self.reading, index)

@@ -1,0 +1,92 @@
+"""A controller that is called from Python: what a call costs beyond the compiled law, and casadi's buffered Function.
+
+Both compute the same control law: casadi gets the statements of the generated source, with its own symbols.
+"""
+
+from __future__ import annotations
+
+import timeit
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from masking.control.step import LawStep, SampledStep
+from masking.runs.experiment import Experiment
+from tests.benchmarks.table import Row, limited, missing, told
+
+CALLS, ROUNDS = 1000, 600
+LARGEST_DIFFERENCE = 1e-12
+MOST = 1000.0  # ns
+
+
+def rows() -> Iterator[Row]:
+    """Measure the Duffing law with a known state, and the clocks on the imperfect rig with an observer."""
+    law, sampled = Experiment.load("duffing").controller(), Experiment.load("huygens_rig").controller()
+    assert isinstance(law, LawStep)
+    assert isinstance(sampled, SampledStep)
+    state = np.array([1e-3, 2e-3, -1e-3, 0.01, 0.0, 0.02])
+    readings = np.array([0.01, -0.01, 0.02])
+    yield beyond("step(t, state), duffing", law._bound.call, law, (0.1, state))
+    for name, given in (("array", readings), ("list", readings.tolist())):
+        sampled.reset(readings)
+        sampled(readings)
+        yield beyond(f"step(readings), huygens_rig, {name}", sampled._bound[0].call, sampled, (given,))
+    yield casadi_row(law, state)
+
+
+def empty(*_: object) -> None:
+    """Do nothing, to be called."""
+
+
+def nanoseconds(*calls: tuple[Callable[..., object], tuple[object, ...]]) -> list[float]:
+    """Return the shortest time of a call of each function with its arguments, measured in turn."""
+    timers = []
+    for called, arguments in calls:
+        names = {f"a{i}": value for i, value in enumerate(arguments)}
+        timers.append(timeit.Timer(f"called({', '.join(names)})", globals={"called": called, **names}))
+    rounds = [[timer.timeit(CALLS) for timer in timers] for _ in range(ROUNDS)]
+    return [min(times) / CALLS * 1e9 for times in zip(*rounds, strict=True)]
+
+
+def beyond(what: str, bare: Callable[[], object], step: Callable[..., object], given: tuple[object, ...]) -> Row:
+    """Give the row of what a call costs beyond the machine code that it calls."""
+    compiled, called, nothing = nanoseconds((bare, ()), (step, given), (empty, given))
+    note = f"a call takes {called:.0f} ns, the machine code {compiled:.0f} ns, an empty call {nothing:.0f} ns"
+    value = called - compiled
+    return limited(f"beyond the compiled law: {what}", f"{value:.0f} ns", "", value, at_most=MOST, unit="ns", note=note)
+
+
+def casadi_row(law: LawStep, state: np.ndarray) -> Row:
+    """Give the row of the Duffing law beside casadi's buffered Function."""
+    what = "control law called from Python, duffing"
+    if find_spec("casadi") is None:
+        return missing(what, "casadi is not installed")
+    evaluate, inputs, *kept = buffered(law, state)
+    evaluate()
+    law(0.1, state)
+    difference = float(np.max(np.abs(inputs - law.inputs)) / np.max(np.abs(inputs)))
+    if difference > LARGEST_DIFFERENCE:
+        return missing(what, f"inputs differ by {difference:.1e}")
+    ours, theirs, nothing = nanoseconds((law, (0.1, state)), (evaluate, ()), (empty, (0.1, state)))
+    note = f"inputs differ by {difference:.1e}; an empty call {nothing:.0f} ns; casadi's buffers are filled before"
+    del kept
+    return told(what, f"{ours:.0f} ns", f"{theirs:.0f} ns", theirs / ours, note)
+
+
+def buffered(law: LawStep, state: np.ndarray) -> tuple[Any, ...]:
+    """Return casadi's buffered Function of the law's generated source, the inputs that it writes, and what it needs."""
+    import casadi
+
+    n, m, p = len(law.loop.plant.coordinates), len(law.inputs), law.loop.values()
+    symbols: Any = casadi.SX.sym("y", 2 * n)
+    u: list[Any] = [None] * m
+    source = law.loop.kernels.generated.module().step.py_func
+    source(0.0, [symbols[i] for i in range(n)], [symbols[n + i] for i in range(n)], u, p.tolist())
+    made = casadi.Function("law", [symbols], [casadi.vertcat(*u)])
+    buffer, evaluate = made.buffer()
+    inputs = np.zeros(m)
+    buffer.set_arg(0, memoryview(state))
+    buffer.set_res(0, memoryview(inputs))
+    return evaluate, inputs, buffer, made
