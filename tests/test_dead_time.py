@@ -14,6 +14,7 @@ from masking.estimation.data import Data
 from masking.estimation.fit import fit
 from masking.estimation.kalman import extended_kalman
 from masking.estimation.sensitivity import Sensitivity
+from masking.estimation.simulation import simulate
 from masking.plants.interface import Settings
 from masking.plants.simulated import SimulatedPlant
 from masking.rig.twin import Twin
@@ -124,3 +125,15 @@ def test_a_dead_time_is_fitted_with_the_other_parameters(tmp_path, begun):
     assert found.twin.late(RATE)[0] == pytest.approx(1.37, abs=0.01)
     with pytest.raises(ModelError, match="late_tau: a filter cannot follow a dead time; take the method least-squares"):
         extended_kalman(twin, record, ("late_tau",), measurement=1.0, process=1.0, parameters=1.0, initial=1.0)
+
+
+def test_the_first_commands_stand_for_those_before_where_readings_are_too_few(tmp_path):
+    """Four readings of either sensor; commands before the record make all but one of them, which gives no speed."""
+    twin, rng = carts(tmp_path, 0.025), np.random.default_rng(5)
+    commands, times = rng.normal(size=(SAMPLES, 2)), np.arange(SAMPLES) / RATE
+    commands[:1] = 0.0
+    exact = np.array([moved(commands[:, 0], 0.025, times), moved(commands[:, 1], 0.0, times)]).T
+    exact += 0.3 * times[:, None] + 0.01
+    record = Data("made", RATE, commands, exact + 1e-9 * rng.standard_normal(exact.shape), late=twin.late(RATE))
+    made = simulate(twin, record, initial=4 / RATE)
+    assert np.abs(made.readings - exact).max() < 1e-5 * np.abs(exact).max()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
 from masking.errors import IntegrationError
-from masking.estimation.data import Data
+from masking.estimation.data import NOT_LATE, Data
 from masking.estimation.least_squares import NO_BOUNDS, Damping, Dense, Linearised, minimise
 from masking.estimation.sensitivity import NormalEquations, Sensitivity
 from masking.numerics.arrays import Array
@@ -106,7 +106,9 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
         twin: the plant, with the values to simulate with.
         record: commands and readings.
         shared: parameters that a fit had free: its compiled functions are then used again.
-        initial: s from the beginning whose readings the initial state is estimated from; by default all.
+        initial: s from the beginning whose readings the initial state is estimated from; by default all. Readings that
+            commands from before the record make count only where the others are too few: the first commands are then
+            taken for these.
 
     Raises:
         IntegrationError: the motion is not finite from any initial state that was tried.
@@ -115,6 +117,8 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
     size = np.maximum(np.abs(record.readings).max(axis=0), 1e-300)
     weights = np.maximum(record.noise, 1e-12 * size) ** -2.0
     beginning = record if initial is None else record.first(initial)
+    if np.isfinite(beginning.counted()).sum() < len(twin.free):  # the first commands have acted before, too
+        beginning = replace(beginning, commands=beginning.acting, late=NOT_LATE)
     theta, basis, steps = sensing.start(), sensing.basis(sensing.start()), twin.substeps(record.rate)
     state, found = nearest(sensing, theta, beginning, weights)
 
