@@ -18,6 +18,7 @@ import numpy as np
 
 from masking.codegen.graph import Graph, Node
 from masking.codegen.linear import solve
+from masking.declaration import transforms
 from masking.errors import ActuationError, ModelError
 from masking.modelling.lowering import LoweredEquations
 from masking.modelling.model import Model
@@ -62,23 +63,34 @@ class Transform:
         """Return eta = T(q) as a column (k, 1) in the rig's coordinate symbols.
 
         Raises:
-            ModelError: the identity has another number of coordinates than the rig.
+            ModelError: the identity finds neither the names of the virtual coordinates in the rig nor as many.
         """
         q = self.rig.equations.symbols.q
         matrix, expressions = self.declaration.matrix, self.declaration.expressions
         if matrix is None and expressions is None:
-            if len(q) != len(self.virtual.coordinates):
+            chosen = transforms.selected(self.rig.coordinates, self.virtual.coordinates)
+            if chosen is None:
                 raise ModelError(
-                    "transform: identity needs as many virtual coordinates as rig coordinates; "
-                    f"{self.virtual.name} has {len(self.virtual.coordinates)}, {self.rig.name} has {len(q)}; "
-                    "declare a matrix or expressions"
+                    "transform: identity takes rig coordinates by the names of the virtual ones, or all in order; "
+                    f"{self.virtual.name} has {', '.join(self.virtual.coordinates)}, {self.rig.name} has "
+                    f"{', '.join(self.rig.coordinates)}; declare a matrix or expressions"
                 )
-            return sp.ImmutableMatrix(q)
+            return sp.ImmutableMatrix([q[i] for i in chosen])
         known = {s.name: s for s in (*q, *self.parameter_symbols)}
         if expressions is not None:
             return sp.ImmutableMatrix([expressions[c].to_sympy(known) for c in self.virtual.coordinates])
         rows = [[e.to_sympy(known) for e in row] for row in matrix or ()]
         return sp.ImmutableMatrix(sp.Matrix(rows) * sp.Matrix(q))
+
+    @cached_property
+    def passive(self) -> tuple[int, ...]:
+        """Return the indices of the n - k rig coordinates that no virtual one stands for: they move as the rig lets them.
+
+        They are those that the transform does not name, and of those that it names the last ones that are needed.
+        """
+        coordinates, virtual = self.rig.coordinates, self.virtual.coordinates
+        names = transforms.passive(self.declaration, coordinates, virtual)
+        return tuple(i for i, name in enumerate(coordinates) if name in names)
 
     @cached_property
     def jacobian(self) -> sp.ImmutableMatrix:
@@ -303,7 +315,8 @@ def decouple(
 def check_actuation(model: Model, transform: Transform) -> None:
     """Refuse a rig whose inputs cannot accelerate each virtual coordinate independently of the others.
 
-    The rank of W = J B is taken at random states and parameters, where it is as large as it can be.
+    The rank of W = J B is taken at random states and parameters, where it is as large as it can be. Coordinates that
+    no virtual one stands for stay as the rig has them, and need no input.
 
     Raises:
         ActuationError: names the virtual coordinates that cannot be masked.
@@ -320,7 +333,8 @@ def check_actuation(model: Model, transform: Transform) -> None:
     jacobian = number(transform.jacobian)
     if np.linalg.matrix_rank(jacobian) < len(jacobian):
         unused = [c for c, column in zip(model.coordinates, jacobian.T, strict=True) if not column.any()]
-        why = f"none depends on {', '.join(unused)}" if unused else "they depend on each other"
+        is_square = len(jacobian) == len(model.coordinates)
+        why = f"none depends on {', '.join(unused)}" if unused and is_square else "they depend on each other"
         raise ModelError(
             f"transform: not invertible: {', '.join(transform.virtual.coordinates)} do not move independently of each "
             f"other with the rig's coordinates; {why}"
@@ -331,10 +345,13 @@ def check_actuation(model: Model, transform: Transform) -> None:
     missed = [name for i, name in enumerate(names) if abs(reachable[i, i] - 1.0) > 1e-8]
     if missed:
         have = ", ".join(model.inputs) or "none"
+        count, most = int(np.linalg.matrix_rank(decoupling)) if decoupling.size else 0, len(model.coordinates)
+        ways = f"declare a virtual system without {missed[0]}, which the rig then moves as it does by itself (passive)"
+        if count < most:
+            ways += f"; at most {count} of the {most} coordinates can be driven"
         raise ActuationError(
             f"{model.name} cannot be masked as {transform.virtual.name}: its inputs ({have}) cannot accelerate "
-            f"{', '.join(missed)} independently of the other coordinates; add actuators, or declare a virtual system "
-            f"that leaves {missed[0]} as it is",
+            f"{', '.join(missed)} independently of the other coordinates; add actuators, or {ways}",
             missed,
         )
 

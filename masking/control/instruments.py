@@ -31,6 +31,7 @@ class Instruments:
         factors: size in SI units of each unit that the plant file uses.
         noise: standard deviation of a reading of each sensor for which it is known, in the sensor's unit.
         delay: samples between a reading and the first effect of the command that answers it.
+        driven: slope (k, n) of what the controller drives by the coordinates at rest; by default it drives each.
     """
 
     plant: schema.PlantDeclaration
@@ -38,6 +39,7 @@ class Instruments:
     factors: Mapping[str, float]
     noise: Mapping[str, float]
     delay: int
+    driven: Array | None = None
 
     @property
     def actuators(self) -> tuple[str, ...]:
@@ -129,7 +131,8 @@ class Instruments:
                 "the plant file, or write controller.observer.noise, in the sensors' units"
             )
         levels = np.array([self.noise[name] if noise is None else noise for name in self.sensors])
-        command = self.allocation_inverse @ np.linalg.pinv(driven) / self.limits()[:, [LARGEST]]
+        slope = np.eye(n) if self.driven is None else self.driven
+        command = self.allocation_inverse @ np.linalg.pinv(slope @ driven) @ slope / self.limits()[:, [LARGEST]]
         return Plan(dynamics, sensing, command, levels, 1.0 / rate, self.delay)
 
     def _linear(self) -> tuple[Array, Array]:

@@ -59,6 +59,14 @@ class Controller:
         has_scales = self.virtual.is_dimensionless or self.virtual.units.is_plain
         return self.model.lengths if has_scales else np.ones(len(self.model.coordinates))
 
+    @property
+    def driven(self) -> Array:
+        """Return the slope of the virtual coordinates by the rig's at rest at zero (k, n), per SI unit of the latter."""
+        zero = dict.fromkeys(self.transform.rig.equations.symbols.q, 0)
+        known = zero | {s: self.transform_parameters[s.name] for s in self.transform.parameter_symbols}
+        slope = np.array(self.transform.jacobian.subs(known).evalf().tolist(), dtype=float)
+        return np.asarray(slope / self.lengths, dtype=np.float64)
+
     def values(self) -> Array:
         """Return the parameter array of the control law: model, virtual system, transform, lengths, time scale."""
         own = [self.transform_parameters[name] for name in self.transform.parameters]

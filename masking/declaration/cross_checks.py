@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from masking.declaration import transforms
 from masking.declaration.checks import accelerations, check_symbols, parameter_values, problem_at, velocities
 from masking.declaration.couplings import is_fed
 from masking.declaration.expression import Expression
@@ -83,7 +84,7 @@ def check_experiment(
     problems += _overrides(experiment, "parameters", experiment.parameters, virtual_model)
     assumed = believed_model or plant_model
     problems += _overrides(experiment, "controller.parameters", experiment.controller.parameters, assumed)
-    problems += _initial(experiment, virtual_model)
+    problems += _initial(experiment, virtual_model, plant_model)
     problems += _effects(experiment, plant)
     problems += _sampling(experiment)
     if experiment.controller.energy_balance is not None and not (virtual_model.energy or virtual_model.lagrangian):
@@ -271,12 +272,18 @@ def _regulation(experiment: ExperimentDeclaration) -> Iterator[Problem]:
             yield problem_at(experiment, f"controller.regulate.{name}", message, mend, at_key=True)
 
 
-def _initial(experiment: ExperimentDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
-    allowed = [*model.coordinates, *velocities(model.coordinates)]
+def _initial(experiment: ExperimentDeclaration, model: ModelDeclaration, rig: ModelDeclaration) -> Iterator[Problem]:
+    free = transforms.passive(experiment.transform, [*rig.coordinates], [*model.coordinates])
+    allowed = [*model.coordinates, *velocities(model.coordinates), *free, *velocities(free)]
     for name in experiment.initial:
         if name not in allowed:
-            message = f"'{name}' is not a coordinate of {model.name}, nor the velocity of one"
+            what = f", nor a passive one of the rig ({', '.join(free)})" if free else ""
+            message = f"'{name}' is not a coordinate of {model.name}, nor the velocity of one{what}"
             yield problem_at(experiment, f"initial.{name}", message, nearest(name, allowed), at_key=True)
+        elif name.rstrip("'") not in model.coordinates and experiment.controller.homing is not None:
+            message = f"{name.rstrip(chr(39))} is passive: homing cannot bring it to a value"
+            mend = "leave it out: it begins as homing leaves it; or leave homing out, in a simulation"
+            yield problem_at(experiment, f"initial.{name}", message, mend, at_key=True)
     for name, coordinate in model.coordinates.items():
         if coordinate.initial is None and name not in experiment.initial:
             message = f"no initial value for {name}"
@@ -288,10 +295,14 @@ def _transform(
     experiment: ExperimentDeclaration, rig: ModelDeclaration, virtual: ModelDeclaration
 ) -> Iterator[Problem]:
     transform, rows, columns = experiment.transform, len(virtual.coordinates), len(rig.coordinates)
-    if rows != columns:
+    if rows > columns:
         message = f"{virtual.name} has {rows} coordinates and the rig {columns}"
-        yield problem_at(experiment, "virtual", message, "a transform needs as many on both sides")
+        yield problem_at(experiment, "virtual", message, "a virtual system has at most as many as its rig")
         return
+    if transform.kind == "identity" and transforms.selected([*rig.coordinates], [*virtual.coordinates]) is None:
+        message = f"the identity takes rig coordinates by name, and the rig has {', '.join(rig.coordinates)}"
+        mend = f"say what {', '.join(virtual.coordinates)} are: 'transform: {{expressions: {{...}}}}', or a matrix"
+        yield problem_at(experiment, "virtual", message, mend)
     if transform.matrix is not None and transform.expressions is not None:
         yield problem_at(experiment, "transform", "a transform is a matrix or expressions, not both")
     used: set[str] = set()

@@ -28,7 +28,8 @@ from masking.records.recording import Recording
 from masking.rig.twin import PlacedEffect, Twin
 from masking.runs import manifest
 from masking.runs.columns import Columns
-from masking.runs.offline import Run, TwinRun, cut, rig_state, run_continuous, run_sampled, run_twin
+from masking.runs.offline import Mapped, Run, TwinRun, cut, rig_state, run_continuous, run_sampled, run_twin
+from masking.runs.passive import Passive
 from masking.runs.record_rate import rows_per_unit
 from masking.runs.stopping import SYNCHRONISED, StopCondition
 
@@ -169,7 +170,8 @@ class Experiment:
     def instruments(self) -> Instruments:
         """Return what the controller knows of sensors, actuators and limits."""
         assumed, factors = self.twin.changed(self.assumed_effects), self.twin.kernels.meta["factors"]
-        return Instruments(self.assembly.plant, self.law.model, factors, assumed.noise(), assumed.delay)
+        plant, model, driven = self.assembly.plant, self.law.model, self.law.driven
+        return Instruments(plant, model, factors, assumed.noise(), assumed.delay, driven)
 
     @cached_property
     def assumed_effects(self) -> dict[str, schema.EffectChange]:
@@ -207,8 +209,10 @@ class Experiment:
             np.zeros(len(self.law.model.coordinates)),
             settings.rest or 0.0,
         )
-        state = rig_state(made, self.virtual.initial_state(self.declaration.initial))
+        state = self.rig_start(made)
         n = len(made.end)
+        if self.passive:
+            self.passive.check_still()
         if made.homing and np.any(np.abs(state[n:]) > 1e-12 * np.abs(state[:n]).max()):
             raise ModelError(
                 "controller.homing brings the rig to rest, but the initial state moves: give no initial velocities, "
@@ -241,7 +245,7 @@ class Experiment:
         declaration, rate = self.declaration, self.declaration.controller.rate
         if declaration.stop is None:
             return None
-        initial = self.virtual.initial_state(declaration.initial)
+        initial = self.virtual_start
         step = 1.0 / self._rows_per_unit if rate is None else self.every / (rate * self.time_scale)
         return StopCondition.of(declaration.stop, self.virtual, initial, step=step, duration=declaration.duration)
 
@@ -251,7 +255,24 @@ class Experiment:
         declared = self.declaration.record.rate if self.declaration.record else self.declaration.controller.rate
         if declared is not None:
             return declared * self.time_scale
-        return rows_per_unit(self.virtual, self.virtual.initial_state(self.declaration.initial))
+        return rows_per_unit(self.virtual, self.virtual_start)
+
+    @property
+    def virtual_start(self) -> Array:
+        """Return the initial state of the virtual system, in its units."""
+        given, free = self.declaration.initial, self.law.transform.passive
+        names = {self.plant.coordinates[i] for i in free} - set(self.virtual.coordinates)
+        return self.virtual.initial_state({n: x for n, x in given.items() if n.rstrip("'") not in names})
+
+    @cached_property
+    def passive(self) -> Passive | None:
+        """Return the rig coordinates that no virtual one stands for; None where there are none."""
+        eta = self.virtual_start[: len(self.virtual.coordinates)]
+        return Passive(self.law, self.plant, eta, self.declaration.initial) if self.law.transform.passive else None
+
+    def rig_start(self, loop: Mapped) -> Array:
+        """Return coordinates and velocities of the rig (2 n,) at the start, by a loop's transform."""
+        return rig_state(loop, self.virtual_start, passive=self.passive.initial() if self.passive else None)
 
     @property
     def stem(self) -> str:
@@ -278,7 +299,7 @@ class Experiment:
         if problems:
             raise DeclarationError(problems)
         check_actuation(self.law.model, self.law.transform)
-        self.virtual.initial_state(self.declaration.initial)
+        _ = self.passive.initial() if self.passive else self.virtual_start
         if self.has_observer:
             _ = self.sampled.gain
         _ = self.stop_condition
@@ -338,7 +359,7 @@ class Experiment:
         """Return the run of a controller that knows the true state, ready to be started."""
         declaration, rate = self.declaration, self.declaration.controller.rate
         internal = [state.initial for state in self.plant.declaration.states.values()]
-        state = np.concatenate([rig_state(self.loop, self.virtual.initial_state(declaration.initial)), internal])
+        state = np.concatenate([self.rig_start(self.loop), internal])
         duration = declaration.duration * self.time_scale
         if rate is not None:
             return partial(run_sampled, self.loop, state, rate=rate, duration=duration, every=self.every)
@@ -394,7 +415,7 @@ class Experiment:
         """Return the virtual system integrated by itself from time 0, at times of the rig (m,), as states (m, 2 k)."""
         found = self.virtual.kernels.integrate(
             np.concatenate([[0.0], times]) / self.time_scale,
-            self.virtual.initial_state(self.declaration.initial),
+            self.virtual_start,
             np.zeros(len(self.virtual.inputs)),
             self.virtual.values(),
             tolerance=min(self.declaration.tolerance, 1e-12),
@@ -428,6 +449,9 @@ class Experiment:
             "masking_error": chi,
             "timing": dict(timing),
         }
+        if self.passive:
+            names = [f"rig.{c}{d}" for d in ("", "'") for c in self.plant.coordinates]
+            entries["passive"] = self.passive.entry(np.column_stack([columns[name] for name in names]))
         entries |= self._start_entry(columns) | stop
         return Recording(columns, manifest.content(self.assembly, self.virtual, entries))
 
@@ -435,7 +459,7 @@ class Experiment:
         """Return where homing should have brought the rig, and where it did, for the manifest."""
         if self.declaration.controller.homing is None:
             return {}
-        wanted = self.virtual.initial_state(self.declaration.initial)
+        wanted = self.virtual_start
         names = self.virtual.coordinates
         reached = {name: float(columns[f"virtual.{name}"][0]) for name in names}
         return {"start": {"wanted": dict(zip(names, map(float, wanted), strict=False)), "reached": reached}}

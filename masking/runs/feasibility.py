@@ -301,9 +301,12 @@ class Motion:
         time, stroke, amplitude = (factor if what == one else 1.0 for one in LADDERS)
         experiment, loop = self.experiment, self.loop
         controller, n = loop.controller, len(loop.plant.coordinates)
-        start = amplitude * experiment.virtual.initial_state(experiment.declaration.initial)
-        state = rig_state(loop, start) * stroke
+        beside = experiment.passive.initial() if experiment.passive else None
+        state = rig_state(loop, amplitude * experiment.virtual_start, passive=beside) * stroke
         state[n:] /= time
+        for i in controller.transform.passive:
+            if controller.transform.jacobian[:, i].is_zero_matrix:  # what is beside the transform stays as it is
+                state[i], state[n + i] = state[i] / stroke, state[n + i] / stroke * time
         internal = [declared.initial for declared in loop.plant.declaration.states.values()]
         changed = replace(controller, time_scale=controller.time_scale * time)
         p = replace(loop, controller=changed).values()
@@ -435,7 +438,7 @@ def _problem(experiment: Experiment, error: MaskingError) -> Problem:
 def _can_follow_virtual(experiment: Experiment) -> bool:
     """Tell whether the virtual system, by itself, moves on to the end of the experiment."""
     virtual, declaration = experiment.virtual, experiment.declaration
-    start, inputs = virtual.initial_state(declaration.initial), np.zeros(len(virtual.inputs))
+    start, inputs = experiment.virtual_start, np.zeros(len(virtual.inputs))
     try:
         virtual.kernels.integrate(
             np.array([0.0, declaration.duration]), start, inputs, virtual.values(), tolerance=declaration.tolerance

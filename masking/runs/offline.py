@@ -231,28 +231,33 @@ class Mapped(Protocol):
         """Return the parameter array."""
 
 
-def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None) -> Array:
+def rig_state(
+    loop: Mapped, virtual_state: Array, guess: Array | None = None, passive: Array | None = None
+) -> Array:
     """Return the rig state (2 n,) that the transform maps to a virtual state, by Newton's method.
 
     Args:
         loop: controller and plant.
         virtual_state: virtual coordinates then velocities (2 k,).
         guess: rig coordinates (n,) to start from; by default several are tried.
+        passive: coordinates, then velocities, of those that no virtual one stands for (2 (n - k),); 0 by default.
 
     Raises:
         ModelError: no rig position is found that gives the virtual coordinates.
     """
     lengths = loop.controller.lengths
     k = len(loop.controller.virtual.coordinates)
-    eta, rate = virtual_state[:k], virtual_state[k:]
+    eta, rate = virtual_state[:k], virtual_state[k : 2 * k] / loop.controller.time_scale
+    free = list(loop.controller.transform.passive)
+    beside = np.zeros(2 * len(free)) if passive is None else passive
+    whole, rates = np.append(eta, beside[: len(free)]), np.append(rate, beside[len(free) :])
     generator = np.random.default_rng(0)
     guesses = [np.zeros(len(lengths))] if guess is None else [guess]
     guesses += [lengths * generator.uniform(-1.0, 1.0, len(lengths)) for _ in range(50)]
     for start in guesses:
-        q = _newton(loop, start, eta, lengths)
+        q = _newton(loop, start, whole, lengths)
         if q is not None:
-            jacobian = _map(loop, q)[1]
-            return np.concatenate([q, np.linalg.lstsq(jacobian, rate / loop.controller.time_scale, rcond=None)[0]])
+            return np.concatenate([q, np.linalg.lstsq(_map(loop, q)[1], rates, rcond=None)[0]])
     names = loop.controller.virtual.coordinates
     wanted = ", ".join(f"{n} = {value:g}" for n, value in zip(names, eta, strict=True))
     raise ModelError(
@@ -277,14 +282,15 @@ def _newton(loop: Mapped, q: Array, eta: Array, lengths: Array) -> Array | None:
 
 
 def _map(loop: Mapped, q: Array) -> tuple[Array, Array]:
-    """Return eta (k,) and the Jacobian (k, n) of the virtual with respect to the rig coordinates, in SI units."""
+    """Return the virtual coordinates with the passive ones (n,) behind them, and their slope by the rig's (n, n)."""
     n, k = len(q), len(loop.controller.virtual.coordinates)
     p, out = loop.values(), np.empty(2 * k)
     jacobian = np.empty((k, n))
     for i in range(n):
         loop.kernels.transform(0.0, q, np.eye(n)[i], p, out)
         jacobian[:, i] = out[k:] / loop.controller.time_scale
-    return out[:k].copy(), jacobian
+    free = list(loop.controller.transform.passive)
+    return np.append(out[:k], q[free]), np.concatenate([jacobian, np.eye(n)[free]])
 
 
 def _complete(loop: ClosedLoop, times: Array, states: Array, p: Array) -> Run:

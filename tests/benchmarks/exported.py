@@ -153,7 +153,7 @@ class Law:
         run = ctypes.CDLL(str(library)).run
         array = np.ctypeslib.ndpointer(dtype=np.float64)
         run.argtypes = [ctypes.c_double, *[ctypes.c_long] * 3, array, array, array]
-        y = rig_state(loop, made.virtual.initial_state(made.declaration.initial))
+        y = rig_state(loop, made.virtual_start)
         out = np.zeros((steps // every + 1, self.size))
         if run(step, steps, substeps, every, y, loop.values(), out):
             return math.nan

@@ -1,0 +1,179 @@
+"""Zero dynamics: how the passive coordinates of a rig move while its actuators hold the virtual coordinates at rest.
+
+With a = a0(q, v) + B(q) u and eta = T(q), inputs that hold eta satisfy J B u = -J a0 - J' v. What is left of the rig's
+motion is that of its passive coordinates. It is linearised about the rest nearest to zero: where an eigenvalue has a
+positive real part, the rig cannot be masked for long, however well the virtual coordinates follow.
+Source: Isidori (1995), Nonlinear Control Systems, section 4.3; Spong (1994), partial feedback linearisation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from masking.control.blocks import Transform
+from masking.errors import ModelError
+from masking.modelling.model import Model
+from masking.numerics.arrays import Array
+from masking.numerics.equilibrium import STEP, equilibrium
+
+MARGINAL: Final = 1e-6  # real part, relative to the largest eigenvalue, up to which motion neither decays nor grows
+_NEWTON: Final = 50
+_CONVERGED: Final = 1e-12
+
+
+@dataclass(frozen=True)
+class ZeroDynamics:
+    """Motion of the passive coordinates with the virtual ones held.
+
+    Args:
+        names: of the passive coordinates.
+        rest: where they rest (m,), SI units.
+        eigenvalues: of the motion about it (2 m,), 1/s.
+    """
+
+    names: tuple[str, ...]
+    rest: Array
+    eigenvalues: Array
+
+    @property
+    def verdict(self) -> Literal["stable", "marginal", "unstable"]:
+        """Return whether a small motion decays, goes on, or grows."""
+        largest, size = float(self.eigenvalues.real.max()), float(np.abs(self.eigenvalues).max())
+        if abs(largest) <= MARGINAL * size or size == 0.0:
+            return "marginal"
+        return "unstable" if largest > 0.0 else "stable"
+
+    @property
+    def slowest(self) -> complex:
+        """Return the eigenvalue that says most: that with the largest real part, above the real axis."""
+        found = max(self.eigenvalues, key=lambda x: (round(x.real, 12), x.imag))
+        return complex(found)
+
+    def __str__(self) -> str:
+        at, verdict = self.slowest, self.verdict
+        frequency = abs(at)
+        if verdict == "unstable":
+            how = f"grows like exp({at.real:.3g} t), t in s"
+        elif at.imag == 0.0:
+            how = f"decays in {-1.0 / at.real:.3g} s" if verdict == "stable" else "neither returns nor grows"
+        elif verdict == "marginal":
+            how = f"oscillates undamped at {frequency:.4g} rad/s"
+        else:
+            how = f"{frequency:.4g} rad/s, damping ratio {-at.real / frequency:.3g}"
+        return f"{', '.join(self.names)} passive, zero dynamics {verdict}: {how}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as JSON can hold it."""
+        return {
+            "coordinates": list(self.names),
+            "rest": dict(zip(self.names, map(float, self.rest), strict=True)),
+            "eigenvalues": [[float(x.real), float(x.imag)] for x in self.eigenvalues],
+            "verdict": self.verdict,
+            "words": str(self),
+        }
+
+
+@dataclass(frozen=True)
+class Held:
+    """A rig whose virtual coordinates are held.
+
+    Args:
+        plant: the model of the rig, SI units.
+        transform: from rig to virtual coordinates.
+        parameters: values of the transform's own parameters.
+        lengths: size in SI units of one unit of each rig coordinate as the transform sees it (n,).
+        eta: virtual coordinates that are held (k,).
+    """
+
+    plant: Model
+    transform: Transform
+    parameters: Mapping[str, float]
+    lengths: Array
+    eta: Array
+
+    @property
+    def passive(self) -> list[int]:
+        """Return the indices of the passive coordinates."""
+        return list(self.transform.passive)
+
+    @cached_property
+    def _symbolic(self) -> tuple[Any, Any]:
+        known = {s: self.parameters[s.name] for s in self.transform.parameter_symbols}
+        return self.transform.expressions.subs(known), self.transform.jacobian.subs(known)
+
+    def mapped(self, q: Array) -> tuple[Array, Array]:
+        """Return eta (k,) and its Jacobian (k, n) by rig coordinates q (n,) in SI units."""
+        symbols = self.transform.rig.equations.symbols.q
+        at = dict(zip(symbols, map(float, q / self.lengths), strict=True))
+        eta, jacobian = (np.array(m.subs(at).evalf().tolist(), dtype=float) for m in self._symbolic)
+        return eta.ravel(), jacobian / self.lengths
+
+    def placed(self, z: Array) -> tuple[Array, Array]:
+        """Return the rig coordinates (n,) at passive ones z (m,), and the slope [J; passive] there (n, n).
+
+        Raises:
+            ModelError: there are none.
+        """
+        n = len(self.lengths)
+        q = np.zeros(n)
+        q[self.passive] = z
+        for _ in range(_NEWTON):
+            eta, jacobian = self.mapped(q)
+            slope = np.concatenate([jacobian, np.eye(n)[self.passive]])
+            error = np.concatenate([self.eta - eta, z - q[self.passive]])
+            if np.abs(error).max() <= _CONVERGED * (1.0 + np.abs(self.eta).max(initial=0.0)):
+                return q, slope
+            q = q + np.linalg.lstsq(slope, error, rcond=None)[0]
+        raise ModelError(f"transform: no rig position gives {self.eta} beside the passive coordinates {z}")
+
+    def accelerations(self, z: Array, rates: Array) -> Array:
+        """Return the accelerations of passive coordinates z (m,) with rates (m,), without the part that is even in them."""
+        plant, n = self.plant, len(self.lengths)
+        q, slope = self.placed(z)
+        jacobian = slope[: len(self.eta)]
+        v = np.linalg.lstsq(slope, np.concatenate([np.zeros(len(self.eta)), rates]), rcond=None)[0]
+        internal = [state.initial for state in plant.declaration.states.values()]
+        p, out = plant.values(), np.empty(2 * n + len(internal))
+
+        def rig(u: Array) -> Array:
+            plant.kernels.derivative(0.0, np.concatenate([q, v, internal]), u, p, out)
+            return out[n : 2 * n].copy()
+
+        inputs = np.eye(len(plant.inputs))
+        free = rig(np.zeros(len(inputs)))
+        driven = np.array([rig(u) - free for u in inputs]).T
+        u = np.linalg.lstsq(jacobian @ driven, -jacobian @ free, rcond=None)[0]
+        return np.asarray((free + driven @ u)[self.passive], dtype=np.float64)
+
+    def zero_dynamics(self) -> ZeroDynamics:
+        """Return the zero dynamics about the rest that is nearest to zero.
+
+        Damping is that of velocities at which the rig passes rest in oscillations of a unit of length, as for an
+        observer: dry friction has no slope at rest.
+
+        Raises:
+            ModelError: the passive coordinates do not rest anywhere near zero.
+        """
+        lengths, m = self.plant.lengths[self.passive], len(self.passive)
+        still = np.zeros(m)
+        rest = equilibrium(lambda z: self.accelerations(z, still), lengths)
+        names = tuple(self.plant.coordinates[i] for i in self.passive)
+        if rest is None:
+            raise ModelError(
+                f"{', '.join(names)}: passive, and without a rest near zero while the virtual coordinates are held; say "
+                f"where the run begins, such as 'initial: {{{names[0]}: 0}}'"
+            )
+        stiffness, damping = np.empty((m, m)), np.empty((m, m))
+        for i, step in enumerate(np.diag(STEP * lengths)):
+            change = self.accelerations(rest + step, still) - self.accelerations(rest - step, still)
+            stiffness[:, i] = change / (2.0 * step[i])
+        fastest = float(np.sqrt(np.abs(np.linalg.eigvals(stiffness)).max())) or 1.0
+        for i, step in enumerate(np.diag(fastest * lengths)):
+            damping[:, i] = (self.accelerations(rest, step) - self.accelerations(rest, -step)) / (2.0 * step[i])
+        matrix = np.block([[np.zeros((m, m)), np.eye(m)], [stiffness, damping]])
+        return ZeroDynamics(names, rest, np.linalg.eigvals(matrix).astype(np.complex128))
