@@ -54,18 +54,21 @@ class ZeroDynamics:
         found = max(self.eigenvalues, key=lambda x: (round(x.real, 12), x.imag))
         return complex(found)
 
-    def __str__(self) -> str:
+    @property
+    def how(self) -> str:
+        """Return how a small motion decays, goes on or grows, in words."""
         at, verdict = self.slowest, self.verdict
         frequency = abs(at)
         if verdict == "unstable":
-            how = f"grows like exp({at.real:.3g} t), t in s"
-        elif at.imag == 0.0:
-            how = f"decays in {-1.0 / at.real:.3g} s" if verdict == "stable" else "neither returns nor grows"
-        elif verdict == "marginal":
-            how = f"oscillates undamped at {frequency:.4g} rad/s"
-        else:
-            how = f"{frequency:.4g} rad/s, damping ratio {-at.real / frequency:.3g}"
-        return f"{', '.join(self.names)} passive, zero dynamics {verdict}: {how}"
+            return f"grows like exp({at.real:.3g} t), t in s"
+        if at.imag == 0.0:
+            return f"decays in {-1.0 / at.real:.3g} s" if verdict == "stable" else "neither returns nor grows"
+        if verdict == "marginal":
+            return f"oscillates undamped at {frequency:.4g} rad/s"
+        return f"{frequency:.4g} rad/s, damping ratio {-at.real / frequency:.3g}"
+
+    def __str__(self) -> str:
+        return f"{', '.join(self.names)} passive, zero dynamics {self.verdict}: {self.how}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as JSON can hold it."""
@@ -74,6 +77,7 @@ class ZeroDynamics:
             "rest": dict(zip(self.names, map(float, self.rest), strict=True)),
             "eigenvalues": [[float(x.real), float(x.imag)] for x in self.eigenvalues],
             "verdict": self.verdict,
+            "how": self.how,
             "words": str(self),
         }
 

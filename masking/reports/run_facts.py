@@ -181,6 +181,11 @@ class Study:
         return str(_entry(self.recording.manifest, "columns", f"{self.prefix}.{coordinate}").get("meaning") or "")
 
     @property
+    def passive(self) -> tuple[str, ...]:
+        """Coordinates of the rig that no virtual one stands for."""
+        return tuple((self.recording.manifest.get("passive") or {}).get("coordinates") or ())
+
+    @property
     def coordinates(self) -> tuple[str, ...]:
         """The oscillators, then the other coordinates."""
         return self.oscillators + self.others

@@ -31,7 +31,8 @@ _MOST_ROWS = len(COLOURS)
 
 def figures(study: Study) -> list[CaptionedFigure]:
     """Draw every figure of the report, in its order."""
-    return [draw(study) for draw in _FIGURES if draw is not _budget or _has_observer(study)]
+    wanted = {_budget: _has_observer(study), _passive: bool(study.passive)}
+    return [draw(study) for draw in _FIGURES if wanted.get(draw, True)]
 
 
 def _displacements(study: Study) -> CaptionedFigure:
@@ -72,6 +73,21 @@ def _others(study: Study) -> CaptionedFigure:
     time_label(rows[-1], study)
     _legend(figure, study, [(style.symbol(name), COLOURS[2]) for name in names[:1]] if len(names) == 1 else [])
     return CaptionedFigure("others", title, _meanings(study, names) + _band_words(study), figure)
+
+
+def _passive(study: Study) -> CaptionedFigure:
+    names = study.passive[:_MOST_ROWS]
+    figure, rows = style.sheet([1.5 if len(names) == 1 else 1.15] * len(names))
+    for name, axes in zip(names, rows, strict=True):
+        series = study.recording[f"rig.{name}"]
+        trace(axes, study, series, COLOURS[3])
+        symmetric(axes, [series])
+        _whole_record(axes, study)
+        axes.set_ylabel(style.with_unit(style.symbol(name), study.unit(f"rig.{name}")))
+    time_label(rows[-1], study)
+    words = str((study.recording.manifest.get("passive") or {}).get("words") or "")
+    caption = f"What no virtual coordinate stands for, as the rig moved it. {words[:1].upper()}{words[1:]}."
+    return CaptionedFigure("passive", "Passive coordinates", caption, figure)
 
 
 def _synchronisation(study: Study) -> CaptionedFigure:
@@ -219,7 +235,7 @@ def _has_observer(study: Study) -> bool:
     return bool(study.recording.manifest.get("observer"))
 
 
-_FIGURES: Final = (_displacements, _others, _synchronisation, _inputs, _masking_error, _budget)
+_FIGURES: Final = (_displacements, _others, _passive, _synchronisation, _inputs, _masking_error, _budget)
 
 
 # ---- parts of a figure

@@ -46,7 +46,23 @@ def warnings(recording: Recording, uses: Iterable[InputUse], chi: Mapping[str, f
         )
     if missed(manifest):
         found.append(missed(manifest))
+    free = manifest.get("passive") or {}
+    if free.get("verdict") == "unstable":
+        found.append(
+            f"Not for long: {free['words']}. Nothing holds what is passive; choose a slower or smaller virtual motion, "
+            "or drive it instead."
+        )
     return found
+
+
+def passive(manifest: Mapping[str, Any]) -> str:
+    """Say how what is passive moves by itself, how far it went and which energy it took."""
+    free, columns = manifest["passive"], manifest.get("columns") or {}
+    peaks = free["peak"].items()
+    far = [f"{n} up to {with_unit(x, str((columns.get(f'rig.{n}') or {}).get('unit') or ''))}" for n, x in peaks]
+    if free.get("energy"):
+        far.append(f"energy up to {with_unit(free['energy']['peak'], free['energy']['unit'])}")
+    return f"{', '.join(far)}; zero dynamics {free['verdict']} ({free['how']})"
 
 
 def missed(manifest: Mapping[str, Any]) -> str:
@@ -229,6 +245,8 @@ def summary(facts: Study) -> str:
         rows.append(("phase", f"not given: {facts.no_phase}"))
     if facts.inputs:
         rows.append(("inputs", "  ".join(use_words(use) for use in facts.inputs)))
+    if facts.passive:
+        rows.append(("passive", passive(manifest)))
     if observer(facts):
         rows.append(("observer", observer(facts)))
     if manifest.get("rig"):

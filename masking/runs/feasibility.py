@@ -232,11 +232,12 @@ class Motion:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return which limits cannot be compared."""
-        power = self.experiment.assembly.plant.limits.power
+        """Return which limits cannot be compared, and how what is passive moves."""
+        power, passive = self.experiment.assembly.plant.limits.power, self.experiment.passive
+        notes = () if passive is None else (str(passive.zero_dynamics),)
         if power is None or power.heating is not None:
-            return ()
-        return ("mean power is unknown: the plant file has no limits.power.heating",)
+            return notes
+        return (*notes, "mean power is unknown: the plant file has no limits.power.heating")
 
     def resolve(self) -> tuple[tuple[Use, ...], int, bool]:
         """Return the uses of the limits, the rows of the simulation that show them, and whether these were enough."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from masking.control.law import Controller
 from masking.control.zero_dynamics import Held, ZeroDynamics
+from masking.declaration import dimensions, units
 from masking.errors import ModelError
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
@@ -87,7 +88,7 @@ class Passive:
         try:
             found = self.zero_dynamics.as_dict()
         except ModelError as error:
-            found = {"coordinates": list(self.names), "verdict": "unknown", "words": str(error)}
+            found = {"coordinates": list(self.names), "verdict": "unknown", "how": "no rest", "words": str(error)}
         peaks = dict(zip(self.names, np.abs(states[:, self.indices]).max(axis=0).tolist(), strict=True))
         found |= {"peak": peaks}
         energy = self._energy(states) if found["verdict"] != "unknown" else None
@@ -96,9 +97,18 @@ class Passive:
                 "start": float(energy[0]),
                 "end": float(energy[-1]),
                 "peak": float(energy.max()),
-                "taken": float(energy[-1] - energy[0]),
+                "unit": self._energy_unit(),
             }
         return found
+
+    def _energy_unit(self) -> str:
+        """Return the unit of the energy in SI units."""
+        model = self.plant.declaration
+        expression, symbols = model.energy or model.lagrangian, dimensions.symbol_dimensions(model)
+        found = dimensions.dimension_in(expression, symbols) if expression and symbols else None
+        if found is None:
+            return ""
+        return "J" if found == units.dimension_of("J") else units.describe(found)
 
     def _energy(self, states: Array) -> Array | None:
         """Return the energy of the rig beyond that with its passive coordinates at rest (rows,); None without one."""

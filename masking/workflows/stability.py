@@ -78,7 +78,8 @@ def _loop(experiment: Experiment, found: Stability) -> LoopModes:
     loop, n = experiment.loop, len(experiment.plant.coordinates)
     point, modes = min(found.points, key=lambda x: max(map(abs, x[0].position.values())))
     virtual = np.array([*point.position.values(), *([0.0] * len(point.position))])
-    state = np.concatenate([rig_state(loop, virtual), np.zeros(len(experiment.plant.states))])
+    beside = None if experiment.passive is None else experiment.passive.initial()
+    state = np.concatenate([rig_state(loop, virtual, passive=beside), np.zeros(len(experiment.plant.states))])
     lengths = np.ones(len(state))
     lengths[:n] = experiment.law.lengths
     lengths[n : 2 * n] = experiment.law.lengths / experiment.time_scale
