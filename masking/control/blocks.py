@@ -345,15 +345,30 @@ def check_actuation(model: Model, transform: Transform) -> None:
     missed = [name for i, name in enumerate(names) if abs(reachable[i, i] - 1.0) > 1e-8]
     if missed:
         have = ", ".join(model.inputs) or "none"
-        count, most = int(np.linalg.matrix_rank(decoupling)) if decoupling.size else 0, len(model.coordinates)
-        ways = f"declare a virtual system without {missed[0]}, which the rig then moves as it does by itself (passive)"
-        if count < most:
-            ways += f"; at most {count} of the {most} coordinates can be driven"
+        left = _undriven(decoupling, jacobian @ number(model.equations.input_force))
         raise ActuationError(
             f"{model.name} cannot be masked as {transform.virtual.name}: its inputs ({have}) cannot accelerate "
-            f"{', '.join(missed)} independently of the other coordinates; add actuators, or {ways}",
+            f"{', '.join(missed)} independently of the other coordinates, {len(names) - len(left)} of {len(names)} at "
+            f"most; add actuators, or leave {', '.join(names[i] for i in left)} out of the virtual system: what it does "
+            "not name is passive and moves as the rig lets it",
             missed,
         )
+
+
+def _undriven(decoupling: np.ndarray, forced: np.ndarray) -> list[int]:
+    """Return the fewest virtual coordinates without which the others can be driven; such as no input acts on directly.
+
+    Args:
+        decoupling: accelerations of the virtual coordinates by the inputs (k, inputs).
+        forced: forces of the inputs on them (k, inputs).
+    """
+    if not decoupling.size:
+        return list(range(len(decoupling)))
+    driven = list[int]()
+    for i in sorted(range(len(decoupling)), key=lambda i: not forced[i].any()):
+        if np.linalg.matrix_rank(decoupling[[*driven, i]]) > len(driven):
+            driven.append(i)
+    return [i for i in range(len(decoupling)) if i not in driven]
 
 
 def dot(graph: Graph, a: Sequence[Node], b: Sequence[Node]) -> Node:

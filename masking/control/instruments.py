@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from masking.control.observer import Plan, check_rate, check_sensing
+from masking.control.observer import Plan, check_followed, check_rate, check_sensing, unseen
 from masking.declaration import schema
 from masking.errors import ActuationError, ModelError
 from masking.modelling.model import Model
@@ -123,7 +123,11 @@ class Instruments:
         dynamics, driven = self._linear()
         check_rate(rate, dynamics)
         sensing = self.sensing()
-        check_sensing(sensing[:, :n], self.model.coordinates, self.sensors)
+        passive = () if self.driven is None else np.flatnonzero(~self.driven.any(axis=0))
+        hidden = tuple(i for i in unseen(sensing[:, :n]) if i in passive)
+        told = [i for i in range(n) if i not in hidden]
+        check_sensing(sensing[:, told], [self.model.coordinates[i] for i in told], self.sensors)
+        check_followed(dynamics, hidden, self.model.coordinates)
         unknown = [name for name in self.sensors if noise is None and name not in self.noise]
         if unknown:
             raise ModelError(
@@ -133,7 +137,7 @@ class Instruments:
         levels = np.array([self.noise[name] if noise is None else noise for name in self.sensors])
         slope = np.eye(n) if self.driven is None else self.driven
         command = self.allocation_inverse @ np.linalg.pinv(slope @ driven) @ slope / self.limits()[:, [LARGEST]]
-        return Plan(dynamics, sensing, command, levels, 1.0 / rate, self.delay)
+        return Plan(dynamics, sensing, command, levels, 1.0 / rate, self.delay, hidden)
 
     def _linear(self) -> tuple[Array, Array]:
         """Return d [q, v]/dt per [q, v] (2 n, 2 n), and accelerations per input (n, inputs), of the model at rest.

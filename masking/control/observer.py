@@ -14,7 +14,7 @@ Source: Gelb (ed.), Applied Optimal Estimation (1974), chapter 4.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
@@ -52,6 +52,7 @@ class Plan:
         noise: standard deviation of each reading (sensors,).
         period: time between samples, s.
         delay: samples between a reading and the first effect of the command that answers it.
+        unseen: coordinates that no sensor tells and the controller does not drive: the model alone follows them.
     """
 
     dynamics: Array
@@ -60,6 +61,19 @@ class Plan:
     noise: Array
     period: float
     delay: int
+    unseen: tuple[int, ...] = ()
+
+    @property
+    def seen(self) -> list[int]:
+        """Return the coordinates that the sensors tell."""
+        return [i for i in range(self.coordinates) if i not in self.unseen]
+
+    def of_seen(self) -> Plan:
+        """Return the plan for the coordinates that the sensors tell, as if the others rested."""
+        seen, n = self.seen, self.coordinates
+        both = [*seen, *(n + i for i in seen)]
+        dynamics, sensing = self.dynamics[np.ix_(both, both)], self.sensing[:, both]
+        return replace(self, dynamics=dynamics, sensing=sensing, command=self.command[:, seen], unseen=())
 
     @property
     def coordinates(self) -> int:
@@ -84,8 +98,17 @@ class Differences:
     order = 0
 
     def gain(self, plan: Plan, offset: int) -> Array:
-        """Return the coordinates per unit of reading (n, sensors)."""
+        """Return the coordinates per unit of reading (n, sensors).
+
+        Raises:
+            ModelError: a coordinate has no sensor.
+        """
         del offset
+        if plan.unseen:
+            raise ModelError(
+                "differences need a sensor for every coordinate, passive ones included; declare one, or take 'observer: "
+                "disturbance', which follows what is passive by the model"
+            )
         return np.asarray(np.linalg.pinv(plan.sensing[:, : plan.coordinates]), dtype=np.float64)
 
     def bandwidths(self, plan: Plan) -> Array:
@@ -122,13 +145,16 @@ class Kalman:
         Returns:
             (2 n + offset + order n, sensors).
         """
-        found = _steady(plan, self.order, self.bandwidths(plan))
-        steady = found.gain * found.unit[:, None] / found.deviation
-        n = plan.coordinates
-        return np.concatenate([steady[: 2 * n], np.zeros((offset, steady.shape[1])), steady[2 * n :]])
+        seen, n, sensors = plan.seen, plan.coordinates, len(plan.sensing)
+        found = _steady(plan.of_seen(), self.order, self.bandwidths(plan)[seen])
+        steady = np.zeros((2 + self.order, n, sensors))
+        steady[:, seen] = (found.gain * found.unit[:, None] / found.deviation).reshape(
+            2 + self.order, len(seen), sensors
+        )
+        return np.concatenate([*steady[:2], np.zeros((offset, sensors)), *steady[2:]])
 
     def bandwidths(self, plan: Plan) -> Array:
-        """Return the bandwidth for each coordinate, rad/s (n,).
+        """Return the bandwidth for each coordinate, rad/s (n,); 0 for one that no sensor tells.
 
         The rule: as fast as the sampling allows, 0.7 rate / (1 + delay), so that the phase that is lost at the
         bandwidth stays within 40 degrees; then lower, coordinate by coordinate, until the noise of the readings makes
@@ -146,6 +172,10 @@ class Kalman:
                     "lower it, or raise controller.rate"
                 )
             return np.broadcast_to(np.asarray(self.bandwidth, dtype=float), (plan.coordinates,)).copy()
+        if plan.unseen:
+            found = np.zeros(plan.coordinates)
+            found[plan.seen] = self.bandwidths(plan.of_seen())
+            return found
         found = np.full(plan.coordinates, plan.fastest)
         if not plan.noise.any():
             return found
@@ -226,6 +256,35 @@ def check_rate(rate: float, dynamics: Array) -> None:
             f"controller.rate {rate:g} Hz is too low for this rig: its fastest free motion, {fastest:.3g} rad/s, would "
             f"be sampled less than once in a radian; give at least {fastest:.3g} Hz, better ten times "
             "as much"
+        )
+
+
+def unseen(sensing: Array) -> tuple[int, ...]:
+    """Return the coordinates that no reading depends on.
+
+    Args:
+        sensing: readings per unit of each coordinate (sensors, n).
+    """
+    return tuple(int(i) for i in np.flatnonzero(~sensing.any(axis=0)))
+
+
+def check_followed(dynamics: Array, hidden: Sequence[int], coordinates: Sequence[str]) -> None:
+    """Refuse coordinates that only the model follows, and that do not come to rest by themselves.
+
+    Args:
+        dynamics: (2 n, 2 n), d [q, v] / dt = dynamics [q, v] of the model at rest.
+        hidden: indices of the coordinates that no sensor tells.
+        coordinates: names.
+
+    Raises:
+        ModelError: names them.
+    """
+    both = [*hidden, *(len(coordinates) + i for i in hidden)]
+    if hidden and np.linalg.eigvals(dynamics[np.ix_(both, both)]).real.max() >= 0.0:
+        names = ", ".join(coordinates[i] for i in hidden)
+        raise ModelError(
+            f"no sensor tells {names}, and in the model it does not come to rest by itself: where it is cannot be known; "
+            "declare a sensor that measures it"
         )
 
 

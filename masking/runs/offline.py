@@ -231,9 +231,7 @@ class Mapped(Protocol):
         """Return the parameter array."""
 
 
-def rig_state(
-    loop: Mapped, virtual_state: Array, guess: Array | None = None, passive: Array | None = None
-) -> Array:
+def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None, passive: Array | None = None) -> Array:
     """Return the rig state (2 n,) that the transform maps to a virtual state, by Newton's method.
 
     Args:

@@ -72,7 +72,9 @@ class Passive:
         Raises:
             ModelError: names the coordinate.
         """
-        moving = [name for name in self.names if self.given.get(f"{name}'") and name not in self.law.virtual.coordinates]
+        moving = [
+            name for name in self.names if self.given.get(f"{name}'") and name not in self.law.virtual.coordinates
+        ]
         if moving:
             raise ModelError(
                 f"initial.{moving[0]}': a rig that is read by sensors starts at rest; leave it out, or take 'observer: "
