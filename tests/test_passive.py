@@ -52,7 +52,7 @@ def test_cart_moves_as_its_virtual_system_and_the_pendulum_as_the_cart_drives_it
 
 
 def test_energy_that_the_pendulum_took(run, swing):
-    x, v, th, w = swing
+    _, v, th, w = swing
     taken = M2 * L * STROKE / SCALE * v * w * np.cos(th) + M2 * L**2 * w**2 / 2 + M2 * G * L * (1 - np.cos(th))
     found = run.manifest["passive"]["energy"]
     assert found["unit"] == "J"

@@ -84,7 +84,7 @@ class Transform:
 
     @cached_property
     def passive(self) -> tuple[int, ...]:
-        """Return the indices of the n - k rig coordinates that no virtual one stands for: they move as the rig lets them.
+        """Return the indices of the n - k rig coordinates that no virtual one stands for.
 
         They are those that the transform does not name, and of those that it names the last ones that are needed.
         """
@@ -349,8 +349,8 @@ def check_actuation(model: Model, transform: Transform) -> None:
         raise ActuationError(
             f"{model.name} cannot be masked as {transform.virtual.name}: its inputs ({have}) cannot accelerate "
             f"{', '.join(missed)} independently of the other coordinates, {len(names) - len(left)} of {len(names)} at "
-            f"most; add actuators, or leave {', '.join(names[i] for i in left)} out of the virtual system: what it does "
-            "not name is passive and moves as the rig lets it",
+            f"most; add actuators, or leave {', '.join(names[i] for i in left)} out of the virtual system: what it "
+            "does not name is passive and moves as the rig lets it",
             missed,
         )
 

@@ -106,8 +106,8 @@ class Differences:
         del offset
         if plan.unseen:
             raise ModelError(
-                "differences need a sensor for every coordinate, passive ones included; declare one, or take 'observer: "
-                "disturbance', which follows what is passive by the model"
+                "differences need a sensor for every coordinate, passive ones included; declare one, or take "
+                "'observer: disturbance', which follows what is passive by the model"
             )
         return np.asarray(np.linalg.pinv(plan.sensing[:, : plan.coordinates]), dtype=np.float64)
 
@@ -283,8 +283,8 @@ def check_followed(dynamics: Array, hidden: Sequence[int], coordinates: Sequence
     if hidden and np.linalg.eigvals(dynamics[np.ix_(both, both)]).real.max() >= 0.0:
         names = ", ".join(coordinates[i] for i in hidden)
         raise ModelError(
-            f"no sensor tells {names}, and in the model it does not come to rest by itself: where it is cannot be known; "
-            "declare a sensor that measures it"
+            f"no sensor tells {names}, and in the model it does not come to rest by itself: where it is cannot be "
+            "known; declare a sensor that measures it"
         )
 
 

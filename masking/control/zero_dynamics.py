@@ -136,7 +136,7 @@ class Held:
         raise ModelError(f"transform: no rig position gives {self.eta} beside the passive coordinates {z}")
 
     def accelerations(self, z: Array, rates: Array) -> Array:
-        """Return the accelerations of passive coordinates z (m,) with rates (m,), without the part that is even in them."""
+        """Return the accelerations of passive coordinates z (m,) with rates (m,), but for what is even in the rates."""
         plant, n = self.plant, len(self.lengths)
         q, slope = self.placed(z)
         jacobian = slope[: len(self.eta)]
@@ -169,8 +169,8 @@ class Held:
         names = tuple(self.plant.coordinates[i] for i in self.passive)
         if rest is None:
             raise ModelError(
-                f"{', '.join(names)}: passive, and without a rest near zero while the virtual coordinates are held; say "
-                f"where the run begins, such as 'initial: {{{names[0]}: 0}}'"
+                f"{', '.join(names)}: passive, and without a rest near zero while the virtual coordinates are held; "
+                f"say where the run begins, such as 'initial: {{{names[0]}: 0}}'"
             )
         stiffness, damping = np.empty((m, m)), np.empty((m, m))
         for i, step in enumerate(np.diag(STEP * lengths)):

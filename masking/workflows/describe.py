@@ -182,14 +182,14 @@ def experiment(subject: Experiment) -> Description:
             if gain[i, j] != 0
         },
     }
-    free = subject.passive.zero_dynamics if subject.passive else None
-    lines += [str(free), ""] if free else []
+    zero = subject.passive.zero_dynamics if subject.passive else None
+    lines += [str(zero), ""] if zero else []
     for title, equations in blocks.items():
         lines += [title, *(line for name, value in equations.items() for line in _equation(name, value)), ""]
     content = {
         **d.canonical(),
         "time_scale": subject.time_scale,
-        **({"passive": free.as_dict()} if free else {}),
+        **({"passive": zero.as_dict()} if zero else {}),
         "blocks": {title[0]: {n: str(x) for n, x in equations.items()} for title, equations in blocks.items()},
     }
     return Description("\n".join(lines).rstrip(), content)
