@@ -19,6 +19,7 @@ from masking.codegen.graph import Graph, Node
 from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.control.blocks import check_actuation
+from masking.control.feeding import Feed
 from masking.control.instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols, check_same_rig
 from masking.control.observer import Differences, Observer
@@ -52,6 +53,7 @@ class SampledController:
         homing: seconds before the release in which the rig is brought to its initial state; 0 where it is there.
         end: coordinates (n,) of the rig's initial state.
         rest: seconds before homing in which the rig rests without commands and the sensors' offsets are measured.
+        feed: what the virtual system gets as inputs while it runs.
     """
 
     controller: Controller
@@ -62,6 +64,7 @@ class SampledController:
     homing: float
     end: Array
     rest: float = 0.0
+    feed: Feed = Feed()
 
     @property
     def sizes(self) -> Sizes:
@@ -117,7 +120,7 @@ class SampledController:
         parts = [self.controller.values(), known.gains(), known.allocation_inverse.ravel(), known.allocation.ravel()]
         if self.homing:
             parts += [self.end if start is None else start, self.end, np.array([self.homing])]
-        return np.concatenate(parts)
+        return np.concatenate([*parts, self.feed.tail()])
 
     def structure(self) -> dict[str, object]:
         """Return all that the compiled step depends on, apart from values."""
@@ -130,6 +133,7 @@ class SampledController:
             "order": self.observer.order,
             "homing": bool(self.homing),
             "rest": bool(self.rest),
+            **({"feed": self.feed.structure()} if self.feed else {}),
         }
 
     @cached_property
@@ -160,14 +164,19 @@ class SampledController:
         lowered = _Lowered(self)
         for signature, results, returns in lowered.functions():
             loads = lowered.loads if "q, v" not in signature else lowered.apart
-            module.add(signature, lowered.graph, results, loads, returns)
+            module.add(self.feed.bare(signature), lowered.graph, results, loads, returns)
+        self.feed.add_laws(module)
         sizes, work = self.sizes, self.work
+        step = {"exported": False} if self.feed.is_live else {"work": work}
+        name = "bare_control" if self.feed.is_live else "control"
         if self.has_model:
             parts = ("law", "rate", "measure", "allocate", "wire", "virtual", "momentum")
-            module.add_factory("control", sampled_loop.control_with_model, *parts, sizes, work=work)
+            module.add_factory(name, sampled_loop.control_with_model, *parts, sizes, **step)
         else:
-            module.add_factory("control", sampled_loop.control_with_differences, "law", "allocate", sizes, work=work)
+            module.add_factory(name, sampled_loop.control_with_differences, "law", "allocate", sizes, **step)
             module.add_factory("skip", sampled_loop.skip_with_differences, sizes, work=work)
+        if self.feed.is_live:
+            self.feed.add_control(module, sizes, work)
         module.add_factory("transforms", sampled_loop.transforms, "transform", sizes.coordinates)
 
     def begin(self, readings: Array) -> Beginning:
@@ -233,7 +242,7 @@ class _Lowered:
             len(instruments.actuators),
             len(controller.model.inputs),
         )
-        self._count = n
+        self._count, self.is_live = n, sampled.feed.is_live
         time = self._read("t", "t", varying=True)
         y = {name: self._array(name, "y", len(symbols), first, varying=True) for name, symbols, first in (
             ("q", equations.symbols.q, 0), ("v", equations.symbols.v, n), ("s", equations.symbols.s, 2 * n)
@@ -271,7 +280,8 @@ class _Lowered:
         if damping is not None:
             self.rates.append(self.graph.number(0.0))
             self._add_balance(controller, p, time)
-        measured = [model.lower(equations.symbolic(x.measures)) for x in instruments.plant.sensors.values()]
+        self.forces = sampled.feed.forces(self.graph, controller, known, disturbance)
+        measured = [model.lower(equations.measured(x.measures)) for x in instruments.plant.sensors.values()]
         self.readings = [self.graph.mul(g, m) for g, m in zip(gains, measured, strict=True)]
         self.commands = [self._dot(row, u) for row in allocation]
         self.inputs = [self._dot(row, out) for row in wires]
@@ -303,6 +313,7 @@ class _Lowered:
             ("momentum(t: float, e, p, g)", into("g", self.momentum), None),
             ("transform(t: float, q, v, p, out)", into("out", [*law.eta, *law.rate]), None),
             ("still(t: float, y, p, u)", into("u", self.still_law.cancel), None),
+            *([("push(t: float, y, d, p, out)", into("out", self.forces), None)] if self.is_live else []),
         ]
 
     @property

@@ -26,6 +26,7 @@ from masking.declaration.schema import (
 )
 from masking.declaration.strict_yaml import Node, Places
 from masking.declaration.validate import in_order, plain_mapping, read
+from masking.declaration.virtual_inputs import check_inputs, with_inputs
 from masking.errors import DeclarationError, Place, Problem, nearest
 
 D = TypeVar("D", bound=Declaration)
@@ -163,9 +164,10 @@ def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Ass
     assumed = experiment.controller.model
     believed_model = load_model(assumed, refer(experiment, "controller.model")) if assumed else plant_model
     problems = check_experiment(experiment, rig, plant_model, virtual_model, believed_model)
+    problems += check_inputs(experiment, rig, plant_model, virtual_model)
     if problems:
         raise DeclarationError(in_order(problems))
-    return Assembly(experiment, rig, plant_model, virtual_model, believed_model)
+    return Assembly(experiment, rig, plant_model, with_inputs(virtual_model, experiment.inputs), believed_model)
 
 
 def check_units(assembly: Assembly) -> list[Problem]:

@@ -26,6 +26,7 @@ from masking.declaration.fields import (
     Value,
     refuse,
 )
+from masking.declaration.input_source import InputSource
 from masking.declaration.shorthand import Short
 from masking.declaration.strict_yaml import Places
 from masking.errors import Place
@@ -469,6 +470,7 @@ class ExperimentDeclaration(Declaration):
     controller: ControllerSettings = ControllerSettings()
     initial: dict[TextField, Number] = {}
     parameters: dict[Name, Number] = {}
+    inputs: dict[Name, Annotated[InputSource, _EXPRESSION]] = {}
     effects: dict[Name, Annotated[EffectChange, _SWITCH]] = {}
     duration: Positive
     time_scale: Positive | None = None

@@ -9,6 +9,7 @@ import numpy as np
 
 from masking.declaration import schema
 from masking.declaration.registry import Assembly
+from masking.declaration.virtual_inputs import cell
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 
@@ -66,6 +67,14 @@ class Columns:
                 rate = unit if model.is_dimensionless else f"{unit}/s"
                 self.add(f"{prefix}.{name}", states[:, i], unit, coordinate.meaning)
                 self.add(f"{prefix}.{name}'", states[:, n + i], rate, f"rate of {name}")
+        return self
+
+    def add_inputs(self, inputs: Mapping[str, Array]) -> Columns:
+        """Add inputs of the virtual system that are no expressions (m,), as `virtual_input`."""
+        for name, values in inputs.items():
+            unit = self.virtual.declaration.parameters[cell(name, "c0")].unit
+            unit = "1" if self.virtual.is_dimensionless else self.virtual.units.conversions[unit].si
+            self.add(f"virtual_input.{name}", values, unit, f"input {name} of the virtual system")
         return self
 
     def add_sensors(self, readings: Array) -> Columns:

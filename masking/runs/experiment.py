@@ -22,6 +22,7 @@ from masking.control.step import LawStep, SampledStep
 from masking.declaration import cross_checks, registry, schema
 from masking.display import fragments
 from masking.errors import DeclarationError, ModelError, Problem
+from masking.modelling import series
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
@@ -31,6 +32,7 @@ from masking.runs.columns import Columns
 from masking.runs.offline import Mapped, Run, TwinRun, cut, rig_state, run_continuous, run_sampled, run_twin
 from masking.runs.passive import Passive
 from masking.runs.record_rate import rows_per_unit
+from masking.runs.virtual_inputs import VirtualInputs, live_inputs
 from masking.runs.stopping import SYNCHRONISED, StopCondition
 
 
@@ -133,6 +135,11 @@ class Experiment:
             assumed, self.virtual, transform, self.time_scale, own, settings.regulate, settings.energy_balance
         )
 
+    @cached_property
+    def inputs(self) -> VirtualInputs:
+        """Return the inputs of the virtual system that are no expressions."""
+        return VirtualInputs(self.declaration, self.virtual, self.law)
+
     @property
     def time_scale(self) -> float:
         """Return the seconds of the rig per unit of virtual time."""
@@ -208,6 +215,7 @@ class Experiment:
             settings.homing or 0.0,
             np.zeros(len(self.law.model.coordinates)),
             settings.rest or 0.0,
+            self.inputs.feed(self.instruments),
         )
         state = self.rig_start(made)
         n = len(made.end)
@@ -302,7 +310,7 @@ class Experiment:
         _ = self.passive.initial() if self.passive else self.virtual_start
         if self.has_observer:
             _ = self.sampled.gain
-        _ = self.stop_condition
+        _ = self.stop_condition, self.inputs.series
 
     def _check_size(self) -> list[Problem]:
         rows = cross_checks.recorded_rows(self.declaration, self.time_scale, self._rows_per_unit)
@@ -360,13 +368,17 @@ class Experiment:
         declaration, rate = self.declaration, self.declaration.controller.rate
         internal = [state.initial for state in self.plant.declaration.states.values()]
         state = np.concatenate([self.rig_start(self.loop), internal])
-        duration = declaration.duration * self.time_scale
+        duration, schedule = declaration.duration * self.time_scale, self.inputs.of_rig(self.time_scale)
         if rate is not None:
-            return partial(run_sampled, self.loop, state, rate=rate, duration=duration, every=self.every)
+            return partial(
+                run_sampled, self.loop, state, rate=rate, duration=duration, every=self.every, schedule=schedule
+            )
         times = np.linspace(0.0, duration, max(2, round(self._rows_per_unit * declaration.duration) + 1))
         if declaration.record:
             times = np.arange(int(duration * declaration.record.rate * (1.0 + 1e-12)) + 1) / declaration.record.rate
-        return partial(run_continuous, self.loop, state, times, tolerance=declaration.tolerance)
+        return partial(
+            run_continuous, self.loop, state, times, tolerance=declaration.tolerance, schedule=schedule
+        )
 
     def _sampled_run(self) -> Callable[..., TwinRun]:
         """Return the run of a controller with an observer, ready to be started."""
@@ -389,8 +401,9 @@ class Experiment:
 
     def sampled_columns(self, run: TwinRun) -> Columns:
         """Return the columns of a sampled run; where a rig's true states are not known, `states` are estimates."""
-        times, states = run.times, run.states
-        columns = self._columns().add_motion(times, states, self._virtual(times, states), self._ideal(times))
+        times, states, live = run.times, run.states, live_inputs(self.sampled, run, self.inputs)
+        columns = self._columns().add_motion(times, states, self._virtual(times, states), self._ideal(times, live))
+        columns.add_inputs(self.inputs.columns(times / self.time_scale, live))
         columns.add_sensors(run.readings)
         columns.add_actuators("input", run.applied).add_actuators("demanded", run.demanded)
         if self.assembly.plant.limits.power is not None:
@@ -400,6 +413,7 @@ class Experiment:
     def _exact_columns(self, run: Run) -> Columns:
         commands = run.inputs @ self.instruments.allocation_inverse.T
         columns = self._columns().add_motion(run.times, run.rig, run.virtual, self._ideal(run.times))
+        columns.add_inputs(self.inputs.columns(run.times / self.time_scale, {}))
         return columns.add_actuators("input", commands)
 
     def _columns(self) -> Columns:
@@ -411,13 +425,15 @@ class Experiment:
         rate, record = self.declaration.controller.rate, self.declaration.record
         return max(1, round(rate / record.rate)) if rate is not None and record else 1
 
-    def _ideal(self, times: Array) -> Array:
+    def _ideal(self, times: Array, live: Mapping[str, Array] | None = None) -> Array:
         """Return the virtual system integrated by itself from time 0, at times of the rig (m,), as states (m, 2 k)."""
-        found = self.virtual.kernels.integrate(
+        found = series.integrate(
+            self.virtual.kernels,
             np.concatenate([[0.0], times]) / self.time_scale,
             self.virtual_start,
             np.zeros(len(self.virtual.inputs)),
             self.virtual.values(),
+            schedule=self.inputs.along(times / self.time_scale, live or {}),
             tolerance=min(self.declaration.tolerance, 1e-12),
         )
         return found.states[1:]
@@ -452,6 +468,8 @@ class Experiment:
         if self.passive:
             names = [f"rig.{c}{d}" for d in ("", "'") for c in self.plant.coordinates]
             entries["passive"] = self.passive.entry(np.column_stack([columns[name] for name in names]))
+        if self.declaration.inputs:
+            entries["inputs"] = self.inputs.entry()
         entries |= self._start_entry(columns) | stop
         return Recording(columns, manifest.content(self.assembly, self.virtual, entries))
 

@@ -22,10 +22,11 @@ from masking.declaration.expression import Expression
 from masking.declaration.operations import CONSTANTS, OPERATIONS, Step
 from masking.declaration.quantities import percent
 from masking.errors import DeclarationError, IntegrationError, MaskingError, Problem, SingularityError
+from masking.modelling import series
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME
 from masking.runs.experiment import Experiment
-from masking.runs.offline import rig_state
+from masking.runs.offline import complete, rig_state
 
 if TYPE_CHECKING:
     from scipy import signal
@@ -316,17 +317,17 @@ class Motion:
         first = sum(len(part) for part in before)
         p[first : first + n] *= stroke
         times = np.linspace(0.0, experiment.declaration.duration * changed.time_scale, rows)
-        found = loop.kernels.integrate(
+        schedule = experiment.inputs.of_rig(changed.time_scale)
+        found = series.integrate(
+            loop.kernels,
             times,
             np.concatenate([state, internal]),
             np.zeros(len(loop.plant.inputs)),
             p,
+            schedule=schedule,
             tolerance=experiment.declaration.tolerance,
         )
-        virtual = np.empty((rows, 2 * len(controller.virtual.coordinates)))
-        inputs = np.empty((rows, len(loop.plant.inputs)))
-        loop.kernels.along(times, found.states, p, virtual, inputs)
-        return times, found.states, inputs
+        return times, found.states, complete(loop, times, found.states, p, schedule).inputs
 
 
 def mean_power(power: Array, step: float, time: float) -> Array:
@@ -441,9 +442,11 @@ def _can_follow_virtual(experiment: Experiment) -> bool:
     virtual, declaration = experiment.virtual, experiment.declaration
     start, inputs = experiment.virtual_start, np.zeros(len(virtual.inputs))
     try:
-        virtual.kernels.integrate(
-            np.array([0.0, declaration.duration]), start, inputs, virtual.values(), tolerance=declaration.tolerance
-        )
+        schedule, span = experiment.inputs.schedule, np.array([0.0, declaration.duration])
+        series.integrate(
+            virtual.kernels, span, start, inputs, virtual.values(),
+            schedule=schedule, tolerance=declaration.tolerance,
+        )  # fmt: skip
     except (SingularityError, IntegrationError):
         return False
     return True

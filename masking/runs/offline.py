@@ -15,6 +15,7 @@ from masking.control.closed_loop import ClosedLoop
 from masking.control.law import Controller
 from masking.control.sampled import SampledLoop
 from masking.errors import ModelError
+from masking.modelling.series import Schedule, integrate
 from masking.numerics.arrays import Array
 from masking.runs.stopping import check_status
 
@@ -52,6 +53,7 @@ class TwinRun:
         demanded: commands before limits (m, actuators), in the actuators' units.
         applied: commands after limits (m, actuators).
         power: mean power of each actuator as the controller reckons it (m, actuators), W; 0 where it is not limited.
+        lacking: accelerations that the controller's model lacks, as it estimates them (m, n), SI units.
     """
 
     times: Array
@@ -61,6 +63,7 @@ class TwinRun:
     demanded: Array
     applied: Array
     power: Array
+    lacking: Array | None = None
 
 
 _AnyRun = TypeVar("_AnyRun", bound=Run | TwinRun)
@@ -68,11 +71,18 @@ _AnyRun = TypeVar("_AnyRun", bound=Run | TwinRun)
 
 def cut(run: _AnyRun, rows: int) -> _AnyRun:
     """Return the first rows of a run."""
-    return replace(run, **{part.name: getattr(run, part.name)[:rows] for part in fields(run)})
+    parts = {part.name: getattr(run, part.name) for part in fields(run)}
+    return replace(run, **{name: part[:rows] for name, part in parts.items() if part is not None})
 
 
 def run_continuous(
-    loop: ClosedLoop, state: Array, times: Array, *, tolerance: float, progress: Progress | None = None
+    loop: ClosedLoop,
+    state: Array,
+    times: Array,
+    *,
+    tolerance: float,
+    schedule: Schedule | None = None,
+    progress: Progress | None = None,
 ) -> Run:
     """Run a closed loop whose controller acts in continuous time.
 
@@ -81,6 +91,7 @@ def run_continuous(
         state: rig coordinates then velocities (2 n,) at the first time.
         times: instants to record (m,), increasing.
         tolerance: local relative error of the integrator.
+        schedule: parameters of the control law that change on the way.
         progress: called with the part done.
 
     Raises:
@@ -89,8 +100,11 @@ def run_continuous(
     """
     p = loop.values()
     inputs = np.zeros(len(loop.plant.inputs))
-    found = loop.kernels.integrate(times, state, inputs, p, tolerance=tolerance, progress=progress, pieces=PIECES)
-    return _complete(loop, times, found.states, p)
+    found = integrate(
+        loop.kernels, times, state, inputs, p,
+        schedule=schedule, tolerance=tolerance, progress=progress, pieces=PIECES,
+    )  # fmt: skip
+    return complete(loop, times, found.states, p, schedule)
 
 
 def run_sampled(
@@ -101,6 +115,7 @@ def run_sampled(
     duration: float,
     every: int = 1,
     substeps: int | None = None,
+    schedule: Schedule | None = None,
     progress: Progress | None = None,
 ) -> Run:
     """Run a closed loop whose controller reads the state at a fixed rate and holds its outputs between samples.
@@ -113,6 +128,7 @@ def run_sampled(
         every: record one sample of this many.
         substeps: integration steps of the plant between samples; by default as many as its motion about the initial
             state asks for.
+        schedule: parameters of the control law that change on the way.
         progress: called with the part done.
 
     Raises:
@@ -128,18 +144,22 @@ def run_sampled(
     rows = np.arange(0, samples, every)
     out_y, out_u = np.empty((len(rows), len(state))), np.empty((len(rows), len(loop.plant.inputs)))
     y, u, p, first = np.array(state, dtype=float), np.zeros(out_u.shape[1]), loop.values(), 0.0
-    bounds = [samples * piece // PIECES for piece in range(PIECES + 1)]
+    changes = [] if schedule is None else np.ceil(schedule.instants * rate * (1.0 - 1e-12)).astype(int).tolist()
+    cuts = {samples * piece // PIECES for piece in range(PIECES + 1)} | {i for i in changes if 0 < i < samples}
+    bounds = sorted(cuts)
     mend = f"sampled at {rate:g} Hz, inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
     for begin, end in itertools.pairwise(bounds):
         count = end - begin
         row = -(-begin // every)
+        if schedule is not None:
+            schedule.set(begin / rate * (1.0 + 1e-12), p)
         status, done, first = loop.kernels.run_sampled(
             begin, count, 1.0 / rate, substeps, every, y, u, p, first, out_y[row:], out_u[row:]
         )
         check_status(loop.kernels, status, (begin + done) / rate, y, mend)
         if progress is not None:
             progress((begin + count) / samples)
-    found = _complete(loop, rows / rate, out_y, p)
+    found = complete(loop, rows / rate, out_y, p, schedule)
     return Run(found.times, found.rig, found.virtual, out_u)
 
 
@@ -203,7 +223,8 @@ def run_twin(
             progress((end + before) / (samples + before))
     states, memories, readings, demanded, applied = out
     estimates, power = memories[:, : sizes.states], memories[:, sizes.power]
-    return TwinRun(rows / rate, states, estimates, readings, demanded, applied, power)
+    lacking = memories[:, sizes.states : sizes.states + sizes.coordinates] if sizes.order else None
+    return TwinRun(rows / rate, states, estimates, readings, demanded, applied, power, lacking)
 
 
 def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:
@@ -291,8 +312,21 @@ def _map(loop: Mapped, q: Array) -> tuple[Array, Array]:
     return np.append(out[:k], q[free]), np.concatenate([jacobian, np.eye(n)[free]])
 
 
-def _complete(loop: ClosedLoop, times: Array, states: Array, p: Array) -> Run:
+def complete(loop: ClosedLoop, times: Array, states: Array, p: Array, schedule: Schedule | None) -> Run:
+    """Return the run of a closed loop whose states are known.
+
+    Args:
+        loop: controller and plant.
+        times: (m,), increasing.
+        states: of the rig (m, .), SI units.
+        p: parameter array of the loop.
+        schedule: parameters of it that change on the way.
+    """
     virtual = np.empty((len(times), 2 * len(loop.controller.virtual.coordinates)))
     inputs = np.empty((len(times), len(loop.plant.inputs)))
-    loop.kernels.along(times, states, p, virtual, inputs)
+    for begin, end in schedule.spans(times) if schedule else [(0, len(times))]:
+        if schedule is not None:
+            schedule.set(float(times[begin]), p)
+        rows = slice(begin, end)
+        loop.kernels.along(times[rows], states[rows], p, virtual[rows], inputs[rows])
     return Run(times, states, virtual, inputs)

@@ -1,0 +1,122 @@
+"""Feed: what a sampled controller gives its virtual system as inputs that are not declared as expressions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.codegen.graph import Graph, Node
+from masking.codegen.source import Module
+from masking.modelling.series import Series
+from masking.numerics.arrays import Array
+from masking.numerics.sizes import Sizes
+
+if TYPE_CHECKING:
+    from masking.control.law import Controller
+    from masking.numerics import feeding
+else:
+    feeding = lazy.load("masking.numerics.feeding", suppress_warning=True)
+
+
+@dataclass(frozen=True)
+class FromSensor:
+    """An input that is what a sensor reads: its cell, the sensor's index, and virtual units per unit of reading."""
+
+    cell: int
+    sensor: int
+    factor: float
+
+
+@dataclass(frozen=True)
+class FromPush:
+    """An input that is an estimated force.
+
+    Args:
+        cell: of the input.
+        coordinate: index of the rig coordinate along which it acts.
+        factor: virtual units per SI unit.
+        above: rad/s; slower forces are errors of the model.
+    """
+
+    cell: int
+    coordinate: int
+    factor: float
+    above: float
+
+
+@dataclass(frozen=True)
+class Feed:
+    """Inputs of the virtual system that a sampled controller reads as it runs.
+
+    Args:
+        scale: index of the seconds per unit of virtual time in the parameter array.
+        series: the cell of each input that is known point by point, and its points.
+        sensors: inputs that are read.
+        pushes: inputs that are estimated.
+    """
+
+    scale: int = 0
+    series: tuple[tuple[int, Series], ...] = ()
+    sensors: tuple[FromSensor, ...] = ()
+    pushes: tuple[FromPush, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.series or self.sensors or self.pushes)
+
+    def tail(self) -> Array:
+        """Return what stands behind the parameters, as `masking.numerics.feeding` reads it; nothing without inputs."""
+        if not self:
+            return np.empty(0)
+        parts = [np.append(len(one.times), one.pieces.ravel()) for _, one in self.series]
+        parts += [np.array([one.factor]) for one in self.sensors]
+        parts += [np.array([one.factor, one.above, 0.0]) for one in self.pushes]
+        tail = np.concatenate([*parts, np.zeros(len(self.pushes))])
+        return np.append(tail, len(tail) + 1.0)
+
+    def structure(self) -> list[object]:
+        """Return all that the compiled step depends on."""
+        cells = [cell for cell, _ in self.series]
+        pushes = [[one.cell, one.coordinate] for one in self.pushes]
+        return [self.scale, cells, [[one.cell, one.sensor] for one in self.sensors], pushes] if self else []
+
+    def bare(self, signature: str) -> str:
+        """Return the signature of a function under the name that it has before it is fed."""
+        is_fed = bool(self.series) and signature.startswith(("law(", "virtual("))
+        return f"bare_{signature}" if is_fed else signature
+
+    def add_laws(self, module: Module) -> None:
+        """Add the control law and what the energy balance calls, with their series."""
+        if self.series:
+            cells = tuple(cell for cell, _ in self.series)
+            module.add_factory("law", feeding.law, "bare_law", cells, self.scale, exported=False)
+            module.add_factory("virtual", feeding.virtual, "bare_virtual", cells, self.scale, exported=False)
+
+    def add_control(self, module: Module, sizes: Sizes, work: tuple[int, int]) -> None:
+        """Add the step with inputs that are read or estimated."""
+        sensors = tuple((one.cell, one.sensor) for one in self.sensors)
+        pushes = tuple(one.cell for one in self.pushes)
+        given = ("bare_control", "push", len(self.series), sensors, pushes, sizes)
+        module.add_factory("control", feeding.control, *given, work=work)
+
+    @property
+    def is_live(self) -> bool:
+        """Tell whether an input is known in the run alone."""
+        return bool(self.sensors or self.pushes)
+
+    def forces(self, graph: Graph, controller: Controller, known: dict[object, Node], d: list[Node]) -> list[Node]:
+        """Return the nodes of the force along the coordinate of each push.
+
+        Args:
+            graph: the graph to add to.
+            controller: with the model of the rig.
+            known: nodes of its symbols.
+            d: accelerations that the model lacks (n,).
+        """
+        mass = controller.model.equations.mass.tolist()
+        return [
+            graph.total([graph.mul(graph.lower(m, known), a) for m, a in zip(mass[one.coordinate], d, strict=True)])
+            for one in self.pushes
+        ]

@@ -1,0 +1,124 @@
+"""Kernels that give a control law the inputs of its virtual system: from tables, from sensors, and from a push.
+
+An input is the polynomial c0 + c1 (t - at) + ... of the virtual time, whose five parameters are cells of the parameter
+array p of the control law. Behind the parameters stands a tail:
+
+    for each series: number m of points, then (c0, c1, c2, c3, at) before and after each point (m + 1, 5)
+    for each sensor: virtual units per unit of reading
+    for each push: virtual units per SI unit, rad/s above which it is felt, and what is below
+    for each push: what was found last
+    the length of the tail, itself included
+"""
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0917
+# The types are numba's to infer.
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from masking.numerics.arrays import Matrix, Vector
+from masking.numerics.integrators import compiled
+from masking.numerics.sizes import Sizes
+
+Kernel = Callable[..., Any]
+PIECE = 5  # numbers of a polynomial
+OF_PUSH = 3  # numbers of a push before what was found
+
+
+@compiled
+def interpolate(tau, p, at, cell):
+    """Copy the polynomial for a time from the table at an index into its cells; return the index behind the table."""
+    count = int(p[at])
+    low, high = 0, count  # the piece is the number of points up to tau
+    while low < high:
+        middle = (low + high) // 2
+        if p[at + 1 + PIECE * (middle + 1) + 4] <= tau:
+            low = middle + 1
+        else:
+            high = middle
+    first = at + 1 + PIECE * low
+    for i in range(PIECE):
+        p[cell + i] = p[first + i]
+    return at + 1 + PIECE * (count + 1)
+
+
+@compiled
+def tables(t, p, cells, scale):
+    """Set the cells of all series for a time of the rig; return the index behind their tables."""
+    at = p.size - int(p[p.size - 1])
+    for cell in cells:
+        at = interpolate(t / p[scale], p, at, cell)
+    return at
+
+
+def law(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
+    """Make a control law that reads its series at each instant.
+
+    Args:
+        bare: `law` of `masking.numerics.sampled_loop`.
+        cells: where the polynomial of each series is among the parameters.
+        scale: where the seconds per unit of virtual time are.
+    """
+
+    @compiled
+    def fed(t, since, y, d, p, u, r, g):
+        tables(t, p, cells, scale)
+        return bare(t, since, y, d, p, u, r, g)
+
+    return fed
+
+
+def virtual(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
+    """Make `virtual` of `masking.numerics.energy_balance` with series, which are read at each instant."""
+
+    @compiled
+    def fed(t, y, p, out):
+        tables(t, p, cells, scale)
+        bare(t, y, p, out)
+
+    return fed
+
+
+def control(
+    bare: Kernel, push: Kernel, series: int, sensors: tuple[tuple[int, int], ...], pushes: tuple[int, ...], sizes: Sizes
+) -> Kernel:
+    """Make the step of a controller whose virtual system has inputs from sensors and pushes.
+
+    Args:
+        bare: the step without.
+        push: `push(t, y, d, p, out)` writes the force along the coordinate of each push, of the accelerations d that
+            the model lacks.
+        series: number of series.
+        sensors: for each input from a sensor, its cell and the index of the sensor.
+        pushes: the cells of inputs from pushes.
+        sizes: of the controller.
+    """
+    following, size, n = sizes.next, sizes.states, sizes.coordinates
+
+    @compiled
+    def step(
+        t: float, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
+        applied: Vector, work: Matrix,
+    ) -> float:  # fmt: skip
+        at = p.size - int(p[p.size - 1])
+        for _ in range(series):
+            at += 1 + PIECE * (int(p[at]) + 1)
+        for cell, sensor in sensors:
+            p[cell] = p[at] * s[sensor]
+            at += 1
+        if len(pushes) > 0:
+            z = x[following.start : following.stop]
+            found = p[at + OF_PUSH * len(pushes) : p.size - 1]
+            push(t, z[:size], z[size : size + n], p, found)
+            k = 0
+            for cell in pushes:
+                # What lasts is an error of the model, and is cancelled; what comes and goes is a push.
+                p[at + 2] += -math.expm1(-p[at + 1] * h) * (found[k] - p[at + 2])
+                p[cell] = p[at] * (found[k] - p[at + 2])
+                at += OF_PUSH
+                k += 1
+        return bare(t, h, s, x, p, gain, table, demanded, applied, work)
+
+    return step
