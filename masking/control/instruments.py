@@ -178,8 +178,7 @@ class Instruments:
         values = self.model.parameter_values() | dict.fromkeys(names, 0.0)
         for k, (sensor, gain) in enumerate(zip(self.plant.sensors.values(), self.gains(), strict=True)):
             for i, (name, step) in enumerate(zip(names, steps, strict=True)):
-                up = sensor.measures.evaluate(values | {name: step})
-                down = sensor.measures.evaluate(values | {name: -step})
+                up, down = (self._measured(sensor, values | {name: by}) for by in (step, -step))
                 found[k, i] = gain * (up - down) / (2.0 * step)
         return found
 
@@ -196,7 +195,12 @@ class Instruments:
         names = self.model.coordinates
         at = self.model.parameter_values() | {f"{c}'": 0.0 for c in names} | dict(zip(names, q, strict=True))
         pairs = zip(self.gains(), self.plant.sensors.values(), strict=True)
-        return np.array([gain * sensor.measures.evaluate(at) for gain, sensor in pairs])
+        return np.array([gain * self._measured(sensor, at) for gain, sensor in pairs])
+
+    def _measured(self, sensor: schema.Sensor, values: Mapping[str, float]) -> float:
+        """Return what a sensor measures of a rig at rest, in SI units; outputs may stand in it, without added forces."""
+        outputs = {n: o.expression for n, o in self.model.declaration.outputs.items() if n in sensor.measures.names}
+        return sensor.measures.evaluate({**{n: x.evaluate(values) for n, x in outputs.items()}, **values})
 
     def rest(self) -> Array:
         """Return the coordinates (n,) at which the model rests without inputs.

@@ -78,6 +78,15 @@ def is_fed(model: ModelDeclaration, measured: Expression) -> bool:
     return bool(measured.symbols & (_fed_names(model) | fed))
 
 
+def is_commanded(model: ModelDeclaration, measured: Expression) -> bool:
+    """Tell whether inputs change what a sensor measures at once; forces of elements that follow the motion do not."""
+    direct = _fed_names(model)
+    elements = [one for one in model.elements.values() if any(x.symbols & direct for x in motions(one))]
+    driven = {name for one in elements for name in one.acts}
+    outputs = {n for n, output in model.outputs.items() if n in driven or output.expression.symbols & direct}
+    return bool(measured.symbols & (direct | outputs - {*model.coordinates, *model.states}))
+
+
 def fed_outputs(model: ModelDeclaration) -> tuple[str, ...]:
     """Give the outputs that inputs or forces change at once."""
     direct, driven = _fed_names(model), driven_outputs(model)

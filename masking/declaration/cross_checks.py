@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from masking.declaration import transforms
 from masking.declaration.checks import accelerations, check_symbols, parameter_values, problem_at, velocities
-from masking.declaration.couplings import is_fed
+from masking.declaration.couplings import is_commanded
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration, Transform
 from masking.errors import Problem, nearest
@@ -154,7 +154,7 @@ def _loop(experiment: ExperimentDeclaration, plant: PlantDeclaration, rig: Model
         mend = "choose a rig; what such a model is missing is found by 'masking discover', from a record"
         yield problem_at(experiment, "plant", message, mend)
     for name, sensor in plant.sensors.items():
-        if rig.coordinates and is_fed(rig, sensor.measures):
+        if rig.coordinates and is_commanded(rig, sensor.measures):
             message = f"the sensor {name} reads {sensor.measures}, which a command changes at once"
             mend = "a controller reads before it commands; leave this sensor out of the plant"
             yield problem_at(plant, f"sensors.{name}", message, mend)

@@ -52,6 +52,18 @@ def check_inputs(
         yield from _live(experiment, name, source)
 
 
+    live = [name for name, source in experiment.inputs.items() if source.is_live]
+    if experiment.controller.external == "felt" and not live:
+        message = f"external forces are to be felt, and no input of {virtual.name} takes them"
+        mend = "give one of its inputs from a force sensor, such as 'F: {sensor: force}', or 'F: {push: x, above: 1}'"
+        yield problem_at(experiment, "controller.external", message, mend, at_key=True)
+    pushes = [name for name in live if experiment.inputs[name].push is not None]
+    if experiment.controller.external == "rejected" and pushes:
+        message = f"a push is rejected where external forces are not felt, and {pushes[0]} is to feel it"
+        mend = "write 'controller: {external: felt}'"
+        yield problem_at(experiment, f"inputs.{pushes[0]}", message, mend, at_key=True)
+
+
 def _live(experiment: ExperimentDeclaration, name: str, source: InputSource) -> Iterator[Problem]:
     """Check that what is known in the run alone has a controller that reads sensors."""
     settings, path = experiment.controller, f"inputs.{name}"

@@ -18,6 +18,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from masking.numerics.arrays import Matrix, Vector
 from masking.numerics.integrators import compiled
 from masking.numerics.sizes import Sizes
@@ -96,6 +98,7 @@ def control(
         sizes: of the controller.
     """
     following, size, n = sizes.next, sizes.states, sizes.coordinates
+    read, felt = np.array(sensors, dtype=np.int64).reshape(-1, 2), np.array(pushes, dtype=np.int64)
 
     @compiled
     def step(
@@ -105,20 +108,18 @@ def control(
         at = p.size - int(p[p.size - 1])
         for _ in range(series):
             at += 1 + PIECE * (int(p[at]) + 1)
-        for cell, sensor in sensors:
-            p[cell] = p[at] * s[sensor]
+        for i in range(len(read)):
+            p[read[i, 0]] = p[at] * s[read[i, 1]]
             at += 1
-        if len(pushes) > 0:
+        if felt.size > 0:
             z = x[following.start : following.stop]
-            found = p[at + OF_PUSH * len(pushes) : p.size - 1]
+            found = p[at + OF_PUSH * felt.size : p.size - 1]
             push(t, z[:size], z[size : size + n], p, found)
-            k = 0
-            for cell in pushes:
+            for i in range(felt.size):
                 # What lasts is an error of the model, and is cancelled; what comes and goes is a push.
-                p[at + 2] += -math.expm1(-p[at + 1] * h) * (found[k] - p[at + 2])
-                p[cell] = p[at] * (found[k] - p[at + 2])
+                p[at + 2] += -math.expm1(-p[at + 1] * h) * (found[i] - p[at + 2])
+                p[felt[i]] = p[at] * (found[i] - p[at + 2])
                 at += OF_PUSH
-                k += 1
         return bare(t, h, s, x, p, gain, table, demanded, applied, work)
 
     return step

@@ -30,7 +30,7 @@ class SimulatedPlant:
     owns_clock = False
 
     def __init__(self, twin: Twin, seed: int = 0) -> None:
-        if twin.is_fed:
+        if "sense" not in twin.kernels.meta["functions"]:
             raise ModelError(
                 f"{twin.declaration.name}: its sensors read at once what is commanded, which no controller can answer; "
                 "what its model is missing is found by 'masking discover', from a record"

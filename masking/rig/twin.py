@@ -411,7 +411,7 @@ class Twin:
         module.meta["factors"] = {unit: units.factor_of(unit) for unit in _units(self.declaration, self.base)}
         lowered = LoweredTwin(self)
         module.add("sense_under(t: float, y, u, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
-        if not self.is_fed:
+        if not any(couplings.is_commanded(self.base, sensor.measures) for sensor in self.declaration.sensors.values()):
             module.add("sense(t: float, y, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
         module.add(
             "twin_derivative(t: float, y, u, p, dy)", lowered.graph, lowered.derivatives, lowered.loads, lowered.health
