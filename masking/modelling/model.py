@@ -29,6 +29,7 @@ from masking.errors import DeclarationError, ModelError
 from masking.modelling.equations import Equations
 from masking.modelling.lowering import module
 from masking.modelling.scales import Units
+from masking.modelling.series import Series, driven
 
 if TYPE_CHECKING:
     import control
@@ -133,6 +134,10 @@ class Model:
         e = self.equations
         return not any(e.symbols.t in x.free_symbols for x in (*e.mass, *e.force, *e.rates))
 
+    def declared_as(self, declaration: schema.ModelDeclaration) -> Model:
+        """Return the model with another declaration, and the same values and units."""
+        return replace(self, declaration=declaration)
+
     def with_parameters(self, **values: float) -> Model:
         """Return the model with other parameter values, in the declared units; nothing is recompiled."""
         changed = replace(self, overrides={**self.overrides, **values})
@@ -231,25 +236,30 @@ class Model:
         self,
         times: np.ndarray,
         initial: Mapping[str, float] | None = None,
-        inputs: Sequence[float] | None = None,
+        inputs: Sequence[float] | Mapping[str, float | Series | Sequence[float]] | None = None,
         tolerance: float = 1e-10,
     ) -> Trajectory:
-        """Integrate the model by itself, with constant inputs.
+        """Integrate the model by itself.
+
+            model.simulate(times, {"x": 0.1}, {"F": Series([0, 1, 2], [0, 0.5, 0], "cubic"), "G": 0.1})
 
         Args:
             times: monotone times (m,), in seconds, or in units of the time scale.
             initial: values of coordinates (`x1`), velocities (`x1'`) and internal states at the first time, in the
                 declared units; what is not given is taken from the declaration.
-            inputs: constant inputs (k,); zero where not given.
+            inputs: constant inputs (k,), in SI units or in the declared scales; or each by its name: a number, a
+                `Series`, or values at the times (m,), with straight lines between. By default all are zero.
             tolerance: local relative error.
 
         Returns:
             states (m, 2 n + k), the k internal states last, and their times.
 
         Raises:
-            ModelError: the times are none.
+            ModelError: the times are none, or inputs by name are not those of the model.
             IntegrationError: the integrator could not go on.
         """
+        if isinstance(inputs, Mapping):
+            return driven(self, times, initial or {}, inputs, tolerance)
         times = np.atleast_1d(np.asarray(times, dtype=float))
         if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
             raise ModelError(

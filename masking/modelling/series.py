@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Protocol, Self
 
 import lazy_loader as lazy
 import numpy as np
 
 from masking.codegen.kernels import Kernels, Trajectory
+from masking.declaration import schema
+from masking.declaration.input_source import InputSource
+from masking.declaration.virtual_inputs import CELLS, cell, with_inputs
 from masking.errors import ModelError
 from masking.numerics.arrays import Array
 
@@ -162,3 +165,67 @@ def integrate(
     return Trajectory(times, states, tuple(kernels.meta["coordinates"]), steps, tuple(kernels.meta.get("states", ())))
 
 
+
+
+class _Simulated(Protocol):
+    """A model."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def inputs(self) -> tuple[str, ...]: ...
+
+    @property
+    def parameters(self) -> tuple[str, ...]: ...
+
+    @property
+    def declaration(self) -> schema.ModelDeclaration: ...
+
+    @property
+    def kernels(self) -> Kernels: ...
+
+    def values(self) -> Array: ...
+
+    def initial_state(self, given: Mapping[str, float]) -> Array: ...
+
+    def declared_as(self, declaration: schema.ModelDeclaration) -> Self: ...
+
+
+def driven(
+    model: _Simulated,
+    times: Array,
+    initial: Mapping[str, float],
+    inputs: Mapping[str, float | Series | Sequence[float]],
+    tolerance: float,
+) -> Trajectory:
+    """Integrate a model whose inputs are given by name, as `Model.simulate` does.
+
+    Args:
+        model: that is driven.
+        times: increasing (m,).
+        initial: values of its states.
+        inputs: each a number, a series, or values at the times.
+        tolerance: local relative error.
+
+    Raises:
+        ModelError: an input is missing, or there is none of a name.
+    """
+    times = np.atleast_1d(np.asarray(times, dtype=float))
+    unknown, missing = [n for n in inputs if n not in model.inputs], [n for n in model.inputs if n not in inputs]
+    if unknown or missing:
+        what = f"has no input '{unknown[0]}'" if unknown else f"has inputs that are not given: {', '.join(missing)}"
+        raise ModelError(f"{model.name} {what}; its inputs are {', '.join(model.inputs) or 'none'}")
+    series = {name: one for name, one in inputs.items() if isinstance(one, Series)}
+    series |= {name: Series(times, np.asarray(x, float)) for name, x in inputs.items() if np.ndim(_plain(x)) == 1}
+    made = model.declared_as(with_inputs(model.declaration, dict.fromkeys(series, InputSource())))
+    constant = np.array([float(_plain(inputs[name])) for name in made.inputs])
+    cells = [(one, [made.parameters.index(cell(name, part)) for part in CELLS]) for name, one in series.items()]
+    schedule = Schedule.of(cells) if cells else None
+    state = made.initial_state(initial)
+    return integrate(made.kernels, times, state, constant, made.values(), schedule=schedule, tolerance=tolerance)
+
+
+def _plain(value: float | Series | Sequence[float]) -> float | Sequence[float]:
+    """Return a value that is no series; a series counts as a number."""
+    return 0.0 if isinstance(value, Series) else value

@@ -126,6 +126,18 @@ def observer(facts: Study) -> str:
     return f"{words}, {late}{' predicted' * bool(delay)}"
 
 
+def external(facts: Study) -> str:
+    """Say what becomes of a push: a disturbance observer takes it for an error of its model, unless it is felt."""
+    manifest = facts.recording.manifest
+    declared = ((manifest.get("declarations") or {}).get("experiment") or {}).get("controller") or {}
+    if declared.get("external") == "felt":
+        sources = manifest.get("inputs") or {}
+        felt = [name for name, source in sources.items() if {"sensor", "push"} & source.keys()]
+        return f"pushes felt through {', '.join(felt)}"
+    rejects = (manifest.get("observer") or {}).get("kind") == "disturbance"
+    return "pushes rejected, as errors of the model" if rejects else ""
+
+
 def _rig(name: str) -> str:
     """Put an article before a plant's name, where the name does not bring its own."""
     first = name.lower().partition(" ")[0]
@@ -249,6 +261,8 @@ def summary(facts: Study) -> str:
         rows.append(("passive", passive(manifest)))
     if observer(facts):
         rows.append(("observer", observer(facts)))
+    if external(facts):
+        rows.append(("external", external(facts)))
     if manifest.get("rig"):
         rows.append(("rig", ticks(manifest)))
     energy = manifest.get("energy") or {}

@@ -108,6 +108,7 @@ def _unit(
             raise DeclarationError(Problem(None, "--rate", "a controller has the rate that is declared", mend))
         made = Experiment.load(name_or_path, plant=plant, changes=changes)
         made.validate()
+        _check_inputs(made)
         if made.has_observer:
             return sampled_unit(made.sampled, stem, watchdog)
         return law_unit(made.loop, stem, made.declaration.controller.rate)
@@ -122,6 +123,16 @@ def _unit(
     model = load_model(name_or_path).with_parameters(**(changes or {}))
     model.validate()
     return model_unit(model.dimensionless() if model.declaration.scales else model, stem, rate or RATE)
+
+
+def _check_inputs(experiment: Experiment) -> None:
+    """Refuse inputs of a virtual system that an exported controller does not have."""
+    for name, source in experiment.declaration.inputs.items():
+        if source.expression is None:
+            path = f"inputs.{name}"
+            message = f"an exported controller takes numbers and expressions of the time, not a {source.kinds[0]}"
+            mend = f"write {name} as an expression, such as '0.1*sin(1.2*t)'; or run it with this package"
+            raise DeclarationError(Problem(experiment.declaration.key_place(path), path, message, mend))
 
 
 def _kind_of(name_or_path: str | Path) -> str:
