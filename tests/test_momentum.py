@@ -24,7 +24,8 @@ GROUND = {
     "duffing": (LINE, "w3"), "duffing_driven": (LINE, "w3"), "duffing_si": (LINE, "w3"), "duffing_enoc": (LINE, "k b"),
     "discs": (ANGLE, "w3"), "discs_eccentric": (ANGLE, "w3 nu1 nu2 nu3"), "discs_driven": (ANGLE, "w3 nu1 nu2 nu3"),
     "discs_enoc": (ANGLE, "w3 nu1 nu2 nu3"),
-    "pendula": (("x",), "k b"), "cart_pendulum": (("x",), "k c kf"), "huygens": (("x",), "Om"), "huygens_lagrangian": (("x",), "Om"),
+    "pendula": (("x",), "k b"), "cart_pendulum": (("x",), "k c kf"),
+    "huygens": (("x",), "Om"), "huygens_lagrangian": (("x",), "Om"),
 }  # fmt: skip
 # One body, held by the ground; and forces that are declared without a reaction.
 ALONE = {"setup_oscillator", "setup_controlled", "van_der_pol"}

@@ -1,5 +1,7 @@
 """Inputs of a virtual system: against the same equations typed out for scipy, and what is refused."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -44,7 +46,7 @@ def load(folder, inputs, duration=20, initial=None, **controller):
 def truth(force, tau):
     """x of x'' = -x - 0.1 x' + force at times tau (m,), integrated from knot to knot."""
     y, found = np.array([0.5, 0.0]), np.empty(len(tau))
-    for i, (a, b) in enumerate(zip(KNOTS[:-1], KNOTS[1:], strict=True)):
+    for i, (a, b) in enumerate(pairwise(KNOTS)):
         inside = (tau >= a) & (tau <= b)
         made = solve_ivp(
             lambda t, y, i=i: [y[1], -y[0] - 0.1 * y[1] + force(t, i)],
@@ -54,10 +56,11 @@ def truth(force, tau):
     return found
 
 
+SPLINE = CubicSpline(KNOTS, VALUES)
 FORCES = {
     "linear": lambda t, i: np.interp(t, KNOTS, VALUES),
     "previous": lambda t, i: VALUES[i],
-    "cubic": lambda t, i, spline=CubicSpline(KNOTS, VALUES): spline(t),
+    "cubic": lambda t, i: SPLINE(t),
 }
 
 
@@ -90,7 +93,10 @@ def test_a_parquet_file_and_a_signal_are_the_same(folder):
     linear_chirp(**wave).save(folder / "chirp.parquet")
     both = [
         load(folder, {"F": source | {"interpolation": "cubic"}, "G": 0}).run()
-        for source in ({"file": str(folder / "chirp.parquet"), "column": "u"}, {"signal": "linear_chirp", "arguments": wave})
+        for source in (
+            {"file": str(folder / "chirp.parquet"), "column": "u"},
+            {"signal": "linear_chirp", "arguments": wave},
+        )
     ]
     np.testing.assert_allclose(both[0]["ideal.x"], both[1]["ideal.x"], atol=1e-12)
     sine = {"signal": "multisine", "arguments": {"frequencies": [0.1], "amplitudes": 0.2, "rate": 50, "duration": 21}}
@@ -105,9 +111,11 @@ def test_a_parquet_file_and_a_signal_are_the_same(folder):
 def test_expressions_have_the_unit_of_the_input_and_virtual_time():
     # light_cart is in SI units: 0.3 x'' = F - 40 x - 2 x', F in N and t in s.
     ideal = {"push": False, "guide_friction": False, "pivot_friction": False}
-    run = Experiment.load("cart_felt").changed(
-        inputs={"F": "0.5*sin(3*t)"}, controller={"rate": "continuous"}, effects=ideal, duration=5
-    ).run()
+    run = (
+        Experiment.load("cart_felt")
+        .changed(inputs={"F": "0.5*sin(3*t)"}, controller={"rate": "continuous"}, effects=ideal, duration=5)
+        .run()
+    )
     made = solve_ivp(
         lambda t, y: [y[1], (0.5 * np.sin(3 * t) - 40 * y[0] - 2 * y[1]) / 0.3],
         (0, 5), [0.0, 0.0], "DOP853", run.t, rtol=1e-11, atol=1e-14,
@@ -157,7 +165,11 @@ def test_what_a_run_alone_knows_is_left_out_of_the_check():
         ({"F": {"push": "x"}, "G": 0}, {"rate": "500 Hz"}, "a push is rejected where external forces are not felt"),
         ({"F": {"push": "y"}, "G": 0}, {"rate": "500 Hz", "external": "felt"}, "'y' is not a coordinate of"),
         ({"F": 0, "G": 0}, {"rate": "500 Hz", "external": "felt"}, "no input of driven takes them"),
-        ({"F": {"push": "x"}, "G": 0}, {"rate": "500 Hz", "observer": "kalman", "external": "felt"}, "'observer: disturb"),
+        (
+            {"F": {"push": "x"}, "G": 0},
+            {"rate": "500 Hz", "observer": "kalman", "external": "felt"},
+            "'observer: disturb",
+        ),
     ],
 )
 def test_what_is_wrong_with_inputs_is_told(folder, inputs, controller, message):

@@ -198,7 +198,7 @@ class Instruments:
         return np.array([gain * self._measured(sensor, at) for gain, sensor in pairs])
 
     def _measured(self, sensor: schema.Sensor, values: Mapping[str, float]) -> float:
-        """Return what a sensor measures of a rig at rest, in SI units; outputs may stand in it, without added forces."""
+        """Return what a sensor measures of a rig at rest, in SI units; outputs are those without further forces."""
         outputs = {n: o.expression for n, o in self.model.declaration.outputs.items() if n in sensor.measures.names}
         return sensor.measures.evaluate({**{n: x.evaluate(values) for n, x in outputs.items()}, **values})
 

@@ -19,7 +19,7 @@ from masking.codegen.graph import Graph, Node
 from masking.codegen.kernels import Kernels
 from masking.codegen.source import Module
 from masking.control.blocks import check_actuation
-from masking.control.feeding import Feed
+from masking.control.feeding import NOTHING, Feed
 from masking.control.instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols, check_same_rig
 from masking.control.observer import Differences, Observer
@@ -64,7 +64,7 @@ class SampledController:
     homing: float
     end: Array
     rest: float = 0.0
-    feed: Feed = Feed()
+    feed: Feed = NOTHING
 
     @property
     def sizes(self) -> Sizes:

@@ -299,9 +299,9 @@ class ControllerSettings(Block):
     `homing` is the time in s in which it brings the rig from rest to the initial state; without it, a simulated rig
     is placed there. In `rest` s before that, it measures the offsets of the sensors. `energy_balance` is the rate at
     which it takes out energy that the rig gains beyond what the virtual system gives it, per unit of virtual time.
-    `external` says what becomes of forces that are not in the model: rejected, or felt by the virtual system, through an
-    input from a force sensor or from the disturbance observer. `effects` is how strong the controller takes noise and delay of the plant to be, where that differs from what the
-    experiment gives its plant.
+    `external` says what becomes of forces that are not in the model: rejected, or felt by the virtual system through an
+    input from a force sensor or from the disturbance observer. `effects` is how strong the controller takes noise and
+    delay of the plant to be, where that differs from what the experiment gives its plant.
     """
 
     rate: ControllerRate = None

@@ -1,4 +1,4 @@
-"""The virtual system with the inputs that an experiment gives it: each is a definition, of the time and of parameters."""
+"""The virtual system with the inputs that an experiment gives it: each is a definition of time and parameters."""
 
 from __future__ import annotations
 
@@ -51,7 +51,6 @@ def check_inputs(
             yield problem_at(experiment, f"{path}.push", message, mend)
         yield from _live(experiment, name, source)
 
-
     live = [name for name, source in experiment.inputs.items() if source.is_live]
     if experiment.controller.external == "felt" and not live:
         message = f"external forces are to be felt, and no input of {virtual.name} takes them"
@@ -74,7 +73,9 @@ def _live(experiment: ExperimentDeclaration, name: str, source: InputSource) -> 
         yield problem_at(experiment, path, message, mend, at_key=True)
     elif source.push is not None and kind not in {None, "disturbance"}:
         message = "a push is what a disturbance observer finds"
-        yield problem_at(experiment, path, message, "write 'observer: disturbance', or take a force sensor", at_key=True)
+        yield problem_at(
+            experiment, path, message, "write 'observer: disturbance', or take a force sensor", at_key=True
+        )
 
 
 def cell(name: str, part: str) -> str:

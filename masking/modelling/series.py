@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Literal, Protocol, Self
 
 import lazy_loader as lazy
@@ -61,7 +62,7 @@ class Series:
 
     @cached_property
     def pieces(self) -> Array:
-        """Return c0, c1, c2, c3 and the instant that they count from, before and between and after the points (m + 1, 5)."""
+        """Return c0, c1, c2, c3 and the instant that they count from, before, between and after the points (m + 1, 5)."""
         x, y, m = self.times, self.values, len(self.times)
         found = np.zeros((m + 1, 5))
         found[0, 0], found[0, 4] = y[0], x[0]
@@ -118,10 +119,10 @@ class Schedule:
         return replace(self, where=self.where + offset)
 
     def spans(self, times: Array) -> list[tuple[int, int]]:
-        """Return the ranges of rows of increasing times (m,) between which nothing changes: first, and one after last."""
+        """Return the ranges of rows of increasing times (m,) in which nothing changes: first, and one after last."""
         cuts = np.searchsorted(times, self.instants, side="left")
         edges = np.unique(np.concatenate([[0, len(times)], cuts]))
-        return [(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        return [(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 def integrate(
@@ -145,8 +146,9 @@ def integrate(
     """
     times = np.ascontiguousarray(times, dtype=float)
     if schedule is None or not len(schedule.where):
-        more = {"progress": progress, "pieces": pieces} if progress is not None else {}
-        return kernels.integrate(times, state, inputs, parameters, tolerance=tolerance, **more)
+        return kernels.integrate(
+            times, state, inputs, parameters, tolerance=tolerance, progress=progress, pieces=pieces
+        )
     if np.any(np.diff(times) < 0.0):
         raise ModelError("inputs that are series are followed forwards in time; give times that increase")
     p, y, steps = parameters.copy(), np.array(state, dtype=float), 0
@@ -163,8 +165,6 @@ def integrate(
         if progress is not None:
             progress(done / len(ends))
     return Trajectory(times, states, tuple(kernels.meta["coordinates"]), steps, tuple(kernels.meta.get("states", ())))
-
-
 
 
 class _Simulated(Protocol):
@@ -217,15 +217,11 @@ def driven(
         what = f"has no input '{unknown[0]}'" if unknown else f"has inputs that are not given: {', '.join(missing)}"
         raise ModelError(f"{model.name} {what}; its inputs are {', '.join(model.inputs) or 'none'}")
     series = {name: one for name, one in inputs.items() if isinstance(one, Series)}
-    series |= {name: Series(times, np.asarray(x, float)) for name, x in inputs.items() if np.ndim(_plain(x)) == 1}
+    rest = {name: np.asarray(one, float) for name, one in inputs.items() if not isinstance(one, Series)}
+    series |= {name: Series(times, values) for name, values in rest.items() if values.ndim}
     made = model.declared_as(with_inputs(model.declaration, dict.fromkeys(series, InputSource())))
-    constant = np.array([float(_plain(inputs[name])) for name in made.inputs])
+    constant = np.array([float(rest[name]) for name in made.inputs])
     cells = [(one, [made.parameters.index(cell(name, part)) for part in CELLS]) for name, one in series.items()]
     schedule = Schedule.of(cells) if cells else None
     state = made.initial_state(initial)
     return integrate(made.kernels, times, state, constant, made.values(), schedule=schedule, tolerance=tolerance)
-
-
-def _plain(value: float | Series | Sequence[float]) -> float | Sequence[float]:
-    """Return a value that is no series; a series counts as a number."""
-    return 0.0 if isinstance(value, Series) else value

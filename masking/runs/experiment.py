@@ -32,8 +32,8 @@ from masking.runs.columns import Columns
 from masking.runs.offline import Mapped, Run, TwinRun, cut, rig_state, run_continuous, run_sampled, run_twin
 from masking.runs.passive import Passive
 from masking.runs.record_rate import rows_per_unit
-from masking.runs.virtual_inputs import VirtualInputs, live_inputs
 from masking.runs.stopping import SYNCHRONISED, StopCondition
+from masking.runs.virtual_inputs import VirtualInputs, live_inputs
 
 
 @dataclass(frozen=True)
@@ -376,9 +376,7 @@ class Experiment:
         times = np.linspace(0.0, duration, max(2, round(self._rows_per_unit * declaration.duration) + 1))
         if declaration.record:
             times = np.arange(int(duration * declaration.record.rate * (1.0 + 1e-12)) + 1) / declaration.record.rate
-        return partial(
-            run_continuous, self.loop, state, times, tolerance=declaration.tolerance, schedule=schedule
-        )
+        return partial(run_continuous, self.loop, state, times, tolerance=declaration.tolerance, schedule=schedule)
 
     def _sampled_run(self) -> Callable[..., TwinRun]:
         """Return the run of a controller with an observer, ready to be started."""

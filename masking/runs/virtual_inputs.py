@@ -199,7 +199,7 @@ def _signal(source: InputSource) -> tuple[Array, Array]:
             given[counted] = int(given[counted])
     made = [signals.Multisine(**wave)] if source.signal == "multisine" and "frequencies" in wave else []
     known = inspect.signature(make).parameters
-    unknown = [name for name in ({**given, **({} if made else wave)}) if name not in known]
+    unknown = [name for name in (*given, *(() if made else wave)) if name not in known]
     missing = [n for n, p in known.items() if p.default is p.empty and n not in given and not (made and n == "signal")]
     if unknown or missing:
         words = [f"'{unknown[0]}' is none of its arguments"] if unknown else []
