@@ -62,7 +62,7 @@ class Series:
 
     @cached_property
     def pieces(self) -> Array:
-        """Return c0, c1, c2, c3 and the instant that they count from, before, between and after the points (m + 1, 5)."""
+        """Return c0 to c3 and the instant that they count from, before, between and after the points (m + 1, 5)."""
         x, y, m = self.times, self.values, len(self.times)
         found = np.zeros((m + 1, 5))
         found[0, 0], found[0, 4] = y[0], x[0]
