@@ -8,7 +8,7 @@ from typing import Final, final
 import mujoco
 import numpy as np
 
-from masking.errors import PlantMismatchError
+from masking.errors import PlantLostError, PlantMismatchError
 from masking.numerics.arrays import Array
 from masking.plants import address as addresses
 from masking.plants.interface import Settings
@@ -16,6 +16,7 @@ from masking.plants.stepped import SteppedPlant
 
 FORM: Final = "mujoco:rig.xml?sensors=x,v&actuators=motor"
 _OPTIONS: Final = ("sensors", "actuators", "key")
+_UNSTABLE: Final = tuple(getattr(mujoco.mjtWarning, f"mjWARN_BADQ{kind}") for kind in ("POS", "VEL", "ACC"))
 
 
 @final
@@ -30,6 +31,7 @@ class MujocoPlant(SteppedPlant):
 
     def __init__(self, address: str) -> None:
         where = addresses.parse(address, _OPTIONS, FORM)
+        self._file = where.place
         try:
             self._model = mujoco.MjModel.from_xml_path(where.place)
         except ValueError as error:
@@ -59,6 +61,9 @@ class MujocoPlant(SteppedPlant):
         """Move by one sample."""
         self._data.ctrl[self._driven] = command
         mujoco.mj_step(self._model, self._data, self._steps)
+        if any(self._data.warning[kind].number for kind in _UNSTABLE):  # upon which MuJoCo begins anew
+            mend = "give it a shorter timestep"
+            raise PlantLostError(f"the simulation of {self._file} became unstable at {self._data.time:g} s; {mend}")
 
     def readings(self) -> Array:
         """Return what the sensors show now: after a step, MuJoCo's are those of its beginning."""

@@ -74,29 +74,38 @@ class SerialLine:
     def __init__(self, port: Port) -> None:
         self._port, self._splitter, self._rest = port, Splitter(), b""
         self._frames: deque[bytes] = deque()
+        self._end: OSError | None = None
 
     def send(self, frame: bytes) -> None:
         """Send a frame, whole or not at all; BlockingIOError where the one before is still under way."""
-        with _gone_is_an_end():
+        try:
             if self._rest:
                 self._rest = self._rest[self._port.write(self._rest) :]
             if self._rest:
                 raise BlockingIOError("the line is full")
             data = to_stream(frame)
             self._rest = data[self._port.write(data) :]
+        except BlockingIOError:
+            raise
+        except OSError as error:
+            raise ConnectionResetError(str(error)) from error
 
     def waits(self, seconds: float) -> bool:
-        """Tell whether a frame waits to be read, or comes within a time."""
+        """Tell whether a frame or the end of the line waits to be read, or comes within a time."""
         until = time.monotonic() + seconds
-        with _gone_is_an_end():
+        try:
             while not self._frames and self._port.waits(max(0.0, until - time.monotonic())):
                 self._frames += self._splitter.feed(self._port.read())
-        return bool(self._frames)
+        except OSError as error:
+            self._end = error
+        return bool(self._frames or self._end)
 
     def receive(self) -> bytes:
-        """Return a frame that waits."""
+        """Return a frame that waits; the end of the line comes after all of them."""
         if not self.waits(0.0):
             raise BlockingIOError("there is no whole frame")
+        if not self._frames:
+            raise ConnectionResetError(str(self._end)) from self._end
         return self._frames.popleft()
 
     def close(self) -> None:
@@ -227,14 +236,3 @@ def _opened(place: str, baud: int) -> Port:
     except ValueError as error:
         raise OSError(str(error)) from error
     return _PolledPort(port) if sys.platform == "win32" else _SerialPort(port)
-
-
-@contextlib.contextmanager
-def _gone_is_an_end() -> Any:  # noqa: ANN401
-    """Turn what a port raises once its cable is off into what a `Line` says."""
-    try:
-        yield
-    except BlockingIOError:
-        raise
-    except OSError as error:
-        raise ConnectionResetError(str(error)) from error

@@ -140,14 +140,14 @@ def decode(datagram: bytes) -> Frame:
 
 def to_stream(frame: bytes) -> bytes:
     """Write a frame for a stream of bytes: without zeros, and a zero behind it."""
-    found = bytearray()
-    for part in frame.split(b"\0"):
-        runs = [part[i : i + _RUN] for i in range(0, len(part), _RUN)] or [b""]
-        for number, run in enumerate(runs):
+    found, parts = bytearray(), frame.split(b"\0")
+    for number, part in enumerate(parts):
+        runs = [part[i : i + _RUN] for i in range(0, len(part), _RUN)]
+        if not runs or (len(runs[-1]) == _RUN and number < len(parts) - 1):  # a full run has no zero behind it
+            runs.append(b"")
+        for run in runs:
             found.append(len(run) + 1)
             found += run
-            if len(run) == _RUN and number == len(runs) - 1:  # a full run stands for no zero behind it
-                found.append(1)
     return bytes(found) + b"\0"
 
 
