@@ -30,11 +30,13 @@ class Card:
         self.written, self.broken = [], ""
 
     def edge(self):
+        """Move to the next edge, at which inputs are sampled and outputs take what was written before."""
+        if self.edges:
+            moved = scipy.linalg.expm(self.matrix / self.rate) @ [*self.state, self.outputs["ao0"]]
+            self.state = moved[:2]
         self.edges += 1
         self.outputs |= self.pending
         self.written.append(self.outputs["ao0"])
-        moved = scipy.linalg.expm(self.matrix / self.rate) @ [*self.state, self.outputs["ao0"]]
-        self.state = moved[:2]
 
 
 def stub(card):

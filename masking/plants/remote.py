@@ -183,6 +183,8 @@ class RemotePlant(ABC):
             except BlockingIOError:  # what waited was no frame
                 continue
             except ConnectionError as error:
+                if gone is not None:  # nothing was behind the first
+                    break
                 gone = error
             else:
                 if frame.session == self._session:
