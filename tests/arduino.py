@@ -1,4 +1,4 @@
-"""Sketches without a board: Arduino's library as far as they use it, on a Cortex-M4F in QEMU, its UART on a serial line."""
+"""Sketches without a board: what they use of Arduino's library, on a Cortex-M4F in QEMU with a serial line."""
 
 import shutil
 import subprocess
