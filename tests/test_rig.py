@@ -173,7 +173,7 @@ def test_step_by_step_in_this_process_is_the_run_offline(offline, plant):
 def test_in_lockstep_with_a_twin_in_its_own_process_is_the_run_offline(offline, plant, tmp_path):
     _, experiment, expected = offline(plant)
     with serving(plant, "--lockstep", "--record", tmp_path) as (_, address):
-        found = hardware.run(experiment, hardware.connect(address), lockstep=True)
+        found = hardware.run(experiment, UdpPlant(address), lockstep=True)
     assert_same_run(found, expected)
     own, first = Recording.load(tmp_path / "session-1"), before(experiment)
     rows = slice(first, first + len(expected))
@@ -555,7 +555,7 @@ def test_what_is_written_stays_within_the_limits_of_the_plant_file(tmp_path):
     weak.write_text(text.replace("max: 0.42, unit: V", "max: 20, unit: mV"), encoding="utf-8")
     experiment = Experiment.load(written(tmp_path, str(weak), duration=20))
     with serving(weak, "--lockstep", "--record", tmp_path) as (_, address):
-        found = hardware.run(experiment, hardware.connect(address), lockstep=True)
+        found = hardware.run(experiment, UdpPlant(address), lockstep=True)
     own = Recording.load(tmp_path / "session-1")
     assert np.abs(found.array("demanded")).max() > 0.03
     for shown in (found.array("input"), own.array("input")):
@@ -685,5 +685,5 @@ def test_both_sides_must_have_the_same_clock(offline, served, wanted):
     with serving("linear_rig", *(["--lockstep"] if served == "lockstep" else [])) as (server, address):
         said = f"its clock is '{served}', the controller wants '{wanted}'; start both in lockstep, or both without"
         with pytest.raises(PlantRefusedError, match=said):
-            hardware.run(experiment, hardware.connect(address), lockstep=wanted == "lockstep")
+            hardware.run(experiment, UdpPlant(address), lockstep=wanted == "lockstep")
         server.send_signal(signal.SIGTERM)

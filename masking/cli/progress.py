@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
 
+from masking.plants.machine import signal_main_thread
+
 if TYPE_CHECKING:
     import tqdm
 else:
@@ -87,8 +89,7 @@ def _raise_between_imports(number: int, frame: FrameType | None) -> None:
     while at is not None:
         if at.f_code.co_filename.startswith("<frozen importlib"):
             # A signal to the timer's thread would not end what the main one waits for.
-            main = threading.main_thread().ident or 0
-            again = threading.Timer(_LATER, signal.pthread_kill, [main, number])
+            again = threading.Timer(_LATER, signal_main_thread, [number])
             again.daemon = True
             again.start()
             return

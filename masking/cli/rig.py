@@ -1,9 +1,11 @@
-"""Verbs of `masking rig`: serve, run, calibrate."""
+"""Verbs of `masking rig`: check, serve, run, calibrate."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +14,8 @@ from masking.cli.progress import INTERRUPTED, Bar
 
 if TYPE_CHECKING:
     from masking.records.recording import Recording
+
+SUCH = "such as udp://127.0.0.1:5005, serial:///dev/ttyACM0, mujoco:rig.xml or fmu:rig.fmu"
 
 
 def _add_rig(sub: argparse.ArgumentParser) -> None:
@@ -26,11 +30,23 @@ def _add_common(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--lockstep", action="store_true", help="each side waits for the other; no clock")
 
 
+def _add_check(sub: argparse.ArgumentParser) -> None:
+    from masking.plants import conformance
+
+    _add_common(sub)
+    sub.add_argument("address", metavar="ADDRESS", help=f"{SUCH}; the outputs move")
+    text = "samples per second (default: %(default)g)"
+    sub.add_argument("--rate", metavar="HZ", type=float, default=conformance.RATE, help=text)
+    text = "largest command, in the actuators' units (default: %(default)g)"
+    sub.add_argument("--amplitude", metavar="U", type=float, default=conformance.AMPLITUDE, help=text)
+
+
 def _add_serve(sub: argparse.ArgumentParser) -> None:
     _add_common(sub)
-    sub.add_argument("plant", metavar="PLANT", help=NAMED)
-    sub.add_argument("--address", default="udp://127.0.0.1:5005", help="udp://host:port (default: %(default)s)")
-    sub.add_argument("--record", metavar="DIR", help="folder for the twin's own record of each session")
+    sub.add_argument("plant", metavar="PLANT", help=f"{NAMED}, whose twin is served; or an address, {SUCH}")
+    text = "udp://host:port, serial:pty for a pseudo terminal, or a serial port (default: %(default)s)"
+    sub.add_argument("--address", default="udp://127.0.0.1:5005", help=text)
+    sub.add_argument("--record", metavar="DIR", help="folder for the plant's own record of each session")
     sub.add_argument("--seed", type=int, default=0, help="of the sensors' noise (default: 0)")
     sub.add_argument("--sessions", type=int, metavar="N", help="end after N sessions")
 
@@ -38,21 +54,37 @@ def _add_serve(sub: argparse.ArgumentParser) -> None:
 def _add_run(sub: argparse.ArgumentParser) -> None:
     _add_common(sub)
     sub.add_argument("experiment", metavar="EXPERIMENT", help=NAMED)
-    sub.add_argument("--plant", metavar="ADDRESS", required=True, help="such as udp://127.0.0.1:5005")
+    sub.add_argument("--plant", metavar="ADDRESS", required=True, help=SUCH)
     add_out(sub, "results/EXPERIMENT_rig")
 
 
 def _add_calibrate(sub: argparse.ArgumentParser) -> None:
     _add_common(sub)
     sub.add_argument("plant", metavar="PLANT", help="the rig's plant file, or a packaged plant")
-    sub.add_argument("--at", metavar="ADDRESS", help="such as udp://127.0.0.1:5005 (default: the plant's twin)")
+    sub.add_argument("--at", metavar="ADDRESS", help=f"{SUCH} (default: the plant's twin)")
     sub.add_argument("--model", metavar="MODEL", help="a model of the rig to fit beside that of the plant file")
     sub.add_argument("--seconds", type=float, default=40.0, help="length of each record (default: 40)")
     add_out(sub, "results/PLANT_calibration; records that it holds are used again")
 
 
+def _check(chosen: argparse.Namespace) -> int:
+    """Check that a plant keeps the rules of the interface; exit status 1 if it breaks one."""
+    from masking.plants import adapters, conformance
+    from masking.plants.interface import Settings
+
+    settings = Settings(chosen.rate, conformance.WATCHDOG, chosen.lockstep)
+    make_plant = partial(adapters.connect, chosen.address)
+    conformance.reach(make_plant, settings, chosen.amplitude)
+    found = conformance.verdicts(make_plant, settings, amplitude=chosen.amplitude)
+    broken = sum(len(verdict.broken) for verdict in found)
+    content = {"address": chosen.address, "rules": [dataclasses.asdict(verdict) for verdict in found]}
+    text = "\n".join([*map(str, found), f"{chosen.address} {'does not conform' if broken else 'conforms'}"])
+    answer(chosen.json, content, text)
+    return int(broken > 0)
+
+
 def _serve(chosen: argparse.Namespace) -> int:
-    """Serve the twin of a plant over UDP, on a clock of its own."""
+    """Serve a plant, or the twin of one, over UDP or a serial line, on a clock of its own."""
     from masking.runs import hardware
 
     folders = hardware.serve(
@@ -70,6 +102,7 @@ def _serve(chosen: argparse.Namespace) -> int:
 
 def _run(chosen: argparse.Namespace) -> int:
     """Run an experiment on a plant that runs by itself, and write its report."""
+    from masking.plants import adapters
     from masking.runs import hardware, stopping
     from masking.runs.experiment import Experiment
     from masking.workflows.outputs import RUN, check_folder
@@ -86,7 +119,7 @@ def _run(chosen: argparse.Namespace) -> int:
         answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 
     with Bar("running") as bar:
-        plant = hardware.connect(chosen.plant)
+        plant = adapters.connect(chosen.plant)
         recording = hardware.run(made, plant, lockstep=chosen.lockstep, progress=bar, keep=keep)
     keep(recording)
     end = recording.manifest["rig"]["end"]
@@ -98,9 +131,9 @@ def _run(chosen: argparse.Namespace) -> int:
 
 def _calibrate(chosen: argparse.Namespace) -> int:
     """Excite a rig, fit its plant file to the records, and validate the fit by a record held out."""
+    from masking.plants import adapters
     from masking.plants.simulated import SimulatedPlant
     from masking.rig.twin import Twin
-    from masking.runs import hardware
     from masking.workflows.calibrate import calibrate
 
     twin = Twin.load(chosen.plant)
@@ -110,7 +143,7 @@ def _calibrate(chosen: argparse.Namespace) -> int:
         with Bar("calibrating") as bar:
             found = calibrate(
                 twin,
-                hardware.connect(chosen.at) if chosen.at else SimulatedPlant(twin),
+                adapters.connect(chosen.at) if chosen.at else SimulatedPlant(twin),
                 out,
                 model=chosen.model,
                 seconds=chosen.seconds,
@@ -127,6 +160,7 @@ def _calibrate(chosen: argparse.Namespace) -> int:
 
 
 _OF_RIG = (
+    Verb("check", _add_check, _check),
     Verb("serve", _add_serve, _serve),
     Verb("run", _add_run, _run),
     Verb("calibrate", _add_calibrate, _calibrate),

@@ -1,4 +1,4 @@
-"""Programs around an exported unit: on Linux, and on a Cortex-M4F without an operating system."""
+"""Programs around an exported unit: on Linux, on a Cortex-M4F without an operating system, and as a sketch."""
 
 from __future__ import annotations
 
@@ -24,10 +24,13 @@ def programs(unit: Unit, real: str) -> dict[str, str]:
         "REAL": real,
         "INPUTS": str(max(1, len(unit.inputs) + is_law)),
         "OUTPUTS": str(len(unit.outputs)),
+        "RATE": f"{1.0 / unit.period:.12g}" if unit.period else "",
         "BEGIN": begin(unit, names),
         "STEP": "\n        ".join(filter(None, (step(unit, names), read(unit, names)))),
     }
     found = {f"{unit.name}_{file}": file for file in ("linux.c", "cortex_m4.c")} | {"cortex_m4.ld": "cortex_m4.ld"}
+    if unit.kind == "controller":
+        found |= {f"{unit.name}_arduino.ino": "controller.ino", "frames.h": "frames.h"}
     return {name: _filled((TEMPLATES / file).read_text(encoding="utf-8"), marks) for name, file in found.items()}
 
 

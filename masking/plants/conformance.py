@@ -4,21 +4,43 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
 import numpy as np
 
-from masking.errors import PlantError
+from masking.errors import PlantError, PlantMismatchError
 from masking.numerics.arrays import Array
 from masking.plants.interface import APPLIED, Plant, Sample, Settings, Telling
 
 MakePlant = Callable[[], Plant]
 TICKS: Final = 20
-STANDARD: Final = Settings(rate=1000.0, watchdog=1.0)
+RATE: Final = 1000.0  # Hz
+AMPLITUDE: Final = 1e-3  # in the actuators' units
+WATCHDOG: Final = 1.0  # s: time for the check itself
+STANDARD: Final = Settings(RATE, WATCHDOG)
 
 
-def check(make_plant: MakePlant, settings: Settings = STANDARD, *, amplitude: float = 1e-3) -> list[str]:
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether a plant keeps a rule.
+
+    Args:
+        rule: what it says.
+        broken: how it is broken, a sentence each; none where it is kept.
+    """
+
+    rule: str
+    broken: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return "\n".join(
+            [f"{'fails' if self.broken else 'passes'}  {self.rule}", *(f"        {b}" for b in self.broken)]
+        )
+
+
+def check(make_plant: MakePlant, settings: Settings = STANDARD, *, amplitude: float = AMPLITUDE) -> list[str]:
     """Try every rule on plants of one make; the outputs move.
 
     Args:
@@ -29,17 +51,46 @@ def check(make_plant: MakePlant, settings: Settings = STANDARD, *, amplitude: fl
     Returns:
         the rules that are broken, a sentence each; none where the plant conforms.
     """
-    found: list[str] = []
+    found = [text for verdict in verdicts(make_plant, settings, amplitude=amplitude) for text in verdict.broken]
+    return list(dict.fromkeys(found))
+
+
+def reach(make_plant: MakePlant, settings: Settings, amplitude: float) -> None:
+    """See that there is a plant to check, before every rule fails since there is none.
+
+    Raises:
+        PlantError: it cannot be configured.
+        PlantMismatchError: the amplitude is no positive number.
+    """
+    if not 0.0 < amplitude < float("inf"):
+        raise PlantMismatchError(f"the amplitude is {amplitude:g}; give a positive number in the actuators' units")
+    plant = make_plant()
+    try:
+        plant.configure(settings)
+    except PlantError:
+        raise
+    except Exception:  # noqa: S110  # the rules say which they break
+        pass
+    finally:
+        with contextlib.suppress(Exception):
+            plant.deactivate()
+
+
+def verdicts(make_plant: MakePlant, settings: Settings = STANDARD, *, amplitude: float = AMPLITUDE) -> list[Verdict]:
+    """Try every rule as `check` does, and return how each came out."""
+    found: list[Verdict] = []
     for rule in RULES:
         plant = make_plant()
+        broken: list[str] = []
         try:
-            found += rule(plant, settings, amplitude)
+            broken += rule(plant, settings, amplitude)
         except Exception as error:  # an adapter may raise anything
-            found.append(f"{_sentence(rule)}, but it raised {type(error).__name__}: {error}")
+            broken.append(f"{_sentence(rule)}, but it raised {type(error).__name__}: {error}")
         finally:
             with contextlib.suppress(Exception):  # reported by its own rule
                 plant.deactivate()
-    return list(dict.fromkeys(found))
+        found.append(Verdict(_sentence(rule), tuple(dict.fromkeys(broken))))
+    return found
 
 
 def _order(plant: Plant, settings: Settings, amplitude: float) -> Iterator[str]:

@@ -7,38 +7,22 @@ Every plant goes through three states, and each run through all of them:
 so that no run begins from what another left behind. An adapter may keep a `LifeCycle` to enforce this order, and
 `masking.plants.conformance.check` reports the rules that an adapter breaks.
 
-Whoever runs a plant that does not own its clock keeps the time with `Deadlines`, `undisturbed` by what can be kept
-away, until `asked_to_stop`.
+Whoever runs a plant that does not own its clock keeps the time with `masking.plants.machine`.
 """
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
-import gc
 import math
-import os
-import signal
-import sys
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Final, Protocol, final, runtime_checkable
+from typing import Protocol, final, runtime_checkable
 
 import numpy as np
 
 from masking.errors import CommandError, PlantMismatchError, PlantOrderError
 from masking.numerics.arrays import Array
 
-Stop = Callable[[], bool]
-
-POLL: Final = 0.1  # seconds between looks at `stop` while nothing happens
-PRIORITY: Final = 50
-_MCL_CURRENT, _MCL_ONFAULT = 1, 4
-_EARLY_NS: Final = 0 if sys.platform == "linux" else 500_000  # what time.sleep may be late where it is not exact
-_LIBC: Final = ctypes.CDLL(None) if sys.platform == "linux" else None
 _UNITS = {"rate": "samples per second", "watchdog": "seconds"}
 _LARGEST = 1e6
 
@@ -182,97 +166,3 @@ def check_command(command: Array, actuators: tuple[str, ...]) -> None:
     for name, value in zip(actuators, command, strict=True):
         if not math.isfinite(value):
             raise CommandError(f"the command for {name} is {value}; give a finite number")
-
-
-@final
-class Deadlines:
-    """Instants one period apart on the monotonic clock, from the construction on; a missed one is never made up for.
-
-    `missed` counts the periods that were left out.
-
-    Args:
-        rate: Hz.
-    """
-
-    def __init__(self, rate: float) -> None:
-        self.missed = 0
-        self._period = 1e9 / rate
-        self._start, self._tick = time.monotonic_ns(), 0
-
-    def wait(self, stop: Stop) -> float:
-        """Wait for the next instant, or until asked to stop; return how late it was missed or met, in seconds.
-
-        Where it passed more than a period ago, it and those after it are left out up to the next one to come.
-        """
-        self._tick += 1
-        late = time.monotonic_ns() - self._instant
-        if late > self._period:
-            left_out = int(late // self._period) + 1
-            self._tick += left_out
-            self.missed += left_out
-        while (now := time.monotonic_ns()) < self._instant and not stop():
-            _sleep_until(min(self._instant, now + int(POLL * 1e9)))
-        return max(0, late, now - self._instant) * 1e-9
-
-    @property
-    def _instant(self) -> int:
-        return self._start + int(self._tick * self._period)
-
-
-def _sleep_until(instant: int) -> None:
-    """Sleep until an instant, ns of the monotonic clock."""
-    time.sleep(max(0, instant - time.monotonic_ns() - _EARLY_NS) * 1e-9)
-    while time.monotonic_ns() < instant:
-        pass
-
-
-@contextlib.contextmanager
-def undisturbed(*, priority: bool) -> Iterator[str]:
-    """Keep the garbage collector, and with `priority` also other processes and swapping, away while inside.
-
-    Gives a sentence about what was not permitted; empty where all was.
-    """
-    collected = gc.isenabled()
-    gc.collect()
-    gc.disable()
-    try:
-        if not (priority and sys.platform == "linux" and _LIBC is not None):
-            yield ""
-            return
-        policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-        missing = []
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
-        except OSError:
-            missing.append("real-time priority (ulimit -r)")
-        # What is in use stays in memory. Not MCL_FUTURE: under a limit it makes an allocation fail in mid-run. With
-        # MCL_ONFAULT the unused parts of libraries are left alone; measured: 2.8 s without it where pyarrow is loaded.
-        if _LIBC.mlockall(_MCL_CURRENT | _MCL_ONFAULT):
-            missing.append("locked memory (ulimit -l)")
-        try:
-            yield f"not permitted here: {', '.join(missing)}; ticks may be late" if missing else ""
-        finally:
-            _LIBC.munlockall()
-            os.sched_setscheduler(0, policy, parameters)
-    finally:
-        if collected:
-            gc.enable()
-
-
-@contextlib.contextmanager
-def asked_to_stop() -> Iterator[Stop]:
-    """Give a function that returns whether SIGINT, SIGTERM or SIGHUP came; they do nothing else while inside.
-
-    A signal that is ignored, as under nohup, stays so. Outside the main thread no signal is looked at.
-    """
-    came: list[int] = []
-    former: dict[signal.Signals, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                former[number] = signal.signal(number, lambda number, _: came.append(number))
-    try:
-        yield lambda: bool(came)
-    finally:
-        for number, handler in former.items():
-            signal.signal(number, handler if handler is not None else signal.SIG_DFL)

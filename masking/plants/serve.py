@@ -18,8 +18,6 @@ from __future__ import annotations
 import contextlib
 import datetime
 import math
-import select
-import socket
 import sys
 import time
 from collections import Counter
@@ -31,18 +29,10 @@ import numpy as np
 
 from masking.errors import MaskingError, PlantMismatchError, RecordError, WireError
 from masking.numerics.arrays import Array
-from masking.plants import wire
-from masking.plants.interface import (
-    POLL,
-    Deadlines,
-    Plant,
-    Sample,
-    Settings,
-    Stop,
-    Telling,
-    asked_to_stop,
-    undisturbed,
-)
+from masking.plants import adapters, wire
+from masking.plants.interface import Plant, Sample, Settings, Telling
+from masking.plants.lines import Hub, Peer
+from masking.plants.machine import POLL, Deadlines, Stop, asked_to_stop, undisturbed
 from masking.plants.wire import Frame, Kind
 from masking.records.recording import Recording
 
@@ -50,7 +40,7 @@ Clock = Literal["real", "lockstep"]
 
 RESERVED: Final = 10.0  # seconds that a controller may take from configure to activate
 SILENT_START: Final = 10.0  # seconds of the plant's clock until the first command; the outputs are zero meanwhile
-MOST: Final = 1000  # datagrams that are looked at in one tick
+MOST: Final = 1000  # frames that are looked at in one tick
 CHUNK: Final = 4096  # rows
 _FIXED: Final = ("t", "tick", "wall", "late", "fresh", "latched")
 
@@ -72,7 +62,7 @@ def serve(
 
     Args:
         plant: any that does not own its clock.
-        address: `udp://host:port`; port 0 takes a free one.
+        address: `udp://host:port`, where port 0 takes a free one; `serial:pty`, a pseudo terminal; or a serial port.
         clock: "real" ticks at the rate that the controller asks for; "lockstep" waits for each command.
         record: folder in which each session is saved as a recording of its own, `session-1` and so on: the first number
             that is free. Columns: t (s) and tick of the plant's clock, wall (s since the first sample), late (s), fresh
@@ -93,14 +83,8 @@ def serve(
     """
     if plant.owns_clock:
         raise PlantMismatchError("this plant owns its clock; serve one that does not, or run it directly")
-    host, port = wire.parse_address(address)
     with contextlib.ExitStack() as stack:
-        line = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-        try:
-            line.bind((host, port))
-        except OSError as error:
-            raise PlantMismatchError(f"{address} cannot be served ({error}); choose another host or port") from error
-        line.setblocking(False)
+        line = stack.enter_context(contextlib.closing(adapters.listen(address)))
         asked = stack.enter_context(asked_to_stop())
         stack.callback(plant.deactivate)
         server = _Server(
@@ -113,7 +97,7 @@ def serve(
             after_latch=after_latch,
         )
         if ready is not None:
-            ready(f"udp://{host}:{line.getsockname()[1]}")
+            ready(line.address)
         return server.run(Path(record) if record is not None else None, stop_after)
 
 
@@ -121,7 +105,7 @@ def serve(
 class _Session:
     """What is known of one controller: who it is, its last command, and how it went."""
 
-    def __init__(self, number: int, address: tuple[str, int], settings: Settings, plant: Plant) -> None:
+    def __init__(self, number: int, address: Peer, settings: Settings, plant: Plant) -> None:
         self.number, self.address, self.settings = number, address, settings
         self.command: Array = np.zeros(len(plant.actuators))
         self.answered = -1  # index of the newest sample that a command answered
@@ -169,12 +153,12 @@ class _Session:
 
 @final
 class _Server:
-    """One plant on one socket."""
+    """One plant at the end of its lines."""
 
     def __init__(
         self,
         plant: Plant,
-        line: socket.socket,
+        line: Hub,
         clock: Clock,
         *,
         stop: Stop,
@@ -184,7 +168,7 @@ class _Server:
     ) -> None:
         self.plant, self.line, self.clock, self.stop, self.tell = plant, line, clock, stop, tell
         self.patience, self.after_latch = patience, after_latch
-        self.pending: tuple[Frame, tuple[str, int]] | None = None  # a hello that ended a latched session
+        self.pending: tuple[Frame, Peer] | None = None  # a hello that ended a latched session
         self.reported: set[str] = set()
 
     def run(self, record: Path | None, stop_after: int | None) -> tuple[Path, ...]:
@@ -233,7 +217,7 @@ class _Server:
                     self.send(frame.session, address, Kind.STOP, text="this session is over; open a new one")
         return None
 
-    def open(self, frame: Frame, address: tuple[str, int], session: _Session | None) -> _Session | None:
+    def open(self, frame: Frame, address: Peer, session: _Session | None) -> _Session | None:
         """Answer a hello; return the session that then holds the plant."""
         if session is None:
             try:
@@ -253,7 +237,7 @@ class _Server:
         if (frame.session, address) == (session.number, session.address):
             self.reply(session, Kind.ACCEPT, wire.channels_text(self.plant.sensors, self.plant.actuators))
         else:
-            holder = "{}:{}".format(*session.address)
+            holder = ":".join(map(str, session.address))
             text = f"a controller at {holder} has this plant; stop that one first"
             self.send(frame.session, address, Kind.REFUSE, text=text)
             session.counters["refused controllers"] += 1
@@ -330,23 +314,23 @@ class _Server:
             elif frame.kind is not Kind.START:  # which was sent twice
                 session.counters["unexpected"] += 1
 
-    def arrived(self, wait: float, counters: Counter[str] | None = None) -> Iterator[tuple[Frame, tuple[str, int]]]:
+    def arrived(self, wait: float, counters: Counter[str] | None = None) -> Iterator[tuple[Frame, Peer]]:
         """Give every sound frame that waits to be read; wait at most a number of seconds for the first."""
         if self.pending is not None:
             hello, self.pending = self.pending, None
             yield hello
         for _ in range(MOST):
-            if not select.select([self.line], [], [], wait)[0]:
-                return
-            wait = 0.0
             try:
-                datagram, address = self.line.recvfrom(wire.LARGEST_DATAGRAM)
-                yield wire.decode(datagram), address
+                if not self.line.waits(wait):
+                    return
+                wait = 0.0
+                received, address = self.line.receive()
+                yield wire.decode(received), address
             except WireError as error:
                 if counters is not None:
                     counters[error.cause] += 1
             except OSError:  # an earlier answer could not be delivered
-                continue
+                wait = 0.0
 
     def reply(self, session: _Session, kind: Kind, text: str) -> None:
         """Send a text to the session's controller."""
@@ -355,7 +339,7 @@ class _Server:
     def send(
         self,
         number: int,
-        address: tuple[str, int],
+        address: Peer,
         kind: Kind,
         index: int = 0,
         *,
@@ -363,9 +347,9 @@ class _Server:
         text: str = "",
     ) -> None:
         """Send a frame; one that cannot go out is dropped, as the net might."""
-        datagram = wire.encode(kind, number, index, values=values, text=text)
+        frame = wire.encode(kind, number, index, values=values, text=text)
         with contextlib.suppress(OSError):
-            self.line.sendto(datagram, address)
+            self.line.send(frame, address)
 
     def tell_once(self, note: str) -> None:
         """Report what was not reported before."""

@@ -1,219 +1,96 @@
-"""UdpPlant: a plant in another process or on another machine, behind datagrams; it owns the clock."""
+"""UDP: a plant in another process or on another machine, a frame in each datagram."""
 
 from __future__ import annotations
 
-import secrets
 import select
 import socket
-import time
-from collections import Counter
-from typing import NoReturn, final
+from typing import Self, final
 
-from masking.errors import PlantLostError, PlantMismatchError, PlantRefusedError, WireError
-from masking.numerics.arrays import Array
+from masking.errors import PlantMismatchError
 from masking.plants import wire
-from masking.plants.interface import LifeCycle, Sample, Settings, check_command
-from masking.plants.wire import Frame, Kind
-
-TRY = 0.25  # seconds before a request is sent again
-LOCKSTEP_TIMEOUT = 5.0  # seconds; a plant in lockstep answers when it is ready
-PERIODS = 20  # samples of silence after which a plant is lost
+from masking.plants.lines import Peer
+from masking.plants.remote import RemotePlant
 
 
 @final
-class UdpPlant:
-    """The plant that `masking.plants.serve` serves at `udp://host:port`.
-
-    The controller gets the newest sample: where several wait, because it was held up, all but the last are skipped.
-    The plant checks, on its own clock, the age of the sample that a command answers. `counters` counts the frames
-    that were refused, by cause, and those `skipped`, from one configuration to the next.
-
-    Args:
-        address: `udp://host:port`.
-        timeout: seconds of silence after which a running plant is lost; never less than 20 samples.
-        patience: seconds to wait for a plant that is still starting or saving its last record.
-    """
+class UdpPlant(RemotePlant):
+    """The plant that is served at `udp://host:port`."""
 
     def __init__(self, address: str, *, timeout: float = 0.2, patience: float = 3.0) -> None:
-        self.sensors: tuple[str, ...] = ()
-        self.actuators: tuple[str, ...] = ()
-        self.owns_clock = True
-        self.counters: Counter[str] = Counter()
-        self._address = address
+        super().__init__(address, timeout=timeout, patience=patience)
         self._target = wire.parse_address(address)
-        self._timeout, self._patience = timeout, patience
-        self._silence = timeout
-        self._life = LifeCycle()
-        self._socket: socket.socket | None = None
-        self._session = 0
-        self._last = -1
-        self._lockstep = False
-        self._first: Frame | None = None  # came in answer to the start
 
-    def configure(self, settings: Settings) -> None:
-        """Open a session and learn the names of the channels.
+    def open_line(self) -> UdpLine:
+        """Return a line to the plant."""
+        return UdpLine(self._target)
 
-        Raises:
-            PlantLostError: nobody answers.
-            PlantRefusedError: the plant is taken, or does not accept these settings.
-            PlantMismatchError: what answers does not name its channels.
-        """
-        self._life.configure()
-        self.deactivate()
-        self._session, self._last, self._lockstep = secrets.randbits(64), -1, settings.lockstep
-        self._first = None
-        self._silence = LOCKSTEP_TIMEOUT if settings.lockstep else max(self._timeout, PERIODS / settings.rate)
-        self.counters.clear()
+    @classmethod
+    def listen(cls, address: str) -> UdpHub:
+        """Return the end at which a plant is served; port 0 takes a free one."""
+        return UdpHub(address)
+
+
+class _Datagrams:
+    """A socket that is waited for."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+
+    def waits(self, seconds: float) -> bool:
+        """Tell whether a datagram waits to be read, or comes within a time."""
+        return bool(select.select([self._socket], [], [], seconds)[0])
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+@final
+class UdpLine(_Datagrams):
+    """The controller's end."""
+
+    def __init__(self, target: tuple[str, int]) -> None:
+        super().__init__()
         try:
-            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            self._socket.setblocking(False)
-            self._socket.connect(self._target)
-            answer = self._ask(wire.settings_text(settings))
-            if answer.kind is Kind.REFUSE:
-                raise PlantRefusedError(f"{self._address} refuses: {answer.text}")
-            self.sensors, self.actuators = wire.read_channels(answer.text)
-        except OSError as error:
-            self._close()
-            raise PlantLostError(
-                f"{self._address} cannot be reached ({error}); look at its name and the net"
-            ) from error
-        except (PlantLostError, PlantRefusedError, PlantMismatchError):
-            self._close()
+            self._socket.connect(target)
+        except OSError:
+            self.close()
             raise
-        self._life.configure()
 
-    def activate(self) -> None:
-        """Start the plant's clock; its first sample waits to be read."""
-        self._life.activate()
-        give_up = time.monotonic() + max(self._silence, self._patience)
-        while time.monotonic() < give_up:
-            self._send(Kind.START)
-            again = time.monotonic() + TRY
-            while (frame := self._receive(again - time.monotonic())) is not None:
-                if frame.kind in (Kind.SENSORS, Kind.STOP):
-                    self._first = frame
-                    return
-                self.counters["unexpected"] += 1
-        self._lost(f"did not start within {max(self._silence, self._patience):g} s")
+    def send(self, frame: bytes) -> None:
+        """Send a frame."""
+        self._socket.send(frame)
 
-    def read(self) -> Sample:
-        """Wait for the next sample and return the newest; in lockstep the one that follows the last command.
+    def receive(self) -> bytes:
+        """Return a datagram that waits; BlockingIOError where its own check sum is wrong."""
+        return self._socket.recv(wire.LARGEST_DATAGRAM)
 
-        Raises:
-            PlantLostError: none came in time, or the plant ended the session; says why.
-        """
-        self._life.need_active("read")
-        newest = None
-        deadline = time.monotonic() + self._silence
-        while (frame := self._following(0.0 if newest else deadline - time.monotonic())) is not None:
-            if frame.kind is Kind.STOP:
-                raise PlantLostError(f"the plant at {self._address} ended the session: {frame.text}")
-            if not self._is_next(frame):
-                continue
-            self.counters["skipped"] += newest is not None
-            newest, self._last = frame, frame.index
-            if self._lockstep:
-                break
-        if newest is None:
-            self._lost(f"sent no sample for {self._silence:g} s")
-        return Sample(newest.index, newest.values)
 
-    def write(self, index: int, command: Array) -> None:
-        """Send the command (actuators,) that answers the sample `index`."""
-        self._life.need_active("write")
-        check_command(command, self.actuators)
-        self._send(Kind.COMMAND, index, command)
+@final
+class UdpHub(_Datagrams):
+    """The plant's end."""
 
-    def deactivate(self) -> None:
-        """Say good-bye, upon which the plant's outputs go to zero."""
-        if self._socket is not None:
-            try:
-                self._socket.send(wire.encode(Kind.BYE, self._session))
-            except OSError:
-                self.counters["unsent"] += 1  # the plant's own watchdog does it
-        self._close()
-        self._life.deactivate()
-
-    def _ask(self, text: str) -> Frame:
-        """Send a hello until it is answered."""
-        give_up = time.monotonic() + self._patience
-        while time.monotonic() < give_up:
-            again = time.monotonic() + TRY
-            try:
-                self._send(Kind.HELLO, text=text)
-                while (frame := self._receive(again - time.monotonic())) is not None:
-                    if frame.kind in (Kind.ACCEPT, Kind.REFUSE):
-                        return frame
-                    self.counters["unexpected"] += 1
-            except PlantLostError:  # nobody listens there yet
-                time.sleep(max(0.0, min(again, give_up) - time.monotonic()))
-        mend = f"start it with 'masking rig serve PLANT --address {self._address}', or correct the address"
-        raise PlantLostError(f"no plant answers at {self._address}; {mend}")
-
-    def _following(self, wait: float) -> Frame | None:
-        """Return what came in answer to the start, else the next frame within a number of seconds."""
-        first, self._first = self._first, None
-        return first or self._receive(wait)
-
-    def _is_next(self, frame: Frame) -> bool:
-        """Tell whether a frame is a sample newer than the last, else count why not."""
-        if frame.kind is not Kind.SENSORS:
-            cause = "unexpected"
-        elif len(frame.values) != len(self.sensors):
-            cause = "wrong size"
-        elif frame.index <= self._last:
-            cause = "duplicate" if frame.index == self._last else "reordered"
-        else:
-            return True
-        self.counters[cause] += 1
-        return False
-
-    def _receive(self, wait: float) -> Frame | None:
-        """Return the next sound frame of this session, or None if none comes within a number of seconds."""
-        until = time.monotonic() + wait
-        gone: ConnectionError | None = None  # the socket reports it before the plant's last words
-        while self._waits(0.0 if gone else until - time.monotonic()):
-            try:
-                frame = wire.decode(self._open.recv(wire.LARGEST_DATAGRAM))
-            except WireError as error:
-                self.counters[error.cause] += 1
-            except BlockingIOError:  # a datagram whose own check sum was wrong
-                continue
-            except ConnectionError as error:
-                gone = error
-            else:
-                if frame.session == self._session:
-                    return frame
-                self.counters["other session"] += 1
-        if gone is not None:
-            self._lost("is gone", gone)
-        return None
-
-    def _waits(self, wait: float) -> bool:
-        """Tell whether a datagram waits to be read, or comes within a number of seconds."""
-        return bool(select.select([self._open], [], [], max(0.0, wait))[0])
-
-    def _send(self, kind: Kind, index: int = 0, values: Array = wire.NO_VALUES, *, text: str = "") -> None:
-        datagram = wire.encode(kind, self._session, index, values=values, text=text)
+    def __init__(self, address: str) -> None:
+        host, port = wire.parse_address(address)
+        super().__init__()
         try:
-            self._open.send(datagram)
-        except ConnectionError as error:
-            if not self._waits(0.0):  # else what the plant said last is still to be read
-                self._lost("is gone", error)
-            self.counters["unsent"] += 1
-        except BlockingIOError:  # the line is full; the next command is fresher
-            self.counters["unsent"] += 1
+            self._socket.bind((host, port))
+        except OSError as error:
+            self.close()
+            raise PlantMismatchError(f"{address} cannot be served ({error}); choose another host or port") from error
+        self.address = f"udp://{host}:{self._socket.getsockname()[1]}"
 
-    @property
-    def _open(self) -> socket.socket:
-        assert self._socket is not None  # noqa: S101  # the life cycle sees to it
-        return self._socket
+    def send(self, frame: bytes, peer: Peer) -> None:
+        """Send a frame to a controller."""
+        self._socket.sendto(frame, peer)
 
-    def _lost(self, what: str, error: Exception | None = None) -> NoReturn:
-        mend = "look at its own output and record, then start it again with 'masking rig serve PLANT'"
-        raise PlantLostError(f"the plant at {self._address} {what}; {mend}") from error
-
-    def _close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-        self._socket = None
+    def receive(self) -> tuple[bytes, Peer]:
+        """Return a datagram that waits, and where it came from."""
+        return self._socket.recvfrom(wire.LARGEST_DATAGRAM)

@@ -1,6 +1,6 @@
-"""Frames: what a plant and its controller say to each other in datagrams.
+"""Frames: what a plant and its controller say to each other.
 
-One frame is one datagram, little-endian:
+One frame is one datagram, or on a stream of bytes what stands between two zeros (`to_stream`), little-endian:
 
     bytes   0-3    magic "MSKG"
             4      version of this layout
@@ -14,6 +14,9 @@ One frame is one datagram, little-endian:
             last 4 CRC-32 of all before
 
 A frame that is wrong in any part is refused whole with a `WireError`, whose `cause` the receiver counts.
+
+On a stream a frame is written without zeros, by consistent overhead byte stuffing, and ends in one, so that a receiver
+that lost bytes finds the next frame. Source: Cheshire and Baker (1999), IEEE/ACM Transactions on Networking 7(2).
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ import time
 import zlib
 from dataclasses import asdict, dataclass
 from enum import IntEnum
-from typing import Any, Final
+from typing import Any, Final, final
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -37,6 +40,7 @@ MAGIC: Final = b"MSKG"
 VERSION: Final = 1
 LARGEST: Final = 60_000  # bytes of a payload that a datagram can carry
 LARGEST_DATAGRAM: Final = 65_535  # bytes that are received
+_RUN: Final = 254  # bytes other than zero that one byte of a stream can count
 _HEADER: Final = struct.Struct("<4sBBHQQQI")
 _CHECK: Final = struct.Struct("<I")
 NO_VALUES: Final[Array] = np.empty(0)
@@ -132,6 +136,52 @@ def decode(datagram: bytes) -> Frame:
     if kind is Kind.COMMAND and not np.isfinite(values).all():
         raise WireError("nonfinite", "a command is not finite")
     return Frame(kind, session, index, sent, values, "")
+
+
+def to_stream(frame: bytes) -> bytes:
+    """Write a frame for a stream of bytes: without zeros, and a zero behind it."""
+    found, parts = bytearray(), frame.split(b"\0")
+    for number, part in enumerate(parts):
+        runs = [part[i : i + _RUN] for i in range(0, len(part), _RUN)]
+        if not runs or (len(runs[-1]) == _RUN and number < len(parts) - 1):  # a full run has no zero behind it
+            runs.append(b"")
+        for run in runs:
+            found.append(len(run) + 1)
+            found += run
+    return bytes(found) + b"\0"
+
+
+@final
+class Splitter:
+    """Finds frames in a stream of bytes; what is none comes out as it is, and `decode` refuses it."""
+
+    def __init__(self) -> None:
+        self._part = bytearray()
+
+    def feed(self, received: bytes) -> list[bytes]:
+        """Take the next bytes; return the frames that they complete."""
+        *whole, rest = received.split(b"\0")
+        found = []
+        for part in whole:
+            self._part += part
+            if self._part:
+                found.append(_from_stream(bytes(self._part)))
+            self._part.clear()
+        self._part += rest
+        if len(self._part) > LARGEST_DATAGRAM:  # no frame is that long
+            self._part.clear()
+        return found
+
+
+def _from_stream(stuffed: bytes) -> bytes:
+    found, at = bytearray(), 0
+    while at < len(stuffed):
+        length = stuffed[at]
+        found += stuffed[at + 1 : at + length]
+        at += length
+        if length <= _RUN and at < len(stuffed):
+            found.append(0)
+    return bytes(found)
 
 
 def settings_text(settings: Settings) -> str:

@@ -15,10 +15,12 @@ from masking.control.step import SampledStep
 from masking.errors import MaskingError, ModelError
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import LARGEST
+from masking.plants import adapters
 from masking.plants import serve as serving
-from masking.plants.interface import Plant, Settings, Stop
+from masking.plants.address import scheme_of
+from masking.plants.interface import Plant, Settings
+from masking.plants.machine import Stop
 from masking.plants.simulated import SimulatedPlant
-from masking.plants.udp import UdpPlant
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
 from masking.runs.experiment import Experiment
@@ -28,11 +30,6 @@ from masking.runs.stopping import FAILED, FINISHED, LOST, REFUSED, STOPPED, SYNC
 
 WATCHDOG = 0.02
 _MEND = "run it on that plant, or write the plant that is there into it"
-
-
-def connect(address: str) -> UdpPlant:
-    """Return the plant at an address such as `udp://127.0.0.1:5005`."""
-    return UdpPlant(address)
 
 
 def serve(
@@ -46,24 +43,27 @@ def serve(
     ready: Callable[[str], None] | None = None,
     stop: Stop | None = None,
 ) -> tuple[Path, ...]:
-    """Serve the twin of a plant to a controller in another process, until asked to stop.
+    """Serve a plant to a controller in another process, until asked to stop.
 
     Args:
-        plant: a packaged plant, or a plant file.
-        address: `udp://host:port`; port 0 takes a free one.
+        plant: a packaged plant or a plant file, whose twin is served; or the address of a plant without a clock.
+        address: `udp://host:port`, where port 0 takes a free one; `serial:pty`, a pseudo terminal; or a serial port.
         lockstep: wait for each command, instead of a clock of its own.
-        record: folder for the twin's own record of each session.
-        seed: of the sensors' noise.
+        record: folder for the plant's own record of each session.
+        seed: of the noise of a twin's sensors.
         sessions: how many to serve; None for any number.
-        ready: called with the address once the twin can be reached.
+        ready: called with the address once the plant can be reached.
         stop: looked at in each tick.
 
     Returns:
         the folders of the records.
     """
-    served = SimulatedPlant(Twin.load(plant), seed)
-    served.configure(Settings(rate=1000.0))  # compiles what a controller would not wait for; any rate does
-    served.deactivate()
+    if scheme_of(str(plant)):
+        served = adapters.connect(str(plant))
+    else:
+        served = SimulatedPlant(Twin.load(plant), seed)
+        served.configure(Settings(rate=1000.0))  # compiles what a controller would not wait for; any rate does
+        served.deactivate()
     return serving.serve(
         served,
         address,

@@ -16,15 +16,8 @@ from numpy.typing import NDArray
 
 from masking.errors import CommandError, PlantLostError, PlantMismatchError
 from masking.numerics.arrays import Array
-from masking.plants.interface import (
-    Counting,
-    Deadlines,
-    Plant,
-    Settings,
-    Stop,
-    asked_to_stop,
-    undisturbed,
-)
+from masking.plants.interface import Counting, Plant, Settings
+from masking.plants.machine import Deadlines, Stop, asked_to_stop, undisturbed
 from masking.runs.stopping import FAILED, FINISHED, INTERRUPTED, LOST, REFUSED, STOPPED
 
 Step = Callable[[int, Array], Array]

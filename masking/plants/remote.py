@@ -1,0 +1,224 @@
+"""RemotePlant: a plant in another process or on another machine, at the end of a line; it owns the clock."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from abc import ABC, abstractmethod
+from collections import Counter
+from typing import NoReturn
+
+from masking.errors import PlantLostError, PlantMismatchError, PlantRefusedError, WireError
+from masking.numerics.arrays import Array
+from masking.plants import wire
+from masking.plants.interface import LifeCycle, Sample, Settings, check_command
+from masking.plants.lines import Line
+from masking.plants.wire import Frame, Kind
+
+TRY = 0.25  # seconds before a request is sent again
+LOCKSTEP_TIMEOUT = 5.0  # seconds; a plant in lockstep answers when it is ready
+PERIODS = 20  # samples of silence after which a plant is lost
+
+
+class RemotePlant(ABC):
+    """The plant that `masking.plants.serve` serves, or that a program of another make serves in the same frames.
+
+    The controller gets the newest sample: where several wait, because it was held up, all but the last are skipped.
+    The plant checks, on its own clock, the age of the sample that a command answers. `counters` counts the frames
+    that were refused, by cause, and those `skipped`, from one configuration to the next.
+
+    Args:
+        address: of the plant.
+        timeout: seconds of silence after which a running plant is lost; never less than 20 samples.
+        patience: seconds to wait for a plant that is still starting or saving its last record.
+    """
+
+    def __init__(self, address: str, *, timeout: float = 0.2, patience: float = 3.0) -> None:
+        self.sensors: tuple[str, ...] = ()
+        self.actuators: tuple[str, ...] = ()
+        self.owns_clock = True
+        self.counters: Counter[str] = Counter()
+        self._address = address
+        self._timeout, self._patience = timeout, patience
+        self._silence = timeout
+        self._life = LifeCycle()
+        self._line: Line | None = None
+        self._session = 0
+        self._last = -1
+        self._lockstep = False
+        self._first: Frame | None = None  # came in answer to the start
+
+    @abstractmethod
+    def open_line(self) -> Line:
+        """Return a line to the plant; OSError where it cannot be reached."""
+
+    def mend(self) -> str:
+        """Say what to do where no plant answers."""
+        return f"start it with 'masking rig serve PLANT --address {self._address}', or correct the address"
+
+    def configure(self, settings: Settings) -> None:
+        """Open a session and learn the names of the channels.
+
+        Raises:
+            PlantLostError: nobody answers.
+            PlantRefusedError: the plant is taken, or does not accept these settings.
+            PlantMismatchError: what answers does not name its channels.
+        """
+        self._life.configure()
+        self.deactivate()
+        self._session, self._last, self._lockstep = secrets.randbits(64), -1, settings.lockstep
+        self._first = None
+        self._silence = LOCKSTEP_TIMEOUT if settings.lockstep else max(self._timeout, PERIODS / settings.rate)
+        self.counters.clear()
+        try:
+            self._line = self.open_line()
+            answer = self._ask(wire.settings_text(settings))
+            if answer.kind is Kind.REFUSE:
+                raise PlantRefusedError(f"{self._address} refuses: {answer.text}")
+            self.sensors, self.actuators = wire.read_channels(answer.text)
+        except OSError as error:
+            self._close()
+            raise PlantLostError(
+                f"{self._address} cannot be reached ({error}); look at its name and what leads there"
+            ) from error
+        except (PlantLostError, PlantRefusedError, PlantMismatchError):
+            self._close()
+            raise
+        self._life.configure()
+
+    def activate(self) -> None:
+        """Start the plant's clock; its first sample waits to be read."""
+        self._life.activate()
+        give_up = time.monotonic() + max(self._silence, self._patience)
+        while time.monotonic() < give_up:
+            self._send(Kind.START)
+            again = time.monotonic() + TRY
+            while (frame := self._receive(again - time.monotonic())) is not None:
+                if frame.kind in (Kind.SENSORS, Kind.STOP):
+                    self._first = frame
+                    return
+                self.counters["unexpected"] += 1
+        self._lost(f"did not start within {max(self._silence, self._patience):g} s")
+
+    def read(self) -> Sample:
+        """Wait for the next sample and return the newest; in lockstep the one that follows the last command.
+
+        Raises:
+            PlantLostError: none came in time, or the plant ended the session; says why.
+        """
+        self._life.need_active("read")
+        newest = None
+        deadline = time.monotonic() + self._silence
+        while (frame := self._following(0.0 if newest else deadline - time.monotonic())) is not None:
+            if frame.kind is Kind.STOP:
+                raise PlantLostError(f"the plant at {self._address} ended the session: {frame.text}")
+            if not self._is_next(frame):
+                continue
+            self.counters["skipped"] += newest is not None
+            newest, self._last = frame, frame.index
+            if self._lockstep:
+                break
+        if newest is None:
+            self._lost(f"sent no sample for {self._silence:g} s")
+        return Sample(newest.index, newest.values)
+
+    def write(self, index: int, command: Array) -> None:
+        """Send the command (actuators,) that answers the sample `index`."""
+        self._life.need_active("write")
+        check_command(command, self.actuators)
+        self._send(Kind.COMMAND, index, command)
+
+    def deactivate(self) -> None:
+        """Say good-bye, upon which the plant's outputs go to zero."""
+        if self._line is not None:
+            try:
+                self._line.send(wire.encode(Kind.BYE, self._session))
+            except OSError:
+                self.counters["unsent"] += 1  # the plant's own watchdog does it
+        self._close()
+        self._life.deactivate()
+
+    def _ask(self, text: str) -> Frame:
+        """Send a hello until it is answered."""
+        give_up = time.monotonic() + self._patience
+        while time.monotonic() < give_up:
+            again = time.monotonic() + TRY
+            try:
+                self._send(Kind.HELLO, text=text)
+                while (frame := self._receive(again - time.monotonic())) is not None:
+                    if frame.kind in (Kind.ACCEPT, Kind.REFUSE):
+                        return frame
+                    self.counters["unexpected"] += 1
+            except PlantLostError:  # nobody listens there yet
+                time.sleep(max(0.0, min(again, give_up) - time.monotonic()))
+        raise PlantLostError(f"no plant answers at {self._address}; {self.mend()}")
+
+    def _following(self, wait: float) -> Frame | None:
+        """Return what came in answer to the start, else the next frame within a number of seconds."""
+        first, self._first = self._first, None
+        return first or self._receive(wait)
+
+    def _is_next(self, frame: Frame) -> bool:
+        """Tell whether a frame is a sample newer than the last, else count why not."""
+        if frame.kind is not Kind.SENSORS:
+            cause = "unexpected"
+        elif len(frame.values) != len(self.sensors):
+            cause = "wrong size"
+        elif frame.index <= self._last:
+            cause = "duplicate" if frame.index == self._last else "reordered"
+        else:
+            return True
+        self.counters[cause] += 1
+        return False
+
+    def _receive(self, wait: float) -> Frame | None:
+        """Return the next sound frame of this session, or None if none comes within a number of seconds."""
+        until = time.monotonic() + wait
+        gone: ConnectionError | None = None  # the socket reports it before the plant's last words
+        while self._waits(0.0 if gone else until - time.monotonic()):
+            try:
+                frame = wire.decode(self._open.receive())
+            except WireError as error:
+                self.counters[error.cause] += 1
+            except BlockingIOError:  # what waited was no frame
+                continue
+            except ConnectionError as error:
+                if gone is not None:  # nothing was behind the first
+                    break
+                gone = error
+            else:
+                if frame.session == self._session:
+                    return frame
+                self.counters["other session"] += 1
+        if gone is not None:
+            self._lost("is gone", gone)
+        return None
+
+    def _waits(self, wait: float) -> bool:
+        """Tell whether a frame waits to be read, or comes within a number of seconds."""
+        return self._open.waits(max(0.0, wait))
+
+    def _send(self, kind: Kind, index: int = 0, values: Array = wire.NO_VALUES, *, text: str = "") -> None:
+        frame = wire.encode(kind, self._session, index, values=values, text=text)
+        try:
+            self._open.send(frame)
+        except ConnectionError as error:
+            if not self._waits(0.0):  # else what the plant said last is still to be read
+                self._lost("is gone", error)
+            self.counters["unsent"] += 1
+        except BlockingIOError:  # the line is full; the next command is fresher
+            self.counters["unsent"] += 1
+
+    @property
+    def _open(self) -> Line:
+        assert self._line is not None  # noqa: S101  # the life cycle sees to it
+        return self._line
+
+    def _lost(self, what: str, error: Exception | None = None) -> NoReturn:
+        mend = "look at its own output and record, then start it again with 'masking rig serve PLANT'"
+        raise PlantLostError(f"the plant at {self._address} {what}; {mend}") from error
+
+    def _close(self) -> None:
+        if self._line is not None:
+            self._line.close()
+        self._line = None
