@@ -3,7 +3,7 @@
     p = p0 + (1 - p0)/(1 + (l0/l)**s)
 
 l is what the names leave and the law without a name explains, as part of the rms of the model error: a law whose shape
-is off by a tenth leaves a tenth. A closed form with no more numbers than the names is their rival by its score. The
+is off by a tenth leaves a tenth. A closed form is their rival by its score. The
 numbers are chosen, not fitted; `python -m tests.benchmarks.problems` says how often answers of each probability are
 right.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-LEAST = 0.01  # p0, where the names leave no more than noise
+LEAST = 0.01  # p0, where the names leave no more than noise; and of the names, where a closed form is better
 HALF = 0.1  # l0: a law that is a tenth off is as likely another one
 SHARPNESS = 3.0  # s
 REFUSED = 0.6  # at least, where names are refused for what they leave: then it is likelier than not
@@ -37,15 +37,14 @@ def none_of_these(
 
     Args:
         left: l.
-        better: score by which a closed form with no more numbers is better than the names, beyond what is asked of an
-            effect.
+        better: score by which a closed form is better than the names, beyond what is asked of an effect.
         refused: whether the names are refused for what they leave.
         shared: whether two of them are forces of one place.
         above: whether they leave more than the noise floor on unseen data.
         explained: whether a law without a name leaves no more than noise; where neither does, little is sure.
     """
     found = LEAST + (1.0 - LEAST) / (1.0 + (HALF / left) ** SHARPNESS) if left > 0.0 else LEAST
-    found = max(found, float(special.expit(0.5 * better)))
+    found = max(found, (1.0 - LEAST) * float(special.expit(0.5 * better)))
     found = max(found, REFUSED if refused else 0.0, SHARED if shared else 0.0, ABOVE if above else 0.0)
     return found if explained else min(found, REFUSED)
 

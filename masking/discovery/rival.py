@@ -38,11 +38,11 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     if is_open or are_two or leaves_more or _takes_a_rest(found):
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps)
-        if law is not None:
-            left, better = law.unexplained(found), evidence(found, found.after, law) - rules.effect_evidence
-    refused = found.verdict == "unknown"
-    above = not found.is_at_noise_floor
+    refused, above = found.verdict == "unknown", not found.is_at_noise_floor
     explained = not above if law is None else law.reaches(floor)
+    if law is not None:
+        better = evidence(found, found.after, law, alone=above and explained) - rules.effect_evidence
+        left = law.unexplained(found)
     none = calibration.none_of_these(
         left if is_open else 0.0, better, refused=refused, shared=are_two, above=above, explained=explained
     )

@@ -103,21 +103,23 @@ class UnnamedLaw:
         }
 
 
-def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw) -> float:
+def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone: bool = False) -> float:
     """Return by how much the closed form of a law has a better score than the names in both records.
 
-    It is no rival, and this is -inf, where it has more numbers than the names, or is known in other intervals.
+    It is no rival, and this is -inf, where it is known in other intervals. With more numbers than the names, a form may
+    imitate what else is missing: it is no rival either, unless it alone leaves no more than noise.
 
     Args:
         found: the record with its explanation.
         validated: that explanation on the validation record.
         law: the law without a name.
+        alone: whether this law leaves no more than noise on unseen data, and the names leave more.
     """
     named, form = found.explanation.hypothesis, law.form
     if form is None or law.free.problem.interval != found.problem.interval:
         return -np.inf
     numbers = [len(fitting.estimated(one.instances)) for one in (named, form.hypothesis)]
-    if numbers[1] > numbers[0] or form.validated.squares.shape != validated.squares.shape:
+    if (numbers[1] > numbers[0] and not alone) or form.validated.squares.shape != validated.squares.shape:
         return -np.inf
     penalty = float(np.log(named.residuals.size + validated.residuals.size))
     costs = [
