@@ -30,7 +30,7 @@ FLOORS: dict[str, set[str]] = {
     "exports": {"numerics", "codegen", "modelling", "rig", "control"},
     "runs": {
         *("numerics", "declaration", "display", "effects", "codegen", "modelling", "records", "analysis", "rig"),
-        *("control", "plants"),
+        *("control", "plants", "signals"),
     },
     "estimation": {"numerics", "display", "codegen", "records", "rig"},
     "discovery": {

@@ -248,3 +248,15 @@ def test_a_schedule_of_two_series_holds_the_pieces_of_both():
     made.set(0.7, p)
     np.testing.assert_allclose(p, [1, 1, 0, 0, 0, 5, 0, 0, 0, 0.5])
     assert made.spans(np.array([0.0, 0.4, 0.5, 2.0, 4.0])) == [(0, 2), (2, 3), (3, 4), (4, 5)]
+
+
+def test_a_controller_in_ones_own_loop_reads_the_same_inputs(folder):
+    source = {"file": str(folder / "force.csv"), "interpolation": "linear"}
+    made = load(folder, {"F": source, "G": 0})
+    law, state = made.controller(), np.array([0.002, 0.05, 0.01, -0.2])
+    with_force, without = (law(t, state).copy() for t in (0.725, -1.0))
+    expected = np.interp([7.25, 0.0], KNOTS, VALUES)
+    run = load(folder, {"F": 0.1, "G": 0}).controller()
+    zero = load(folder, {"F": 0.0, "G": 0}).controller()
+    per_force = (run(0.0, state).copy() - zero(0.0, state)) / 0.1
+    np.testing.assert_allclose(with_force - without, per_force * (expected[0] - expected[1]), rtol=1e-9)

@@ -16,6 +16,7 @@ from masking.control.blocks import INVERTIBLE
 from masking.control.closed_loop import ClosedLoop
 from masking.control.sampled import SampledController
 from masking.errors import CommandError, PlantMismatchError
+from masking.modelling.series import Schedule
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import HEATING, TIME
 from masking.numerics.stop_codes import SINGULAR
@@ -193,9 +194,12 @@ class LawStep:
         loop: controller and plant, compiled together.
         inverse: the commands for each input (actuators, inputs), as `Instruments.allocation_inverse`.
         actuators: their names.
+        schedule: parameters that change at instants, as inputs of the virtual system do; none by default.
     """
 
-    def __init__(self, loop: ClosedLoop, inverse: Array, actuators: Sequence[str]) -> None:
+    def __init__(
+        self, loop: ClosedLoop, inverse: Array, actuators: Sequence[str], schedule: Schedule | None = None
+    ) -> None:
         names = loop.plant.coordinates
         self.loop, self.actuators = loop, tuple(actuators)
         self.states = (*names, *(f"{name}'" for name in names), *loop.plant.declaration.states)
@@ -204,7 +208,16 @@ class LawStep:
         self._array, self._numbers = _buffers(self.state)
         time, self._first = np.zeros(1), np.zeros(1)
         self._time, _ = _buffers(time)
-        given = (time, self.state, loop.values(), np.ascontiguousarray(inverse), self.inputs, self.applied, self._first)
+        self._schedule, self._parameters = schedule, loop.values()
+        given = (
+            time,
+            self.state,
+            self._parameters,
+            np.ascontiguousarray(inverse),
+            self.inputs,
+            self.applied,
+            self._first,
+        )
         self._bound = loop.kernels.answer.bind(*given)
         self._results = self._bound.results
         self.reset()
@@ -236,6 +249,8 @@ class LawStep:
         except (TypeError, ValueError):
             _copy(state, self.state, "state", self.states)
         self._time[0] = t
+        if self._schedule is not None:
+            self._schedule.set(t, self._parameters)
         self._call()
         if self._results[0]:
             self._stop(int(self._results[0]), t)

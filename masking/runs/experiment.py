@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -245,7 +244,8 @@ class Experiment:
         self.validate()
         if self.has_observer:
             return SampledStep(self.sampled)
-        return LawStep(self.loop, self.instruments.allocation_inverse, self.instruments.actuators)
+        schedule = self.inputs.of_rig(self.time_scale)
+        return LawStep(self.loop, self.instruments.allocation_inverse, self.instruments.actuators, schedule)
 
     @cached_property
     def stop_condition(self) -> StopCondition | None:
@@ -453,13 +453,12 @@ class Experiment:
         at = float(columns["t"][-1]) / self.time_scale if is_stopped else None
         stop = {"stop": self.stop_condition.entry(at)} if self.stop_condition else {}
         chi = {c: masking_error(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in self.virtual.coordinates}
-        limits = self.assembly.plant.limits.inputs
         entries = {
             "columns": dict(made.units),
             "time_scale": self.time_scale,
-            "limits": {name: self._limit_entry(name, limit) for name, limit in limits.items()},
+            "limits": manifest.limits(self.assembly.plant, self.instruments),
             "effects": {effect.label: effect.enabled and self._acts(effect) for effect in self.twin.effects},
-            "observer": self._observer_entry() if self.has_observer else None,
+            "observer": manifest.observer(self.sampled, self.observer_settings.kind) if self.has_observer else None,
             "masking_error": chi,
             "timing": dict(timing),
         }
@@ -468,35 +467,10 @@ class Experiment:
             entries["passive"] = self.passive.entry(np.column_stack([columns[name] for name in names]))
         if self.declaration.inputs:
             entries["inputs"] = self.inputs.entry()
-        entries |= self._start_entry(columns) | stop
+        if self.declaration.controller.homing is not None:
+            entries["start"] = manifest.start(self.virtual.coordinates, self.virtual_start, columns)
+        entries |= stop
         return Recording(columns, manifest.content(self.assembly, self.virtual, entries))
-
-    def _start_entry(self, columns: Mapping[str, Array]) -> dict[str, Any]:
-        """Return where homing should have brought the rig, and where it did, for the manifest."""
-        if self.declaration.controller.homing is None:
-            return {}
-        wanted = self.virtual_start
-        names = self.virtual.coordinates
-        reached = {name: float(columns[f"virtual.{name}"][0]) for name in names}
-        return {"start": {"wanted": dict(zip(names, map(float, wanted), strict=False)), "reached": reached}}
-
-    def _observer_entry(self) -> dict[str, Any]:
-        """Return what the observer is, for the manifest."""
-        sampled, settings = self.sampled, self.observer_settings
-        entry: dict[str, Any] = {"kind": settings.kind, "delay": sampled.delay}
-        if sampled.has_model:
-            plan = self.instruments.plan(sampled.rate, sampled.noise)
-            speeds = self.observer.bandwidths(plan)
-            entry |= {"order": self.observer.order, "fastest": plan.fastest}
-            entry["noise"] = dict(zip(self.instruments.sensors, plan.noise, strict=True))
-            entry["bandwidth"] = dict(zip(self.plant.coordinates, speeds, strict=True))
-        return entry
-
-    def _limit_entry(self, name: str, limit: schema.Limit) -> dict[str, Any]:
-        """Return a limit of an actuator in the unit of its commands, for the manifest."""
-        instruments = self.instruments
-        unit = instruments.unit(name) if name in instruments.actuators else limit.unit
-        return {"max": limit.max * instruments.factors[limit.unit] / instruments.factors[unit], "unit": unit}
 
     def _acts(self, effect: PlacedEffect) -> bool:
         """Tell whether an effect acts in a run: one outside the rig does not, where the true state is known."""

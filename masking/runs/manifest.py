@@ -5,13 +5,16 @@ from __future__ import annotations
 import datetime
 import platform
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from masking.declaration import registry
+from masking.control.instruments import Instruments
+from masking.control.sampled import SampledController
+from masking.declaration import registry, schema
 from masking.modelling.model import Model
+from masking.numerics.arrays import Array
 
 LIBRARIES = ("masking", "numpy", "numba", "sympy")
 
@@ -51,6 +54,50 @@ def content(assembly: registry.Assembly, virtual: Model, entries: Mapping[str, A
         "rate": rate,
         **entries,
     }
+
+
+def start(names: Sequence[str], wanted: Array, columns: Mapping[str, Array]) -> dict[str, Any]:
+    """Return where homing should have brought the rig, and where it did.
+
+    Args:
+        names: of the virtual coordinates.
+        wanted: their initial state.
+        columns: of the recording.
+    """
+    reached = {name: float(columns[f"virtual.{name}"][0]) for name in names}
+    return {"wanted": dict(zip(names, map(float, wanted), strict=False)), "reached": reached}
+
+
+def observer(sampled: SampledController, kind: str) -> dict[str, Any]:
+    """Return what the observer of a controller is.
+
+    Args:
+        sampled: the controller.
+        kind: of the observer.
+    """
+    entry: dict[str, Any] = {"kind": kind, "delay": sampled.delay}
+    if sampled.has_model:
+        known = sampled.instruments
+        plan = known.plan(sampled.rate, sampled.noise)
+        speeds = sampled.observer.bandwidths(plan)
+        entry |= {"order": sampled.observer.order, "fastest": plan.fastest}
+        entry["noise"] = dict(zip(known.sensors, plan.noise, strict=True))
+        entry["bandwidth"] = dict(zip(known.model.coordinates, speeds, strict=True))
+    return entry
+
+
+def limits(plant: schema.PlantDeclaration, instruments: Instruments) -> dict[str, dict[str, Any]]:
+    """Return the limit of each actuator in the unit of its commands.
+
+    Args:
+        plant: with the limits.
+        instruments: with the units.
+    """
+    found = {}
+    for name, limit in plant.limits.inputs.items():
+        unit = instruments.unit(name) if name in instruments.actuators else limit.unit
+        found[name] = {"max": limit.max * instruments.factors[limit.unit] / instruments.factors[unit], "unit": unit}
+    return found
 
 
 def _commit(files: Mapping[str, str]) -> str | None:
