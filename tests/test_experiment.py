@@ -124,7 +124,7 @@ def test_value_out_of_bounds_is_refused(tmp_path):
 
 def test_missing_initial_value_is_refused_with_its_place(tmp_path):
     with pytest.raises(DeclarationError) as error:
-        load(tmp_path, virtual="setup", initial={"x1": -3})
+        load(tmp_path, virtual="setup", initial={"x1": -3}, inputs={"u1": 0, "u2": 0, "u3": 0})
     assert len(error.value.problems) == 1
     assert str(error.value).startswith(f"{tmp_path}/run.yaml:1:")
     assert "initial: no initial value for x2; give initial.x2 here" in str(error.value)

@@ -116,7 +116,7 @@ def test_one_encoder_is_enough(tmp_path):
 
 def test_a_pendulum_that_no_sensor_tells_must_come_to_rest(tmp_path):
     rig = _plant(tmp_path, lambda text: "\n".join(line for line in text.splitlines() if "angle" not in line), d=0.0)
-    with pytest.raises(ModelError, match="no sensor tells th, and in the model it does not come to rest"):
+    with pytest.raises(ModelError, match="no sensor measures th, and in the model it does not come to rest"):
         Experiment.load("cart_alone_rig", plant=rig).validate()
     rig = _plant(tmp_path, lambda text: "\n".join(line for line in text.splitlines() if "angle" not in line))
     with pytest.raises(ModelError, match="differences need a sensor for every coordinate"):

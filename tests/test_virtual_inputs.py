@@ -147,7 +147,7 @@ def test_a_push_that_is_not_felt_is_rejected():
 
 
 def test_what_a_run_alone_knows_is_left_out_of_the_check():
-    assert "without F, which only a run tells" in feasibility(Experiment.load("cart_felt")).notes
+    assert "without F, which is known in a run only" in feasibility(Experiment.load("cart_felt")).notes
 
 
 @pytest.mark.parametrize(

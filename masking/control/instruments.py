@@ -125,8 +125,8 @@ class Instruments:
         sensing = self.sensing()
         passive = () if self.driven is None else np.flatnonzero(~self.driven.any(axis=0))
         hidden = tuple(i for i in unseen(sensing[:, :n]) if i in passive)
-        told = [i for i in range(n) if i not in hidden]
-        check_sensing(sensing[:, told], [self.model.coordinates[i] for i in told], self.sensors)
+        seen = [i for i in range(n) if i not in hidden]
+        check_sensing(sensing[:, seen], [self.model.coordinates[i] for i in seen], self.sensors)
         check_followed(dynamics, hidden, self.model.coordinates)
         unknown = [name for name in self.sensors if noise is None and name not in self.noise]
         if unknown:

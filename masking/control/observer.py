@@ -52,7 +52,7 @@ class Plan:
         noise: standard deviation of each reading (sensors,).
         period: time between samples, s.
         delay: samples between a reading and the first effect of the command that answers it.
-        unseen: coordinates that no sensor tells and the controller does not drive: the model alone follows them.
+        unseen: coordinates without a sensor that the controller does not drive: the model alone follows them.
     """
 
     dynamics: Array
@@ -154,7 +154,7 @@ class Kalman:
         return np.concatenate([*steady[:2], np.zeros((offset, sensors)), *steady[2:]])
 
     def bandwidths(self, plan: Plan) -> Array:
-        """Return the bandwidth for each coordinate, rad/s (n,); 0 for one that no sensor tells.
+        """Return the bandwidth for each coordinate, rad/s (n,); 0 for one without a sensor.
 
         The rule: as fast as the sampling allows, 0.7 rate / (1 + delay), so that the phase that is lost at the
         bandwidth stays within 40 degrees; then lower, coordinate by coordinate, until the noise of the readings makes
@@ -273,7 +273,7 @@ def check_followed(dynamics: Array, hidden: Sequence[int], coordinates: Sequence
 
     Args:
         dynamics: (2 n, 2 n), d [q, v] / dt = dynamics [q, v] of the model at rest.
-        hidden: indices of the coordinates that no sensor tells.
+        hidden: indices of the coordinates without a sensor.
         coordinates: names.
 
     Raises:
@@ -283,7 +283,7 @@ def check_followed(dynamics: Array, hidden: Sequence[int], coordinates: Sequence
     if hidden and np.linalg.eigvals(dynamics[np.ix_(both, both)]).real.max() >= 0.0:
         names = ", ".join(coordinates[i] for i in hidden)
         raise ModelError(
-            f"no sensor tells {names}, and in the model it does not come to rest by itself: where it is cannot be "
+            f"no sensor measures {names}, and in the model it does not come to rest by itself: where it is cannot be "
             "known; declare a sensor that measures it"
         )
 

@@ -1,6 +1,6 @@
 """Zero dynamics: how the passive coordinates of a rig move while its actuators hold the virtual coordinates at rest.
 
-With a = a0(q, v) + B(q) u and eta = T(q), inputs that hold eta satisfy J B u = -J a0 - J' v. What is left of the rig's
+With a = a0(q, v) + B(q) u and eta = T(q), inputs that hold eta satisfy J B u = -J a0 - J' v. What remains of the rig's
 motion is that of its passive coordinates. It is linearised about the rest nearest to zero: where an eigenvalue has a
 positive real part, the rig cannot be masked for long, however well the virtual coordinates follow.
 Source: Isidori (1995), Nonlinear Control Systems, section 4.3; Spong (1994), partial feedback linearisation.

@@ -3,5 +3,5 @@
 In: an experiment.
 Out: its recording: offline, in real time or on hardware, and what limits it.
 Imports: numerics, declaration, display, effects, codegen, modelling, records, analysis, rig, control,
-plants.
+plants, signals.
 """

@@ -237,7 +237,7 @@ class Motion:
         power, passive = self.experiment.assembly.plant.limits.power, self.experiment.passive
         notes = () if passive is None else (str(passive.zero_dynamics),)
         live = [name for name, source in self.experiment.declaration.inputs.items() if source.is_live]
-        notes = (*notes, f"without {', '.join(live)}, which only a run tells") if live else notes
+        notes = (*notes, f"without {', '.join(live)}, which is known in a run only") if live else notes
         if power is None or power.heating is not None:
             return notes
         return (*notes, "mean power is unknown: the plant file has no limits.power.heating")

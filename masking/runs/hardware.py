@@ -221,11 +221,11 @@ class _Keeper:
         self.controller, self.before, self.after, self.watched = controller, before, after, watched
         self.first, self.row = 0, 0
         sizes, samples = controller.sampled.sizes, before + after
-        self._lacking = slice(sizes.states, sizes.states + (sizes.coordinates if sizes.order else 0))
+        self._disturbances = slice(sizes.states, sizes.states + (sizes.coordinates if sizes.order else 0))
         self.estimates = np.zeros((samples, sizes.states))
         self.demanded = np.zeros((samples, sizes.actuators))
         self.power = np.zeros((samples, sizes.actuators))
-        self.lacking = np.zeros((samples, sizes.coordinates if sizes.order else 0))
+        self.disturbances = np.zeros((samples, sizes.coordinates if sizes.order else 0))
         self.index = np.zeros(samples, dtype=np.int64)
 
     @property
@@ -261,7 +261,7 @@ class _Keeper:
         self.row += 1
         self.index[row] = index
         self.estimates[row] = controller.estimate
-        self.lacking[row] = controller.state[self._lacking]
+        self.disturbances[row] = controller.state[self._disturbances]
         self.demanded[row] = controller.demanded
         self.power[row] = controller.power
         if self.watched is not None:
@@ -280,5 +280,5 @@ class _Keeper:
             self.demanded[kept],
             ran.applied[kept],
             self.power[kept],
-            self.lacking[kept] if self.lacking.shape[1] else None,
+            self.disturbances[kept] if self.disturbances.shape[1] else None,
         )

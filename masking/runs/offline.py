@@ -53,7 +53,7 @@ class TwinRun:
         demanded: commands before limits (m, actuators), in the actuators' units.
         applied: commands after limits (m, actuators).
         power: mean power of each actuator as the controller reckons it (m, actuators), W; 0 where it is not limited.
-        lacking: accelerations that the controller's model lacks, as it estimates them (m, n), SI units.
+        disturbances: accelerations that the controller's model lacks, as it estimates them (m, n), SI units.
     """
 
     times: Array
@@ -63,7 +63,7 @@ class TwinRun:
     demanded: Array
     applied: Array
     power: Array
-    lacking: Array | None = None
+    disturbances: Array | None = None
 
 
 _AnyRun = TypeVar("_AnyRun", bound=Run | TwinRun)
@@ -223,8 +223,8 @@ def run_twin(
             progress((end + before) / (samples + before))
     states, memories, readings, demanded, applied = out
     estimates, power = memories[:, : sizes.states], memories[:, sizes.power]
-    lacking = memories[:, sizes.states : sizes.states + sizes.coordinates] if sizes.order else None
-    return TwinRun(rows / rate, states, estimates, readings, demanded, applied, power, lacking)
+    disturbances = memories[:, sizes.states : sizes.states + sizes.coordinates] if sizes.order else None
+    return TwinRun(rows / rate, states, estimates, readings, demanded, applied, power, disturbances)
 
 
 def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:

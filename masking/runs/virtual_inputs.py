@@ -159,10 +159,10 @@ def live_inputs(sampled: SampledController, run: TwinRun, inputs: VirtualInputs)
     names = [name for name, one in sources.items() if one.sensor is not None]
     found = {n: one.factor * run.readings[:, one.sensor] for n, one in zip(names, feed.sensors, strict=True)}
     names = [name for name, one in sources.items() if one.push is not None]
-    if not names or run.lacking is None:
+    if not names or run.disturbances is None:
         return found
     p, forces = sampled.values(), np.empty((len(run.times), len(names)))
-    for t, y, d, row in zip(run.times, run.estimates, run.lacking, forces, strict=True):
+    for t, y, d, row in zip(run.times, run.estimates, run.disturbances, forces, strict=True):
         sampled.kernels.push(float(t), y.copy(), d.copy(), p, row)
     for name, one, force in zip(names, feed.pushes, forces.T, strict=True):
         found[name] = one.factor * (force - _slow(run.times, force, one.above, sampled.before / sampled.rate))
