@@ -54,7 +54,13 @@ def _add_serve(sub: argparse.ArgumentParser) -> None:
 def _add_run(sub: argparse.ArgumentParser) -> None:
     _add_common(sub)
     sub.add_argument("experiment", metavar="EXPERIMENT", help=NAMED)
-    sub.add_argument("--plant", metavar="ADDRESS", required=True, help=SUCH)
+    sub.add_argument(
+        "--plant",
+        metavar="[NAME=]ADDRESS",
+        required=True,
+        action="append",
+        help=f"{SUCH}; a=ADDRESS for each plant of an experiment with several",
+    )
     add_out(sub, "results/EXPERIMENT_rig")
 
 
@@ -102,7 +108,7 @@ def _serve(chosen: argparse.Namespace) -> int:
 
 def _run(chosen: argparse.Namespace) -> int:
     """Run an experiment on a plant that runs by itself, and write its report."""
-    from masking.plants import adapters
+    from masking.plants.group import connect_each
     from masking.runs import hardware, stopping
     from masking.runs.experiment import Experiment
     from masking.workflows.outputs import RUN, check_folder
@@ -119,7 +125,7 @@ def _run(chosen: argparse.Namespace) -> int:
         answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 
     with Bar("running") as bar:
-        plant = adapters.connect(chosen.plant)
+        plant = connect_each(chosen.plant, tuple(made.declaration.plants))
         recording = hardware.run(made, plant, lockstep=chosen.lockstep, progress=bar, keep=keep)
     keep(recording)
     end = recording.manifest["rig"]["end"]

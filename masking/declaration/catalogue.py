@@ -26,7 +26,8 @@ _ARTICLE = {
 OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
     kind: frozenset(keys.split())
     for kind, keys in {
-        "experiment": "plant virtual transform controller initial duration time_scale record stop tolerance seed",
+        "experiment": "plant plants virtual transform controller initial duration time_scale record stop tolerance "
+        "seed",
         "plant": "kind model sensors actuators limits allocation own_effects",
         "model": "extends coordinates states inputs definitions equations lagrangian dissipation forces terms outputs "
         "energy scales oscillators elements drawing",

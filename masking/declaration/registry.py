@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from masking.declaration import strict_yaml
 from masking.declaration.catalogue import NOWHERE, Reference, find, folder, kind_of_keys, wrong_kind
 from masking.declaration.checks import check_model
+from masking.declaration.composition import Part, compose
 from masking.declaration.cross_checks import check_experiment, check_plant
 from masking.declaration.dictionary import check_dictionary
 from masking.declaration.dimensions import check_dimensions, check_scales
@@ -131,7 +132,20 @@ def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
 
 def load_experiment(name_or_path: str | Path, reference: Reference = NOWHERE) -> ExperimentDeclaration:
     """Load an experiment; its plant and its virtual system are files of their own."""
-    return _load(ExperimentDeclaration, name_or_path, reference)
+    return _load(ExperimentDeclaration, name_or_path, reference, _check_plants)
+
+
+def _check_plants(experiment: ExperimentDeclaration, is_whole: bool, lost: Collection[str]) -> list[Problem]:
+    """List what is wrong with the plants that an experiment names: it has one, or several together."""
+    path, mend = "plants", "name one plant with plant, or several with plants, such as 'plants: {a: cart, b: cart}'"
+    place = experiment.key_place(path)
+    if experiment.plant is None and not experiment.plants and not {"plant", "plants"} & {*lost} and is_whole:
+        return [Problem(experiment.place(""), "plant", "the key 'plant' is missing", mend)]
+    if experiment.plant is not None and experiment.plants:
+        return [Problem(place, path, "plant and plants are both given", mend)]
+    if len(experiment.plants) == 1:
+        return [Problem(place, path, "plants are at least two", mend)]
+    return []
 
 
 def name_from(declaration: Declaration, start: Path | None = None) -> str:
@@ -149,7 +163,7 @@ def name_from(declaration: Declaration, start: Path | None = None) -> str:
 def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str, object]) -> ExperimentDeclaration:
     """Return an experiment with some sections of its file replaced, checked as if the file said so."""
     data, places = {**experiment.canonical(), **sections}, experiment._places.without(sections)
-    return read(ExperimentDeclaration, data, places, experiment.files, lambda *_: [])
+    return read(ExperimentDeclaration, data, places, experiment.files, _check_plants)
 
 
 def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Assembly:
@@ -158,8 +172,7 @@ def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Ass
     Raises:
         DeclarationError: lists every problem with its place.
     """
-    rig = load_plant(plant) if plant else load_plant(experiment.plant, refer(experiment, "plant"))
-    plant_model = load_model(rig.model, refer(rig, "model"))
+    rig, plant_model = _rig(experiment, plant)
     virtual_model = load_model(experiment.virtual, refer(experiment, "virtual"))
     assumed = experiment.controller.model
     believed_model = load_model(assumed, refer(experiment, "controller.model")) if assumed else plant_model
@@ -168,6 +181,27 @@ def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Ass
     if problems:
         raise DeclarationError(in_order(problems))
     return Assembly(experiment, rig, plant_model, with_inputs(virtual_model, experiment.inputs), believed_model)
+
+
+def parts(experiment: ExperimentDeclaration) -> list[Part]:
+    """Load the plants that an experiment runs together, each with its model."""
+    made = []
+    for name, file in experiment.plants.items():
+        plant = load_plant(file, refer(experiment, f"plants.{name}"))
+        made.append(Part(name, plant, load_model(plant.model, refer(plant, "model"))))
+    return made
+
+
+def _rig(experiment: ExperimentDeclaration, plant: str | None) -> tuple[PlantDeclaration, ModelDeclaration]:
+    """Load what an experiment drives, and its model; `plant` replaces it."""
+    if plant is None and experiment.plants:
+        found = parts(experiment)
+        problems = [problem for part in found for problem in check_plant(part.plant, part.model)]
+        if problems:
+            raise DeclarationError(in_order(problems))
+        return compose(found)
+    rig = load_plant(plant) if plant else load_plant(experiment.plant or "", refer(experiment, "plant"))
+    return rig, load_model(rig.model, refer(rig, "model"))
 
 
 def check_units(assembly: Assembly) -> list[Problem]:

@@ -462,11 +462,12 @@ class PlantDeclaration(Declaration):
 
 
 class ExperimentDeclaration(Declaration):
-    """A run: which plant is to move as which virtual system, from where, for how long."""
+    """A run: which plant, or which `plants` together, is to move as which virtual system, from where, for how long."""
 
     kind_name = "experiment"
 
-    plant: TextField
+    plant: TextField | None = None
+    plants: dict[Name, TextField] = {}
     virtual: TextField
     transform: Annotated[Transform, _IDENTITY] = Transform()
     controller: ControllerSettings = ControllerSettings()

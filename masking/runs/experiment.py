@@ -98,7 +98,8 @@ class Experiment:
             DeclarationError: as for a file.
         """
         declaration = registry.changed_experiment(self.declaration, sections)
-        here = None if "plant" in sections else next(iter(self.assembly.plant.files), None)
+        is_given = declaration.plants or {"plant", "plants"} & sections.keys()
+        here = None if is_given else next(iter(self.assembly.plant.files), None)
         return Experiment(registry.assemble(declaration, here))
 
     @property
