@@ -367,7 +367,8 @@ def test_json_schema_accepts_what_the_loader_accepts():
         assert schema["type"] == "object"
         assert schema["additionalProperties"] is False
         json.dumps(schema)
-    assert set(json_schema("experiment")["required"]) >= {"plant", "virtual", "duration"}
+    assert set(json_schema("experiment")["required"]) >= {"virtual", "duration"}
+    assert json_schema("experiment")["oneOf"] == [{"required": ["plant"]}, {"required": ["plants"]}]
 
 
 def test_numbers_of_yaml():

@@ -8,10 +8,11 @@ import yaml
 from scipy import linalg
 from test_rig import serving
 
+import masking
 from masking.cli import main
 from masking.declaration import registry
 from masking.declaration.composition import Part, compose
-from masking.errors import DeclarationError, PlantMismatchError
+from masking.errors import DeclarationError, ModelError, PlantMismatchError
 from masking.modelling.model import Model
 from masking.plants import adapters
 from masking.plants.conformance import check
@@ -54,7 +55,7 @@ def test_two_carts_move_as_two_masses_with_a_spring_between_them():
     run = exact.run()
     assert relative(carts_in(run), beats(run.t)) < 1e-8
     assert relative(carts_in(offline()), beats(offline().t)) < 0.05
-    assert offline().names("sensor") == ("sensor.a_encoder", "sensor.b_encoder")
+    assert offline().names("sensor") == ("a_encoder", "b_encoder")
 
 
 def test_a_controller_may_be_wrong_about_one_of_the_plants():
@@ -196,3 +197,8 @@ def test_what_an_experiment_says_of_its_plants_is_checked(tmp_path, plants, said
     file.write_text(f"name: run\n{plants}\nvirtual: two_masses\nduration: 1\n")
     with pytest.raises(DeclarationError, match=said):
         Experiment.load(file)
+
+
+def test_each_plant_is_refined_by_itself():
+    with pytest.raises(ModelError, match="has several plants: refine each in an experiment of its own"):
+        masking.refine("two_carts")

@@ -228,4 +228,4 @@ def _files(declarations: Iterable[Declaration]) -> dict[str, str]:
 
 
 def _title(parts: list[Part], name: Callable[[Part], str]) -> str:
-    return ", ".join(f"{part.name}: {name(part)}" for part in parts)
+    return " and ".join(f"{name(part)} {part.name}" for part in parts)

@@ -464,6 +464,7 @@ class PlantDeclaration(Declaration):
 class ExperimentDeclaration(Declaration):
     """A run: which plant, or which `plants` together, is to move as which virtual system, from where, for how long."""
 
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["plant"]}, {"required": ["plants"]}]})
     kind_name = "experiment"
 
     plant: TextField | None = None

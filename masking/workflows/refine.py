@@ -18,7 +18,7 @@ from masking.discovery.discover import discover
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.search import Tell
 from masking.discovery.settings import DiscoverySettings
-from masking.errors import DeclarationError, IntegrationError, Problem, SingularityError
+from masking.errors import DeclarationError, IntegrationError, ModelError, Problem, SingularityError
 from masking.records.json_text import json_text
 from masking.records.recording import Recording
 from masking.reports import discovery_files, discovery_page, discovery_text, html, run_report
@@ -176,6 +176,8 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
     out, tell = settings.out, settings.tell
     check_folder(out, NUMBERS, EXPERIMENT, discovery_files.NUMBERS, overwrite=settings.overwrite)
     experiment = Experiment.load(name_or_path, plant=settings.plant)
+    if experiment.declaration.plants and settings.plant is None:
+        raise ModelError(f"{experiment.declaration.name} has several plants: refine each in an experiment of its own")
     say = tell or (lambda text, part: None)
     twin = inputs.with_effects(assumed(experiment), settings.effects)
     if not twin.sensors:
