@@ -201,4 +201,4 @@ def test_what_an_experiment_says_of_its_plants_is_checked(tmp_path, plants, said
 
 def test_each_plant_is_refined_by_itself():
     with pytest.raises(ModelError, match="has several plants: refine each in an experiment of its own"):
-        masking.refine("two_carts")
+        masking.refine("two_carts", record="none.csv")
