@@ -172,6 +172,7 @@ def test_every_packaged_model_has_a_place_at_each_coordinate(name):
 
 UNITS = {
     "cart_pendulum": {"x": "N", "th": "N*m"},
+    "light_cart": {"x": "N"},
     "pendula": {"th1": "N*m", "th2": "N*m", "x": "N"},
     "setup_lagrangian": {"x1": "N", "x2": "N", "x3": "N"},
 }

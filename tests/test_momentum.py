@@ -28,7 +28,7 @@ GROUND = {
     "huygens": (("x",), "Om"), "huygens_lagrangian": (("x",), "Om"),
 }  # fmt: skip
 # One body, held by the ground; and forces that are declared without a reaction.
-ALONE = {"setup_oscillator", "setup_controlled", "van_der_pol"}
+ALONE = {"setup_oscillator", "setup_controlled", "van_der_pol", "light_cart"}
 
 BETWEEN = {"V1", "V2", "u1", "u2"}  # actuators between an oscillator and the beam
 GROUNDED = {"V3", "u3"}  # actuators between the beam and the ground
