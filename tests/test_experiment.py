@@ -274,12 +274,3 @@ def test_only_effects_that_act_are_told_as_on():
     told = Experiment.load("duffing", plant="linear_rig").changed(duration=5, effects={"friction1": True}).run()
     assert told.manifest["effects"]["friction1"]
     assert not told.manifest["effects"]["delay"]
-
-
-def test_a_virtual_system_with_internal_states_is_refused(tmp_path):
-    (tmp_path / "slow.yaml").write_text(
-        "{name: slow, extends: duffing, states: {z: {initial: 0}}, equations: {z': x1 - z}, terms: {x3'': -z}}",
-        encoding="utf-8",
-    )
-    with pytest.raises(DeclarationError, match=r"virtual: the model slow has internal states \(z\); a controller"):
-        Experiment.load("duffing").changed(virtual=str(tmp_path / "slow.yaml"))

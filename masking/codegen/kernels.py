@@ -100,7 +100,7 @@ class Kernels:
 
         Args:
             times: monotone (m,); the state is that at the first.
-            state: (2 n + k,) at `times[0]`; left as it is.
+            state: (2 n + k,) at `times[0]`; left as it is. States that are returned have delayed expressions behind.
             inputs: (k,), held constant.
             parameters: array in the module's order.
             tolerance: local relative error of a step.
@@ -118,9 +118,15 @@ class Kernels:
         if times.ndim != 1 or len(times) == 0 or not (np.all(steps_between >= 0.0) or np.all(steps_between <= 0.0)):
             raise IntegrationError(f"times must be one row of at least one time, in order; got shape {times.shape}")
         solve = getattr(self, f"solve_{method or self.meta['method']}")
-        y = np.array(state, dtype=float)
+        lags = self.meta.get("lags", 0)
+        if lags and times[-1] < times[0]:
+            raise IntegrationError(
+                "what depends on the past by a delay is integrated forwards only: let times increase"
+            )
+        y = np.concatenate([np.array(state, dtype=float), np.zeros(lags)])
         out = np.empty((len(times), len(y)))
         t, steps = float(times[0]), 0
+        pieces = 1 if lags else pieces  # the past is that of one call
         for piece in np.array_split(np.arange(len(times)), max(1, min(pieces, len(times)))):
             rows = slice(piece[0], piece[-1] + 1)
             status, t, taken = solve(t, y, times[rows], inputs, parameters, tolerance, fixed_step, out[rows])

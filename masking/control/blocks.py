@@ -143,6 +143,19 @@ class MappedCoordinates:
 
 
 @dataclass(frozen=True)
+class Wanted:
+    """Nodes of D at one state: virtual accelerations (k,), and the rates of the virtual system's internal states.
+
+    Of its delayed expressions, `lagged` is what they are now, and `delays` is by how long they are delayed.
+    """
+
+    accelerations: list[Node]
+    rates: list[Node]
+    lagged: list[Node]
+    delays: list[Node]
+
+
+@dataclass(frozen=True)
 class DesiredDynamics:
     """D: the accelerations that the virtual system has at given virtual coordinates and velocities (6.2).
 
@@ -168,8 +181,9 @@ class DesiredDynamics:
         p: Sequence[Node],
         *,
         regulation: Sequence[Node] = (),
-    ) -> list[Node]:
-        """Lower eta'' = F(tau, eta, eta'), with the virtual system's inputs at zero, and its regulation.
+        memory: Sequence[Node] = (),
+    ) -> Wanted:
+        """Lower eta'' = F(tau, eta, eta', z), with the virtual system's inputs at zero, and its regulation.
 
         Args:
             graph: the graph to add to.
@@ -178,17 +192,19 @@ class DesiredDynamics:
             rate: their rates (k,).
             p: parameters of the virtual system.
             regulation: as `values` gives it.
+            memory: internal states z of the virtual system, and then its delayed expressions.
 
         Raises:
             ModelError: an energy is to be held, and the virtual system has none.
         """
         s = self.virtual.equations.symbols
         u = [graph.number(0.0)] * len(s.u)
-        known = dict(zip((s.t, *s.q, *s.v, *s.u, *s.p), (time, *eta, *rate, *u, *p), strict=True))
+        behind = (*s.s, *(lag.symbol for lag in self.virtual.equations.lags))
+        known = dict(zip((s.t, *s.q, *s.v, *behind, *s.u, *s.p), (time, *eta, *rate, *memory, *u, *p), strict=True))
         lowered = LoweredEquations.of(self.virtual.equations, graph, known=known)
         wanted = list(lowered.accelerations)
         if self.regulation is None:
-            return wanted
+            return Wanted(wanted, lowered.rates, lowered.lagged, lowered.delays)
         energy, speed, coupling = regulation
         moving = self._moving
         if self.regulation.energy is not None:
@@ -204,7 +220,7 @@ class DesiredDynamics:
                 # In-phase motion is the mean, anti-phase motion of two what differs from it: the other is damped.
                 unwanted = mean if self.regulation.phase == "anti" else graph.sub(rate[i], mean)
                 wanted[i] = graph.sub(wanted[i], graph.mul(coupling, unwanted))
-        return wanted
+        return Wanted(wanted, lowered.rates, lowered.lagged, lowered.delays)
 
     @property
     def _moving(self) -> tuple[int, ...]:

@@ -17,7 +17,7 @@ from masking.codegen.source import Module
 from masking.control.blocks import check_actuation
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols, check_same_rig
 from masking.errors import ModelError
-from masking.modelling.lowering import LoweredEquations
+from masking.modelling.lowering import LoweredEquations, add_runge_kutta
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 
@@ -81,6 +81,11 @@ class ClosedLoop:
                 "estimate them with an observer, or take another controller.model"
             )
 
+    @property
+    def internal(self) -> tuple[str, ...]:
+        """Return the names of the states after coordinates and velocities: the plant's, then the virtual system's."""
+        return (*self.plant.states, *(f"virtual.{name}" for name in self.controller.virtual.states))
+
     def values(self) -> Array:
         """Return the parameter array: the controller's, then the plant's."""
         return np.concatenate([self.controller.values(), self.plant.values()])
@@ -109,7 +114,7 @@ class ClosedLoop:
         Args:
             t: time of the rig, s.
             q: rig coordinates (n,), SI units.
-            v: rig velocities (n,), SI units.
+            v: rig velocities (n,), SI units, and then the states of `internal`.
         """
         k, n, m = len(self.controller.virtual.coordinates), len(self.plant.coordinates), len(self.plant.inputs)
         p, kernels = self.values(), self.kernels
@@ -132,9 +137,10 @@ class ClosedLoop:
     def to_control(self) -> control.NonlinearIOSystem:
         """Return the closed loop as a nonlinear input/output system of python-control.
 
-        It has no inputs; its states are the rig's coordinates and velocities in SI units, its outputs the virtual
-        coordinates, in the virtual system's units, and the rig's inputs.
+        It has no delays and no inputs; its states are the rig's coordinates and velocities in SI units and those of
+        `internal`, its outputs the virtual coordinates, in the virtual system's units, and the rig's inputs.
         """
+        self.controller.virtual.check_no_delays("python-control")
         kernels, p = self.kernels, self.values()
         k, m = len(self.controller.virtual.coordinates), len(self.plant.inputs)
 
@@ -149,12 +155,11 @@ class ClosedLoop:
             return np.concatenate([virtual[0, :k], inputs[0]])
 
         names = self.plant.coordinates
-        internal = self.plant.declaration.states
         return control.nlsys(
             update,
             output,
             inputs=0,
-            states=[*names, *(f"{c}'" for c in names), *internal],
+            states=[*names, *(f"{c}'" for c in names), *self.internal],
             outputs=[*self.controller.virtual.coordinates, *self.plant.inputs],
             name=f"{self.plant.name} as {self.controller.virtual.name}",
         )
@@ -177,6 +182,7 @@ def module(loop: ClosedLoop) -> Module:
         [graph.symbol(f"q_{c}", varying=True) for c in loop.plant.coordinates],
         [graph.symbol(f"v_{c}", varying=True) for c in loop.plant.coordinates],
         [internal[name] for name in controller.model.declaration.states],
+        memory=[graph.symbol(f"z_{name}", varying=True) for name in controller.virtual.remembered],
     )
     law = ControlLaw.of(controller, graph, rig)
     known = dict(zip((s.t, *s.q, *s.v, *s.s), (rig.t, *rig.q, *rig.v, *internal.values()), strict=True))
@@ -188,12 +194,17 @@ def module(loop: ClosedLoop) -> Module:
     p = ControllerParameters.of(controller, graph)
     split = {**p.loads(graph), **plant.loads("q[{i}]", "v[{i}]", offset=p.count)}
     joined = {**p.loads(graph), **plant.joined(offset=p.count)}
-    size = 2 * n + len(internal)
-    derivatives = [*rig.v, *driven.accelerations, *driven.rates]
+    for i, node in enumerate(rig.memory, n + len(internal)):
+        text = str(graph.operations[node][1])
+        split[text], joined[text] = f"v[{i}]", f"y[{n + i}]"
+    size = 2 * n + len(loop.internal)
+    derivatives = [*rig.v, *driven.accelerations, *driven.rates, *law.remembered]
     health = graph.mul(law.health, driven.health)
     meta = {
         "kind": "closed loop",
         "coordinates": list(loop.plant.coordinates),
+        "states": list(loop.internal),
+        "lags": len(law.lagged),
         "inputs": list(loop.plant.inputs),
         "virtual": list(controller.virtual.coordinates),
         # The virtual system by itself is integrated by Taylor series: two methods that agree check each other.
@@ -212,9 +223,14 @@ def module(loop: ClosedLoop) -> Module:
     add("drive(t: float, q, v, p, out)", "out", law.drive)
     add("input_matrix(t: float, q, v, p, out)", "out", [x for row in law.input_matrix for x in row])
     add("step(t: float, q, v, u, p)", "u", law.inputs, law.health)
-    add("plant_derivative(t: float, y, u, p, dy)", "dy", [*rig.v, *plant.accelerations, *plant.rates], plant.health)
+    add(
+        "plant_derivative(t: float, y, u, p, dy)",
+        "dy",
+        [*rig.v, *plant.accelerations, *plant.rates, *law.remembered],
+        plant.health,
+    )
     add("derivative(t: float, y, u, p, dy)", "dy", derivatives, health)
-    made.add_factory("solve_runge_kutta", integrators.runge_kutta, "derivative", size, work=(24, size))
+    add_runge_kutta(made, graph, (law.lagged, law.delays), joined, (size, len(loop.plant.inputs)))
     made.add_factory("run_sampled", integrators.sampled, "step", "plant_derivative", size, n, work=(5, size))
     made.add_factory("along", sampled_loop.along, "transform", "step", n)
     return made

@@ -84,15 +84,16 @@ class Feed:
 
     def bare(self, signature: str) -> str:
         """Return the signature of a function under the name that it has before it is fed."""
-        is_fed = bool(self.series) and signature.startswith(("law(", "virtual("))
+        is_fed = bool(self.series) and signature.startswith(("law(", "virtual(", "remember("))
         return f"bare_{signature}" if is_fed else signature
 
     def add_laws(self, module: Module) -> None:
-        """Add the control law and what the energy balance calls, with their series."""
+        """Add the control law, what the energy balance calls and rates of internal states, with their series."""
         if self.series:
             cells = tuple(cell for cell, _ in self.series)
             module.add_factory("law", feeding.law, "bare_law", cells, self.scale, exported=False)
-            module.add_factory("virtual", feeding.virtual, "bare_virtual", cells, self.scale, exported=False)
+            for name in ("virtual", "remember"):
+                module.add_factory(name, feeding.virtual, f"bare_{name}", cells, self.scale, exported=False)
 
     def add_control(self, module: Module, sizes: Sizes, work: tuple[int, int]) -> None:
         """Add the step with inputs that are read or estimated."""

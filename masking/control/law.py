@@ -104,7 +104,9 @@ def check_same_rig(assumed: Model, plant: Model) -> None:
 class ControlLaw:
     """The control law as nodes of a graph; L and G T^-1[D] are kept apart so that each can be looked at.
 
-    `given` are the rig accelerations under the inputs, `driven` the part of them that is due to the inputs.
+    `given` are the rig accelerations under the inputs, `driven` the part of them that is due to the inputs;
+    `remembered` are the rates of the virtual system's internal states, per second, `lagged` what its delayed
+    expressions are now, and `delays` by how many seconds they are delayed.
     """
 
     eta: list[Node]
@@ -117,6 +119,9 @@ class ControlLaw:
     health: Node
     given: list[Node]
     driven: list[Node]
+    remembered: list[Node]
+    lagged: list[Node]
+    delays: list[Node]
 
     @classmethod
     def of(cls, controller: Controller, graph: Graph, rig: RigSymbols, homing: Homing | None = None) -> ControlLaw:
@@ -135,7 +140,9 @@ class ControlLaw:
 
         mapped = controller.transform.lower(graph, xi, xi_rate, p.transform)  # T
         rate = [graph.mul(r, p.time_scale) for r in mapped.rate]
-        desired = controller.desired.lower(graph, time, mapped.eta, rate, p.virtual, regulation=p.regulation)  # D
+        given_d = {"regulation": p.regulation, "memory": rig.memory}
+        wanted_d = controller.desired.lower(graph, time, mapped.eta, rate, p.virtual, **given_d)  # D
+        desired, remembered = wanted_d.accelerations, [graph.div(r, p.time_scale) for r in wanted_d.rates]
         state = [*rig.v, *rig.s]
         free, gain, health = Cancellation(controller.model).lower(graph, rig.t, rig.q, state, p.model)  # L, G
         if rig.disturbance:
@@ -154,16 +161,18 @@ class ControlLaw:
         inputs = [graph.add(a, b) for a, b in zip(cancel, drive, strict=True)]  # L + G T^-1[D]
         driven = [dot(graph, row, inputs) for row in gain]
         given = [graph.add(a, b) for a, b in zip(free, driven, strict=True)]
-        return cls(
-            mapped.eta, rate, desired, cancel, drive, inputs, gain, graph.mul(health, determinant), given, driven
-        )
+        health = graph.mul(health, determinant)
+        motion = (mapped.eta, rate, desired, cancel, drive, inputs, gain, health, given, driven)
+        delays = [graph.mul(d, p.time_scale) for d in wanted_d.delays]
+        return cls(*motion, remembered, wanted_d.lagged, delays)
 
 
 @dataclass(frozen=True)
 class RigSymbols:
     """Nodes of the rig: time, coordinates, velocities, internal states, and accelerations that the model lacks.
 
-    `damping` is that by which the energy balance is held, where it is.
+    `damping` is that by which the energy balance is held, where it is; `memory` are the virtual system's internal
+    states, and then its delayed expressions.
     """
 
     t: Node
@@ -172,6 +181,7 @@ class RigSymbols:
     s: list[Node] = field(default_factory=list)
     disturbance: list[Node] = field(default_factory=list)
     damping: Node | None = None
+    memory: list[Node] = field(default_factory=list)
 
 
 # The reference reaches its end at this part of the homing phase; the rest is for settling.

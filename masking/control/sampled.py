@@ -6,6 +6,7 @@ actuators, limits. It is compiled whole, alone to run against a rig, and togethe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,6 +24,7 @@ from masking.control.feeding import NOTHING, Feed
 from masking.control.instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols, check_same_rig
 from masking.control.observer import Differences, Observer
+from masking.errors import ModelError
 from masking.modelling.lowering import LoweredEquations
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import HEATING, LARGEST, TIME, Sizes
@@ -54,6 +56,7 @@ class SampledController:
         end: coordinates (n,) of the rig's initial state.
         rest: seconds before homing in which the rig rests without commands and the sensors' offsets are measured.
         feed: what the virtual system gets as inputs while it runs.
+        remembered: the virtual system's internal states at the release.
     """
 
     controller: Controller
@@ -65,22 +68,46 @@ class SampledController:
     end: Array
     rest: float = 0.0
     feed: Feed = NOTHING
+    remembered: tuple[float, ...] = ()
 
     @property
     def sizes(self) -> Sizes:
         """Return the sizes that the compiled step is made for."""
         model, instruments = self.controller.model, self.instruments
         is_balanced = self.controller.energy_balance is not None
-        n = len(model.coordinates)
+        n, remembered, lags = len(model.coordinates), len(self.controller.virtual.states), len(self.lags)
         return Sizes(
             n,
-            2 * n + len(model.states) + is_balanced,
+            2 * n + len(model.states) + remembered + lags + is_balanced,
             len(model.inputs),
             len(instruments.actuators),
             self.observer.order,
             len(self.controller.virtual.coordinates) if is_balanced else 0,
             len(instruments.sensors) if self.rest else 0,
+            remembered,
+            lags,
+            self._kept,
         )
+
+    @cached_property
+    def lags(self) -> Array:
+        """Return the delays of the virtual system's delayed expressions, in samples.
+
+        Raises:
+            ModelError: one is shorter than the time between samples.
+        """
+        found = self.controller.virtual.delays() * self.controller.time_scale * self.rate
+        if len(found) and found.min() < 1.0:
+            raise ModelError(
+                f"{self.controller.virtual.name}: a delay is {found.min() / self.rate:.3g} s on the rig, shorter than "
+                f"the {1.0 / self.rate:.3g} s between samples; raise controller.rate"
+            )
+        return found
+
+    @property
+    def _kept(self) -> int:
+        """Return the samples of delayed expressions that are kept, a power of two; 0 where there are none."""
+        return 1 << math.ceil(math.log2(self.lags.max() + self.delay + 8.0)) if len(self.lags) else 0
 
     @property
     def before(self) -> int:
@@ -134,6 +161,7 @@ class SampledController:
             "homing": bool(self.homing),
             "rest": bool(self.rest),
             **({"feed": self.feed.structure()} if self.feed else {}),
+            "kept": self._kept,
         }
 
     @cached_property
@@ -169,12 +197,14 @@ class SampledController:
         sizes, work = self.sizes, self.work
         step = {"exported": False} if self.feed.is_live else {"work": work}
         name = "bare_control" if self.feed.is_live else "control"
+        parts: tuple[str, ...]
         if self.has_model:
-            parts = ("law", "rate", "measure", "allocate", "wire", "virtual", "momentum")
+            parts = ("law", "rate", "measure", "allocate", "wire", "virtual", "momentum", "remember", "lagged")
             module.add_factory(name, sampled_loop.control_with_model, *parts, sizes, **step)
         else:
-            module.add_factory(name, sampled_loop.control_with_differences, "law", "allocate", sizes, **step)
-            module.add_factory("skip", sampled_loop.skip_with_differences, sizes, work=work)
+            parts = ("law", "allocate", "remember", "lagged")
+            module.add_factory(name, sampled_loop.control_with_differences, *parts, sizes, **step)
+            module.add_factory("skip", sampled_loop.skip_with_differences, *parts[2:], sizes, work=work)
         if self.feed.is_live:
             self.feed.add_control(module, sizes, work)
         module.add_factory("transforms", sampled_loop.transforms, "transform", sizes.coordinates)
@@ -188,7 +218,7 @@ class SampledController:
         sizes, n = self.sizes, self.sizes.coordinates
         q = self.instruments.rest() if self.rest else self.instruments.positions(readings)
         internal = [state.initial for state in self.controller.model.declaration.states.values()]
-        internal += [0.0] * (self.controller.energy_balance is not None)
+        internal += [*self.remembered, *[0.0] * sizes.lags, *[0.0] * (self.controller.energy_balance is not None)]
         estimate = np.concatenate([q, np.zeros(n), internal, np.zeros(sizes.order * n)])
         p, inputs = self.values(q), np.empty(sizes.inputs)
         self.kernels.still(-self.homing, estimate[: sizes.states].copy(), p, inputs)
@@ -200,8 +230,19 @@ class SampledController:
         warmed = -np.expm1(-self.delay / (self.rate * self.limits[:, TIME]))  # by the commands under way
         power = warmed * self.limits[:, HEATING] * command**2
         balance = np.zeros(sizes.balance.stop - sizes.balance.start)
-        x = np.concatenate([estimate, power, estimate, balance, self._standing(q), np.tile(acting, self.delay)])
+        kept = (balance, self._standing(q), self._past())
+        x = np.concatenate([estimate, power, estimate, *kept, np.tile(acting, self.delay)])
         return Beginning(x, p, command)
+
+    def _past(self) -> Array:
+        """Return what the memory holds of delayed expressions before the release, as `Sizes.past` says."""
+        sizes, n = self.sizes, self.sizes.coordinates
+        if not sizes.lags:
+            return np.empty(0)
+        y, values = np.zeros(sizes.states), np.empty(sizes.lags)
+        y[: 2 * n], y[sizes.memory] = np.concatenate([self.end, np.zeros(n)]), self.remembered
+        self.kernels.lagged(0.0, y, self.values(), values)
+        return np.concatenate([[-1.0, 1.0 / self.rate], self.lags, np.tile(values, sizes.kept)])
 
     def _standing(self, q: Array) -> Array:
         """Return what the memory holds of a rest at coordinates (n,), as `Sizes.rest` says."""
@@ -264,10 +305,12 @@ class _Lowered:
             start, end = self._parameters("start", n), self._parameters("end", n)
             homing = Homing(since, start, end, self._parameters("homing", 1)[0])
 
-        damping = None
+        damping, slot = None, sampled.sizes.memory
+        remembered = sampled.sizes.remembered + sampled.sizes.lags
+        memory = self._array("z", "y", remembered, slot.start, varying=True)
         if controller.energy_balance is not None:
-            damping = self._read("damping", f"y[{2 * n + len(equations.symbols.s)}]", varying=True)
-        rig = RigSymbols(time, y["q"], y["v"], y["s"], damping=damping)
+            damping = self._read("damping", f"y[{slot.start + remembered}]", varying=True)
+        rig = RigSymbols(time, y["q"], y["v"], y["s"], damping=damping, memory=memory)
         self.law = ControlLaw.of(controller, self.graph, replace(rig, disturbance=disturbance), homing)
         self.still_law = ControlLaw.of(controller, self.graph, replace(rig, v=[self.graph.number(0.0)] * n))
         s = equations.symbols
@@ -275,7 +318,7 @@ class _Lowered:
             zip((s.t, *s.q, *s.v, *s.s, *s.u, *s.p), (time, *y["q"], *y["v"], *y["s"], *u, *p.model), strict=True)
         )
         model = LoweredEquations.of(equations, self.graph, known=known)
-        self.rates = [*y["v"], *model.accelerations, *model.rates]
+        self.rates = [*y["v"], *model.accelerations, *model.rates, *[self.graph.number(0.0)] * len(memory)]
         self.virtual, self.momentum = list[Node](), list[Node]()
         if damping is not None:
             self.rates.append(self.graph.number(0.0))
@@ -311,6 +354,8 @@ class _Lowered:
             ("wire(out, p, u)", into("u", self.inputs), None),
             ("virtual(t: float, y, p, out)", into("out", self.virtual), None),
             ("momentum(t: float, e, p, g)", into("g", self.momentum), None),
+            ("remember(t: float, y, p, dz)", into("dz", law.remembered), None),
+            ("lagged(t: float, y, p, w)", into("w", law.lagged), None),
             ("transform(t: float, q, v, p, out)", into("out", [*law.eta, *law.rate]), None),
             ("still(t: float, y, p, u)", into("u", self.still_law.cancel), None),
             *([("push(t: float, y, d, p, out)", into("out", self.forces), None)] if self.is_live else []),

@@ -60,6 +60,15 @@ def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
     yield from ((f"equations.{left}", side) for left, right in model.equations.items() for side in (left, right))
 
 
+def delayed(model: ModelDeclaration) -> Iterator[tuple[str, Problem]]:
+    """Yield the path of every formula with a delay, with the problem that it is where none may be."""
+    for path, expression in formulas(model):
+        for step in expression.steps:
+            if step.operation == "delay":
+                where = "delay(...) stands in equations, forces and definitions"
+                yield path, expression.problem(step, "may not be delayed here", where)
+
+
 def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[str] = ()) -> list[Problem]:
     """List everything that is wrong with a model; of one that is not whole, only names and symbols.
 
@@ -69,6 +78,9 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
         lost: names in a section whose key is not known, which pass for anything.
     """
     problems = [*_names(model, lost), *_symbols(model, lost), *_drawing(model, lost)]
+    problems += [
+        p for path, p in delayed(model) if path.partition(".")[0] not in {"equations", "forces", "definitions"}
+    ]
     if whole:
         problems += [
             *_structure(model),

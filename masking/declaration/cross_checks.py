@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from masking.declaration import transforms
-from masking.declaration.checks import accelerations, check_symbols, parameter_values, problem_at, velocities
+from masking.declaration.checks import accelerations, check_symbols, delayed, parameter_values, problem_at, velocities
 from masking.declaration.couplings import is_commanded
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration, Transform
@@ -18,6 +18,9 @@ _PROPOSED_DIVISORS = (1, 2, 4, 5, 10)
 def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Problem]:
     """List what in a plant does not fit its model."""
     problems = list(_overrides(plant, "parameters", plant.parameters, model))
+    if any(delayed(model)):
+        mend = "only models that are simulated by themselves, and virtual systems, do"
+        problems.append(problem_at(plant, "model", f"the model {model.name} has delays", mend))
     measurable = [*model.coordinates, *velocities(model.coordinates), *model.parameters]
     further = (*accelerations(model.coordinates), *model.states, *model.inputs, *model.outputs)
     seen = [*measurable, *(name for name in further if name not in measurable)]
@@ -97,10 +100,6 @@ def check_experiment(
     problems += _loop(experiment, plant, plant_model)
     if not virtual_model.coordinates:
         problems.append(problem_at(experiment, "virtual", f"the model {virtual_model.name} has no coordinates"))
-    if virtual_model.states:
-        message = f"the model {virtual_model.name} has internal states ({', '.join(virtual_model.states)})"
-        mend = "a controller keeps no such states; choose a system without them"
-        problems.append(problem_at(experiment, "virtual", message, mend))
     if not plant_model.inputs:
         problems.append(problem_at(experiment, "plant", f"the model {plant_model.name} of the plant has no inputs"))
     return problems
@@ -120,7 +119,8 @@ def recorded_rows(experiment: ExperimentDeclaration, time_scale: float, rows_per
 
 def count_columns(rig: ModelDeclaration, virtual: ModelDeclaration) -> int:
     """Give the columns of a recording: time, positions and velocities of rig, virtual system and ideal, and inputs."""
-    return 1 + 2 * (len(rig.coordinates) + 2 * len(virtual.coordinates)) + len(rig.inputs)
+    moving = len(rig.coordinates) + 2 * len(virtual.coordinates) + len(virtual.states)
+    return 1 + 2 * moving + len(rig.inputs)
 
 
 def check_size(experiment: ExperimentDeclaration, rows: float, columns: int) -> list[Problem]:
@@ -274,13 +274,14 @@ def _regulation(experiment: ExperimentDeclaration) -> Iterator[Problem]:
 
 def _initial(experiment: ExperimentDeclaration, model: ModelDeclaration, rig: ModelDeclaration) -> Iterator[Problem]:
     free = transforms.passive(experiment.transform, [*rig.coordinates], [*model.coordinates])
-    allowed = [*model.coordinates, *velocities(model.coordinates), *free, *velocities(free)]
+    allowed = [*model.coordinates, *velocities(model.coordinates), *model.states, *free, *velocities(free)]
     for name in experiment.initial:
         if name not in allowed:
-            what = f", nor a passive one of the rig ({', '.join(free)})" if free else ""
+            what = ", nor an internal state" if model.states else ""
+            what += f", nor a passive one of the rig ({', '.join(free)})" if free else ""
             message = f"'{name}' is not a coordinate of {model.name}, nor the velocity of one{what}"
             yield problem_at(experiment, f"initial.{name}", message, nearest(name, allowed), at_key=True)
-        elif name.rstrip("'") not in model.coordinates and experiment.controller.homing is not None:
+        elif name.rstrip("'") in free and experiment.controller.homing is not None:
             message = f"{name.rstrip(chr(39))} is passive: homing cannot bring it to a value"
             mend = "leave it out: it begins as homing leaves it; or leave homing out, in a simulation"
             yield problem_at(experiment, f"initial.{name}", message, mend, at_key=True)

@@ -327,7 +327,8 @@ class _Dimensions:
             return self._power(step, first, args[1])
         if name == "sqrt":
             return None if first is None else _times(NONE, first, Fraction(1, 2))
-        if name == "abs":
+        if name in {"abs", "delay"}:
+            self._check_delay(step, dimensions)
             return first
         if name == "where":
             return self._same(step, dimensions[1:])
@@ -338,6 +339,13 @@ class _Dimensions:
             message = f"takes {name} of {describe(first)}"
             raise DeclarationError(self.expression.problem(step, message, "its argument must be dimensionless"))
         return NONE
+
+    def _check_delay(self, step: Step, dimensions: Sequence[Dimension | None]) -> None:
+        late, time = dimensions[-1], self.symbols.get("t")
+        if step.operation == "delay" and late is not None and time is not None and late != time:
+            message = f"the delay is {_shown(late)}, and time is {_shown(time)}"
+            mend = "declare the delay as a parameter with a unit"
+            raise DeclarationError(self.expression.problem(step, message, mend))
 
     def _same(self, step: Step, dimensions: Sequence[Dimension | None]) -> Dimension | None:
         first: Dimension | None = None

@@ -42,6 +42,19 @@ def _heaviside(x: float) -> float:
     return 0.5 if x == 0.0 else float(x > 0.0)
 
 
+def _delay(x: float, time: float) -> float:
+    raise ValueError
+
+
+def delay_function() -> sp.Function:
+    """Return the undefined function of sympy that stands for a delay."""
+    return sp.Function("delay", real=True)
+
+
+def _symbolic_delay(x: sp.Expr, time: sp.Expr) -> sp.Expr:
+    return delay_function()(x, time)
+
+
 @dataclass(frozen=True, slots=True)
 class Operation:
     """One thing an expression may do.
@@ -93,12 +106,15 @@ OPERATIONS: dict[str, Operation] = {
     ),
     "interpolate": Operation(tables.spline, tables.symbolic_spline, 1 + 2 * tables.FEWEST, _MANY),
     "interpolate_monotone": Operation(tables.monotone, tables.symbolic_monotone, 1 + 2 * tables.FEWEST, _MANY),
+    # What something was some time ago: it has no value in numbers, and equations take it out before they are lowered.
+    "delay": Operation(_delay, _symbolic_delay, 2, 2),
     "heaviside": Operation(_heaviside, lambda x: sp.Heaviside(x, sp.Rational(1, 2))),
 }
 FUNCTIONS = frozenset(name for name in OPERATIONS if name.isidentifier() and name != "negative")
 COMPARISONS = frozenset({"<", "<=", ">", ">="})
 CONSTANTS: dict[str, float] = {"pi": math.pi}
-RESERVED = FUNCTIONS | CONSTANTS.keys() | {"t"}
+# An effect may be called delay; no expression can use the name for anything but the function.
+RESERVED = (FUNCTIONS - {"delay"}) | CONSTANTS.keys() | {"t"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from masking.numerics.arrays import Array
 INIT = "Begin, on a rig at rest, with its first readings."
 STEP = "Answer readings with commands, once a period; zero once it has stopped."
 MISS = "Step over a sample that was missed, with the readings of the next; call it before step."
+STATES_READ = "The readings are states, in SI units: this law has no observer, no limits and no watchdog."
 WATCH = "Count a period, from a timer; without a step for too long, set the commands to zero until init."
 
 
@@ -62,6 +63,7 @@ def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit
     add_operation(operations, module, "watch", (kernels.watchdog, (a, patience)), watch)
     sensors = [Channel(n, s.unit, f"measures {s.measures.text}") for n, s in known.plant.sensors.items()]
     names = [*known.model.coordinates, *(f"{c}'" for c in known.model.coordinates), *known.model.declaration.states]
+    names += [f"virtual.{name}" for name in sampled.controller.virtual.states]
     return Unit(
         identifier(name),
         f"{known.plant.name}, masked as {sampled.controller.virtual.name}: sampled controller",
@@ -112,9 +114,10 @@ def law_unit(loop: ClosedLoop, name: str, rate: float | None) -> Unit:
         name: of the unit.
         rate: samples per second, where the law runs at a rate.
     """
+    loop.controller.virtual.check_no_delays("the export of a control law that is given the states")
     module, controller = module_of(loop), loop.controller
     model = loop.plant
-    names = [*model.coordinates, *(f"{c}'" for c in model.coordinates), *model.declaration.states]
+    names = [*model.coordinates, *(f"{c}'" for c in model.coordinates), *loop.internal]
     values = controller.values()
     operations: dict[str, Operation] = {}
     module.add_factory("clear", kernels.clear, 0, exported=False)
@@ -126,14 +129,16 @@ def law_unit(loop: ClosedLoop, name: str, rate: float | None) -> Unit:
     arguments = ("time", "readings", "commands", "p", "first", "counters")
     step = Operation(arguments, text, returns_status=True)
     add_operation(operations, module, "step", (kernels.law_step, given), step)
-    inputs = model.declaration.inputs
+    inputs, notes = model.declaration.inputs, [STATES_READ]
+    if controller.virtual.states:
+        notes.append("Readings named virtual are internal states of the virtual system: the caller integrates them.")
     return Unit(
         identifier(name),
         f"{model.name}, masked as {controller.virtual.name}: control law of the states",
         "law",
         module,
         {
-            "readings": tuple(Channel(n, "SI", "state of the rig") for n in names),
+            "readings": tuple(Channel(n, "SI", "state") for n in names),
             "commands": tuple(Channel(n, inputs[n].unit) for n in model.inputs),
         },
         {"p": values.shape, "first": (1,)},
@@ -141,5 +146,5 @@ def law_unit(loop: ClosedLoop, name: str, rate: float | None) -> Unit:
         {"values": values},
         operations,
         None if rate is None else 1.0 / rate,
-        ("The readings are the states of the rig, in SI units: this law has no observer, no limits and no watchdog.",),
+        tuple(notes),
     )

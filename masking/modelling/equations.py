@@ -7,7 +7,7 @@ dissipation and generalised forces.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,7 @@ from masking.declaration import schema
 from masking.declaration.checks import equation_of
 from masking.declaration.couplings import driven_outputs, motion_rate
 from masking.declaration.expression import Expression
+from masking.declaration.operations import delay_function
 from masking.errors import ModelError
 
 if TYPE_CHECKING:
@@ -50,10 +51,20 @@ class Symbols:
 
 
 @dataclass(frozen=True)
+class Lag:
+    """A delayed expression: the symbol that stands for it, what is delayed, and by how long."""
+
+    symbol: sp.Symbol
+    value: sp.Expr
+    time: sp.Expr
+
+
+@dataclass(frozen=True)
 class Equations:
     """The equations of a declared model in sympy; each part is derived when first asked for."""
 
     declaration: schema.ModelDeclaration
+    _lags: dict[sp.Expr, Lag] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def name(self) -> str:
@@ -90,13 +101,48 @@ class Equations:
         while pending:  # the declaration has been checked for cycles
             for name, expression in list(pending.items()):
                 if not expression.names & pending.keys():
-                    found[name] = expression.to_sympy(self.symbols.by_name | found)
+                    found[name] = self._without_delays(expression.to_sympy(self.symbols.by_name | found))
                     del pending[name]
         return found
 
     def symbolic(self, expression: Expression) -> sp.Expr:
         """Return a declared expression in symbols of the model."""
-        return expression.to_sympy(self.symbols.by_name | self.definitions)
+        return self._without_delays(expression.to_sympy(self.symbols.by_name | self.definitions))
+
+    def _without_delays(self, expression: sp.Expr) -> sp.Expr:
+        """Return an expression with a symbol in place of each of its delayed expressions, which `lags` then has.
+
+        Raises:
+            ModelError: what is delayed, or the delay, holds what it may not.
+        """
+        function = delay_function()
+        delayed = sorted(expression.atoms(function), key=str) if expression.has(function) else []
+        s = self.symbols
+        for one in delayed:
+            value, time = one.args
+            if value.free_symbols - {s.t, *s.q, *s.v, *s.s, *s.p} or value.has(function):
+                raise ModelError(
+                    f"{self.name}: delay({value}, {time}): what is delayed is made of coordinates, velocities, "
+                    "internal states, parameters and time, without inputs, accelerations and further delays"
+                )
+            if time.free_symbols - set(s.p) or time.is_nonpositive:
+                raise ModelError(
+                    f"{self.name}: delay({value}, {time}): a delay is a positive number, made of parameters alone"
+                )
+            if one not in self._lags:
+                self._lags[one] = Lag(sp.Symbol(f"delay__{len(self._lags)}", real=True), value, time)
+        return expression.xreplace({one: self._lags[one].symbol for one in delayed})
+
+    @cached_property
+    def lags(self) -> tuple[Lag, ...]:
+        """Return the delayed expressions of the equations of motion and of the internal states."""
+        _ = self.mass, self.rates, self.energy, [self.output(name) for name in self.declaration.outputs]
+        return tuple(self._lags.values())
+
+    def written(self, expression: sp.Expr) -> sp.Expr:
+        """Return an expression with its delays as they are written, to be shown."""
+        delay = delay_function()
+        return expression.xreplace({lag.symbol: delay(lag.value, lag.time) for lag in self.lags})
 
     @cached_property
     def laws(self) -> dict[str, sp.Expr]:
@@ -106,7 +152,7 @@ class Equations:
             if element.force is not None:
                 moved = {"d": element.displacement, "d_rate": motion_rate(self.declaration, element)}
                 motion = {key: self.symbolic(x) for key, x in moved.items() if x is not None}
-                found[name] = element.force.to_sympy(names | motion)
+                found[name] = self._without_delays(element.force.to_sympy(names | motion))
         return found
 
     def acting(self, name: str) -> sp.Expr:

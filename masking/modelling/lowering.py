@@ -18,14 +18,17 @@ from masking.modelling.scales import Units
 if TYPE_CHECKING:
     import sympy as sp
 
-    from masking.numerics import integrators
+    from masking.numerics import delayed, integrators
 else:
+    delayed = lazy.load("masking.numerics.delayed", suppress_warning=True)
     integrators = lazy.load("masking.numerics.integrators", suppress_warning=True)
 
 
 @dataclass
 class LoweredEquations:
     """The symbols of a model as nodes, and its accelerations and the rates of its internal states.
+
+    Of delayed expressions, `lagged` is what they are now, and `delays` is by how long they are delayed.
 
     `loads` and `joined` tell for each symbol's text how a function reads it from its arguments: q and v apart, where
     the internal states follow the velocities in v, or one state vector y = [q, v, s].
@@ -37,6 +40,8 @@ class LoweredEquations:
     accelerations: list[Node]
     health: Node
     rates: list[Node] = field(default_factory=list)
+    lagged: list[Node] = field(default_factory=list)
+    delays: list[Node] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -53,7 +58,7 @@ class LoweredEquations:
         s = equations.symbols
         nodes = dict(known or {})
         kinds = [("", (s.t,), True), ("q_", s.q, True), ("v_", s.v, True), ("u_", s.u, False), ("p_", s.p, False)]
-        kinds.append(("s_", s.s, True))
+        kinds += [("s_", s.s, True), ("w_", tuple(lag.symbol for lag in equations.lags), True)]
         for kind, symbols, varying in kinds:
             for symbol in symbols:
                 if symbol not in nodes:
@@ -68,7 +73,9 @@ class LoweredEquations:
         accelerations = [row[0] for row in solution]
         nodes.update(zip(s.a, accelerations, strict=True))
         rates = [graph.lower(rate, nodes) for rate in equations.rates]
-        return cls(equations, graph, nodes, accelerations, health, rates)
+        lagged = [graph.lower(lag.value, nodes) for lag in equations.lags]
+        delays = [graph.lower(lag.time, nodes) for lag in equations.lags]
+        return cls(equations, graph, nodes, accelerations, health, rates, lagged, delays)
 
     def lower(self, expression: sp.Expr) -> Node:
         """Return the node of an expression in symbols of the model, accelerations included."""
@@ -85,11 +92,12 @@ class LoweredEquations:
             offset: of the first parameter.
         """
         s = self.equations.symbols
-        parts = ((s.q, q, 0), (s.v, v, 0), (s.s, v, len(s.v)), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
+        behind = (*s.s, *(lag.symbol for lag in self.equations.lags))
+        parts = ((s.q, q, 0), (s.v, v, 0), (behind, v, len(s.v)), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
         return self._read(parts)
 
     def joined(self, y: str = "y", u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
-        """Return how each symbol is read where `y` names the whole state vector [q, v, s].
+        """Return how each symbol is read where `y` names the whole state vector [q, v, s], and what is delayed.
 
         Args:
             y: name of the state vector.
@@ -98,7 +106,8 @@ class LoweredEquations:
             offset: of the first parameter.
         """
         s, n, y = self.equations.symbols, len(self.equations.symbols.q), y + "[{i}]"
-        parts = ((s.q, y, 0), (s.v, y, n), (s.s, y, 2 * n), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
+        behind = (*s.s, *(lag.symbol for lag in self.equations.lags))
+        parts = ((s.q, y, 0), (s.v, y, n), (behind, y, 2 * n), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
         return self._read(parts)
 
     def _read(self, parts: Iterable[tuple[Sequence[sp.Symbol], str, int]]) -> dict[str, str]:
@@ -119,11 +128,12 @@ def module(equations: Equations) -> Module:
     time = lowered.symbols[s.t]
     states = [lowered.symbols[x] for x in (*s.q, *s.v, *s.s)]
     derivatives = [*states[n : 2 * n], *lowered.accelerations, *lowered.rates]
-    size = len(states)
+    size, lags, inputs = len(states), len(lowered.lagged), len(s.u)
     products = cost(graph, derivatives)
     order = taylor_order(products)
     use_taylor = (
         size > 0
+        and not lags
         and is_analytic(graph, [*derivatives, lowered.health])
         and not hides_a_switch(graph, derivatives)
         and products <= LARGEST_TAYLOR_COST
@@ -140,6 +150,7 @@ def module(equations: Equations) -> Module:
         "outputs": list(outputs),
         "method": "taylor" if use_taylor else "runge_kutta",
         "has_energy": energy is not None,
+        "lags": lags,
         "units": Units.of(equations.declaration).to_meta(),
     }
     module = Module(equations.name, meta)
@@ -161,5 +172,32 @@ def module(equations: Equations) -> Module:
     if use_taylor:
         module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined, order=order)
         module.add_factory("solve_taylor", integrators.taylor, "coefficients", order, size, work=(order + 1, size))
-    module.add_factory("solve_runge_kutta", integrators.runge_kutta, "derivative", size, work=(24, size))
+    add_runge_kutta(module, graph, (lowered.lagged, lowered.delays), joined, (size, inputs))
     return module
+
+
+def add_runge_kutta(
+    module: Module,
+    graph: Graph,
+    delayed_nodes: tuple[Sequence[Node], Sequence[Node]],
+    loads: Mapping[str, str],
+    sizes: tuple[int, int],
+) -> None:
+    """Add `solve_runge_kutta` to a module with `derivative`, and what it needs for delays, if there are any.
+
+    Args:
+        module: to add to.
+        graph: that holds the nodes.
+        delayed_nodes: what the delayed expressions are now, and by how long they are delayed.
+        loads: how symbols are read from the state vector.
+        sizes: number of states that are integrated, and of inputs.
+    """
+    (lagged, delays), (size, inputs) = delayed_nodes, sizes
+    if not lagged:
+        module.add_factory("solve_runge_kutta", integrators.runge_kutta, "derivative", size, work=(24, size))
+        return
+    for signature, nodes in (("lagged(t: float, y, p, w)", lagged), ("delays(p, w)", delays)):
+        module.add(signature, graph, [(f"w[{i}]", node) for i, node in enumerate(nodes)], loads)
+    counts = (size, len(lagged), inputs)
+    made = (delayed.runge_kutta, "derivative", "lagged", "delays", *counts)
+    module.add_factory("solve_runge_kutta", *made, work=delayed.history_shape(*counts))

@@ -75,7 +75,10 @@ class Model:
     def _repr_html_(self) -> str:
         e, d = self.equations, self.declaration
         left = [*(e.mass * sp.Matrix(e.symbols.a)), *(sp.Symbol(f"{name}'") for name in d.states)]
-        pairs = [*zip(left, [*e.force, *e.rates], strict=True), *((sp.Symbol(n), e.output(n)) for n in d.outputs)]
+        pairs = [
+            *zip(left, map(e.written, [*e.force, *e.rates]), strict=True),
+            *((sp.Symbol(n), e.output(n)) for n in d.outputs),
+        ]
         pairs += [(sp.Symbol("E"), e.energy)] if e.energy is not None else []
         parts = [typeset.equations(pairs)]
         units = Units.of(d)  # without compiling the model
@@ -122,6 +125,38 @@ class Model:
     def outputs(self) -> tuple[str, ...]:
         """Return the names of the outputs."""
         return tuple(self.declaration.outputs)
+
+    @cached_property
+    def remembered(self) -> tuple[str, ...]:
+        """Return the names of the internal states, and then one for each delayed expression."""
+        return (*self.states, *(f"delayed_{i + 1}" for i in range(self.kernels.meta["lags"])))
+
+    def delays(self) -> np.ndarray:
+        """Return the delays of the delayed expressions, in seconds or in units of the time scale.
+
+        Raises:
+            ModelError: one is not positive.
+        """
+        found = np.zeros(self.kernels.meta["lags"])
+        if len(found):
+            self.kernels.delays(self.values(), found)
+            if not found.min() > 0.0:
+                raise ModelError(
+                    f"{self.name}: a delay is {found.min():g}; give its parameters values that make it positive"
+                )
+        return found
+
+    def check_no_delays(self, what: str) -> None:
+        """Refuse a model with delays for what knows none.
+
+        Raises:
+            ModelError: it has delays.
+        """
+        if self.kernels.meta["lags"]:
+            raise ModelError(
+                f"{self.name} has delays, which {what} does not take: its state is a piece of the past; simulate it, "
+                "or mask it as a virtual system"
+            )
 
     @property
     def oscillators(self) -> tuple[str, ...]:
@@ -252,7 +287,7 @@ class Model:
             tolerance: local relative error.
 
         Returns:
-            states (m, 2 n + k), the k internal states last, and their times.
+            states (m, 2 n + k), the k internal states last, behind them what delayed expressions were, and their times.
 
         Raises:
             ModelError: the times are none, or inputs by name are not those of the model.
@@ -266,6 +301,7 @@ class Model:
                 f"times must be finite, in one row, such as np.linspace(0, 10, 101); got shape {times.shape}"
             )
         state = self.initial_state(initial or {})
+        _ = self.delays()
         u = np.zeros(len(self.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
         return self.kernels.integrate(np.atleast_1d(times), state, u, self.values(), tolerance=tolerance)
 
@@ -362,6 +398,7 @@ class Model:
         Raises:
             ModelError: the model has one output and no inputs, which python-control cannot hold.
         """
+        self.check_no_delays("a linear system")
         e, s = self.equations, self.equations.symbols
         if not s.u and len(self.outputs or self.coordinates) == 1:
             raise ModelError(
@@ -396,6 +433,7 @@ class Model:
 
         States, inputs and outputs are those of `linearise`; parameters are the model's, by name.
         """
+        self.check_no_delays("python-control")
         kernels, n, values = self.kernels, len(self.coordinates), self.parameter_values()
         outputs = [*(self.outputs or self.coordinates)]
 

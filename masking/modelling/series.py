@@ -142,7 +142,7 @@ def integrate(
     Args and errors are those of `Kernels.integrate`.
 
     Raises:
-        ModelError: times go backwards along a schedule.
+        ModelError: times go backwards along a schedule, or there are delays.
     """
     times = np.ascontiguousarray(times, dtype=float)
     if schedule is None or not len(schedule.where):
@@ -154,6 +154,11 @@ def integrate(
     p, y, steps = parameters.copy(), np.array(state, dtype=float), 0
     states = np.empty((len(times), len(y)))
     inner = schedule.instants[(schedule.instants > times[0]) & (schedule.instants < times[-1])]
+    if len(inner) and kernels.meta.get("lags", 0):
+        raise ModelError(
+            "what depends on the past by a delay is not integrated with inputs that are series; give an expression "
+            "of the time, or leave the delays out"
+        )
     ends, begin, row = np.append(inner, times[-1]), float(times[0]), 0
     for done, end in enumerate(ends, 1):
         last = int(np.searchsorted(times, end, side="right"))

@@ -73,7 +73,7 @@ def law(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
 
 
 def virtual(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
-    """Make `virtual` of `masking.numerics.energy_balance` with series, which are read at each instant."""
+    """Make `virtual` of `energy_balance`, or `remember` of `virtual_memory`, with series read at each instant."""
 
     @compiled
     def fed(t, y, p, out):

@@ -176,6 +176,32 @@ def runge_kutta(derivative: Kernel, size: int) -> Kernel:
     Returns:
         `solve`, with arguments and results as those of `taylor`, and `work` (24, n).
     """
+    return embedded_steps(derivative, unbounded, forget, size, False)
+
+
+@compiled
+def unbounded(t, u):
+    """Bound no step."""
+    return math.inf
+
+
+@compiled
+def forget(t, y, f, h, u):
+    """Keep no step."""
+    return True
+
+
+def embedded_steps(derivative: Kernel, bound: Kernel, keep: Kernel, size: int, keeps: bool) -> Kernel:
+    """Make the integrator of `runge_kutta` with steps that are bounded and kept.
+
+    Args:
+        derivative: writes the derivatives, and what of y is not integrated.
+        bound: `bound(t, u)` gives the longest step at a time.
+        keep: `keep(t, y, f, h, u)` keeps a step of length h from y with the coefficients f of its dense output; false
+            where it cannot.
+        size: number n of states that are integrated.
+        keeps: whether steps are kept, and what of y is not integrated is recorded.
+    """
 
     @compiled
     def stage(row, y, h, k, state):
@@ -259,14 +285,17 @@ def runge_kutta(derivative: Kernel, size: int) -> Kernel:
         j, steps, met = 0, 0, REACHED
         while j < m and times[j] == t:
             copy(y, states[j], size)
+            if keeps:
+                derivative(t, states[j], u, p, k[15])
             j += 1
         first = derivative(t, y, u, p, k[0])
         h = fixed_step if fixed_step > 0.0 else first_step(y, k[0], abs(end - t), tolerance)
         while j < m:
             remaining = abs(end - t)
-            is_last = h >= remaining * (1.0 - 1e-12)
-            length = direction * (remaining if is_last else h)
-            if not is_last and h <= SMALLEST_STEP * max(abs(t), 1e-3 * remaining):
+            wanted = min(h, bound(t, u))
+            is_last = wanted >= remaining * (1.0 - 1e-12)
+            length = direction * (remaining if is_last else wanted)
+            if not is_last and wanted <= SMALLEST_STEP * max(abs(t), 1e-3 * remaining):
                 return (SINGULAR if met == SINGULAR else TOO_SMALL_STEP), t, steps
             if steps >= MOST_STEPS:
                 return TOO_MANY_STEPS, t, steps
@@ -294,11 +323,15 @@ def runge_kutta(derivative: Kernel, size: int) -> Kernel:
                 h = 0.5 * abs(length)  # come as close to it as time resolves
                 continue
             reached = end if is_last else t + length
-            if (times[j] - reached) * direction <= 0.0:
+            if keeps or (times[j] - reached) * direction <= 0.0:
                 interpolant(t, y, new, u, p, length, k, f)
                 while j < m and (times[j] - reached) * direction <= 0.0:
                     interpolate(y, f, (times[j] - t) / length, states[j])
+                    if keeps:
+                        derivative(times[j], states[j], u, p, k[15])
                     j += 1
+                if keeps and not keep(t, y, f, length, u):
+                    return TOO_MANY_STEPS, t, steps
             t = reached
             for i in range(size):
                 y[i] = new[i]

@@ -9,7 +9,7 @@ together with them. Their arguments, with y = [q, v, s] the rig's state (coordin
 * `rate(t, y, u, p, dy)` writes dy/dt of the controller's model;
 * `measure(t, y, p, s)` writes what the sensors would read;
 * `allocate(u, p, out)` writes the actuators' commands that give inputs u, and `wire(out, p, u)` the reverse;
-* `virtual` and `momentum` are those of `masking.numerics.energy_balance`.
+* `virtual` and `momentum` are those of `masking.numerics.energy_balance`, `remember` and `lagged` of `virtual_memory`.
 """
 # ruff: noqa: ANN001, ANN201, ANN202, PLR0917
 # The types are numba's to infer.
@@ -25,6 +25,7 @@ from masking.numerics.energy_balance import energy_balance
 from masking.numerics.integrators import compiled, copy, fault
 from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME, Sizes
 from masking.numerics.stop_codes import NOT_FINITE, REACHED
+from masking.numerics.virtual_memory import follow_memory, notice_past, recall_past
 
 Kernel = Callable[..., Any]
 
@@ -70,7 +71,7 @@ def predict(rate: Kernel, sizes: Sizes) -> Kernel:
     return step
 
 
-def hold(law: Kernel, rate: Kernel, sizes: Sizes) -> Kernel:
+def hold(law: Kernel, rate: Kernel, follow: Kernel, recall: Kernel, sizes: Sizes) -> Kernel:
     """Make the control law for an output that is held over a sample.
 
     An output that is held from t to t + h should act as one that follows the law g(t) continuously does. To fourth
@@ -81,12 +82,15 @@ def hold(law: Kernel, rate: Kernel, sizes: Sizes) -> Kernel:
     with g taken along the motion that is wanted. This motion passes the samples with velocities that differ from those
     of the rig by h^2/12 g', since the rig's own velocity runs ahead of and behind it within each sample. Internal
     states of the model move along it too. measured: with that of a hysteresis held, its force is late by half a
-    sample, which takes 23 % of the amplitude of clocks in 320 s.
+    sample, which takes 23 % of the amplitude of clocks in 320 s. Those of the virtual system are integrated along it
+    by `follow`.
 
     Returns:
-        `hold(t, since, z, p, h, u, work) -> health`, which writes the inputs u for an estimate z at time t.
+        `hold(t, since, z, past, p, h, u, work) -> health`, which writes the inputs u for an estimate z at time t.
     """
     n, size, m, order = sizes.coordinates, sizes.states, sizes.inputs, sizes.order
+    remembers = sizes.remembered + sizes.lags > 0
+    saved, spare = (26, 27) if remembers else (0, 0)
 
     @compiled
     def disturbance(z, ahead, d):
@@ -97,23 +101,31 @@ def hold(law: Kernel, rate: Kernel, sizes: Sizes) -> Kernel:
                 d[i] += ahead * z[size + n + i]
 
     @compiled
-    def internal(z, early, late, s0, s2, y):
-        for i in range(2 * n, size):
-            y[i] = z[i] + early * s0[i] + late * s2[i]
+    def remind(t, h, a, y, past, p, space):
+        if remembers:
+            follow(t, h, a, y, past, p, space)
+            recall(t + h, y, past)
 
     @compiled
-    def held(t, since, z, p, h, u, work):
+    def internal(z, early, late, s0, s2, t, h, a, y, past, p, space):
+        for i in range(2 * n, size):
+            y[i] = z[i] + early * s0[i] + late * s2[i]
+        remind(t, h, a, y, past, p, space)
+
+    @compiled
+    def held(t, since, z, past, p, h, u, work):
         y, d, u0, u1, u2 = work[0], work[1][:n], work[2][:m], work[3][:m], work[4][:m]
         r0, r1, r2, g0, g2, v = work[5][:n], work[6][:n], work[7][:n], work[8][:n], work[9][:n], work[10][:n]
-        s0, s2 = work[22], work[23]
+        s0, s2, before, space = work[22], work[23], work[saved], work[spare:]
         copy(z, y, size)
+        remind(t, 0.0, z, y, past, p, space)
         disturbance(z, 0.0, d)
         health = law(t, since, y, d, p, u0, r0, g0)
         rate(t, y, u0, p, s0)
         for i in range(n):
             y[i] = z[i] + h * (z[n + i] + 0.5 * h * r0[i])
             y[n + i] = z[n + i] + h * r0[i]
-        internal(z, h, 0.0, s0, s0, y)
+        internal(z, h, 0.0, s0, s0, t, h, z, y, past, p, space)
         disturbance(z, h, d)
         law(t + h, since, y, d, p, u2, r2, g2)
         rate(t + h, y, u2, p, s2)
@@ -121,19 +133,21 @@ def hold(law: Kernel, rate: Kernel, sizes: Sizes) -> Kernel:
             v[i] = z[n + i] + h / 12.0 * (g2[i] - g0[i])
             y[i] = z[i]
             y[n + i] = v[i]
-        internal(z, 0.0, 0.0, s0, s2, y)
+        internal(z, 0.0, 0.0, s0, s2, t, 0.0, z, y, past, p, space)
+        copy(y, before, size)
         disturbance(z, 0.0, d)
         law(t, since, y, d, p, u0, r0, g0)
         for i in range(n):
             y[i] = z[i] + 0.5 * h * v[i] + h * h / 48.0 * (5.0 * r0[i] + r2[i])
             y[n + i] = v[i] + h / 8.0 * (3.0 * r0[i] + r2[i])
-        internal(z, 0.375 * h, 0.125 * h, s0, s2, y)
+        internal(z, 0.375 * h, 0.125 * h, s0, s2, t, 0.5 * h, before, y, past, p, space)
+        copy(y, before, size)
         disturbance(z, 0.5 * h, d)
         law(t + 0.5 * h, since, y, d, p, u1, r1, g0)
         for i in range(n):
             y[i] = z[i] + h * v[i] + h * h / 6.0 * (2.0 * r0[i] + r2[i])
             y[n + i] = v[i] + 0.5 * h * (r0[i] + r2[i])
-        internal(z, 0.5 * h, 0.5 * h, s0, s2, y)
+        internal(z, 0.5 * h, 0.5 * h, s0, s2, t + 0.5 * h, 0.5 * h, before, y, past, p, space)
         disturbance(z, h, d)
         law(t + h, since, y, d, p, u2, r2, g2)
         for i in range(m):
@@ -195,7 +209,7 @@ def advance_queue(queue, u, m):
 
 def control_with_model(
     law: Kernel, rate: Kernel, measure: Kernel, allocate: Kernel, wire: Kernel, virtual: Kernel, momentum: Kernel,
-    sizes: Sizes,
+    remember: Kernel, lagged: Kernel, sizes: Sizes,
 ) -> Kernel:  # fmt: skip
     """Make the step of a controller that follows the rig with a model: observe, predict, T, D, L, G, hold, limit.
 
@@ -209,8 +223,19 @@ def control_with_model(
     m, length, fixed, last = sizes.inputs, sizes.estimate, sizes.fixed, sizes.states - 1
     powers, following, remembered, rest = sizes.power, sizes.next, sizes.balance, sizes.rest
     is_balanced, offsets, channels = sizes.balanced > 0, sizes.offsets, sizes.actuators
-    step, held, limit = predict(rate, sizes), hold(law, rate, sizes), limiter(sizes)
+    remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(lagged, sizes)
+    follow, then = follow_memory(remember, recall, sizes), sizes.past
+    step, held, limit = predict(rate, sizes), hold(law, rate, follow, recall, sizes), limiter(sizes)
     balance = energy_balance(virtual, momentum, sizes)
+
+    @compiled
+    def move(t, z, u, past, p, h, work):
+        if remembers:
+            copy(z, work[26], length)
+        step(t, z, u, p, h, work[13:17], work[17])
+        if remembers:
+            follow(t, h, work[26], z, past, p, work[27:])
+            notice(t + h, z, past, p, work[27])
 
     @compiled
     def control(
@@ -219,8 +244,8 @@ def control_with_model(
     ) -> float:  # fmt: skip
         now, power, z, queue = x[:length], x[powers.start : powers.stop], x[following.start : following.stop], x[fixed:]
         delay = queue.size // m
-        ahead, u, k, y, expected = work[11], work[12][:m], work[13:17], work[17], work[18]
-        acts, standing = t + delay * h, x[rest.start : rest.stop]
+        ahead, u, expected = work[11], work[12][:m], work[18]
+        acts, standing, past = t + delay * h, x[rest.start : rest.stop], x[then.start : then.stop]
         measure(t, z, p, expected)
         for j in range(offsets):
             if t < standing[2 * offsets]:
@@ -229,15 +254,19 @@ def control_with_model(
         for i in range(length):
             for j in range(s.size):
                 z[i] += gain[i, j] * (s[j] - expected[j])
+        if remembers:
+            follow(t - h, h, now, z, past, p, work[27:])
+            notice(t, z, past, p, work[27])
+            recall(t, z, past)
         if is_balanced:
             z[last] = balance(t, h, z, x[remembered.start : remembered.stop], p, work[24], work[25])
         copy(z, now, length)
         copy(z, ahead, length)
         for j in range(delay):
-            step(t + j * h, ahead, queue[j * m : (j + 1) * m], p, h, k, y)
+            move(t + j * h, ahead, queue[j * m : (j + 1) * m], past, p, h, work)
             if j == 0:
                 copy(ahead, z, length)
-        health = held(acts, acts, ahead, p, h, u, work)
+        health = held(acts, acts, ahead, past, p, h, u, work)
         allocate(u, p, demanded)
         if offsets > 0 and acts < standing[2 * offsets]:
             for i in range(channels):
@@ -245,34 +274,41 @@ def control_with_model(
         limit(demanded, table, power, h, applied)
         wire(applied, p, u)
         if delay == 0:
-            step(t, z, u, p, h, k, y)
+            move(t, z, u, past, p, h, work)
         advance_queue(queue, u, m)
         return health
 
     return control
 
 
-def skip_with_differences(sizes: Sizes) -> Kernel:
+def skip_with_differences(remember: Kernel, lagged: Kernel, sizes: Sizes) -> Kernel:
     """Make the step of a sample that was missed: the rig is taken to move on at its last velocity.
 
     Returns:
         `skip(t, h, x, p, table, command, work)` for a missed sample at time t; `command` (actuators,) is the last.
     """
-    n, length, fixed = sizes.coordinates, sizes.estimate, sizes.fixed
+    n, length = sizes.coordinates, sizes.estimate
     next_one, warm = length + sizes.actuators, heat(sizes)
+    remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(lagged, sizes)
+    follow, then = follow_memory(remember, recall, sizes), sizes.past
 
     @compiled
     def skip(t: float, h: float, x: Vector, p: Vector, table: Matrix, command: Vector, work: Matrix) -> None:
-        now, power, z = x[:length], x[length:next_one], x[next_one:fixed]
+        now, power, z = x[:length], x[length:next_one], x[next_one : next_one + length]
         for i in range(n):
             z[i] += h * z[n + i]
+        if remembers:
+            past = x[then.start : then.stop]
+            follow(t - h, h, now, z, past, p, work[27:])
+            notice(t, z, past, p, work[27])
+            recall(t, z, past)
         copy(z, now, length)
         warm(command, table, h, power)
 
     return skip
 
 
-def control_with_differences(law: Kernel, allocate: Kernel, sizes: Sizes) -> Kernel:
+def control_with_differences(law: Kernel, allocate: Kernel, remember: Kernel, lagged: Kernel, sizes: Sizes) -> Kernel:
     """Make the step of a controller that differences the positions and applies the law at once.
 
     Source: Rijlaarsdam (2008), chapter 6; its velocities are late by half a sample, its output by half a sample more.
@@ -283,14 +319,15 @@ def control_with_differences(law: Kernel, allocate: Kernel, sizes: Sizes) -> Ker
     """
     n, m, length, fixed = sizes.coordinates, sizes.inputs, sizes.estimate, sizes.fixed
     next_one = length + sizes.actuators
-    limit = limiter(sizes)
+    limit, recall, notice = limiter(sizes), recall_past(sizes), notice_past(lagged, sizes)
+    remembers, follow, then = sizes.remembered + sizes.lags > 0, follow_memory(remember, recall, sizes), sizes.past
 
     @compiled
     def control(
         t: float, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
         applied: Vector, work: Matrix,
     ) -> float:  # fmt: skip
-        now, power, z = x[:length], x[length:next_one], x[next_one:fixed]
+        now, power, z = x[:length], x[length:next_one], x[next_one : next_one + length]
         d, u, r, g = work[1][:n], work[2][:m], work[5][:n], work[8][:n]
         for i in range(n):
             position = 0.0
@@ -299,6 +336,11 @@ def control_with_differences(law: Kernel, allocate: Kernel, sizes: Sizes) -> Ker
             z[n + i] = (position - z[i]) / h
             z[i] = position
             d[i] = 0.0
+        if remembers:
+            past = x[then.start : then.stop]
+            follow(t - h, h, now, z, past, p, work[27:])
+            notice(t, z, past, p, work[27])
+            recall(t, z, past)
         copy(z, now, length)
         acts = t + (x.size - fixed) // m * h
         health = law(t, acts, z, d, p, u, r, g)

@@ -14,12 +14,15 @@ class Sizes:
 
     Args:
         coordinates: n.
-        states: length of [q, v, s].
+        states: length of [q, v, s]; at the end of s are what a virtual system remembers, and the balance's damping.
         inputs: of the rig's model.
         actuators: channels that are commanded.
         order: derivatives of a disturbance that are estimated: 0 for none, 1 for a constant one, 2 for a straight line.
         balanced: virtual coordinates whose energy balance is held; 0 where none is.
         offsets: sensors whose offset is measured at rest; 0 where none is.
+        remembered: internal states of the virtual system.
+        lags: its delayed expressions.
+        kept: samples of them that are kept; 0 where there are none.
     """
 
     coordinates: int
@@ -29,6 +32,15 @@ class Sizes:
     order: int
     balanced: int = 0
     offsets: int = 0
+    remembered: int = 0
+    lags: int = 0
+    kept: int = 0
+
+    @property
+    def memory(self) -> slice:
+        """Return where the virtual system's internal states are in the rig's state; its delayed expressions follow."""
+        stop = self.states - (self.balanced > 0) - self.lags
+        return slice(stop - self.remembered, stop)
 
     @property
     def estimate(self) -> int:
@@ -64,11 +76,21 @@ class Sizes:
         return slice(self.balance.stop, self.balance.stop + (2 * self.offsets + 2 if self.offsets else 0))
 
     @property
+    def past(self) -> slice:
+        """Return where the past of the delayed expressions is.
+
+        It holds the latest sample, the seconds between samples, the delays in samples, and a row for each kept sample.
+        """
+        return slice(self.rest.stop, self.rest.stop + (2 + self.lags * (1 + self.kept) if self.lags else 0))
+
+    @property
     def fixed(self) -> int:
         """Return the length of the memory without inputs under way."""
-        return self.rest.stop
+        return self.past.stop
 
     @property
     def work(self) -> tuple[int, int]:
         """Return the shape of the work space, whose rows must also hold the readings and the rig's states."""
-        return 26, max(self.estimate, self.inputs, self.actuators, 3 * self.balanced + 2)
+        return 34 if self.remembered + self.lags else 26, max(
+            self.estimate, self.inputs, self.actuators, 3 * self.balanced + 2
+        )

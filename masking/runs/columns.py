@@ -52,8 +52,8 @@ class Columns:
         Args:
             times: (m,), s.
             rig: its states (m, .), SI units.
-            virtual: virtual coordinates and velocities (m, 2 k), in the virtual system's units.
-            ideal: those of the virtual system by itself (m, 2 k).
+            virtual: virtual coordinates, velocities and internal states (m, .), in the virtual system's units.
+            ideal: those of the virtual system by itself.
         """
         self.add("t", times, "s", "time")
         for prefix, model, states in (
@@ -67,6 +67,9 @@ class Columns:
                 rate = unit if model.is_dimensionless else f"{unit}/s"
                 self.add(f"{prefix}.{name}", states[:, i], unit, coordinate.meaning)
                 self.add(f"{prefix}.{name}'", states[:, n + i], rate, f"rate of {name}")
+            for i, (name, state) in enumerate(model.declaration.states.items() if prefix != "rig" else (), 2 * n):
+                unit = "1" if model.is_dimensionless else model.units.conversions[state.unit].si
+                self.add(f"{prefix}.{name}", states[:, i], unit, state.meaning)
         return self
 
     def add_inputs(self, inputs: Mapping[str, Array]) -> Columns:

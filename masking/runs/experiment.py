@@ -28,7 +28,7 @@ from masking.records.recording import Recording
 from masking.rig.twin import PlacedEffect, Twin
 from masking.runs import manifest
 from masking.runs.columns import Columns
-from masking.runs.offline import Mapped, Run, TwinRun, cut, rig_state, run_continuous, run_sampled, run_twin
+from masking.runs.offline import Mapped, Run, TwinRun, cut, loop_state, rig_state, run_continuous, run_sampled, run_twin
 from masking.runs.passive import Passive
 from masking.runs.record_rate import rows_per_unit
 from masking.runs.stopping import SYNCHRONISED, StopCondition
@@ -216,6 +216,7 @@ class Experiment:
             np.zeros(len(self.law.model.coordinates)),
             settings.rest or 0.0,
             self.inputs.feed(self.instruments),
+            tuple(self.virtual_start[2 * len(self.virtual.coordinates) :].tolist()),
         )
         state = self.rig_start(made)
         n = len(made.end)
@@ -367,8 +368,7 @@ class Experiment:
     def _exact_run(self) -> Callable[..., Run]:
         """Return the run of a controller that knows the true state, ready to be started."""
         declaration, rate = self.declaration, self.declaration.controller.rate
-        internal = [state.initial for state in self.plant.declaration.states.values()]
-        state = np.concatenate([self.rig_start(self.loop), internal])
+        state = loop_state(self.loop, self.virtual_start, self.rig_start(self.loop))
         duration, schedule = declaration.duration * self.time_scale, self.inputs.of_rig(self.time_scale)
         if rate is not None:
             return partial(
@@ -401,7 +401,8 @@ class Experiment:
     def sampled_columns(self, run: TwinRun) -> Columns:
         """Return the columns of a sampled run; where a rig's true states are not known, `states` are estimates."""
         times, states, live = run.times, run.states, live_inputs(self.sampled, run, self.inputs)
-        columns = self._columns().add_motion(times, states, self._virtual(times, states), self._ideal(times, live))
+        virtual = np.hstack([self._virtual(times, states), run.estimates[:, self.sampled.sizes.memory]])
+        columns = self._columns().add_motion(times, states, virtual, self._ideal(times, live))
         columns.add_inputs(self.inputs.columns(times / self.time_scale, live))
         columns.add_sensors(run.readings)
         columns.add_actuators("input", run.applied).add_actuators("demanded", run.demanded)

@@ -26,7 +26,7 @@ from masking.modelling import series
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME
 from masking.runs.experiment import Experiment
-from masking.runs.offline import complete, rig_state
+from masking.runs.offline import complete, loop_state, rig_state
 
 if TYPE_CHECKING:
     from scipy import signal
@@ -306,12 +306,13 @@ class Motion:
         experiment, loop = self.experiment, self.loop
         controller, n = loop.controller, len(loop.plant.coordinates)
         beside = experiment.passive.initial() if experiment.passive else None
-        state = rig_state(loop, amplitude * experiment.virtual_start, passive=beside) * stroke
+        start = amplitude * experiment.virtual_start
+        state = rig_state(loop, start, passive=beside) * stroke
         state[n:] /= time
         for i in controller.transform.passive:
             if controller.transform.jacobian[:, i].is_zero_matrix:  # what is beside the transform stays as it is
                 state[i], state[n + i] = state[i] / stroke, state[n + i] / stroke * time
-        internal = [declared.initial for declared in loop.plant.declaration.states.values()]
+        state = loop_state(loop, start, state)
         changed = replace(controller, time_scale=controller.time_scale * time)
         p = replace(loop, controller=changed).values()
         # The transform sees rig coordinates by these lengths, which follow three other parts of the parameter array.
@@ -323,7 +324,7 @@ class Motion:
         found = series.integrate(
             loop.kernels,
             times,
-            np.concatenate([state, internal]),
+            state,
             np.zeros(len(loop.plant.inputs)),
             p,
             schedule=schedule,

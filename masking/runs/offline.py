@@ -31,7 +31,7 @@ class Run:
     Args:
         times: (m,), seconds of the rig.
         rig: rig coordinates then velocities (m, 2 n), SI units.
-        virtual: virtual coordinates then velocities (m, 2 k), in the virtual system's units.
+        virtual: virtual coordinates, velocities and internal states (m, .), in the virtual system's units.
         inputs: (m, inputs).
     """
 
@@ -98,7 +98,7 @@ def run_continuous(
         SingularityError: the decoupling matrix became singular; holds the state.
         IntegrationError: the integrator could not go on.
     """
-    p = loop.values()
+    p, _ = loop.values(), loop.controller.virtual.delays()
     inputs = np.zeros(len(loop.plant.inputs))
     found = integrate(
         loop.kernels, times, state, inputs, p,
@@ -135,6 +135,7 @@ def run_sampled(
         SingularityError: the decoupling matrix became singular; holds the state.
         IntegrationError: the state or the inputs are no longer finite.
     """
+    loop.controller.virtual.check_no_delays("a controller with 'observer: exact'")
     if not (rate > 0.0 and duration > 0.0 and every >= 1 and (substeps is None or substeps >= 1)):
         raise ModelError(
             f"rate {rate:g}, duration {duration:g}, every {every}, substeps {substeps}: all must be positive"
@@ -257,7 +258,7 @@ def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None, pa
 
     Args:
         loop: controller and plant.
-        virtual_state: virtual coordinates then velocities (2 k,).
+        virtual_state: virtual coordinates then velocities (2 k,); what follows is not looked at.
         guess: rig coordinates (n,) to start from; by default several are tried.
         passive: coordinates, then velocities, of those that no virtual one stands for (2 (n - k),); 0 by default.
 
@@ -283,6 +284,18 @@ def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None, pa
         f"transform: no rig position gives the initial {wanted}; start elsewhere, or change the transform so that its "
         "range includes this state"
     )
+
+
+def loop_state(loop: ClosedLoop, virtual_state: Array, rig: Array) -> Array:
+    """Return the state of a closed loop whose virtual system is in a state: the rig's, then `ClosedLoop.internal`.
+
+    Args:
+        loop: controller and plant.
+        virtual_state: virtual coordinates, velocities and internal states.
+        rig: coordinates and velocities of the rig (2 n,), such as `rig_state` gives them.
+    """
+    internal = [state.initial for state in loop.plant.declaration.states.values()]
+    return np.concatenate([rig, internal, virtual_state[2 * len(loop.controller.virtual.coordinates) :]])
 
 
 def _newton(loop: Mapped, q: Array, eta: Array, lengths: Array) -> Array | None:
@@ -329,4 +342,6 @@ def complete(loop: ClosedLoop, times: Array, states: Array, p: Array, schedule: 
             schedule.set(float(times[begin]), p)
         rows = slice(begin, end)
         loop.kernels.along(times[rows], states[rows], p, virtual[rows], inputs[rows])
-    return Run(times, states, virtual, inputs)
+    last = 2 * len(loop.plant.coordinates) + len(loop.internal)
+    remembered = states[:, last - len(loop.controller.virtual.states) : last]
+    return Run(times, states, np.hstack([virtual, remembered]), inputs)

@@ -72,9 +72,9 @@ def model(subject: Model) -> Description:
     lines += _table("internal states", [(n, z.unit, z.meaning) for n, z in d.states.items()])
     lines += _table("inputs", [(n, i.unit, i.meaning) for n, i in d.inputs.items()])
     lines += _table("outputs", [(n, o.unit, o.meaning or o.expression.text) for n, o in d.outputs.items()])
-    equations = dict(zip([s.name for s in e.symbols.a], e.accelerations, strict=True))
-    sides = zip(e.mass * sp.Matrix(e.symbols.a), e.force, strict=True)
-    rates = {f"{n}'": rate for n, rate in zip(d.states, e.rates, strict=True)}
+    equations = dict(zip([s.name for s in e.symbols.a], map(e.written, e.accelerations), strict=True))
+    sides = zip(e.mass * sp.Matrix(e.symbols.a), map(e.written, e.force), strict=True)
+    rates = {f"{n}'": e.written(rate) for n, rate in zip(d.states, e.rates, strict=True)}
     typeset = [line for left, right in (*sides, *rates.items()) for line in _equation(left, right)]
     lines += ["equations", *typeset, ""] if typeset else []
     if e.energy is not None:
@@ -157,7 +157,7 @@ def experiment(subject: Experiment) -> Description:
     """Describe an experiment: what moves as what, and the blocks T, D, L and G of its control law."""
     d, controller = subject.declaration, subject.law
     rig, virtual, transform = controller.model, controller.virtual, controller.transform
-    e = rig.equations
+    e, written = rig.equations, virtual.equations.written
     rate = "in continuous time" if d.controller.rate is None else f"at {d.controller.rate:g} Hz"
     unit_time = f"{subject.time_scale:.6g} s per unit of virtual time"
     lines = _head(d)
@@ -172,7 +172,7 @@ def experiment(subject: Experiment) -> Description:
     blocks = {
         "T: virtual coordinates": dict(zip(virtual.coordinates, transform.expressions, strict=True)),
         "D: wanted accelerations": dict(
-            zip([f"{c}''" for c in virtual.coordinates], virtual.equations.accelerations, strict=True)
+            zip([f"{c}''" for c in virtual.coordinates], map(written, virtual.equations.accelerations), strict=True)
         ),
         "L: cancelled accelerations": dict(zip([f"{c}''" for c in rig.coordinates], free, strict=True)),
         "G: inverse of the accelerations per input": {
