@@ -106,7 +106,7 @@ def built(folder, unit, real, *defines):
     return folder / "sketch.elf"
 
 
-def started(program, device):
-    """Run a program on a board whose UART is a device of this machine."""
+def started(program, device, **options):
+    """Run a program on a board whose UART is a device of this machine, or with `pty` a new one that it prints."""
     machine = [device if part == "stdio" else part for part in MACHINE]
-    return subprocess.Popen([EMULATOR, *machine, "-kernel", program], stdin=subprocess.DEVNULL)
+    return subprocess.Popen([EMULATOR, *machine, "-kernel", program], stdin=subprocess.DEVNULL, **options)

@@ -6,9 +6,11 @@ The rig is a cart on a spring: by its twin, by MuJoCo, as an FMU, behind a seria
 import importlib
 import json
 import os
+import re
 import sys
 import threading
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -264,6 +266,20 @@ def test_an_adapter_outside_of_the_package_is_found(installed, capsys):
     said = capsys.readouterr().out
     assert said.endswith("spring:here conforms\n")
     assert said.count("passes  ") == len(conformance.RULES)
+
+
+def test_the_adapter_of_the_documentation_is_found_and_keeps_the_rules(tmp_path, installed, monkeypatch, capsys):
+    text = (Path(__file__).parents[1] / "docs" / "rig.md").read_text(encoding="utf-8")
+    blocks = dict(re.findall(r"^```python\n# (my_\w+)\.py\n(.*?)^```$", text, re.MULTILINE | re.DOTALL))
+    (entry,) = re.findall(
+        r'^```toml\n\[project.entry-points."masking.plants"\]\n(\S+) = "(\S+)"\n```$', text, re.MULTILINE
+    )
+    for name, block in blocks.items():
+        (tmp_path / f"{name}.py").write_text(block, encoding="utf-8")
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    installed("my_package", " = ".join(entry))
+    assert cli.main(["rig", "check", "my-rig:lab", "--amplitude", "0.001"]) == 0
+    assert capsys.readouterr().out.endswith("my-rig:lab conforms\n")
 
 
 def test_a_check_prints_what_fails(installed, capsys):

@@ -1,15 +1,22 @@
-"""The sketch of an exported controller, on a Cortex-M4F in QEMU, drives the twin that is served over a serial line."""
+"""Sketches on a Cortex-M4F in QEMU, at a serial line: a controller drives a served twin, and a twin is a plant."""
 
+import subprocess
 import threading
 import time
 
 import numpy as np
 import pytest
 
+from masking.errors import PlantRefusedError
 from masking.exports.controllers import sampled_unit
+from masking.exports.plants import twin_unit
+from masking.plants import adapters
+from masking.plants.conformance import check
+from masking.plants.interface import Settings
 from masking.plants.serve import serve
 from masking.plants.simulated import SimulatedPlant
 from masking.records.recording import Recording
+from masking.runs.realtime import run_rig
 from tests import arduino
 from tests.test_adapters import experiment, folder
 
@@ -53,3 +60,38 @@ def test_a_sketch_drives_a_served_twin_as_the_kernel_does(experiment, tmp_path, 
     expected = experiment.run()["sensor.x"][: AFTER + 1]
     error = np.max(np.abs(found["sensor.x"][before:] - expected)) / np.max(np.abs(expected))
     assert error <= within
+
+
+@pytest.fixture(scope="module")
+def board(experiment, tmp_path_factory):
+    """Return the address of a board that is a plant, at 500 Hz."""
+    program = arduino.built(tmp_path_factory.mktemp("board"), twin_unit(experiment.twin, "cart", 500.0), "double")
+    started = arduino.started(program, "pty", stdout=subprocess.PIPE, text=True)
+    try:
+        yield f"serial://{started.stdout.readline().split('redirected to ')[1].split()[0]}"
+    finally:
+        started.kill()
+        started.wait()
+        started.stdout.close()
+
+
+def test_a_board_keeps_the_rules_of_a_plant(board):
+    assert check(lambda: adapters.connect(board), Settings(500.0, 1.0, lockstep=True)) == []
+
+
+def test_a_board_moves_as_the_twin_does(experiment, board):
+    def damped(_, values):
+        return -300.0 * values + 0.1 * np.cos(1e4 * values)
+
+    settings = {"rate": 500.0, "samples": 200, "limits": np.ones(1), "lockstep": True}
+    here, there = (
+        run_rig(damped, plant, **settings) for plant in (SimulatedPlant(experiment.twin), adapters.connect(board))
+    )
+    assert np.max(np.abs(here.sensors)) > 1e-4
+    assert np.max(np.abs(here.sensors - there.sensors)) <= 1e-12 * np.max(np.abs(here.sensors))
+    assert np.array_equal(here.index, there.index)
+
+
+def test_a_board_refuses_another_rate(board):
+    with pytest.raises(PlantRefusedError, match="this plant has 500 samples per second: give that rate"):
+        adapters.connect(board).configure(Settings(1000.0))
