@@ -183,7 +183,7 @@ class LawStep:
 
     Attributes:
         loop: controller and plant.
-        states: the names of the rig's state [q, v, s].
+        states: the names of the state: the rig's [q, v, s], then what the virtual system remembers, if anything.
         actuators: the names of the commands.
         state: the rig's state at the last call, SI units.
         estimate: the same: this law knows the true state.
@@ -202,7 +202,7 @@ class LawStep:
     ) -> None:
         names = loop.plant.coordinates
         self.loop, self.actuators = loop, tuple(actuators)
-        self.states = (*names, *(f"{name}'" for name in names), *loop.plant.declaration.states)
+        self.states = (*names, *(f"{name}'" for name in names), *loop.internal)
         self.state, self.inputs = np.zeros(len(self.states)), np.zeros(len(loop.plant.inputs))
         self.estimate, self.applied = self.state, np.zeros(len(self.actuators))
         self._array, self._numbers = _buffers(self.state)
