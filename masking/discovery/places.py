@@ -77,8 +77,12 @@ class Place:
 
 
 def degrees(model: ModelDeclaration) -> tuple[str, ...]:
-    """Return what forces move: coordinates, internal states and outputs that elements act on."""
-    return (*model.coordinates, *driven_states(model), *driven_outputs(model))
+    """Return what forces move: coordinates, internal states, and outputs that elements act on.
+
+    An output that elements share with the coordinates, as the reading of a force on them, is none of its own.
+    """
+    own = {name for e in model.elements.values() if not e.acts.keys() & model.coordinates.keys() for name in e.acts}
+    return (*model.coordinates, *driven_states(model), *(name for name in driven_outputs(model) if name in own))
 
 
 def places(model: ModelDeclaration, *, directed: bool = False) -> tuple[Place, ...]:
