@@ -556,3 +556,13 @@ def test_a_transform_that_becomes_singular_on_the_way_stops_the_run_with_the_sta
         run(experiment(transform=folded, initial={"x1": 0.3}), 1.0)
     assert abs(error.value.state["x1"]) < 0.1 * LENGTH
     assert set(error.value.state) >= {"x1", "x2", "x3", "x1'", "x2'", "x3'"}
+
+
+@pytest.mark.parametrize("homing", [None, 2.0])
+def test_a_moving_initial_state_is_refused_where_readings_are_all_that_is_known(homing):
+    controller = {"rate": "1 kHz", "observer": "disturbance"} | ({} if homing is None else {"homing": homing})
+    changed = Experiment.load("duffing", plant="tue_rig").changed(controller=controller, initial={"x1'": 0.01})
+    with pytest.raises(
+        ModelError, match="begins with a rig at rest, but the initial state moves: give no initial velo"
+    ):
+        changed.validate()

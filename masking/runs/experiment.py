@@ -203,7 +203,7 @@ class Experiment:
         """Return the sampled controller, with the initial state to which it brings the rig.
 
         Raises:
-            ModelError: homing is to end in an initial state that moves.
+            ModelError: the initial state moves.
         """
         settings = self.declaration.controller
         made = SampledController(
@@ -222,10 +222,10 @@ class Experiment:
         n = len(made.end)
         if self.passive:
             self.passive.check_still()
-        if made.homing and np.any(np.abs(state[n:]) > 1e-12 * np.abs(state[:n]).max()):
+        if np.any(np.abs(state[n:]) > 1e-12 * np.abs(state[:n]).max()):
             raise ModelError(
-                "controller.homing brings the rig to rest, but the initial state moves: give no initial velocities, "
-                "or leave homing out, so that a simulated rig starts in that state"
+                "a controller that reads sensors begins with a rig at rest, but the initial state moves: give no "
+                "initial velocities, or take controller.observer exact, which places a simulated rig in that state"
             )
         return replace(made, end=state[:n])
 
