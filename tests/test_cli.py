@@ -107,6 +107,11 @@ def test_show_of_an_experiment_has_the_four_blocks(capsys, short):
     assert blocks["G"]["dx3''/du3"] == "c3"
 
 
+def test_show_has_inputs_that_are_series_by_their_names(capsys):
+    blocks = json.loads(run(capsys, "show", "cart_felt", "--json")[1])["blocks"]
+    assert blocks["D"] == {"x''": "(F(t) - c*x' - k*x)/m"}
+
+
 def test_show_of_a_plant(capsys):
     status, out, _ = run(capsys, "show", "ideal")
     assert status == 0

@@ -166,14 +166,15 @@ def experiment(subject: Experiment) -> Description:
         unit_time,
         "",
     ]
+    known = virtual.equations.definitions  # inputs that are no expressions are polynomials, piece by piece
+    series = {known[name]: sp.Symbol(f"{name}(t)") for name, source in d.inputs.items() if source.expression is None}
+    wanted = [written(a).subs(series) for a in virtual.equations.accelerations]
     still = dict.fromkeys(e.symbols.u, 0)
     free = [a.subs(still) for a in e.accelerations]
     gain = sp.Matrix(e.accelerations).jacobian(e.symbols.u)
     blocks = {
         "T: virtual coordinates": dict(zip(virtual.coordinates, transform.expressions, strict=True)),
-        "D: wanted accelerations": dict(
-            zip([f"{c}''" for c in virtual.coordinates], map(written, virtual.equations.accelerations), strict=True)
-        ),
+        "D: wanted accelerations": dict(zip([f"{c}''" for c in virtual.coordinates], wanted, strict=True)),
         "L: cancelled accelerations": dict(zip([f"{c}''" for c in rig.coordinates], free, strict=True)),
         "G: inverse of the accelerations per input": {
             f"d{c}''/d{u}": gain[i, j]
