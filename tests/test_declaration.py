@@ -50,6 +50,7 @@ virtual: pair.yaml
 controller: {rate: 1 kHz}
 initial: {x1: -0.6, x2': 0.1}
 duration: 25
+inputs: {u1: 0}
 """
 
 
@@ -513,6 +514,7 @@ def test_units_of_a_plant(folder, change, expected):
     write(folder, "machine.yaml", MACHINE)
     path = write(folder, "wired.yaml", SOUND.replace(*change) if change[0] else SOUND)
     experiment = "plant: wired.yaml\nvirtual: machine.yaml\nduration: 1\ninitial: {q1: 0, q2: 0}\n"
+    experiment += "inputs: {v1: 0, v2: 0}\n"
     assembly = registry.assemble(registry.load_experiment(write(folder, "moved.yaml", experiment)))
     if expected:
         assert problems(registry.check_plant_file, path) == expected

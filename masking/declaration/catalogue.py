@@ -29,7 +29,7 @@ OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
         "experiment": "plant plants virtual transform controller initial duration time_scale record stop tolerance "
         "seed",
         "plant": "kind model sensors actuators limits allocation own_effects",
-        "model": "extends coordinates states inputs definitions equations lagrangian dissipation forces terms outputs "
+        "model": "extends coordinates states definitions equations lagrangian dissipation forces terms outputs "
         "energy scales oscillators elements drawing",
         "dictionary": "dictionary",
     }.items()
