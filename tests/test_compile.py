@@ -174,7 +174,8 @@ class Quiet:
 def test_every_function_of_declarations_is_printed_in_both_languages(tmp_path):
     two = {"atan2": "x, z", "min": "x, y, z", "max": "x, y, z", "where": "x < y, x, z"}
     two |= dict.fromkeys(("interpolate", "interpolate_monotone"), "x, -1, 0.3, 0.2, 1, 0.5, 0.4, 2, -1")
-    texts = [f"{name}({two.get(name, 'x')})" for name in sorted(FUNCTIONS)]
+    printed = sorted({*FUNCTIONS} - {"delay"})  # the past is read by the integrators
+    texts = [f"{name}({two.get(name, 'x')})" for name in printed]
     texts += ["x**2", "x**-3", "x**0.5", "x**1.3", "x**z", "-x", "x - y*z/x", "where(x <= z, y, where(y > x, 1, x))"]
     texts += ["tan(x + pi/2)", "exp(-x)/exp(2)", "x*-1", "0*x", "-(-x)", "x - x", "1/(x*z**2)", "abs(x)**3"]
     texts += ["floor(3*x)", "-floor(-3*x)", "floor(x + 2)", "x*floor(10*z)/floor(7*y)"]

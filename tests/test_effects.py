@@ -788,7 +788,7 @@ def test_floor_is_flat_between_its_steps(declared):
 # Names of effects that are words of the language, too: arguments, keys of files and manifests, rows and labels.
 ALSO_WORDS = {
     "codegen": {"noise"},
-    "declaration": {"stop"},
+    "declaration": {"delay", "stop"},
     "exports": {"noise"},
     "procedures": {"hysteresis", "noise"},
     "reports": {"delay", "noise", "stop"},

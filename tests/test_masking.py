@@ -63,7 +63,14 @@ DRIVEN = {
     "setup_driven": ("setup_undamped", DAMPING),
     "setup_controlled": ("setup_identical", {"spring": 0.1, "of_sum": 0.05, "r": 0.02}),
 }
-ALONE = {"setup_oscillator", "van_der_pol", "cart_pendulum", "light_cart"}  # no systems of the rig's three coordinates
+ALONE = {
+    "setup_oscillator",
+    "van_der_pol",
+    "cart",
+    "cart_pendulum",
+    "light_cart",
+    "two_masses",
+}  # no systems of the rig's three coordinates
 VIRTUAL = [
     name
     for name in catalogue.names("model")

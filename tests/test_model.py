@@ -106,6 +106,8 @@ LOSSES = {
     "huygens": lambda s: 2 * s["z"] * s["Om"] * s["x'"] ** 2,
     "huygens_lagrangian": lambda s: 2 * s["z"] * s["Om"] * s["x'"] ** 2,
     "cart_pendulum": lambda s: s["c"] * s["x'"] ** 2 + s["d"] * s["th'"] ** 2,
+    "cart": lambda s: s["c"] * s["x'"] ** 2,
+    "two_masses": lambda s: sp.S.Zero,
     "light_cart": lambda s: s["c"] * s["x'"] ** 2,
     "pendula": lambda s: s["b"] * s["x'"] ** 2,
     "setup": setup_damping,
