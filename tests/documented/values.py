@@ -21,7 +21,7 @@ from masking.records.recording import Recording
 from masking.rig.twin import Twin
 from masking.runs.experiment import Experiment
 from tests import test_components, test_discovery, test_measure
-from tests.benchmarks import clocks, components, exported, hidden, masking_error_table, official
+from tests.benchmarks import clocks, components, exported, hidden, masking_error_table, official, wishes
 
 ROOT: Final = Path(__file__).parents[2]
 SEEDS: Final = range(5)
@@ -143,6 +143,12 @@ def masking_errors() -> str:
 def official_benchmarks(*names: str) -> str:
     """Return the table of measured benchmarks in their official form."""
     return official.table(names)
+
+
+@slow_value
+def wishes_table() -> str:
+    """Return the table of what a new user asks for, beside a controller written by hand."""
+    return wishes.table()
 
 
 @slow_value
