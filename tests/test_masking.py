@@ -70,6 +70,7 @@ ALONE = {
     "cart_pendulum",
     "light_cart",
     "two_masses",
+    "bouncing_ball",
 }  # no systems of the rig's three coordinates
 VIRTUAL = [
     name

@@ -28,7 +28,16 @@ GROUND = {
     "huygens": (("x",), "Om"), "huygens_lagrangian": (("x",), "Om"),
 }  # fmt: skip
 # One body, held by the ground; forces that are declared without a reaction; and models without an energy.
-ALONE = {"setup_oscillator", "setup_controlled", "van_der_pol", "light_cart", "cart", "bouc_wen", "delayed_oscillators"}
+ALONE = {
+    "setup_oscillator",
+    "setup_controlled",
+    "van_der_pol",
+    "light_cart",
+    "cart",
+    "bouc_wen",
+    "delayed_oscillators",
+    "bouncing_ball",
+}
 
 BETWEEN = {"V1", "V2", "u1", "u2"}  # actuators between an oscillator and the beam
 GROUNDED = {"V3", "u3"}  # actuators between the beam and the ground
