@@ -5,12 +5,15 @@ import numpy as np
 
 import masking
 
-ideal = masking.Experiment.load("cart_stop").changed(controller={"rate": "continuous"}, effects={"friction": False}, duration=30)
+ideal = masking.Experiment.load("cart_stop").changed(
+    controller={"rate": "continuous"}, effects={"friction": False}, duration=30
+)
 frequencies = np.linspace(9.0, 14.0, 50)
 found = []
 for frequency in frequencies:
     run = ideal.changed(parameters={"Om": float(frequency)}).run()
-    strobe = np.arange(20.0, 30.0, 2 * np.pi / frequency)  # once in each period of the drive, after the transient
+    period = 2 * np.pi / frequency
+    strobe = period * np.arange(np.ceil(20.0 / period), np.floor(30.0 / period))  # once in each, after the transient
     found.append(np.interp(strobe, run.t, run["virtual.x"]))
     assert max(run.manifest["masking_error"].values()) < 1e-6
 

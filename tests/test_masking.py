@@ -71,6 +71,8 @@ ALONE = {
     "light_cart",
     "two_masses",
     "bouncing_ball",
+    "stopped_mass",
+    "relaxing_mass",
 }  # no systems of the rig's three coordinates
 VIRTUAL = [
     name

@@ -37,6 +37,8 @@ ALONE = {
     "bouc_wen",
     "delayed_oscillators",
     "bouncing_ball",
+    "stopped_mass",
+    "relaxing_mass",
 }
 
 BETWEEN = {"V1", "V2", "u1", "u2"}  # actuators between an oscillator and the beam
