@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from masking.analysis.masking_error import masking_error
-from masking.numerics.arrays import Array
 from masking.numerics.sizes import LARGEST
 from masking.plants.interface import Settings
 from masking.plants.simulated import SimulatedPlant
 from masking.records.recording import Recording
 from masking.runs.experiment import Experiment
 from tests.benchmarks import hand_written as hand
-from tests.benchmarks.hand_written import HandWritten, Rig, Virtual
+from tests.benchmarks.hand_written import Array, HandWritten, Rig, Virtual
 
 
 def largest(recording: Recording) -> float:
@@ -39,8 +38,8 @@ def driven(experiment: Experiment, controller: Callable[[Array], Array], ideal: 
     for index in range(-made.before, len(ideal.t)):
         sample = plant.read()
         if index >= 0:
-            known = plant.telemetry()
-            states.append([known[name] for name in experiment.twin.state_names])
+            told = plant.telemetry()
+            states.append([told[name] for name in experiment.twin.state_names])
         plant.write(sample.index, controller(sample.values))
     plant.deactivate()
     names, found = list(experiment.twin.state_names), np.array(states)
@@ -108,12 +107,16 @@ class Wish:
         rest, homing = (round((seconds or 0.0) * hand.RATE) for seconds in (settings.rest, settings.homing))
         positions = np.linalg.pinv(known.sensing()[:, : len(experiment.plant.coordinates)])
         start = experiment.rig_start(experiment.sampled)[:m]
-        force = known.sensors.index("force") if "force" in known.sensors else None
-        largest_command = known.limits()[:, LARGEST]
         controller = HandWritten(
-            rig=self.rig, virtual=self.virtual(), start=start, positions=positions, largest=largest_command,
-            rest=rest, homing=homing, force=force,
-        )  # fmt: skip
+            rig=self.rig,
+            virtual=self.virtual(),
+            start=start,
+            positions=positions,
+            largest=known.limits()[:, LARGEST],
+            rest=rest,
+            homing=homing,
+            force=known.sensors.index("force") if "force" in known.sensors else None,
+        )
         return driven(experiment, controller, recording)
 
 
@@ -142,18 +145,20 @@ WISHES = {
 }
 
 
-HEAD = "| wish | experiment | ideal rig, continuous | imperfect twin | written by hand |\n|---|---|---|---|---|"
-
-
-def table() -> str:
-    """Return chi of the worst coordinate on the ideal rig, on the twin at 500 Hz, and with a controller by hand."""
-    rows = [HEAD]
-    for wish in WISHES.values():
+def rows() -> Iterator[str]:
+    """Yield the lines of a Markdown table."""
+    yield "| wish | experiment | chi on the ideal rig | chi on the twin | chi by hand, on the same twin |"
+    yield "|---|---|---|---|---|"
+    for text, wish in WISHES.items():
         run = wish.run()
-        chi = (wish.on_ideal(), largest(run), wish.by_hand(run))
-        rows.append(f"| {wish.text} | `{wish.name}` | {chi[0]:.1e} | {chi[1]:.2g} | {chi[2]:.2g} |")
-    return "\n".join(rows)
+        yield f"| {text} | `{wish.name}` | {wish.on_ideal():.1g} | {largest(run):.2g} | {wish.by_hand(run):.2g} |"
+
+
+def main() -> None:
+    """Print the table as it comes."""
+    for line in rows():
+        print(line, flush=True)
 
 
 if __name__ == "__main__":
-    print(table())
+    main()
