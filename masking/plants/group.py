@@ -90,13 +90,13 @@ class PlantGroup:
 
     def telemetry(self) -> dict[str, float]:
         """Return what the plants report, by the names of the group."""
-        told = {}
+        reported = {}
         for name, plant in self.plants.items():
             if isinstance(plant, Telling):
                 for key, value in plant.telemetry().items():
                     head = APPLIED if key.startswith(APPLIED) else ""
-                    told[f"{head}{name}_{key.removeprefix(APPLIED)}"] = value
-        return told
+                    reported[f"{head}{name}_{key.removeprefix(APPLIED)}"] = value
+        return reported
 
 
 def connect_each(addresses: Sequence[str], names: Sequence[str]) -> Plant:

@@ -38,8 +38,8 @@ def driven(experiment: Experiment, controller: Callable[[Array], Array], ideal: 
     for index in range(-made.before, len(ideal.t)):
         sample = plant.read()
         if index >= 0:
-            told = plant.telemetry()
-            states.append([told[name] for name in experiment.twin.state_names])
+            known = plant.telemetry()
+            states.append([known[name] for name in experiment.twin.state_names])
         plant.write(sample.index, controller(sample.values))
     plant.deactivate()
     names, found = list(experiment.twin.state_names), np.array(states)
