@@ -398,7 +398,7 @@ def test_the_plant_rejects_and_counts_what_is_no_fresh_command(tmp_path):
                 bare.send(command(6, 25, 9.0))  # of somebody else
                 bare.send(command(5, 25, 9.0, size=3))
                 bare.send(command(5, 25, np.nan))
-                bare.send(COMMAND[:-1] + b"!")
+                bare.send(damaged(COMMAND))
                 bare.send(b"noise")
                 bare.send(wire.encode(Kind.SENSORS, 5, 25, values=np.ones(2)))
             bare.send(command(5, tick, tick / 100))
@@ -423,6 +423,11 @@ def test_a_command_that_answers_an_old_sample_is_as_good_as_none(tmp_path):
     assert recording.manifest["counters"]["stale"] == 1
     assert not recording["input.u1"].any()
     assert not recording["fresh"].any()
+
+
+def damaged(frame):
+    """Invert the last byte, so that the checksum fails for every frame."""
+    return frame[:-1] + bytes([frame[-1] ^ 0xFF])
 
 
 @contextmanager
@@ -455,7 +460,7 @@ def test_the_controller_gets_the_newest_sample_and_counts_the_rest():
         return wire.encode(Kind.SENSORS, session, index, values=np.full(size, float(index)))
 
     def frames(session):
-        broken = sample(session, 9)[:-1] + b"!"
+        broken = damaged(sample(session, 9))
         return [
             *(sample(session, index) for index in (3, 4, 4, 2, 5)),
             sample(session + 1, 90),

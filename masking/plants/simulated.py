@@ -7,9 +7,9 @@ from typing import final
 
 import numpy as np
 
-from masking.errors import CommandError, ModelError
+from masking.errors import ModelError
 from masking.numerics.arrays import Array
-from masking.plants.interface import APPLIED, LifeCycle, Sample, Settings, check_command
+from masking.plants.interface import APPLIED, LifeCycle, Sample, Settings, check_answer
 from masking.rig.twin import Twin
 
 
@@ -78,9 +78,7 @@ class SimulatedPlant:
             CommandError: it is not one finite number for each actuator, or nothing was read.
         """
         self._life.need_active("write")
-        check_command(command, self.actuators)
-        if self._tick < 0:
-            raise CommandError("write: there is no sample to answer yet; call read first")
+        check_answer(self._tick, command, self.actuators)
         del index  # the oldest command under way acts, whatever sample it answers
         self._queue[-1] = command
         move, h = self.twin.kernels.move, 1.0 / self._rate

@@ -7,9 +7,9 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from masking.errors import CommandError, PlantLostError
+from masking.errors import PlantLostError
 from masking.numerics.arrays import Array
-from masking.plants.interface import APPLIED, LifeCycle, Sample, Settings, check_command
+from masking.plants.interface import APPLIED, LifeCycle, Sample, Settings, check_answer
 
 
 class SteppedPlant(ABC):
@@ -81,9 +81,7 @@ class SteppedPlant(ABC):
             CommandError: it is not one finite number for each actuator, or nothing was read.
         """
         self._life.need_active("write")
-        check_command(command, self.actuators)
-        if self._tick < 0:
-            raise CommandError("write: there is no sample to answer yet; call read first")
+        check_answer(self._tick, command, self.actuators)
         del index  # the simulation waits for its command
         self._applied[:] = command
         self.step(self._applied)
