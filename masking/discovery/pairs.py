@@ -1,8 +1,9 @@
-"""Pairs: two laws of one place that explain a residual together, where either alone takes little.
+"""Pairs: two laws that explain a residual together, where either alone takes little.
 
-A free decay that dry friction and drag damp looks linear to each of them: what is nearly constant at one amplitude
-takes from the declared damping what grows with another. The scores of pairs come from the products of what candidates
-do to the sensors, as single ones do.
+They share a place, or are one law in both directions between two coordinates. A free decay that dry friction and drag
+damp looks linear to each of them: what is nearly constant at one amplitude takes from the declared damping what grows
+with another. Of a gyroscopic force, either direction alone changes the energy, which both together keep. The scores of
+pairs come from the products of what candidates do to the sensors, as single ones do.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from masking.discovery.composites import are_composite
 from masking.discovery.exclusion import is_excluded
 from masking.discovery.explanation import Explanation, Job, fitted
 from masking.discovery.fitting import bounds
+from masking.discovery.places import both_of
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import Score, Screen, best_factors
 from masking.numerics.arrays import Array
@@ -27,7 +29,7 @@ LEFT = 0.5  # of the excess cost that the best single law leaves, which two laws
 
 @dataclass(frozen=True)
 class Pair:
-    """Two laws at one place.
+    """Two laws.
 
     Args:
         scores: of each, with the factors that fit best together.
@@ -39,18 +41,17 @@ class Pair:
 
 
 def pairs(screen: Screen, scores: Sequence[Score]) -> list[Pair]:
-    """Return pairs of laws at one place, the best first.
-
-    Laws that are linear, or in which a simpler one is nested, are left to a search step by step.
+    """Return pairs of laws that may belong together, the best first.
 
     Args:
         screen: of the residual.
         scores: of single candidates, with their best shapes.
     """
-    found = list[Pair]()
-    for place in {score.candidate.at: None for score in scores if score.instance.where == "element"}:
-        own = [score for score in scores if score.candidate.at == place and _is_simple(score)]
-        if len(own) < 2:
+    found, groups = list[Pair](), dict[tuple[str, ...], list[Score]]()
+    for score in scores:
+        groups.setdefault(_group(score), []).append(score)
+    for group, own in groups.items():
+        if not group or len(own) < 2:
             continue
         made = screen.products([(score.candidate, score.instance) for score in own])
         for (first, i), (second, j) in itertools.combinations(zip(own, made.columns, strict=True), 2):
@@ -107,10 +108,17 @@ def pairs_first(
     return [*sorted(better, key=lambda e: e.score(tempering)), *found]
 
 
-def _is_simple(score: Score) -> bool:
-    entry = score.candidate.entry
+def _group(score: Score) -> tuple[str, ...]:
+    """Return what laws of a pair share: a place, or the law and its two coordinates; nothing for other laws.
+
+    At one place, laws that are linear, or in which a simpler one is nested, are left to a search step by step.
+    """
+    entry, at = score.candidate.entry, score.candidate.at
+    if entry.directed == "coordinate":
+        return score.candidate.effect, *sorted(both_of(at))
     is_element = score.instance.where == "element" and bool(score.candidate.factors)
-    return is_element and not (entry.nested or entry.is_linear or entry.absorbed_by or entry.scaled)
+    is_simple = is_element and not (entry.nested or entry.is_linear or entry.absorbed_by or entry.scaled)
+    return (at,) if is_simple else ()
 
 
 def _with_factors(score: Score, factors: Array) -> Score | None:

@@ -31,6 +31,7 @@ from masking.effects import Directed, Effect
 from masking.errors import DeclarationError, Problem
 
 USUAL = ("1", "N", "N*m")  # units of forces
+ON = " on "  # between what a force follows and what it acts on, in the name of a directed place
 
 
 @dataclass(frozen=True)
@@ -133,8 +134,8 @@ def _directed(model: ModelDeclaration, forces: Mapping[str, Dimension | None]) -
     for name in model.coordinates:
         unit, driven = _force_unit(model, name, forces[name]), _inputs_of(model, name)
         found: list[tuple[str, Directed, str, str]] = [
-            *((f"{other} on {name}", "coordinate", other, "") for other in model.coordinates if other != name),
-            *((f"{u} on {name}", "command", u, "") for u in commands if u not in driven),
+            *((f"{other}{ON}{name}", "coordinate", other, "") for other in model.coordinates if other != name),
+            *((f"{u}{ON}{name}", "command", u, "") for u in commands if u not in driven),
             *((f"{u} at {name}", "gain", name, u) for u in commands if u in driven),
             *((f"{name} under {load}", "load", name, load) for load in (name, *commands)),
         ]
@@ -155,6 +156,11 @@ def _inputs_of(model: ModelDeclaration, name: str) -> set[str]:
         seen |= pending
         pending = set().union(*(model.definitions[n].names for n in pending & {*model.definitions})) - seen
     return seen & {*model.inputs}
+
+
+def both_of(place: str) -> tuple[str, ...]:
+    """Return what the force at a directed place follows, and what it acts on: x2 and x1 of "x2 on x1"."""
+    return tuple(place.split(ON))
 
 
 def opened(model: ModelDeclaration, *, directed: bool = False) -> tuple[ModelDeclaration, tuple[Place, ...]]:
