@@ -17,7 +17,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from masking.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
-from masking.numerics.inertia import accelerate, draw
+from masking.numerics.inertia import accelerate, draw_rows
 from masking.numerics.instances import (
     ACTUATOR,
     BY_DISPLACEMENT,
@@ -339,8 +339,9 @@ def motion_with_effects(act: Kernel, slopes: Kernel) -> Kernel:
                         column_rates[i, j] += by * ports.commands[a, j]
         if has_inertia:
             for e in range(places):
-                for j in range(width):
-                    draw(n, coordinates, ports.share[e], ports.followed[e], ports.pushed[e], column_rates[:, j])
+                draw_rows(
+                    n, coordinates, ports.share[e], ports.followed[e], ports.pushed[e], column_rates, work[0][:width]
+                )
 
     return flow
 

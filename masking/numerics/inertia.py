@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from masking.numerics.integrators import inlined
 from masking.numerics.rig_sizes import COORDINATES, FORCE_COLUMNS, FORCE_ENTRIES, PLACES, SIZES, STATES
+from masking.numerics.variational import add_rows
 
 
 @inlined
@@ -24,6 +25,19 @@ def draw(n, coordinates, share, followed, pushed, rate):
             total += followed[i] * rate[coordinates + i]
         for i in range(n):
             rate[i] += share * total * pushed[i]
+
+
+@inlined
+def draw_rows(n, coordinates, share, followed, pushed, rates, total):
+    """Bring the derivatives of rates (n, width) to those with one inertia; `total` (width,) is work space."""
+    if share != 0.0:
+        for j in range(total.size):
+            total[j] = 0.0
+        add_rows(followed, rates[coordinates:], coordinates, total)
+        for i in range(n):
+            by = share * pushed[i]
+            for j in range(total.size if by != 0.0 else 0):
+                rates[i, j] += by * total[j]
 
 
 @inlined

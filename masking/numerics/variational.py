@@ -118,7 +118,11 @@ def add_chain(by_state, by_entry, columns, basis, spans, n, row):
         i = spans[0, m]
         by = by_entry[i]
         if by != 0.0:
-            for j in range(spans[1, m], spans[2, m]):
+            first, last = spans[1, m], spans[2, m]
+            if last - first == 1:  # measured: most entries are of one parameter, and a loop takes longer to begin
+                row[first] += by * basis[i, first]
+                continue
+            for j in range(first, last):
                 row[j] += by * basis[i, j]
 
 
