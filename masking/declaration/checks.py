@@ -70,6 +70,11 @@ def delayed(model: ModelDeclaration) -> Iterator[tuple[str, Problem]]:
                 yield path, expression.problem(step, "may not be delayed here", where)
 
 
+def beyond_ordinary(model: ModelDeclaration) -> list[str]:
+    """List what a model has that ordinary differential equations have not: delays, events."""
+    return [*["delays"] * any(delayed(model)), *["events"] * bool(model.events)]
+
+
 def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[str] = ()) -> list[Problem]:
     """List everything that is wrong with a model; of one that is not whole, only names and symbols.
 
