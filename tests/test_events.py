@@ -238,5 +238,5 @@ def test_a_model_has_events_or_delays(tmp_path):
 def test_what_knows_no_events_refuses_them(model):
     ball = model(BALL)
     for refuse in (ball.linearise, ball.to_control):
-        with pytest.raises(ModelError, match="ball has events, which .* does not take: its states jump"):
+        with pytest.raises(ModelError, match=r"ball has events, which .* does not take: its states jump"):
             refuse()

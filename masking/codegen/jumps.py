@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NoReturn
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 
@@ -12,12 +12,19 @@ from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 from masking.numerics.stop_codes import EVENT, TOO_SMALL_STEP
 
-if TYPE_CHECKING:
-    from masking.codegen.kernels import Kernels
-
 INSTANT = 1e-9  # part of the time within which an event does not come twice, if it does not come without end
 FIRST_STEP = 0.1  # of the time since the last event
 SHORTEST = 1e-12  # first step, as a part of the time: integrators refuse shorter ones
+
+
+class Functions(Protocol):
+    """The functions of a generated module."""
+
+    @property
+    def meta(self) -> Mapping[str, Any]:
+        """Return what the module says of itself."""
+
+    def __getattr__(self, name: str) -> Callable[..., Any]: ...
 
 
 class Jumps:
@@ -37,10 +44,10 @@ class Jumps:
         IntegrationError: times decrease.
     """
 
-    def __init__(self, kernels: Kernels, times: Array, state: Array, parameters: Array) -> None:
+    def __init__(self, kernels: Functions, times: Array, state: Array, parameters: Array) -> None:
         if times[-1] < times[0]:
             raise IntegrationError("events are integrated forwards only: let times increase")
-        meta: Mapping[str, Any] = kernels.meta
+        meta = kernels.meta
         self.names: Sequence[str] = meta["events"]
         self.log: list[tuple[float, str]] = []
         self._kernels, self._p, self._size = kernels, parameters, len(state)

@@ -9,7 +9,8 @@ together with them. Their arguments, with y = [q, v, s] the rig's state (coordin
 * `rate(t, y, u, p, dy)` writes dy/dt of the controller's model;
 * `measure(t, y, p, s)` writes what the sensors would read;
 * `allocate(u, p, out)` writes the actuators' commands that give inputs u, and `wire(out, p, u)` the reverse;
-* `virtual` and `momentum` are those of `masking.numerics.energy_balance`, `remember` and `lagged` of `virtual_memory`.
+* `virtual` and `momentum` are those of `masking.numerics.energy_balance`, `remember`, `lagged` and
+  `switch` of `virtual_memory`.
 """
 # ruff: noqa: ANN001, ANN201, ANN202, PLR0917
 # The types are numba's to infer.
@@ -209,7 +210,7 @@ def advance_queue(queue, u, m):
 
 def control_with_model(
     law: Kernel, rate: Kernel, measure: Kernel, allocate: Kernel, wire: Kernel, virtual: Kernel, momentum: Kernel,
-    remember: Kernel, lagged: Kernel, sizes: Sizes,
+    remember: Kernel, lagged: Kernel, switch: Kernel, sizes: Sizes,
 ) -> Kernel:  # fmt: skip
     """Make the step of a controller that follows the rig with a model: observe, predict, T, D, L, G, hold, limit.
 
@@ -224,7 +225,7 @@ def control_with_model(
     powers, following, remembered, rest = sizes.power, sizes.next, sizes.balance, sizes.rest
     is_balanced, offsets, channels = sizes.balanced > 0, sizes.offsets, sizes.actuators
     remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(lagged, sizes)
-    follow, then = follow_memory(remember, recall, sizes), sizes.past
+    follow, then = follow_memory(remember, recall, switch, sizes), sizes.past
     step, held, limit = predict(rate, sizes), hold(law, rate, follow, recall, sizes), limiter(sizes)
     balance = energy_balance(virtual, momentum, sizes)
 
@@ -281,7 +282,7 @@ def control_with_model(
     return control
 
 
-def skip_with_differences(remember: Kernel, lagged: Kernel, sizes: Sizes) -> Kernel:
+def skip_with_differences(remember: Kernel, lagged: Kernel, switch: Kernel, sizes: Sizes) -> Kernel:
     """Make the step of a sample that was missed: the rig is taken to move on at its last velocity.
 
     Returns:
@@ -290,7 +291,7 @@ def skip_with_differences(remember: Kernel, lagged: Kernel, sizes: Sizes) -> Ker
     n, length = sizes.coordinates, sizes.estimate
     next_one, warm = length + sizes.actuators, heat(sizes)
     remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(lagged, sizes)
-    follow, then = follow_memory(remember, recall, sizes), sizes.past
+    follow, then = follow_memory(remember, recall, switch, sizes), sizes.past
 
     @compiled
     def skip(t: float, h: float, x: Vector, p: Vector, table: Matrix, command: Vector, work: Matrix) -> None:
@@ -308,7 +309,9 @@ def skip_with_differences(remember: Kernel, lagged: Kernel, sizes: Sizes) -> Ker
     return skip
 
 
-def control_with_differences(law: Kernel, allocate: Kernel, remember: Kernel, lagged: Kernel, sizes: Sizes) -> Kernel:
+def control_with_differences(
+    law: Kernel, allocate: Kernel, remember: Kernel, lagged: Kernel, switch: Kernel, sizes: Sizes
+) -> Kernel:
     """Make the step of a controller that differences the positions and applies the law at once.
 
     Source: Rijlaarsdam (2008), chapter 6; its velocities are late by half a sample, its output by half a sample more.
@@ -320,7 +323,11 @@ def control_with_differences(law: Kernel, allocate: Kernel, remember: Kernel, la
     n, m, length, fixed = sizes.coordinates, sizes.inputs, sizes.estimate, sizes.fixed
     next_one = length + sizes.actuators
     limit, recall, notice = limiter(sizes), recall_past(sizes), notice_past(lagged, sizes)
-    remembers, follow, then = sizes.remembered + sizes.lags > 0, follow_memory(remember, recall, sizes), sizes.past
+    remembers, follow, then = (
+        sizes.remembered + sizes.lags > 0,
+        follow_memory(remember, recall, switch, sizes),
+        sizes.past,
+    )
 
     @compiled
     def control(
