@@ -95,6 +95,6 @@ class Sizes:
     @property
     def work(self) -> tuple[int, int]:
         """Return the shape of the work space, whose rows must also hold the readings and the rig's states."""
-        rows = 37 if self.events else 34 if self.remembered + self.lags else 26
+        rows = 39 if self.events else 34 if self.remembered + self.lags else 26
         switched = self.events + len(self.targets)
         return rows, max(self.estimate, self.inputs, self.actuators, 3 * self.balanced + 2, switched)

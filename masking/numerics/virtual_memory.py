@@ -72,7 +72,7 @@ def recall_past(sizes: Sizes) -> Kernel:
     return recall
 
 
-def follow_memory(remember: Kernel, recall: Kernel, switch: Kernel, sizes: Sizes) -> Kernel:
+def follow_memory(remember: Kernel, recall: Kernel, switch: Kernel, sizes: Sizes) -> tuple[Kernel, Kernel, Kernel]:
     """Make the integration of internal states between two states of the rig.
 
     Between them the rig moves along the cubic that has their coordinates and velocities, so that what is integrated is
@@ -82,7 +82,10 @@ def follow_memory(remember: Kernel, recall: Kernel, switch: Kernel, sizes: Sizes
 
     Returns:
         `follow(t, h, a, b, past, p, work)`, for a motion of length h from state a at time t to state b; reads z in a
-        and writes it in b; `work` (10, states) is work space, of which the last four rows are for events.
+        and writes it in b; `work` (11, states) is work space, of which the last six rows are for events.
+        `glide`, with the same arguments, which passes over events as if there were none.
+        `mean_jump(t, h, a, b, past, p, work, m)`, which writes by how much z is further on the mean of the motion than
+        without its events.
     """
     n, first, last, events = sizes.coordinates, sizes.memory.start, sizes.memory.stop, sizes.events
     jump = jumps(switch, events, sizes.targets, EVENTS)
@@ -145,7 +148,7 @@ def follow_memory(remember: Kernel, recall: Kernel, switch: Kernel, sizes: Sizes
     @compiled
     def advance_over_events(t, h, a, b, x, part, past, p, work):
         y, k, before, w, below, counts = work[0], work[1:5], work[6], work[7], work[8], work[9]
-        at, end = x, x + part
+        at, end, total = x, x + part, work[10]
         look(t, h, a, b, at, p, y, w)
         for e in range(events):
             below[e] = 1.0 if w[e] < 0.0 else 0.0
@@ -156,6 +159,8 @@ def follow_memory(remember: Kernel, recall: Kernel, switch: Kernel, sizes: Sizes
                 advance(t, h, a, b, at, end - at, past, p, y, k)
                 look(t, h, a, b, end, p, y, w)
                 if has_crossed(below, w) == 0:
+                    for i in range(first, last):
+                        total[i] += 0.5 * (end - at) * (before[i] + b[i])
                     at = end
                 else:
                     low, high = at, end
@@ -169,6 +174,7 @@ def follow_memory(remember: Kernel, recall: Kernel, switch: Kernel, sizes: Sizes
                     again(t, h, a, b, at, high, past, p, work)
                     jump(t + high * h, y, p, below, counts, w)
                     for i in range(first, last):
+                        total[i] += 0.5 * (high - at) * (before[i] + b[i])
                         b[i] = y[i]
                     at = high
         if at < end:
@@ -187,4 +193,32 @@ def follow_memory(remember: Kernel, recall: Kernel, switch: Kernel, sizes: Sizes
                 else:
                     advance(t, h, a, b, j / STEPS, 1.0 / STEPS, past, p, y, k)
 
-    return follow
+    @compiled
+    def glide(t, h, a, b, past, p, work):
+        y, k = work[0], work[1:5]
+        for i in range(first, last):
+            b[i] = a[i]
+        if first < last and h > 0.0 and t > -0.25 * h:
+            copy(a, y, first)
+            for j in range(STEPS):
+                advance(t, h, a, b, j / STEPS, 1.0 / STEPS, past, p, y, k)
+
+    @compiled
+    def mean_jump(t, h, a, b, past, p, work, m):
+        total = work[10]
+        for i in range(first, last):
+            m[i] = 0.0
+            total[i] = 0.0
+        if t > -0.25 * h:
+            follow(t, h, a, b, past, p, work)
+            for i in range(first, last):
+                m[i] = total[i]
+                b[i] = a[i]
+            for j in range(STEPS):
+                for i in range(first, last):
+                    m[i] -= 0.5 / STEPS * b[i]
+                advance(t, h, a, b, j / STEPS, 1.0 / STEPS, past, p, work[0], work[1:5])
+                for i in range(first, last):
+                    m[i] -= 0.5 / STEPS * b[i]
+
+    return follow, glide, mean_jump
