@@ -31,7 +31,7 @@ class Jumps:
     """The events of one integration.
 
     Args:
-        kernels: with `switch` and `jump`.
+        kernels: with `conditions` and `jump`.
         times: of the integration (m,), increasing.
         state: at the first of them.
         parameters: array in the module's order.
@@ -53,7 +53,7 @@ class Jumps:
         self._kernels, self._p, self._size = kernels, parameters, len(state)
         self._values, self._last = np.empty(len(self.names) + len(meta["targets"])), float(times[0])
         self._span = max(float(times[-1] - times[0]), abs(float(times[0])))
-        kernels.switch(self._last, np.array(state, dtype=float), parameters, self._values)
+        kernels.conditions(self._last, np.array(state, dtype=float), parameters, self._values)
         below = (self._values[: len(self.names)] < 0.0).astype(float)
         self.state = np.concatenate([state, below, [math.inf]])
         self._latest = dict.fromkeys(self.names, -math.inf)

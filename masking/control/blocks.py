@@ -147,14 +147,14 @@ class Wanted:
     """Nodes of D at one state: virtual accelerations (k,), and the rates of the virtual system's internal states.
 
     Of its delayed expressions, `lagged` is what they are now, and `delays` is by how long they are delayed; of its
-    events, `switch` are the conditions, and then the values that jump.
+    events, `conditions` are the conditions, and then the values that jump.
     """
 
     accelerations: list[Node]
     rates: list[Node]
     lagged: list[Node]
     delays: list[Node]
-    switch: list[Node]
+    conditions: list[Node]
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ class DesiredDynamics:
         known = dict(zip((s.t, *s.q, *s.v, *behind, *s.u, *s.p), (time, *eta, *rate, *memory, *u, *p), strict=True))
         lowered = LoweredEquations.of(self.virtual.equations, graph, known=known)
         wanted = list(lowered.accelerations)
-        rest = (lowered.rates, lowered.lagged, lowered.delays, lowered.switch)
+        rest = (lowered.rates, lowered.lagged, lowered.delays, lowered.conditions)
         if self.regulation is None:
             return Wanted(wanted, *rest)
         energy, speed, coupling = regulation

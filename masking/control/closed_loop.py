@@ -234,7 +234,7 @@ def module(loop: ClosedLoop) -> Module:
         plant.health,
     )
     add("derivative(t: float, y, u, p, dy)", "dy", derivatives, health)
-    added = Added(law.lagged, law.delays, law.switch, targets)
+    added = Added(law.lagged, law.delays, law.conditions, targets)
     add_runge_kutta(made, graph, added, joined, (size, len(loop.plant.inputs)))
     made.add_factory("run_sampled", integrators.sampled, "step", "plant_derivative", size, n, work=(5, size))
     made.add_factory("along", sampled_loop.along, "transform", "step", n)

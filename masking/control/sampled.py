@@ -204,10 +204,10 @@ class SampledController:
         parts: tuple[str, ...]
         if self.has_model:
             parts = ("law", "rate", "measure", "allocate", "wire", "virtual", "momentum", "remember")
-            parts = (*parts, "lagged", "switch")
+            parts = (*parts, "lagged", "conditions")
             module.add_factory(name, sampled_loop.control_with_model, *parts, sizes, **step)
         else:
-            parts = ("law", "allocate", "remember", "lagged", "switch")
+            parts = ("law", "allocate", "remember", "lagged", "conditions")
             module.add_factory(name, sampled_loop.control_with_differences, *parts, sizes, **step)
             module.add_factory("skip", sampled_loop.skip_with_differences, *parts[2:], sizes, work=work)
         if self.feed.is_live:
@@ -361,7 +361,7 @@ class _Lowered:
             ("momentum(t: float, e, p, g)", into("g", self.momentum), None),
             ("remember(t: float, y, p, dz)", into("dz", law.remembered), None),
             ("lagged(t: float, y, p, w)", into("w", law.lagged), None),
-            ("switch(t: float, y, p, w)", into("w", law.switch), None),
+            ("conditions(t: float, y, p, w)", into("w", law.conditions), None),
             ("transform(t: float, q, v, p, out)", into("out", [*law.eta, *law.rate]), None),
             ("still(t: float, y, p, u)", into("u", self.still_law.cancel), None),
             *([("push(t: float, y, d, p, out)", into("out", self.forces), None)] if self.is_live else []),

@@ -30,7 +30,7 @@ class LoweredEquations:
     """The symbols of a model as nodes, and its accelerations and the rates of its internal states.
 
     Of delayed expressions, `lagged` is what they are now, and `delays` is by how long they are delayed. Of events,
-    `switch` are the conditions, and then the values that jump.
+    `conditions` are the conditions, and then the values that jump.
 
     `loads` and `joined` tell for each symbol's text how a function reads it from its arguments: q and v apart, where
     the internal states follow the velocities in v, or one state vector y = [q, v, s].
@@ -44,7 +44,7 @@ class LoweredEquations:
     rates: list[Node] = field(default_factory=list)
     lagged: list[Node] = field(default_factory=list)
     delays: list[Node] = field(default_factory=list)
-    switch: list[Node] = field(default_factory=list)
+    conditions: list[Node] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -79,8 +79,8 @@ class LoweredEquations:
         lagged = [graph.lower(lag.value, nodes) for lag in equations.lags]
         delays = [graph.lower(lag.time, nodes) for lag in equations.lags]
         happening = equations.events
-        switch = [graph.lower(one, nodes) for one in (*happening.conditions, *happening.values)]
-        return cls(equations, graph, nodes, accelerations, health, rates, lagged, delays, switch)
+        conditions = [graph.lower(one, nodes) for one in (*happening.conditions, *happening.values)]
+        return cls(equations, graph, nodes, accelerations, health, rates, lagged, delays, conditions)
 
     def lower(self, expression: sp.Expr) -> Node:
         """Return the node of an expression in symbols of the model, accelerations included."""
@@ -139,7 +139,7 @@ def module(equations: Equations) -> Module:
     use_taylor = (
         size > 0
         and not lags
-        and not lowered.switch
+        and not lowered.conditions
         and is_analytic(graph, [*derivatives, lowered.health])
         and not hides_a_switch(graph, derivatives)
         and products <= LARGEST_TAYLOR_COST
@@ -180,7 +180,7 @@ def module(equations: Equations) -> Module:
     if use_taylor:
         module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined, order=order)
         module.add_factory("solve_taylor", integrators.taylor, "coefficients", order, size, work=(order + 1, size))
-    added = Added(lowered.lagged, lowered.delays, lowered.switch, equations.events.targets)
+    added = Added(lowered.lagged, lowered.delays, lowered.conditions, equations.events.targets)
     add_runge_kutta(module, graph, added, joined, (size, inputs))
     return module
 
@@ -192,19 +192,19 @@ class Added:
     Args:
         lagged: what the delayed expressions are now.
         delays: by how long they are delayed.
-        switch: conditions of events, and values that jump.
+        conditions: conditions of events, and values that jump.
         targets: for each of these, the index of its event and that of the state.
     """
 
     lagged: Sequence[Node]
     delays: Sequence[Node]
-    switch: Sequence[Node]
+    conditions: Sequence[Node]
     targets: tuple[tuple[int, int], ...]
 
     @property
     def events(self) -> int:
         """Return the number of events."""
-        return len(self.switch) - len(self.targets)
+        return len(self.conditions) - len(self.targets)
 
 
 def add_runge_kutta(
@@ -228,11 +228,11 @@ def add_runge_kutta(
     def add(signature: str, nodes: Sequence[Node]) -> None:
         module.add(signature, graph, [(f"w[{i}]", node) for i, node in enumerate(nodes)], loads)
 
-    if added.switch:
-        add("switch(t: float, y, p, w)", added.switch)
-        module.add_factory("jump", events.jumps, "switch", added.events, added.targets, events.AT_ONCE)
-        given = ("derivative", "switch", size, added.events, inputs)
-        shape = events.work_shape(size, len(added.switch), inputs)
+    if added.conditions:
+        add("conditions(t: float, y, p, w)", added.conditions)
+        module.add_factory("jump", events.jumps, "conditions", added.events, added.targets, events.AT_ONCE)
+        given = ("derivative", "conditions", size, added.events, inputs)
+        shape = events.work_shape(size, len(added.conditions), inputs)
         module.add_factory("solve_runge_kutta", events.runge_kutta, *given, work=shape)
         return
     if not added.lagged:

@@ -1,8 +1,8 @@
 """Events: crossings that are found in the dense output of the steps that an integrator has taken, and jumps there.
 
-For the state y = [q, v, s], `switch(t, y, p, w)` writes the conditions of the events, and then the values that jump. An
-event is where its condition, from below, crosses zero: it is looked for at points of each step and where the condition
-turns between them, and found on the far side by bisection, to the last digit of the time.
+For the state y = [q, v, s], `conditions(t, y, p, w)` writes the conditions of the events, and then the values that
+jump. An event is where its condition, from below, crosses zero: it is looked for at points of each step and where the
+condition turns between them, and found on the far side by bisection, to the last digit of the time.
 """
 # ruff: noqa: ANN001, ANN202, PLR0915, PLR0917
 # The types are numba's to infer, and what a kernel calls stands before it.
@@ -12,8 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from typing import Any
-
-import numpy as np
 
 from masking.numerics.arrays import Matrix, Vector
 from masking.numerics.integrators import compiled, copy, dense_output, embedded_steps, forget
@@ -43,11 +41,11 @@ def work_shape(size: int, values: int, inputs: int) -> tuple[int, int]:
     return 24 + 8, max(size, values, inputs, 2)
 
 
-def first_crossing(switch: Kernel, size: int, events: int) -> Kernel:
+def first_crossing(conditions: Kernel, size: int, events: int) -> Kernel:
     """Make the search of a step for its first event.
 
     Args:
-        switch: writes conditions, and values that jump.
+        conditions: writes conditions, and values that jump.
         size: number of states.
         events: number of conditions.
 
@@ -59,7 +57,7 @@ def first_crossing(switch: Kernel, size: int, events: int) -> Kernel:
     @compiled
     def look(t, y, f, length, known, p, x, into):
         interpolate(y, f, x, known[STATE])
-        switch(t + x * length, known[STATE], p, into)
+        conditions(t + x * length, known[STATE], p, into)
 
     @compiled
     def far_side(t, y, f, length, known, p, e, low, high):
@@ -144,12 +142,12 @@ def first_crossing(switch: Kernel, size: int, events: int) -> Kernel:
     return crossing
 
 
-def runge_kutta(derivative: Kernel, switch: Kernel, size: int, events: int, inputs: int) -> Kernel:
+def runge_kutta(derivative: Kernel, conditions: Kernel, size: int, events: int, inputs: int) -> Kernel:
     """Make the integrator of `integrators.runge_kutta` for equations with events: it stops at each of them.
 
     Args:
         derivative: writes the derivatives.
-        switch: writes conditions, and values that jump.
+        conditions: writes conditions, and values that jump.
         size: number of states.
         events: number of conditions.
         inputs: number of inputs.
@@ -168,7 +166,7 @@ def runge_kutta(derivative: Kernel, switch: Kernel, size: int, events: int, inpu
     def bound(t, known):
         return known[HEAD, 1] if t == known[HEAD, 0] else math.inf
 
-    crossing = first_crossing(switch, size, events)
+    crossing = first_crossing(conditions, size, events)
     solve_with = embedded_steps(driven, bound, forget, size, False, crossing, True)
 
     @compiled
@@ -187,14 +185,32 @@ def runge_kutta(derivative: Kernel, switch: Kernel, size: int, events: int, inpu
     return solve
 
 
-def jumps(switch: Kernel, events: int, targets: tuple[tuple[int, int], ...], most: int) -> Kernel:
+@compiled
+def nothing(happening, y, w) -> int:
+    """Assign nothing to a state."""
+    return happening
+
+
+def assignment(before: Kernel, event: int, state: int, value: int) -> Kernel:
+    """Make `assign(happening, y, w)`, which does what stood before, and sets a state to a value if an event happens."""
+
+    @compiled
+    def assign(happening, y, w):
+        before(happening, y, w)
+        if happening == event:
+            y[state] = w[value]
+
+    return assign
+
+
+def jumps(conditions: Kernel, events: int, targets: tuple[tuple[int, int], ...], most: int) -> Kernel:
     """Make what happens at an instant at which conditions have crossed zero.
 
     The first event, in declared order, whose condition was below zero and is no longer makes its jump. This is
     repeated, with the state as it has become, until there is none.
 
     Args:
-        switch: writes conditions, and values that jump.
+        conditions: writes conditions, and values that jump.
         events: number of conditions.
         targets: for each value, the index of its event and that of the state which jumps.
         most: events that may happen.
@@ -203,12 +219,14 @@ def jumps(switch: Kernel, events: int, targets: tuple[tuple[int, int], ...], mos
         `jump(t, y, p, below, counts, w) -> has_ended`, which writes the state y after all jumps; `below` and `counts`
         (events,) say which conditions are below zero, and how often each event happened; `w` (values,) is work space.
     """
-    where = np.array(targets, dtype=np.int64).reshape(-1, 2)
+    assign = nothing
+    for i, (event, state) in enumerate(targets):
+        assign = assignment(assign, event, state, events + i)
 
     @compiled
     def jump(t: float, y: Vector, p: Vector, below: Vector, counts: Vector, w: Vector) -> int:
         has_ended = 0
-        switch(t, y, p, w)
+        conditions(t, y, p, w)
         for _ in range(most + 1):
             if has_ended == 0:
                 happening = -1
@@ -218,12 +236,10 @@ def jumps(switch: Kernel, events: int, targets: tuple[tuple[int, int], ...], mos
                 if happening < 0:
                     has_ended = 1
                 else:
-                    for i in range(len(where)):
-                        if where[i, 0] == happening:
-                            y[where[i, 1]] = w[events + i]
+                    assign(happening, y, w)
                     below[happening] = 0.0
                     counts[happening] += 1.0
-                    switch(t, y, p, w)
+                    conditions(t, y, p, w)
                     for e in range(events):
                         if w[e] < 0.0:
                             below[e] = 1.0

@@ -10,10 +10,10 @@ together with them. Their arguments, with y = [q, v, s] the rig's state (coordin
 * `measure(t, y, p, s)` writes what the sensors would read;
 * `allocate(u, p, out)` writes the actuators' commands that give inputs u, and `wire(out, p, u)` the reverse;
 * `virtual` and `momentum` are those of `masking.numerics.energy_balance`, `remember`, `lagged` and
-  `switch` of `virtual_memory`.
+  `conditions` of `virtual_memory`.
 """
-# ruff: noqa: ANN001, ANN201, ANN202, PLR0917
-# The types are numba's to infer.
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0915, PLR0917
+# The types are numba's to infer, and what a kernel calls stands before it.
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def advance_queue(queue, u, m):
 
 def control_with_model(
     law: Kernel, rate: Kernel, measure: Kernel, allocate: Kernel, wire: Kernel, virtual: Kernel, momentum: Kernel,
-    remember: Kernel, lagged: Kernel, switch: Kernel, sizes: Sizes,
+    remember: Kernel, lagged: Kernel, conditions: Kernel, sizes: Sizes,
 ) -> Kernel:  # fmt: skip
     """Make the step of a controller that follows the rig with a model: observe, predict, T, D, L, G, hold, limit.
 
@@ -239,7 +239,7 @@ def control_with_model(
     powers, following, remembered, rest = sizes.power, sizes.next, sizes.balance, sizes.rest
     is_balanced, offsets, channels = sizes.balanced > 0, sizes.offsets, sizes.actuators
     remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(lagged, sizes)
-    (follow, glide, mean_jump), then = follow_memory(remember, recall, switch, sizes), sizes.past
+    (follow, glide, mean_jump), then = follow_memory(remember, recall, conditions, sizes), sizes.past
     step, held, limit = predict(rate, sizes), hold(law, rate, glide, mean_jump, recall, sizes), limiter(sizes)
     balance = energy_balance(virtual, momentum, sizes)
 
@@ -296,7 +296,7 @@ def control_with_model(
     return control
 
 
-def skip_with_differences(remember: Kernel, lagged: Kernel, switch: Kernel, sizes: Sizes) -> Kernel:
+def skip_with_differences(remember: Kernel, lagged: Kernel, conditions: Kernel, sizes: Sizes) -> Kernel:
     """Make the step of a sample that was missed: the rig is taken to move on at its last velocity.
 
     Returns:
@@ -305,7 +305,7 @@ def skip_with_differences(remember: Kernel, lagged: Kernel, switch: Kernel, size
     n, length = sizes.coordinates, sizes.estimate
     next_one, warm = length + sizes.actuators, heat(sizes)
     remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(lagged, sizes)
-    (follow, _, _), then = follow_memory(remember, recall, switch, sizes), sizes.past
+    (follow, _, _), then = follow_memory(remember, recall, conditions, sizes), sizes.past
 
     @compiled
     def skip(t: float, h: float, x: Vector, p: Vector, table: Matrix, command: Vector, work: Matrix) -> None:
@@ -324,7 +324,7 @@ def skip_with_differences(remember: Kernel, lagged: Kernel, switch: Kernel, size
 
 
 def control_with_differences(
-    law: Kernel, allocate: Kernel, remember: Kernel, lagged: Kernel, switch: Kernel, sizes: Sizes
+    law: Kernel, allocate: Kernel, remember: Kernel, lagged: Kernel, conditions: Kernel, sizes: Sizes
 ) -> Kernel:
     """Make the step of a controller that differences the positions and applies the law at once.
 
@@ -338,7 +338,7 @@ def control_with_differences(
     next_one = length + sizes.actuators
     limit, recall, notice = limiter(sizes), recall_past(sizes), notice_past(lagged, sizes)
     remembers, then = sizes.remembered + sizes.lags > 0, sizes.past
-    follow, _, _ = follow_memory(remember, recall, switch, sizes)
+    follow, _, _ = follow_memory(remember, recall, conditions, sizes)
 
     @compiled
     def control(

@@ -3,7 +3,7 @@
 For the rig's state y = [q, v, s, z, w], `remember(t, y, p, dz)` writes the rates of the virtual system's internal
 states z, and `lagged(t, y, p, w)` what its delayed expressions are now. What they were is kept at the samples, those
 that are predicted included, and read between them by a cubic: `Sizes.past` says where. Until the release they are as at
-its beginning. `switch(t, y, p, w)` writes the conditions of its events, and then the values that jump.
+its beginning. `conditions(t, y, p, w)` writes the conditions of its events, and then the values that jump.
 """
 # ruff: noqa: ANN001, ANN202, PLR0915, PLR0917
 # The types are numba's to infer, and what a kernel calls stands before it.
@@ -72,7 +72,7 @@ def recall_past(sizes: Sizes) -> Kernel:
     return recall
 
 
-def follow_memory(remember: Kernel, recall: Kernel, switch: Kernel, sizes: Sizes) -> tuple[Kernel, Kernel, Kernel]:
+def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: Sizes) -> tuple[Kernel, Kernel, Kernel]:
     """Make the integration of internal states between two states of the rig.
 
     Between them the rig moves along the cubic that has their coordinates and velocities, so that what is integrated is
@@ -88,7 +88,7 @@ def follow_memory(remember: Kernel, recall: Kernel, switch: Kernel, sizes: Sizes
         without its events.
     """
     n, first, last, events = sizes.coordinates, sizes.memory.start, sizes.memory.stop, sizes.events
-    jump = jumps(switch, events, sizes.targets, EVENTS)
+    jump = jumps(conditions, events, sizes.targets, EVENTS)
 
     @compiled
     def place(a, b, h, x, y):
@@ -128,7 +128,7 @@ def follow_memory(remember: Kernel, recall: Kernel, switch: Kernel, sizes: Sizes
         place(a, b, h, x, y)
         for i in range(first, last):
             y[i] = b[i]
-        switch(t + x * h, y, p, w)
+        conditions(t + x * h, y, p, w)
 
     @compiled
     def has_crossed(below, w):
