@@ -36,6 +36,7 @@ ALONE = {
     "cart",
     "bouc_wen",
     "delayed_oscillators",
+    "escapements",
     "bouncing_ball",
     "stopped_mass",
     "relaxing_mass",

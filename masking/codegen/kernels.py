@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from masking.codegen import store
+from masking.codegen.jumps import Jumps
 from masking.codegen.native import NativeFunction
 from masking.codegen.source import Module
 from masking.codegen.store import Generated
 from masking.errors import IntegrationError, SingularityError, nearest
 from masking.numerics.arrays import Array
-from masking.numerics.stop_codes import MESSAGES, REACHED, SINGULAR
+from masking.numerics.stop_codes import EVENT, MESSAGES, REACHED, SINGULAR
 
 # The classical Runge-Kutta method errs by 1e-9 per radian when a radian takes this many steps.
 STEPS_PER_RADIAN = 50.0
@@ -32,6 +33,7 @@ class Trajectory:
         coordinates: names of the n coordinates.
         steps: integration steps taken.
         internal: names of the k internal states.
+        events: the time and the name of each event.
     """
 
     times: Array
@@ -39,6 +41,7 @@ class Trajectory:
     coordinates: tuple[str, ...]
     steps: int
     internal: tuple[str, ...] = ()
+    events: tuple[tuple[float, str], ...] = ()
 
     @property
     def positions(self) -> Array:
@@ -111,7 +114,7 @@ class Kernels:
 
         Raises:
             SingularityError: a matrix that must be inverted became singular; holds the state.
-            IntegrationError: the integrator could not go on; says when and why.
+            IntegrationError: the integrator could not go on, or an event comes without end; says when and why.
         """
         times = np.ascontiguousarray(times, dtype=float)
         steps_between = np.diff(times)
@@ -123,19 +126,25 @@ class Kernels:
             raise IntegrationError(
                 "what depends on the past by a delay is integrated forwards only: let times increase"
             )
-        y = np.concatenate([np.array(state, dtype=float), np.zeros(lags)])
-        out = np.empty((len(times), len(y)))
+        jumps = Jumps(self, times, state, parameters) if self.meta.get("events") else None
+        y = np.concatenate([np.array(state, dtype=float), np.zeros(lags)]) if jumps is None else jumps.state
+        out = np.empty((len(times), len(state) + lags))
         t, steps = float(times[0]), 0
         pieces = 1 if lags else pieces  # the past is that of one call
         for piece in np.array_split(np.arange(len(times)), max(1, min(pieces, len(times)))):
-            rows = slice(piece[0], piece[-1] + 1)
-            status, t, taken = solve(t, y, times[rows], inputs, parameters, tolerance, fixed_step, out[rows])
-            steps += taken
+            first, last, status = piece[0], piece[-1] + 1, EVENT
+            while status == EVENT:
+                rows = slice(first, last)
+                status, t, taken = solve(t, y, times[rows], inputs, parameters, tolerance, fixed_step, out[rows])
+                steps += taken
+                if jumps is not None and jumps.follow(status, t):
+                    first = max(first, int(np.searchsorted(times[:last], t, side="right")))
             if status != REACHED:
-                self.stop(status, t, y)
+                self.stop(status, t, y[: len(state)])
             if progress is not None:
                 progress((piece[-1] + 1) / len(times))
-        return Trajectory(times, out, tuple(self.meta["coordinates"]), steps, tuple(self.meta.get("states", ())))
+        names, log = self.meta["coordinates"], () if jumps is None else tuple(jumps.log)
+        return Trajectory(times, out, tuple(names), steps, tuple(self.meta.get("states", ())), log)
 
     def stop(self, status: int, time: float, state: Sequence[float] | Array, mend: str = "") -> None:
         """Raise the error that a kernel's status stands for.

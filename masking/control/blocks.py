@@ -146,13 +146,15 @@ class MappedCoordinates:
 class Wanted:
     """Nodes of D at one state: virtual accelerations (k,), and the rates of the virtual system's internal states.
 
-    Of its delayed expressions, `lagged` is what they are now, and `delays` is by how long they are delayed.
+    Of its delayed expressions, `lagged` is what they are now, and `delays` is by how long they are delayed; of its
+    events, `conditions` are the conditions, and then the values that jump.
     """
 
     accelerations: list[Node]
     rates: list[Node]
     lagged: list[Node]
     delays: list[Node]
+    conditions: list[Node]
 
 
 @dataclass(frozen=True)
@@ -203,8 +205,9 @@ class DesiredDynamics:
         known = dict(zip((s.t, *s.q, *s.v, *behind, *s.u, *s.p), (time, *eta, *rate, *memory, *u, *p), strict=True))
         lowered = LoweredEquations.of(self.virtual.equations, graph, known=known)
         wanted = list(lowered.accelerations)
+        rest = (lowered.rates, lowered.lagged, lowered.delays, lowered.conditions)
         if self.regulation is None:
-            return Wanted(wanted, lowered.rates, lowered.lagged, lowered.delays)
+            return Wanted(wanted, *rest)
         energy, speed, coupling = regulation
         moving = self._moving
         if self.regulation.energy is not None:
@@ -220,7 +223,7 @@ class DesiredDynamics:
                 # In-phase motion is the mean, anti-phase motion of two what differs from it: the other is damped.
                 unwanted = mean if self.regulation.phase == "anti" else graph.sub(rate[i], mean)
                 wanted[i] = graph.sub(wanted[i], graph.mul(coupling, unwanted))
-        return Wanted(wanted, lowered.rates, lowered.lagged, lowered.delays)
+        return Wanted(wanted, *rest)
 
     @property
     def _moving(self) -> tuple[int, ...]:

@@ -17,7 +17,7 @@ from masking.codegen.source import Module
 from masking.control.blocks import check_actuation
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols, check_same_rig
 from masking.errors import ModelError
-from masking.modelling.lowering import LoweredEquations, add_runge_kutta
+from masking.modelling.lowering import Added, LoweredEquations, add_runge_kutta
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 
@@ -140,7 +140,7 @@ class ClosedLoop:
         It has no delays and no inputs; its states are the rig's coordinates and velocities in SI units and those of
         `internal`, its outputs the virtual coordinates, in the virtual system's units, and the rig's inputs.
         """
-        self.controller.virtual.check_no_delays("python-control")
+        self.controller.virtual.check_ordinary("python-control")
         kernels, p = self.kernels, self.values()
         k, m = len(self.controller.virtual.coordinates), len(self.plant.inputs)
 
@@ -200,11 +200,15 @@ def module(loop: ClosedLoop) -> Module:
     size = 2 * n + len(loop.internal)
     derivatives = [*rig.v, *driven.accelerations, *driven.rates, *law.remembered]
     health = graph.mul(law.health, driven.health)
+    happening, moved = controller.virtual.equations.events, size - len(law.remembered) - 2 * len(law.eta)
+    targets = tuple((event, state + moved) for event, state in happening.targets)
     meta = {
         "kind": "closed loop",
         "coordinates": list(loop.plant.coordinates),
         "states": list(loop.internal),
         "lags": len(law.lagged),
+        "events": list(happening.names),
+        "targets": list(targets),
         "inputs": list(loop.plant.inputs),
         "virtual": list(controller.virtual.coordinates),
         # The virtual system by itself is integrated by Taylor series: two methods that agree check each other.
@@ -230,7 +234,8 @@ def module(loop: ClosedLoop) -> Module:
         plant.health,
     )
     add("derivative(t: float, y, u, p, dy)", "dy", derivatives, health)
-    add_runge_kutta(made, graph, (law.lagged, law.delays), joined, (size, len(loop.plant.inputs)))
+    added = Added(law.lagged, law.delays, law.conditions, targets)
+    add_runge_kutta(made, graph, added, joined, (size, len(loop.plant.inputs)))
     made.add_factory("run_sampled", integrators.sampled, "step", "plant_derivative", size, n, work=(5, size))
     made.add_factory("along", sampled_loop.along, "transform", "step", n)
     return made

@@ -106,7 +106,8 @@ class ControlLaw:
 
     `given` are the rig accelerations under the inputs, `driven` the part of them that is due to the inputs;
     `remembered` are the rates of the virtual system's internal states, per second, `lagged` what its delayed
-    expressions are now, and `delays` by how many seconds they are delayed.
+    expressions are now, and `delays` by how many seconds they are delayed; `conditions` are those of its events, and
+    then the values that jump.
     """
 
     eta: list[Node]
@@ -122,6 +123,7 @@ class ControlLaw:
     remembered: list[Node]
     lagged: list[Node]
     delays: list[Node]
+    conditions: list[Node]
 
     @classmethod
     def of(cls, controller: Controller, graph: Graph, rig: RigSymbols, homing: Homing | None = None) -> ControlLaw:
@@ -164,7 +166,7 @@ class ControlLaw:
         health = graph.mul(health, determinant)
         motion = (mapped.eta, rate, desired, cancel, drive, inputs, gain, health, given, driven)
         delays = [graph.mul(d, p.time_scale) for d in wanted_d.delays]
-        return cls(*motion, remembered, wanted_d.lagged, delays)
+        return cls(*motion, remembered, wanted_d.lagged, delays, wanted_d.conditions)
 
 
 @dataclass(frozen=True)

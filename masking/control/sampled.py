@@ -75,7 +75,9 @@ class SampledController:
         """Return the sizes that the compiled step is made for."""
         model, instruments = self.controller.model, self.instruments
         is_balanced = self.controller.energy_balance is not None
-        n, remembered, lags = len(model.coordinates), len(self.controller.virtual.states), len(self.lags)
+        virtual = self.controller.virtual
+        n, remembered, lags = len(model.coordinates), len(virtual.states), len(self.lags)
+        known, moved = virtual.kernels.meta, 2 * n + len(model.states) - 2 * len(virtual.coordinates)
         return Sizes(
             n,
             2 * n + len(model.states) + remembered + lags + is_balanced,
@@ -87,6 +89,8 @@ class SampledController:
             remembered,
             lags,
             self._kept,
+            len(known["events"]),
+            tuple((event, state + moved) for event, state in known["targets"]),
         )
 
     @cached_property
@@ -199,10 +203,11 @@ class SampledController:
         name = "bare_control" if self.feed.is_live else "control"
         parts: tuple[str, ...]
         if self.has_model:
-            parts = ("law", "rate", "measure", "allocate", "wire", "virtual", "momentum", "remember", "lagged")
+            parts = ("law", "rate", "measure", "allocate", "wire", "virtual", "momentum", "remember")
+            parts = (*parts, "lagged", "conditions")
             module.add_factory(name, sampled_loop.control_with_model, *parts, sizes, **step)
         else:
-            parts = ("law", "allocate", "remember", "lagged")
+            parts = ("law", "allocate", "remember", "lagged", "conditions")
             module.add_factory(name, sampled_loop.control_with_differences, *parts, sizes, **step)
             module.add_factory("skip", sampled_loop.skip_with_differences, *parts[2:], sizes, work=work)
         if self.feed.is_live:
@@ -356,6 +361,7 @@ class _Lowered:
             ("momentum(t: float, e, p, g)", into("g", self.momentum), None),
             ("remember(t: float, y, p, dz)", into("dz", law.remembered), None),
             ("lagged(t: float, y, p, w)", into("w", law.lagged), None),
+            ("conditions(t: float, y, p, w)", into("w", law.conditions), None),
             ("transform(t: float, q, v, p, out)", into("out", [*law.eta, *law.rate]), None),
             ("still(t: float, y, p, u)", into("u", self.still_law.cancel), None),
             *([("push(t: float, y, d, p, out)", into("out", self.forces), None)] if self.is_live else []),

@@ -30,7 +30,7 @@ OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
         "seed",
         "plant": "kind model sensors actuators limits allocation own_effects",
         "model": "extends coordinates states definitions equations lagrangian dissipation forces terms outputs "
-        "energy scales oscillators elements drawing",
+        "energy scales oscillators elements events drawing",
         "dictionary": "dictionary",
     }.items()
 }

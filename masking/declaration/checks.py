@@ -56,6 +56,7 @@ def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
         for name, entry in getattr(model, section).items():
             found |= {f"{section}.{name}.{part}": getattr(entry, part) for part in parts}
     found |= {f"elements.{e}.acts.{name}": x for e, entry in model.elements.items() for name, x in entry.acts.items()}
+    found |= {f"events.{e}.{part}": x for e, entry in model.events.items() for part, x in entry.formulas}
     yield from ((path, x) for path, x in found.items() if isinstance(x, Expression))
     yield from ((f"equations.{left}", side) for left, right in model.equations.items() for side in (left, right))
 
@@ -67,6 +68,11 @@ def delayed(model: ModelDeclaration) -> Iterator[tuple[str, Problem]]:
             if step.operation == "delay":
                 where = "delay(...) stands in equations, forces and definitions"
                 yield path, expression.problem(step, "may not be delayed here", where)
+
+
+def beyond_ordinary(model: ModelDeclaration) -> list[str]:
+    """List what a model has that ordinary differential equations have not: delays, events."""
+    return [*["delays"] * any(delayed(model)), *["events"] * bool(model.events)]
 
 
 def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[str] = ()) -> list[Problem]:
@@ -85,6 +91,7 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
         problems += [
             *_structure(model),
             *_elements(model),
+            *_events(model),
             *_unused(model),
             *_cycles(model, "definitions", model.definitions),
         ]
@@ -141,7 +148,8 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
     rest = [*coordinates, *velocities(coordinates), *model.states, *model.inputs, *model.parameters]
     rest += [*model.definitions, "t"]
     moving = [*rest, *accelerations(coordinates)]
-    accelerated = _definitions_with_acceleration(model)
+    accelerated = _definitions_with(model, accelerations(coordinates))
+    steady = [symbol for symbol in moving if symbol not in model.inputs]
     own = [left for left in model.equations if model.state_of(left)]
     of_states = {f"equations.{left}" for left in own}
     for path, expression in formulas(model):
@@ -158,11 +166,13 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
             stretched += velocities(coordinates)
         if path.endswith(".force") and section == "elements":
             stretched = ["d", "d_rate", "t", *static, *model.states, *model.definitions]
-        allowed = {"parameters": static, "scales": static, "elements": stretched}.get(section, moving)
+        allowed = {"parameters": static, "scales": static, "elements": stretched, "events": steady}.get(section, moving)
         yield from check_symbols(expression, [*allowed, *rates], coordinates, known=moving)
         where = section if section in {"lagrangian", "dissipation", "energy"} else ""
         if path in of_states:
             where = "the equation of an internal state"
+        if section == "events":
+            where = "an event"
         if where:
             for symbol in sorted(expression.symbols):
                 if (symbol.endswith("''") and symbol in moving) or symbol in accelerated:
@@ -210,14 +220,15 @@ def check_symbols(
             yield problem
 
 
-def _definitions_with_acceleration(model: ModelDeclaration) -> set[str]:
+def _definitions_with(model: ModelDeclaration, symbols: Collection[str]) -> set[str]:
+    """Give the definitions that contain one of some symbols, by way of other definitions too."""
     found: set[str] = set()
     grown = True
     while grown:
         more = {
             name
             for name, expression in model.definitions.items()
-            if any(symbol.endswith("''") or symbol in found for symbol in expression.symbols)
+            if any(symbol in symbols or symbol in found for symbol in expression.symbols)
         }
         grown, found = more != found, more
     return found
@@ -287,6 +298,23 @@ def _elements(model: ModelDeclaration) -> Iterator[Problem]:
         for coordinate in element.acts:
             if model.lagrangian is None and coordinate in model.coordinates and not equation_of(model, coordinate):
                 yield no_equation(model, coordinate, f"elements.{name}.acts.{coordinate}")
+
+
+def _events(model: ModelDeclaration) -> Iterator[Problem]:
+    """Check that every event has a condition that changes, and jumps of states."""
+    states = [*model.coordinates, *velocities(model.coordinates), *model.states]
+    moving, driven = [*states, *model.definitions, "t"], _definitions_with(model, model.inputs)
+    for name, event in model.events.items():
+        for part, message, mend in event.problems(states, moving):
+            yield problem_at(model, f"events.{name}.{part}", message, mend, at_key=part.startswith("jumps."))
+        for _, expression in event.formulas:
+            for symbol in sorted(expression.symbols & driven):
+                message = f"'{symbol}' contains an input, which an event may not contain"
+                mend = "write the condition in terms of the motion, or give the model a state that follows the input"
+                yield expression.problem(expression.first(symbol), message, mend)
+    if model.events and any(delayed(model)):
+        mend = "leave one of them out"
+        yield problem_at(model, "events", "a model has events or delays, not both", mend, at_key=True)
 
 
 def no_equation(model: ModelDeclaration, coordinate: str, path: str) -> Problem:

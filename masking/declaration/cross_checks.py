@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from masking.declaration import transforms
-from masking.declaration.checks import accelerations, check_symbols, delayed, parameter_values, problem_at, velocities
+from masking.declaration.checks import (
+    accelerations,
+    beyond_ordinary,
+    check_symbols,
+    parameter_values,
+    problem_at,
+    velocities,
+)
 from masking.declaration.couplings import is_commanded
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration, Transform
@@ -18,9 +25,9 @@ _PROPOSED_DIVISORS = (1, 2, 4, 5, 10)
 def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Problem]:
     """List what in a plant does not fit its model."""
     problems = list(_overrides(plant, "parameters", plant.parameters, model))
-    if any(delayed(model)):
+    for what in beyond_ordinary(model):
         mend = "only models that are simulated by themselves, and virtual systems, do"
-        problems.append(problem_at(plant, "model", f"the model {model.name} has delays", mend))
+        problems.append(problem_at(plant, "model", f"the model {model.name} has {what}", mend))
     measurable = [*model.coordinates, *velocities(model.coordinates), *model.parameters]
     further = (*accelerations(model.coordinates), *model.states, *model.inputs, *model.outputs)
     seen = [*measurable, *(name for name in further if name not in measurable)]
@@ -87,6 +94,7 @@ def check_experiment(
     problems += _overrides(experiment, "parameters", experiment.parameters, virtual_model)
     assumed = believed_model or plant_model
     problems += _overrides(experiment, "controller.parameters", experiment.controller.parameters, assumed)
+    problems += _jumps(experiment, virtual_model, believed_model)
     problems += _initial(experiment, virtual_model, plant_model)
     problems += _effects(experiment, plant)
     problems += _sampling(experiment)
@@ -103,6 +111,24 @@ def check_experiment(
     if not plant_model.inputs:
         problems.append(problem_at(experiment, "plant", f"the model {plant_model.name} of the plant has no inputs"))
     return problems
+
+
+def _jumps(
+    experiment: ExperimentDeclaration, virtual: ModelDeclaration, believed: ModelDeclaration | None
+) -> Iterator[Problem]:
+    """Check that in an event only internal states jump, and in the virtual system alone."""
+    for name, event in virtual.events.items():
+        moved = [state for state in event.jumps if state not in virtual.states]
+        if moved:
+            message = (
+                f"in the event '{name}' of {virtual.name}, {', '.join(moved)} jumps, and no force makes a rig jump"
+            )
+            mend = "let internal states jump that make forces, or write a law of contact, as models/bouncing_ball.yaml"
+            yield problem_at(experiment, "virtual", message, mend)
+    if experiment.controller.model is not None and believed is not None:
+        for what in beyond_ordinary(believed):
+            message, mend = f"the model {believed.name} has {what}", "take a model of the rig without"
+            yield problem_at(experiment, "controller.model", message, mend)
 
 
 def recorded_rows(experiment: ExperimentDeclaration, time_scale: float, rows_per_unit: float) -> float:

@@ -197,6 +197,10 @@ class _Checker:
             self.lagrangian(action, time)
         for name in model.elements:
             self.element(name, action, time)
+        for path, expression in formulas(model):
+            if path.startswith("events."):
+                jumping = path.partition(".jumps.")[2]
+                self.same(self.symbols.get(jumping), expression, "what jumps is {}, its value afterwards {}")
         self.drawing()
         return self.problems
 

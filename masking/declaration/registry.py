@@ -34,7 +34,7 @@ D = TypeVar("D", bound=Declaration)
 
 _SHORT = dict.fromkeys(("coordinates", "states", "inputs"), "meaning")
 _SHORT |= {"parameters": "value", "outputs": "expression"}
-_MERGED = {*_SHORT, "definitions", "equations", "forces", "scales", "elements"}
+_MERGED = {*_SHORT, "definitions", "equations", "forces", "scales", "elements", "events"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
 from masking.declaration.drawing import Shape
+from masking.declaration.events import Event
 from masking.declaration.expression import Expression
 from masking.declaration.fields import (
     ControllerRate,
@@ -404,6 +405,7 @@ class ModelDeclaration(Declaration):
     scales: dict[TextField, Scale] = {}
     oscillators: tuple[Name, ...] | None = None
     elements: dict[Name, Element] = {}
+    events: dict[Name, Event] = {}
     drawing: tuple[Shape, ...] = ()
 
     def state_of(self, left: Expression) -> str | None:

@@ -132,6 +132,8 @@ def law_unit(loop: ClosedLoop, name: str, rate: float | None) -> Unit:
     inputs, notes = model.declaration.inputs, [STATES_READ]
     if controller.virtual.states:
         notes.append("Readings named virtual are internal states of the virtual system: the caller integrates them.")
+    if controller.virtual.declaration.events:
+        notes.append("At the events of the virtual system, the caller makes them jump.")
     return Unit(
         identifier(name),
         f"{model.name}, masked as {controller.virtual.name}: control law of the states",

@@ -70,7 +70,7 @@ def model_unit(model: Model, name: str, rate: float) -> Unit:
         name: of the unit.
         rate: steps per second, or per unit of the model's time.
     """
-    model.check_no_delays("an exported model")
+    model.check_ordinary("an exported model")
     module = lowering.module(model.equations)
     d, n, values, period = model.declaration, len(model.coordinates), model.values(), 1.0 / rate
     missing = {c: 0.0 for c, x in d.coordinates.items() if x.initial is None}

@@ -60,6 +60,23 @@ class Lag:
 
 
 @dataclass(frozen=True)
+class Events:
+    """The events of a model.
+
+    Args:
+        names: of the events.
+        conditions: an event is where its condition crosses zero upwards.
+        values: what jumps, afterwards.
+        targets: for each value, the index of its event and that of the state in y = [q, v, s].
+    """
+
+    names: tuple[str, ...]
+    conditions: tuple[sp.Expr, ...]
+    values: tuple[sp.Expr, ...]
+    targets: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
 class Equations:
     """The equations of a declared model in sympy; each part is derived when first asked for."""
 
@@ -207,6 +224,19 @@ class Equations:
     def rates(self) -> tuple[sp.Expr, ...]:
         """Return the rates of the internal states as expressions of time, state, inputs and parameters."""
         return tuple(self.symbolic(right) + self.acting(name) for name, right in self.declaration.rates.items())
+
+    @cached_property
+    def events(self) -> Events:
+        """Return the events; none where none are declared."""
+        declared, s = self.declaration.events, self.symbols
+        states = [symbol.name for symbol in (*s.q, *s.v, *s.s)]
+        jumps = [(i, states.index(n), x) for i, e in enumerate(declared.values()) for n, x in e.jumps.items()]
+        return Events(
+            tuple(declared),
+            tuple(self.symbolic(event.when) for event in declared.values()),
+            tuple(self.symbolic(value) for _, _, value in jumps),
+            tuple((event, state) for event, state, _ in jumps),
+        )
 
     @cached_property
     def energy(self) -> sp.Expr | None:

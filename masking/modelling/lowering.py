@@ -18,9 +18,10 @@ from masking.modelling.scales import Units
 if TYPE_CHECKING:
     import sympy as sp
 
-    from masking.numerics import delayed, integrators
+    from masking.numerics import delayed, events, integrators
 else:
     delayed = lazy.load("masking.numerics.delayed", suppress_warning=True)
+    events = lazy.load("masking.numerics.events", suppress_warning=True)
     integrators = lazy.load("masking.numerics.integrators", suppress_warning=True)
 
 
@@ -28,7 +29,8 @@ else:
 class LoweredEquations:
     """The symbols of a model as nodes, and its accelerations and the rates of its internal states.
 
-    Of delayed expressions, `lagged` is what they are now, and `delays` is by how long they are delayed.
+    Of delayed expressions, `lagged` is what they are now, and `delays` is by how long they are delayed. Of events,
+    `conditions` are the conditions, and then the values that jump.
 
     `loads` and `joined` tell for each symbol's text how a function reads it from its arguments: q and v apart, where
     the internal states follow the velocities in v, or one state vector y = [q, v, s].
@@ -42,6 +44,7 @@ class LoweredEquations:
     rates: list[Node] = field(default_factory=list)
     lagged: list[Node] = field(default_factory=list)
     delays: list[Node] = field(default_factory=list)
+    conditions: list[Node] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -75,7 +78,9 @@ class LoweredEquations:
         rates = [graph.lower(rate, nodes) for rate in equations.rates]
         lagged = [graph.lower(lag.value, nodes) for lag in equations.lags]
         delays = [graph.lower(lag.time, nodes) for lag in equations.lags]
-        return cls(equations, graph, nodes, accelerations, health, rates, lagged, delays)
+        happening = equations.events
+        conditions = [graph.lower(one, nodes) for one in (*happening.conditions, *happening.values)]
+        return cls(equations, graph, nodes, accelerations, health, rates, lagged, delays, conditions)
 
     def lower(self, expression: sp.Expr) -> Node:
         """Return the node of an expression in symbols of the model, accelerations included."""
@@ -134,6 +139,7 @@ def module(equations: Equations) -> Module:
     use_taylor = (
         size > 0
         and not lags
+        and not lowered.conditions
         and is_analytic(graph, [*derivatives, lowered.health])
         and not hides_a_switch(graph, derivatives)
         and products <= LARGEST_TAYLOR_COST
@@ -151,6 +157,8 @@ def module(equations: Equations) -> Module:
         "method": "taylor" if use_taylor else "runge_kutta",
         "has_energy": energy is not None,
         "lags": lags,
+        "events": list(equations.events.names),
+        "targets": list(equations.events.targets),
         "units": Units.of(equations.declaration).to_meta(),
     }
     module = Module(equations.name, meta)
@@ -172,32 +180,66 @@ def module(equations: Equations) -> Module:
     if use_taylor:
         module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined, order=order)
         module.add_factory("solve_taylor", integrators.taylor, "coefficients", order, size, work=(order + 1, size))
-    add_runge_kutta(module, graph, (lowered.lagged, lowered.delays), joined, (size, inputs))
+    added = Added(lowered.lagged, lowered.delays, lowered.conditions, equations.events.targets)
+    add_runge_kutta(module, graph, added, joined, (size, inputs))
     return module
+
+
+@dataclass(frozen=True)
+class Added:
+    """What stands beside the derivatives: nodes of delays and of events.
+
+    Args:
+        lagged: what the delayed expressions are now.
+        delays: by how long they are delayed.
+        conditions: conditions of events, and values that jump.
+        targets: for each of these, the index of its event and that of the state.
+    """
+
+    lagged: Sequence[Node]
+    delays: Sequence[Node]
+    conditions: Sequence[Node]
+    targets: tuple[tuple[int, int], ...]
+
+    @property
+    def events(self) -> int:
+        """Return the number of events."""
+        return len(self.conditions) - len(self.targets)
 
 
 def add_runge_kutta(
     module: Module,
     graph: Graph,
-    delayed_nodes: tuple[Sequence[Node], Sequence[Node]],
+    added: Added,
     loads: Mapping[str, str],
     sizes: tuple[int, int],
 ) -> None:
-    """Add `solve_runge_kutta` to a module with `derivative`, and what it needs for delays, if there are any.
+    """Add `solve_runge_kutta` to a module with `derivative`, and what it needs for delays and events, if there are any.
 
     Args:
         module: to add to.
         graph: that holds the nodes.
-        delayed_nodes: what the delayed expressions are now, and by how long they are delayed.
+        added: delays and events.
         loads: how symbols are read from the state vector.
         sizes: number of states that are integrated, and of inputs.
     """
-    (lagged, delays), (size, inputs) = delayed_nodes, sizes
-    if not lagged:
+    size, inputs = sizes
+
+    def add(signature: str, nodes: Sequence[Node]) -> None:
+        module.add(signature, graph, [(f"w[{i}]", node) for i, node in enumerate(nodes)], loads)
+
+    if added.conditions:
+        add("conditions(t: float, y, p, w)", added.conditions)
+        module.add_factory("jump", events.jumps, "conditions", added.events, added.targets, events.AT_ONCE)
+        given = ("derivative", "conditions", size, added.events, inputs)
+        shape = events.work_shape(size, len(added.conditions), inputs)
+        module.add_factory("solve_runge_kutta", events.runge_kutta, *given, work=shape)
+        return
+    if not added.lagged:
         module.add_factory("solve_runge_kutta", integrators.runge_kutta, "derivative", size, work=(24, size))
         return
-    for signature, nodes in (("lagged(t: float, y, p, w)", lagged), ("delays(p, w)", delays)):
-        module.add(signature, graph, [(f"w[{i}]", node) for i, node in enumerate(nodes)], loads)
-    counts = (size, len(lagged), inputs)
+    add("lagged(t: float, y, p, w)", added.lagged)
+    add("delays(p, w)", added.delays)
+    counts = (size, len(added.lagged), inputs)
     made = (delayed.runge_kutta, "derivative", "lagged", "delays", *counts)
     module.add_factory("solve_runge_kutta", *made, work=delayed.history_shape(*counts))

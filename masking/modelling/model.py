@@ -88,11 +88,15 @@ class Model:
             value, unit = values[name] / units.conversions[p.unit].factor, pretty(p.unit)
             rows.append((symbols.markup(name), f"{value:.6g}", unit, p.meaning))
         parts.append(fragments.table(("parameter", "value", "unit", "meaning"), rows, numbers=(1,)))
+        if d.events:
+            said = [(name, event.when.text, event.written, event.meaning) for name, event in d.events.items()]
+            parts.append(fragments.table(("event", "where this crosses zero upwards", "jumps", "meaning"), said))
         return fragments.card(self.name, self._size_in_words, *parts)
 
     @property
     def _size_in_words(self) -> str:
         kinds = {"coordinates": self.coordinates, "states": self.states, "inputs": self.inputs}
+        kinds |= {"events": tuple(self.declaration.events)}
         named = [f"{kind} {', '.join(names)}" for kind, names in kinds.items() if names]
         return "; ".join([*named, f"{len(self.parameters)} parameters"])
 
@@ -145,6 +149,19 @@ class Model:
                     f"{self.name}: a delay is {found.min():g}; give its parameters values that make it positive"
                 )
         return found
+
+    def check_ordinary(self, what: str) -> None:
+        """Refuse a model with delays or events for what knows none.
+
+        Raises:
+            ModelError: it has them.
+        """
+        self.check_no_delays(what)
+        if self.declaration.events:
+            raise ModelError(
+                f"{self.name} has events, which {what} does not take: its states jump; simulate it, or mask it as a "
+                "virtual system"
+            )
 
     def check_no_delays(self, what: str) -> None:
         """Refuse a model with delays for what knows none.
@@ -248,6 +265,7 @@ class Model:
             "equations": [[left.text, right.text] for left, right in d.equations.items()],
             **{kind: getattr(getattr(d, kind), "text", None) for kind in ("lagrangian", "dissipation", "energy")},
             "outputs": {n: o.expression.text for n, o in d.outputs.items()},
+            **({"events": {n: {p: x.text for p, x in e.formulas} for n, e in d.events.items()}} if d.events else {}),
             "laws": {
                 n: [e.force.text, *(x.text for x in motions(e)), *((on, x.text) for on, x in e.acts.items())]
                 for n, e in d.elements.items()
@@ -398,7 +416,7 @@ class Model:
         Raises:
             ModelError: the model has one output and no inputs, which python-control cannot hold.
         """
-        self.check_no_delays("a linear system")
+        self.check_ordinary("a linear system")
         e, s = self.equations, self.equations.symbols
         if not s.u and len(self.outputs or self.coordinates) == 1:
             raise ModelError(
@@ -433,7 +451,7 @@ class Model:
 
         States, inputs and outputs are those of `linearise`; parameters are the model's, by name.
         """
-        self.check_no_delays("python-control")
+        self.check_ordinary("python-control")
         kernels, n, values = self.kernels, len(self.coordinates), self.parameter_values()
         outputs = [*(self.outputs or self.coordinates)]
 

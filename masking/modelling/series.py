@@ -159,17 +159,19 @@ def integrate(
             "what depends on the past by a delay is not integrated with inputs that are series; give an expression "
             "of the time, or leave the delays out"
         )
-    ends, begin, row = np.append(inner, times[-1]), float(times[0]), 0
+    ends, begin, row, events = np.append(inner, times[-1]), float(times[0]), 0, list[tuple[float, str]]()
     for done, end in enumerate(ends, 1):
         last = int(np.searchsorted(times, end, side="right"))
         schedule.set(begin, p)
         grid = np.concatenate([[begin], times[row:last], [end]])
         found = kernels.integrate(grid, y, inputs, p, tolerance=tolerance)
         states[row:last] = found.states[1:-1]
+        events += found.events
         y, begin, row, steps = found.states[-1].copy(), float(end), last, steps + found.steps
         if progress is not None:
             progress(done / len(ends))
-    return Trajectory(times, states, tuple(kernels.meta["coordinates"]), steps, tuple(kernels.meta.get("states", ())))
+    names, internal = kernels.meta["coordinates"], kernels.meta.get("states", ())
+    return Trajectory(times, states, tuple(names), steps, tuple(internal), tuple(events))
 
 
 class _Simulated(Protocol):

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from typing import Any
 
 from masking.numerics.arrays import Matrix, Vector
-from masking.numerics.integrators import compiled, copy, embedded_steps
+from masking.numerics.integrators import compiled, copy, embedded_steps, no_event
 
 Kernel = Callable[..., Any]
 
@@ -109,7 +109,7 @@ def runge_kutta(derivative: Kernel, lagged: Kernel, delays: Kernel, size: int, l
         past[HEAD, 1] = count + 1.0
         return count < STEPS or oldest + longest < t
 
-    solve_with = embedded_steps(filled, bound, keep, size, True)
+    solve_with = embedded_steps(filled, bound, keep, size, True, no_event, False)
 
     @compiled
     def solve(

@@ -22,7 +22,7 @@ import numba
 
 from masking.numerics.arrays import Matrix, Vector
 from masking.numerics.dop853 import E3, E5, STAGES, A, C, D
-from masking.numerics.stop_codes import NOT_FINITE, REACHED, SINGULAR, TOO_MANY_STEPS, TOO_SMALL_STEP
+from masking.numerics.stop_codes import EVENT, NOT_FINITE, REACHED, SINGULAR, TOO_MANY_STEPS, TOO_SMALL_STEP
 
 Kernel = Callable[..., Any]
 
@@ -176,7 +176,7 @@ def runge_kutta(derivative: Kernel, size: int) -> Kernel:
     Returns:
         `solve`, with arguments and results as those of `taylor`, and `work` (24, n).
     """
-    return embedded_steps(derivative, unbounded, forget, size, False)
+    return embedded_steps(derivative, unbounded, forget, size, False, no_event, False)
 
 
 @compiled
@@ -191,8 +191,30 @@ def forget(t, y, f, h, u):
     return True
 
 
-def embedded_steps(derivative: Kernel, bound: Kernel, keep: Kernel, size: int, keeps: bool) -> Kernel:
-    """Make the integrator of `runge_kutta` with steps that are bounded and kept.
+@compiled
+def no_event(t, y, f, length, u, p):
+    """Find no event in a step."""
+    return 2.0
+
+
+def dense_output(size: int) -> Kernel:
+    """Make `interpolate(y, f, x, state)`: the state at a part x of a step from y with the coefficients f."""
+
+    @compiled
+    def interpolate(y, f, x, state):
+        for i in range(size):
+            value = f[6, i]
+            for r in range(5, -1, -1):
+                value = f[r, i] + (1.0 - x if r % 2 == 0 else x) * value
+            state[i] = y[i] + x * value
+
+    return interpolate
+
+
+def embedded_steps(
+    derivative: Kernel, bound: Kernel, keep: Kernel, size: int, keeps: bool, crossing: Kernel, watches: bool
+) -> Kernel:
+    """Make the integrator of `runge_kutta` with steps that are bounded and kept, and that end at events.
 
     Args:
         derivative: writes the derivatives, and what of y is not integrated.
@@ -201,7 +223,10 @@ def embedded_steps(derivative: Kernel, bound: Kernel, keep: Kernel, size: int, k
             where it cannot.
         size: number n of states that are integrated.
         keeps: whether steps are kept, and what of y is not integrated is recorded.
+        crossing: `crossing(t, y, f, h, u, p)` gives the part of a step after which an event comes; above 1 for none.
+        watches: whether there are events.
     """
+    interpolate = dense_output(size)
 
     @compiled
     def stage(row, y, h, k, state):
@@ -264,14 +289,6 @@ def embedded_steps(derivative: Kernel, bound: Kernel, keep: Kernel, size: int, k
                 f[3 + r, i] = h * value
 
     @compiled
-    def interpolate(y, f, x, state):
-        for i in range(size):
-            value = f[6, i]
-            for r in range(5, -1, -1):
-                value = f[r, i] + (1.0 - x if r % 2 == 0 else x) * value
-            state[i] = y[i] + x * value
-
-    @compiled
     def solve(
         t: float, y: Vector, times: Vector, u: Vector, p: Vector, tolerance: float, fixed_step: float, states: Matrix,
         work: Matrix,
@@ -323,8 +340,12 @@ def embedded_steps(derivative: Kernel, bound: Kernel, keep: Kernel, size: int, k
                 h = 0.5 * abs(length)  # come as close to it as time resolves
                 continue
             reached = end if is_last else t + length
-            if keeps or (times[j] - reached) * direction <= 0.0:
+            part = 2.0
+            if keeps or watches or (times[j] - reached) * direction <= 0.0:
                 interpolant(t, y, new, u, p, length, k, f)
+                if watches:
+                    part = crossing(t, y, f, length, u, p)
+                    reached = t + part * length if part <= 1.0 else reached
                 while j < m and (times[j] - reached) * direction <= 0.0:
                     interpolate(y, f, (times[j] - t) / length, states[j])
                     if keeps:
@@ -332,6 +353,10 @@ def embedded_steps(derivative: Kernel, bound: Kernel, keep: Kernel, size: int, k
                     j += 1
                 if keeps and not keep(t, y, f, length, u):
                     return TOO_MANY_STEPS, t, steps
+            if part <= 1.0:
+                interpolate(y, f, part, new)
+                copy(new, y, size)
+                return EVENT, reached, steps
             t = reached
             for i in range(size):
                 y[i] = new[i]

@@ -9,10 +9,11 @@ together with them. Their arguments, with y = [q, v, s] the rig's state (coordin
 * `rate(t, y, u, p, dy)` writes dy/dt of the controller's model;
 * `measure(t, y, p, s)` writes what the sensors would read;
 * `allocate(u, p, out)` writes the actuators' commands that give inputs u, and `wire(out, p, u)` the reverse;
-* `virtual` and `momentum` are those of `masking.numerics.energy_balance`, `remember` and `lagged` of `virtual_memory`.
+* `virtual` and `momentum` are those of `masking.numerics.energy_balance`, `remember`, `lagged` and
+  `conditions` of `virtual_memory`.
 """
-# ruff: noqa: ANN001, ANN201, ANN202, PLR0917
-# The types are numba's to infer.
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0915, PLR0917
+# The types are numba's to infer, and what a kernel calls stands before it.
 
 from __future__ import annotations
 
@@ -71,7 +72,7 @@ def predict(rate: Kernel, sizes: Sizes) -> Kernel:
     return step
 
 
-def hold(law: Kernel, rate: Kernel, follow: Kernel, recall: Kernel, sizes: Sizes) -> Kernel:
+def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Kernel, sizes: Sizes) -> Kernel:
     """Make the control law for an output that is held over a sample.
 
     An output that is held from t to t + h should act as one that follows the law g(t) continuously does. To fourth
@@ -83,14 +84,18 @@ def hold(law: Kernel, rate: Kernel, follow: Kernel, recall: Kernel, sizes: Sizes
     of the rig by h^2/12 g', since the rig's own velocity runs ahead of and behind it within each sample. Internal
     states of the model move along it too. measured: with that of a hysteresis held, its force is late by half a
     sample, which takes 23 % of the amplitude of clocks in 320 s. Those of the virtual system are integrated along it
-    by `follow`.
+    by `glide`. Where they jump within the sample, they are shifted by the mean of that, so that the output has the
+    impulse of the law. measured: without, chi of clocks with escapements at 500 Hz, on a rig that is known, is 0.035
+    instead of 2e-4.
 
     Returns:
         `hold(t, since, z, past, p, h, u, work) -> health`, which writes the inputs u for an estimate z at time t.
     """
     n, size, m, order = sizes.coordinates, sizes.states, sizes.inputs, sizes.order
-    remembers = sizes.remembered + sizes.lags > 0
+    remembers, jumping = sizes.remembered + sizes.lags > 0, sizes.events > 0
+    first, last = sizes.memory.start, sizes.memory.stop
     saved, spare = (26, 27) if remembers else (0, 0)
+    shifting = 38 if jumping else 0
 
     @compiled
     def disturbance(z, ahead, d):
@@ -103,7 +108,7 @@ def hold(law: Kernel, rate: Kernel, follow: Kernel, recall: Kernel, sizes: Sizes
     @compiled
     def remind(t, h, a, y, past, p, space):
         if remembers:
-            follow(t, h, a, y, past, p, space)
+            glide(t, h, a, y, past, p, space)
             recall(t + h, y, past)
 
     @compiled
@@ -113,10 +118,16 @@ def hold(law: Kernel, rate: Kernel, follow: Kernel, recall: Kernel, sizes: Sizes
         remind(t, h, a, y, past, p, space)
 
     @compiled
+    def shift(y, m):
+        if jumping:
+            for i in range(first, last):
+                y[i] += m[i]
+
+    @compiled
     def held(t, since, z, past, p, h, u, work):
         y, d, u0, u1, u2 = work[0], work[1][:n], work[2][:m], work[3][:m], work[4][:m]
         r0, r1, r2, g0, g2, v = work[5][:n], work[6][:n], work[7][:n], work[8][:n], work[9][:n], work[10][:n]
-        s0, s2, before, space = work[22], work[23], work[saved], work[spare:]
+        s0, s2, before, space, jumped = work[22], work[23], work[saved], work[spare:], work[shifting]
         copy(z, y, size)
         remind(t, 0.0, z, y, past, p, space)
         disturbance(z, 0.0, d)
@@ -125,7 +136,10 @@ def hold(law: Kernel, rate: Kernel, follow: Kernel, recall: Kernel, sizes: Sizes
         for i in range(n):
             y[i] = z[i] + h * (z[n + i] + 0.5 * h * r0[i])
             y[n + i] = z[n + i] + h * r0[i]
+        if jumping:
+            mean_jump(t, h, z, y, past, p, space, jumped)
         internal(z, h, 0.0, s0, s0, t, h, z, y, past, p, space)
+        shift(y, jumped)
         disturbance(z, h, d)
         law(t + h, since, y, d, p, u2, r2, g2)
         rate(t + h, y, u2, p, s2)
@@ -134,6 +148,7 @@ def hold(law: Kernel, rate: Kernel, follow: Kernel, recall: Kernel, sizes: Sizes
             y[i] = z[i]
             y[n + i] = v[i]
         internal(z, 0.0, 0.0, s0, s2, t, 0.0, z, y, past, p, space)
+        shift(y, jumped)
         copy(y, before, size)
         disturbance(z, 0.0, d)
         law(t, since, y, d, p, u0, r0, g0)
@@ -209,7 +224,7 @@ def advance_queue(queue, u, m):
 
 def control_with_model(
     law: Kernel, rate: Kernel, measure: Kernel, allocate: Kernel, wire: Kernel, virtual: Kernel, momentum: Kernel,
-    remember: Kernel, lagged: Kernel, sizes: Sizes,
+    remember: Kernel, lagged: Kernel, conditions: Kernel, sizes: Sizes,
 ) -> Kernel:  # fmt: skip
     """Make the step of a controller that follows the rig with a model: observe, predict, T, D, L, G, hold, limit.
 
@@ -224,8 +239,8 @@ def control_with_model(
     powers, following, remembered, rest = sizes.power, sizes.next, sizes.balance, sizes.rest
     is_balanced, offsets, channels = sizes.balanced > 0, sizes.offsets, sizes.actuators
     remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(lagged, sizes)
-    follow, then = follow_memory(remember, recall, sizes), sizes.past
-    step, held, limit = predict(rate, sizes), hold(law, rate, follow, recall, sizes), limiter(sizes)
+    (follow, glide, mean_jump), then = follow_memory(remember, recall, conditions, sizes), sizes.past
+    step, held, limit = predict(rate, sizes), hold(law, rate, glide, mean_jump, recall, sizes), limiter(sizes)
     balance = energy_balance(virtual, momentum, sizes)
 
     @compiled
@@ -281,7 +296,7 @@ def control_with_model(
     return control
 
 
-def skip_with_differences(remember: Kernel, lagged: Kernel, sizes: Sizes) -> Kernel:
+def skip_with_differences(remember: Kernel, lagged: Kernel, conditions: Kernel, sizes: Sizes) -> Kernel:
     """Make the step of a sample that was missed: the rig is taken to move on at its last velocity.
 
     Returns:
@@ -290,7 +305,7 @@ def skip_with_differences(remember: Kernel, lagged: Kernel, sizes: Sizes) -> Ker
     n, length = sizes.coordinates, sizes.estimate
     next_one, warm = length + sizes.actuators, heat(sizes)
     remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(lagged, sizes)
-    follow, then = follow_memory(remember, recall, sizes), sizes.past
+    (follow, _, _), then = follow_memory(remember, recall, conditions, sizes), sizes.past
 
     @compiled
     def skip(t: float, h: float, x: Vector, p: Vector, table: Matrix, command: Vector, work: Matrix) -> None:
@@ -308,7 +323,9 @@ def skip_with_differences(remember: Kernel, lagged: Kernel, sizes: Sizes) -> Ker
     return skip
 
 
-def control_with_differences(law: Kernel, allocate: Kernel, remember: Kernel, lagged: Kernel, sizes: Sizes) -> Kernel:
+def control_with_differences(
+    law: Kernel, allocate: Kernel, remember: Kernel, lagged: Kernel, conditions: Kernel, sizes: Sizes
+) -> Kernel:
     """Make the step of a controller that differences the positions and applies the law at once.
 
     Source: Rijlaarsdam (2008), chapter 6; its velocities are late by half a sample, its output by half a sample more.
@@ -320,7 +337,8 @@ def control_with_differences(law: Kernel, allocate: Kernel, remember: Kernel, la
     n, m, length, fixed = sizes.coordinates, sizes.inputs, sizes.estimate, sizes.fixed
     next_one = length + sizes.actuators
     limit, recall, notice = limiter(sizes), recall_past(sizes), notice_past(lagged, sizes)
-    remembers, follow, then = sizes.remembered + sizes.lags > 0, follow_memory(remember, recall, sizes), sizes.past
+    remembers, then = sizes.remembered + sizes.lags > 0, sizes.past
+    follow, _, _ = follow_memory(remember, recall, conditions, sizes)
 
     @compiled
     def control(

@@ -23,6 +23,8 @@ class Sizes:
         remembered: internal states of the virtual system.
         lags: its delayed expressions.
         kept: samples of them that are kept; 0 where there are none.
+        events: of the virtual system.
+        targets: for each value that jumps in them, the index of its event and that of the state in [q, v, s].
     """
 
     coordinates: int
@@ -35,6 +37,8 @@ class Sizes:
     remembered: int = 0
     lags: int = 0
     kept: int = 0
+    events: int = 0
+    targets: tuple[tuple[int, int], ...] = ()
 
     @property
     def memory(self) -> slice:
@@ -91,6 +95,6 @@ class Sizes:
     @property
     def work(self) -> tuple[int, int]:
         """Return the shape of the work space, whose rows must also hold the readings and the rig's states."""
-        return 34 if self.remembered + self.lags else 26, max(
-            self.estimate, self.inputs, self.actuators, 3 * self.balanced + 2
-        )
+        rows = 39 if self.events else 34 if self.remembered + self.lags else 26
+        switched = self.events + len(self.targets)
+        return rows, max(self.estimate, self.inputs, self.actuators, 3 * self.balanced + 2, switched)

@@ -5,6 +5,7 @@ from __future__ import annotations
 REACHED, TOO_SMALL_STEP, SINGULAR, NOT_FINITE, TOO_MANY_STEPS = 0, 1, 2, 3, 4
 # Of a Kalman filter: its covariance is not positive; a parameter has moved so far that derivatives are found anew.
 NOT_POSITIVE, LINEARISE = 5, 6
+EVENT = 8  # not an end: what jumps there, jumps; 7 is that of an exported unit's watchdog
 
 MESSAGES = {
     SINGULAR: "the matrix that gives the accelerations or the inputs became singular",

@@ -3,10 +3,10 @@
 For the rig's state y = [q, v, s, z, w], `remember(t, y, p, dz)` writes the rates of the virtual system's internal
 states z, and `lagged(t, y, p, w)` what its delayed expressions are now. What they were is kept at the samples, those
 that are predicted included, and read between them by a cubic: `Sizes.past` says where. Until the release they are as at
-its beginning.
+its beginning. `conditions(t, y, p, w)` writes the conditions of its events, and then the values that jump.
 """
-# ruff: noqa: ANN001, ANN202, PLR0917
-# The types are numba's to infer.
+# ruff: noqa: ANN001, ANN202, PLR0915, PLR0917
+# The types are numba's to infer, and what a kernel calls stands before it.
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from masking.numerics.events import jumps
 from masking.numerics.integrators import compiled, copy
 from masking.numerics.sizes import Sizes
 
@@ -21,6 +22,8 @@ Kernel = Callable[..., Any]
 
 # measured: with four steps in a sample, a hysteresis and bristles are resolved as finely as the motion is known.
 STEPS = 4
+EVENTS = 8  # in one of these
+HALVINGS = 16  # of one of these, to find an event
 
 
 def notice_past(lagged: Kernel, sizes: Sizes) -> Kernel:
@@ -69,18 +72,23 @@ def recall_past(sizes: Sizes) -> Kernel:
     return recall
 
 
-def follow_memory(remember: Kernel, recall: Kernel, sizes: Sizes) -> Kernel:
+def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: Sizes) -> tuple[Kernel, Kernel, Kernel]:
     """Make the integration of internal states between two states of the rig.
 
     Between them the rig moves along the cubic that has their coordinates and velocities, so that what is integrated is
-    the motion that was estimated, its corrections included. Each part is a step of the classical Runge-Kutta method.
-    Until the release, at time 0, internal states stay as they are.
+    the motion that was estimated, its corrections included. Each part is a step of the classical Runge-Kutta method; at
+    an event it ends, and the states jump; of those beyond `EVENTS` in a part, none jumps. Until the release, at time 0,
+    internal states stay as they are.
 
     Returns:
         `follow(t, h, a, b, past, p, work)`, for a motion of length h from state a at time t to state b; reads z in a
-        and writes it in b; `work` (6, states) is work space.
+        and writes it in b; `work` (11, states) is work space, of which the last six rows are for events.
+        `glide`, with the same arguments, which passes over events as if there were none.
+        `mean_jump(t, h, a, b, past, p, work, m)`, which writes by how much z is further on the mean of the motion than
+        without its events.
     """
-    n, first, last = sizes.coordinates, sizes.memory.start, sizes.memory.stop
+    n, first, last, events = sizes.coordinates, sizes.memory.start, sizes.memory.stop, sizes.events
+    jump = jumps(conditions, events, sizes.targets, EVENTS)
 
     @compiled
     def place(a, b, h, x, y):
@@ -91,35 +99,126 @@ def follow_memory(remember: Kernel, recall: Kernel, sizes: Sizes) -> Kernel:
             y[n + i] = (early + x * (2.0 * square + 3.0 * x * cube)) / h
 
     @compiled
+    def advance(t, h, a, b, x, part, past, p, y, k):
+        begin, dt = t + x * h, part * h
+        place(a, b, h, x, y)
+        for i in range(first, last):
+            y[i] = b[i]
+        recall(begin, y, past)
+        remember(begin, y, p, k[0])
+        place(a, b, h, x + 0.5 * part, y)
+        for i in range(first, last):
+            y[i] = b[i] + 0.5 * dt * k[0, i - first]
+        recall(begin + 0.5 * dt, y, past)
+        remember(begin + 0.5 * dt, y, p, k[1])
+        for i in range(first, last):
+            y[i] = b[i] + 0.5 * dt * k[1, i - first]
+        remember(begin + 0.5 * dt, y, p, k[2])
+        place(a, b, h, x + part, y)
+        for i in range(first, last):
+            y[i] = b[i] + dt * k[2, i - first]
+        recall(begin + dt, y, past)
+        remember(begin + dt, y, p, k[3])
+        for i in range(first, last):
+            m = i - first
+            b[i] += dt / 6.0 * (k[0, m] + 2.0 * (k[1, m] + k[2, m]) + k[3, m])
+
+    @compiled
+    def look(t, h, a, b, x, p, y, w):
+        place(a, b, h, x, y)
+        for i in range(first, last):
+            y[i] = b[i]
+        conditions(t + x * h, y, p, w)
+
+    @compiled
+    def has_crossed(below, w):
+        found = 0
+        for e in range(events):
+            if below[e] > 0.0 and w[e] >= 0.0:
+                found = 1
+        return found
+
+    @compiled
+    def again(t, h, a, b, x, end, past, p, work):
+        for i in range(first, last):
+            b[i] = work[6, i]
+        advance(t, h, a, b, x, end - x, past, p, work[0], work[1:5])
+        look(t, h, a, b, end, p, work[0], work[7])
+
+    @compiled
+    def advance_over_events(t, h, a, b, x, part, past, p, work):
+        y, k, before, w, below, counts = work[0], work[1:5], work[6], work[7], work[8], work[9]
+        at, end, total = x, x + part, work[10]
+        look(t, h, a, b, at, p, y, w)
+        for e in range(events):
+            below[e] = 1.0 if w[e] < 0.0 else 0.0
+        for _ in range(EVENTS):
+            if at < end:
+                for i in range(first, last):
+                    before[i] = b[i]
+                advance(t, h, a, b, at, end - at, past, p, y, k)
+                look(t, h, a, b, end, p, y, w)
+                if has_crossed(below, w) == 0:
+                    for i in range(first, last):
+                        total[i] += 0.5 * (end - at) * (before[i] + b[i])
+                    at = end
+                else:
+                    low, high = at, end
+                    for _ in range(HALVINGS):
+                        middle = 0.5 * (low + high)
+                        again(t, h, a, b, at, middle, past, p, work)
+                        if has_crossed(below, w) == 0:
+                            low = middle
+                        else:
+                            high = middle
+                    again(t, h, a, b, at, high, past, p, work)
+                    jump(t + high * h, y, p, below, counts, w)
+                    for i in range(first, last):
+                        total[i] += 0.5 * (high - at) * (before[i] + b[i])
+                        b[i] = y[i]
+                    at = high
+        if at < end:
+            advance(t, h, a, b, at, end - at, past, p, y, k)
+
+    @compiled
     def follow(t, h, a, b, past, p, work):
         y, k = work[0], work[1:5]
         for i in range(first, last):
             b[i] = a[i]
         if first < last and h > 0.0 and t > -0.25 * h:
             copy(a, y, first)
-            dt, part = h / STEPS, 1.0 / STEPS
             for j in range(STEPS):
-                begin = t + j * dt
-                place(a, b, h, j * part, y)
-                for i in range(first, last):
-                    y[i] = b[i]
-                recall(begin, y, past)
-                remember(begin, y, p, k[0])
-                place(a, b, h, (j + 0.5) * part, y)
-                for i in range(first, last):
-                    y[i] = b[i] + 0.5 * dt * k[0, i - first]
-                recall(begin + 0.5 * dt, y, past)
-                remember(begin + 0.5 * dt, y, p, k[1])
-                for i in range(first, last):
-                    y[i] = b[i] + 0.5 * dt * k[1, i - first]
-                remember(begin + 0.5 * dt, y, p, k[2])
-                place(a, b, h, (j + 1.0) * part, y)
-                for i in range(first, last):
-                    y[i] = b[i] + dt * k[2, i - first]
-                recall(begin + dt, y, past)
-                remember(begin + dt, y, p, k[3])
-                for i in range(first, last):
-                    m = i - first
-                    b[i] += dt / 6.0 * (k[0, m] + 2.0 * (k[1, m] + k[2, m]) + k[3, m])
+                if events > 0:
+                    advance_over_events(t, h, a, b, j / STEPS, 1.0 / STEPS, past, p, work)
+                else:
+                    advance(t, h, a, b, j / STEPS, 1.0 / STEPS, past, p, y, k)
 
-    return follow
+    @compiled
+    def glide(t, h, a, b, past, p, work):
+        y, k = work[0], work[1:5]
+        for i in range(first, last):
+            b[i] = a[i]
+        if first < last and h > 0.0 and t > -0.25 * h:
+            copy(a, y, first)
+            for j in range(STEPS):
+                advance(t, h, a, b, j / STEPS, 1.0 / STEPS, past, p, y, k)
+
+    @compiled
+    def mean_jump(t, h, a, b, past, p, work, m):
+        total = work[10]
+        for i in range(first, last):
+            m[i] = 0.0
+            total[i] = 0.0
+        if t > -0.25 * h:
+            follow(t, h, a, b, past, p, work)
+            for i in range(first, last):
+                m[i] = total[i]
+                b[i] = a[i]
+            for j in range(STEPS):
+                for i in range(first, last):
+                    m[i] -= 0.5 / STEPS * b[i]
+                advance(t, h, a, b, j / STEPS, 1.0 / STEPS, past, p, work[0], work[1:5])
+                for i in range(first, last):
+                    m[i] -= 0.5 / STEPS * b[i]
+
+    return follow, glide, mean_jump

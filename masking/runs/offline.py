@@ -135,7 +135,7 @@ def run_sampled(
         SingularityError: the decoupling matrix became singular; holds the state.
         IntegrationError: the state or the inputs are no longer finite.
     """
-    loop.controller.virtual.check_no_delays("a controller with 'observer: exact'")
+    loop.controller.virtual.check_ordinary("a controller with 'observer: exact'")
     if not (rate > 0.0 and duration > 0.0 and every >= 1 and (substeps is None or substeps >= 1)):
         raise ModelError(
             f"rate {rate:g}, duration {duration:g}, every {every}, substeps {substeps}: all must be positive"

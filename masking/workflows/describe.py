@@ -77,6 +77,8 @@ def model(subject: Model) -> Description:
     rates = {f"{n}'": e.written(rate) for n, rate in zip(d.states, e.rates, strict=True)}
     typeset = [line for left, right in (*sides, *rates.items()) for line in _equation(left, right)]
     lines += ["equations", *typeset, ""] if typeset else []
+    events = [(n, f"{one.when.text} crosses 0", one.written, one.meaning) for n, one in d.events.items()]
+    lines += _table("events", events)
     if e.energy is not None:
         lines += ["energy", *_equation("E", e.energy), ""]
     values = subject.parameter_values()
@@ -183,8 +185,10 @@ def experiment(subject: Experiment) -> Description:
             if gain[i, j] != 0
         },
     }
+    happening = [(n, f"{one.when.text} crosses 0", one.written) for n, one in virtual.declaration.events.items()]
     zero = subject.passive.zero_dynamics if subject.passive else None
     lines += [str(zero), ""] if zero else []
+    lines += _table("events of the virtual system", happening)
     for title, equations in blocks.items():
         lines += [title, *(line for name, value in equations.items() for line in _equation(name, value)), ""]
     content = {

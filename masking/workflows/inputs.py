@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from masking.declaration import registry
-from masking.declaration.checks import delayed
+from masking.declaration.checks import beyond_ordinary
 from masking.declaration.couplings import driven_outputs
 from masking.declaration.expression import Expression
 from masking.declaration.schema import ModelDeclaration, PlantDeclaration, Sensor
@@ -118,9 +118,9 @@ def rig(model: str | Path | None, plant: str | Path | None) -> Twin:
         raise DeclarationError(Problem(None, "model", "there is nothing to hold the record against", mend))
     else:
         base = registry.load_model(model)
-        if any(delayed(base)):
-            message = f"the model {base.name} has delays, which are not estimated"
-            raise DeclarationError(Problem(None, "model", message, "name a model without delay(...)"))
+        for what in beyond_ordinary(base):
+            message = f"the model {base.name} has {what}, which are not estimated"
+            raise DeclarationError(Problem(None, "model", message, f"name a model without {what}"))
         twin = Twin(PlantDeclaration(name=base.name, model=str(model), sensors=_sensors(base)), base)
     twin.validate()
     twin.model.check_mass()

@@ -217,9 +217,10 @@ class Sampled:
 
 
 def is_exported(name: str) -> bool:
-    """Tell whether an experiment is exported: a law that is given the states keeps no past."""
+    """Tell whether an experiment is in the table: a law that is given the states keeps no past, and makes no jumps."""
     experiment = Experiment.load(name)
-    return experiment.has_observer or not len(experiment.virtual.delays())
+    virtual = experiment.virtual
+    return experiment.has_observer or not (len(virtual.delays()) or virtual.declaration.events)
 
 
 def row(name: str) -> str:

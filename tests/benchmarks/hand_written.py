@@ -188,6 +188,25 @@ def bouc_wen() -> Virtual:
     return slope
 
 
+def clocks() -> Virtual:
+    """Return the clocks with escapements."""
+    last, drive, w = np.zeros(2), np.zeros(2), np.array([1.0, 1.02])
+
+    def slope(t: float, q: Array, v: Array, _: float) -> Array:
+        nonlocal last
+        x, y = q / 0.005, v / (0.005 * SECOND)
+        d, rate = x[:2] - x[2], y[:2] - y[2]
+        for sign in (1.0, -1.0):
+            drive[(sign * last < 0.0) & (sign * d >= 0.0)] = sign * 0.12
+            drive[(sign * last < 0.2) & (sign * d >= 0.2)] = 0.0
+        last = d
+        f = w**2 * d + 0.06 * w * rate - drive
+        beam = 0.05 * f.sum() - 0.64 * x[2] - 0.16 * y[2] + 0.15 * np.sin(0.3 * SECOND * t)
+        return 0.005 * SECOND**2 * np.append(-f, beam)
+
+    return slope
+
+
 def delayed() -> Virtual:
     """Return the oscillators with delayed feedback."""
     w, late = np.array([1.0, 1.15]), np.round(np.array([4.0, 3.0]) / SECOND * RATE).astype(int)

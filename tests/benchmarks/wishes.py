@@ -129,6 +129,7 @@ WISHES = {
         Wish("a one-sided stop", "cart_stop", hand.cart, hand.stop),
         Wish("half the inertia, a push is felt", "cart_felt", hand.cart_pendulum, lambda: hand.light_cart, PUSH),
         Wish("Bouc-Wen springs", "bouc_wen_rig", hand.setup, hand.bouc_wen, None, "bouc_wen", short=40),
+        Wish("clocks with escapements", "escapements_rig", hand.setup, hand.clocks, None, "escapements", short=40),
         Wish(
             "delayed oscillators",
             "delayed_oscillators_rig",

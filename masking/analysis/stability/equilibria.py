@@ -151,7 +151,7 @@ class _Rest:
 
     def __init__(self, model: Model) -> None:
         e = model.equations
-        model.check_no_delays("a search for equilibria")
+        model.check_ordinary("a search for equilibria")
         if model.states:
             raise ModelError(f"{model.name} has internal states, for which equilibria are not looked for")
         if not model.is_autonomous:

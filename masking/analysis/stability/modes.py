@@ -94,7 +94,7 @@ def state_matrix(model: Model, at: Mapping[str, float] | None = None) -> Array:
     Raises:
         ModelError: there is no such state, or the equations hold the time.
     """
-    model.check_no_delays("a linear system")
+    model.check_ordinary("a linear system")
     size = len(model.coordinates) * 2 + len(model.states)
     return _slopes(model, dict(at or {}), 0.0).middle.reshape(size, size)
 

@@ -35,7 +35,7 @@ class Motion:
 
     def __post_init__(self) -> None:
         e = self.model.equations
-        self.model.check_no_delays("a certificate")
+        self.model.check_ordinary("a certificate")
         if self.model.states:
             raise ModelError(f"{self.model.name} has internal states, for which there is no certificate")
         if not self.model.is_autonomous:

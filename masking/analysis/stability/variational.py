@@ -57,7 +57,7 @@ class Variational:
     @cached_property
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
-        self.model.check_no_delays("a variational equation")
+        self.model.check_ordinary("a variational equation")
         made_from = {"variational": self.model.structure(), "directions": self.columns}
         return Kernels(store.load(store.key(made_from), self._build))
 
