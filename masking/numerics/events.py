@@ -186,7 +186,7 @@ def runge_kutta(derivative: Kernel, conditions: Kernel, size: int, events: int, 
 
 
 @compiled
-def nothing(happening, y, w) -> int:
+def nothing(happening: Any, y: Any, w: Any) -> Any:
     """Assign nothing to a state."""
     return happening
 
@@ -219,7 +219,7 @@ def jumps(conditions: Kernel, events: int, targets: tuple[tuple[int, int], ...],
         `jump(t, y, p, below, counts, w) -> has_ended`, which writes the state y after all jumps; `below` and `counts`
         (events,) say which conditions are below zero, and how often each event happened; `w` (values,) is work space.
     """
-    assign = nothing
+    assign: Kernel = nothing
     for i, (event, state) in enumerate(targets):
         assign = assignment(assign, event, state, events + i)
 
