@@ -62,6 +62,35 @@ def test_clocks_keep_their_amplitude_where_friction_is_twice_what_it_was():
     assert free > 1.2
 
 
+def test_balance_of_a_system_in_si_units_is_that_of_the_system_in_scales(tmp_path):
+    """With 10 rad/s as 1, and its rate in the same proportion, what is filtered and taken out is the same."""
+    packaged = Experiment.load("two_carts")
+    fastest = float(np.sqrt(10.0**2 + 2.0 * 3.0**2))
+    scaled = {
+        "name": "two masses in scales",
+        "source": "the packaged two masses, with time in units of that of the fastest mode over two pi",
+        "coordinates": {"x1": {"meaning": "first"}, "x2": {"meaning": "second"}},
+        "parameters": {"w0": {"value": 10.0 / fastest}, "wc": {"value": 3.0 / fastest}},
+        "equations": {"x1''": "-w0**2*x1 - wc**2*(x1 - x2)", "x2''": "-w0**2*x2 - wc**2*(x2 - x1)"},
+        "energy": "(x1'**2 + x2'**2 + w0**2*(x1**2 + x2**2) + wc**2*(x1 - x2)**2)/2",
+    }
+    (tmp_path / "scaled.yaml").write_text(yaml.safe_dump(scaled), encoding="utf-8")
+    controller = {"rate": "500 Hz", "observer": "disturbance", "homing": 2}
+    runs = [
+        packaged.changed(duration=3, controller={**controller, "energy_balance": 0.3 * fastest}).run(),
+        packaged.changed(
+            virtual=str(tmp_path / "scaled.yaml"),
+            transform={"expressions": {"x1": "100*a_x", "x2": "100*b_x"}},
+            time_scale=1.0 / fastest,
+            initial={"x1": 1, "x2": 0},
+            duration=3 * fastest,
+            controller={**controller, "energy_balance": 0.3},
+        ).run(),
+    ]
+    first, second = (run["rig.a_x"][:1500] for run in runs)
+    np.testing.assert_allclose(first, second, rtol=0, atol=1e-9)
+
+
 def test_offsets_are_measured_at_rest():
     """Homing ends where the sensors say, which is the initial state only as far as their offsets are known."""
     found = []

@@ -49,3 +49,22 @@ def test_a_bouncing_ball_is_masked_in_continuous_time():
     scale = 10.0  # units of virtual time in a second
     expected = truth(run["t"] * scale)[0]
     assert np.max(np.abs(run["virtual.x"] - expected)) <= 1e-5
+
+
+def test_on_the_imperfect_rig_each_impact_comes_when_it_should():
+    """Friction, which the observer cancels late at each reversal, changes the speed, and so the next flight."""
+    run = Experiment.load("bouncing_ball_rig").changed(duration=19).run()
+    times = run["t"] * 10.0
+    expected = truth(times)[0]
+
+    def touches(heights):
+        before = np.flatnonzero((heights[:-1] > 0.0) & (heights[1:] <= 0.0))
+        return times[before] + heights[before] / (heights[before] - heights[before + 1]) * (times[1] - times[0])
+
+    late = np.abs(touches(run["virtual.x"]) - touches(expected))
+    assert len(late) == 8
+    assert np.all(late[:4] <= 0.03)
+    assert np.all(late <= 0.15)
+    part = times <= 10.0
+    found, wanted = run["virtual.x"][part], expected[part]
+    assert np.linalg.norm(found - wanted) <= 0.03 * np.linalg.norm(wanted)

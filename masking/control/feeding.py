@@ -76,6 +76,11 @@ class Feed:
         tail = np.concatenate([*parts, np.zeros(len(self.pushes))])
         return np.append(tail, len(tail) + 1.0)
 
+    def lasting(self, p: Array) -> Array:
+        """Return what lasts of each push (1, pushes), SI units, where the parameters with their tail are p."""
+        count, last = len(self.pushes), len(p) - 1
+        return p[last - 4 * count : last - count].reshape(1, count, 3)[:, :, 2].copy() if count else np.empty((1, 0))
+
     def structure(self) -> list[object]:
         """Return all that the compiled step depends on."""
         cells = [cell for cell, _ in self.series]

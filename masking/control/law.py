@@ -36,8 +36,8 @@ class Controller:
         time_scale: seconds of the rig per unit of the virtual system's time.
         transform_parameters: values of the transform's own parameters.
         regulation: what is held besides the wanted dynamics, if anything.
-        energy_balance: rate at which energy is taken out that the rig has gained beyond them, per unit of virtual time;
-            None where it is not.
+        energy_balance: rate at which energy is taken out that the rig has gained beyond them, and the frequency of the
+            motion, in radians, both per unit of virtual time; None where it is not.
     """
 
     model: Model
@@ -46,7 +46,7 @@ class Controller:
     time_scale: float
     transform_parameters: Mapping[str, float]
     regulation: schema.Regulation | None = None
-    energy_balance: float | None = None
+    energy_balance: tuple[float, float] | None = None
 
     @property
     def desired(self) -> DesiredDynamics:
@@ -70,7 +70,7 @@ class Controller:
     def values(self) -> Array:
         """Return the parameter array of the control law: model, virtual system, transform, lengths, time scale."""
         own = [self.transform_parameters[name] for name in self.transform.parameters]
-        rest = [*self.desired.values(), *([] if self.energy_balance is None else [self.energy_balance])]
+        rest = [*self.desired.values(), *(self.energy_balance or ())]
         return np.concatenate([self.model.values(), self.virtual.values(), own, self.lengths, [self.time_scale], rest])
 
     def structure(self) -> dict[str, object]:
@@ -271,7 +271,7 @@ class ControllerParameters:
             make("l", controller.model.coordinates),
             graph.symbol("time_scale", varying=False),
             make("r", ("energy", "rate", "coupling")) if controller.regulation else [],
-            make("e", ("rate",)) if controller.energy_balance is not None else [],
+            make("e", ("rate", "frequency")) if controller.energy_balance is not None else [],
         )
 
     def loads(self, graph: Graph) -> dict[str, str]:

@@ -338,8 +338,8 @@ class _Lowered:
         """Add what the energy balance calls."""
         graph, k = self.graph, len(controller.virtual.coordinates)
         wanted = [graph.div(d, p.time_scale) for d in self.law.desired]
-        bandwidth = graph.div(graph.number(1.0), p.time_scale)
-        self.virtual = [*self.law.eta, *self.law.rate, *wanted, bandwidth, *p.energy_balance]
+        taken, frequency = p.energy_balance
+        self.virtual = [*self.law.eta, *self.law.rate, *wanted, graph.div(frequency, p.time_scale), taken]
         e = self._array("e", "e", 2 * k, varying=True)
         self.momentum = controller.desired.momentum(graph, graph.div(time, p.time_scale), e[:k], e[k:], p.virtual)
 

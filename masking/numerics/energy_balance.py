@@ -27,8 +27,8 @@ def energy_balance(virtual: Kernel, momentum: Kernel, sizes: Sizes) -> Kernel:
 
     With eta'' = D(eta, eta') + rho, the energy E of the virtual system changes by the power sum_i dE/deta_i' rho_i
     beyond what D does. A velocity that is estimated holds noise, and so does rho, with which it is correlated: both go
-    through the same low-pass filter before they are multiplied. Its bandwidth is one per unit of virtual time, near the
-    frequency of the motion, whose power it scales as it does the energy S = sum_i dE/deta_i' eta_i' that is compared.
+    through the same low-pass filter before they are multiplied. Its bandwidth is near the frequency
+    of the motion, whose power it scales as it does the energy S = sum_i dE/deta_i' eta_i' that is compared.
 
     measured: from unfiltered estimates, the noise of the sensors alone multiplied the amplitude of clocks by 7.
 

@@ -26,11 +26,10 @@ from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
 from masking.rig.twin import PlacedEffect, Twin
-from masking.runs import manifest
+from masking.runs import manifest, record_rate
 from masking.runs.columns import Columns
 from masking.runs.offline import Mapped, Run, TwinRun, cut, loop_state, rig_state, run_continuous, run_sampled, run_twin
 from masking.runs.passive import Passive
-from masking.runs.record_rate import rows_per_unit
 from masking.runs.stopping import SYNCHRONISED, StopCondition
 from masking.runs.virtual_inputs import VirtualInputs, live_inputs
 
@@ -131,9 +130,15 @@ class Experiment:
         assumed = Model(self.assembly.believed_model, {**overrides, **settings.parameters})
         transform = Transform(assumed, self.virtual, self.declaration.transform)
         own = self.declaration.transform.parameters
-        return Controller(
-            assumed, self.virtual, transform, self.time_scale, own, settings.regulate, settings.energy_balance
-        )
+        balance = None if settings.energy_balance is None else (settings.energy_balance, self._frequency)
+        return Controller(assumed, self.virtual, transform, self.time_scale, own, settings.regulate, balance)
+
+    @property
+    def _frequency(self) -> float:
+        """Return the frequency of the virtual motion, in radians per unit of its time: 1 where its scales say so."""
+        if self.virtual.is_dimensionless or self.virtual.units.is_plain:
+            return 1.0
+        return record_rate.fastest(self.virtual, self.virtual.initial_state({})) or 1.0
 
     @cached_property
     def inputs(self) -> VirtualInputs:
@@ -265,7 +270,7 @@ class Experiment:
         declared = self.declaration.record.rate if self.declaration.record else self.declaration.controller.rate
         if declared is not None:
             return declared * self.time_scale
-        return rows_per_unit(self.virtual, self.virtual_start)
+        return record_rate.rows_per_unit(self.virtual, self.virtual_start)
 
     @property
     def virtual_start(self) -> Array:

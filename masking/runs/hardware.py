@@ -227,6 +227,7 @@ class _Keeper:
         self.power = np.zeros((samples, sizes.actuators))
         self.disturbances = np.zeros((samples, sizes.coordinates if sizes.order else 0))
         self.index = np.zeros(samples, dtype=np.int64)
+        self.lasting = controller.sampled.feed.lasting(controller.parameters)
 
     @property
     def last(self) -> int:
@@ -257,6 +258,8 @@ class _Keeper:
         if row == 0:
             self.first = tick
         index = tick - self.first - self.before
+        if index >= 0 and not self.is_released:
+            self.lasting = controller.sampled.feed.lasting(controller.parameters)
         applied = controller(readings, index)
         self.row += 1
         self.index[row] = index
@@ -281,4 +284,5 @@ class _Keeper:
             ran.applied[kept],
             self.power[kept],
             self.disturbances[kept] if self.disturbances.shape[1] else None,
+            self.lasting,
         )

@@ -54,6 +54,7 @@ class TwinRun:
         applied: commands after limits (m, actuators).
         power: mean power of each actuator as the controller reckons it (m, actuators), W; 0 where it is not limited.
         disturbances: accelerations that the controller's model lacks, as it estimates them (m, n), SI units.
+        lasting: what the controller took for lasting of each push before the first sample (1, pushes), SI units.
     """
 
     times: Array
@@ -64,6 +65,7 @@ class TwinRun:
     applied: Array
     power: Array
     disturbances: Array | None = None
+    lasting: Array | None = None
 
 
 _AnyRun = TypeVar("_AnyRun", bound=Run | TwinRun)
@@ -205,12 +207,13 @@ def run_twin(
     queue = np.tile(memory.holding, (1 + math.ceil(late.max(initial=0.0)), 1))
     widths = (len(y), len(memory.x), len(twin.sensors), sizes.actuators, sizes.actuators)
     out = [np.empty((len(rows), width)) for width in widths]
-    bounds = [-before + (samples + before) * piece // PIECES for piece in range(PIECES + 1)]
+    bounds = sorted({0, *(-before + (samples + before) * piece // PIECES for piece in range(PIECES + 1))})
+    lasting = np.empty((1, 0))
     mend = "lower controller.observer.bandwidth, correct controller.model, or raise controller.rate"
     for begin, end in itertools.pairwise(bounds):
         count = end - begin
-        if count == 0:
-            continue
+        if begin == 0:
+            lasting = sampled.feed.lasting(memory.p)
         more = generator.standard_normal((count - len(noise), len(twin.sensors)))
         noise = np.concatenate([noise, more]) if len(noise) else more
         row = max(0, -(-begin // every))
@@ -225,7 +228,7 @@ def run_twin(
     states, memories, readings, demanded, applied = out
     estimates, power = memories[:, : sizes.states], memories[:, sizes.power]
     disturbances = memories[:, sizes.states : sizes.states + sizes.coordinates] if sizes.order else None
-    return TwinRun(rows / rate, states, estimates, readings, demanded, applied, power, disturbances)
+    return TwinRun(rows / rate, states, estimates, readings, demanded, applied, power, disturbances, lasting)
 
 
 def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:

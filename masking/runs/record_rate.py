@@ -24,8 +24,17 @@ def rows_per_unit(virtual: Model, initial: Array) -> float:
         virtual: the virtual system.
         initial: its initial state, coordinates then velocities (2 k,), in its units.
     """
-    fastest = max(_fastest(virtual, state) for state in (initial, np.zeros(len(initial))))
-    return max(FEWEST, PER_PERIOD * fastest / (2.0 * math.pi))
+    return max(FEWEST, PER_PERIOD * fastest(virtual, initial) / (2.0 * math.pi))
+
+
+def fastest(virtual: Model, initial: Array) -> float:
+    """Return the angular frequency of the fastest oscillation about the initial state and about rest; 0 without any.
+
+    Args:
+        virtual: the virtual system.
+        initial: as `rows_per_unit` has it.
+    """
+    return max(_fastest(virtual, state) for state in (initial, np.zeros(len(initial))))
 
 
 def _fastest(virtual: Model, state: Array) -> float:

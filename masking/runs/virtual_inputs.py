@@ -159,20 +159,19 @@ def live_inputs(sampled: SampledController, run: TwinRun, inputs: VirtualInputs)
     names = [name for name, one in sources.items() if one.sensor is not None]
     found = {n: one.factor * run.readings[:, one.sensor] for n, one in zip(names, feed.sensors, strict=True)}
     names = [name for name, one in sources.items() if one.push is not None]
-    if not names or run.disturbances is None:
+    if not names or run.disturbances is None or run.lasting is None:
         return found
     p, forces = sampled.values(), np.empty((len(run.times), len(names)))
     for t, y, d, row in zip(run.times, run.estimates, run.disturbances, forces, strict=True):
         sampled.kernels.push(float(t), y.copy(), d.copy(), p, row)
-    for name, one, force in zip(names, feed.pushes, forces.T, strict=True):
-        found[name] = one.factor * (force - _slow(run.times, force, one.above, sampled.before / sampled.rate))
+    for name, one, force, low in zip(names, feed.pushes, forces.T, run.lasting[0], strict=True):
+        found[name] = one.factor * (force - _slow(run.times, force, one.above, low, 1.0 / sampled.rate))
     return found
 
 
-def _slow(times: Array, values: Array, speed: float, before: float) -> Array:
-    """Return what of a series (m,) lasts: a low-pass of first order at a speed, that has run from 0 for some time."""
-    found, low = np.empty(len(values)), -np.expm1(-speed * before) * values[0]
-    steps = np.diff(times, prepend=times[0])
+def _slow(times: Array, values: Array, speed: float, low: float, period: float) -> Array:
+    """Return what of a series (m,) lasts: a low-pass of first order at a speed, that was `low` a period before."""
+    found, steps = np.empty(len(values)), np.diff(times, prepend=times[0] - period)
     for i, part in enumerate(-np.expm1(-speed * steps)):
         low += part * (values[i] - low)
         found[i] = low

@@ -159,6 +159,12 @@ def stop(frequency: float = 14.0) -> Virtual:
     )
 
 
+def bouncing_ball(_: float, q: Array, v: Array, __: float) -> Array:
+    """Return the ball with the contact law of Hunt and Crossley, of which 1 is 10 mm and 0.1 s."""
+    pressed, speed = np.maximum(-q[:1] / 0.01, 0.0), v[:1] / 0.1
+    return np.asarray(200.0 * pressed**1.5 * np.maximum(1.0 - 0.1 * speed, 0.0) - 1.0)
+
+
 def light_cart(_: float, q: Array, v: Array, pushed: float) -> Array:
     """Return the cart of half the inertia."""
     return (pushed - 40 * q[:1] - 2 * v[:1]) / 0.3

@@ -127,6 +127,7 @@ WISHES = {
         Wish("mask the cart alone", "cart_alone_rig", hand.cart_pendulum, lambda: hand.van_der_pol, None, "cart_alone"),
         Wish("Van der Pol", "cart_van_der_pol", hand.cart, lambda: hand.van_der_pol),
         Wish("a one-sided stop", "cart_stop", hand.cart, hand.stop),
+        Wish("a bouncing ball", "bouncing_ball_rig", hand.cart, lambda: hand.bouncing_ball, None, "bouncing_ball"),
         Wish("half the inertia, a push is felt", "cart_felt", hand.cart_pendulum, lambda: hand.light_cart, PUSH),
         Wish("Bouc-Wen springs", "bouc_wen_rig", hand.setup, hand.bouc_wen, None, "bouc_wen", short=40),
         Wish("clocks with escapements", "escapements_rig", hand.setup, hand.clocks, None, "escapements", short=40),
