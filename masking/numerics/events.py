@@ -4,7 +4,7 @@ For the state y = [q, v, s], `conditions(t, y, p, w)` writes the conditions of t
 jump. An event is where its condition, from below, crosses zero: it is looked for at points of each step and where the
 condition turns between them, and found on the far side by bisection, to the last digit of the time.
 """
-# ruff: noqa: ANN001, ANN202, PLR0915, PLR0917
+# ruff: noqa: ANN001, ANN202, ANN401, PLR0915, PLR0917
 # The types are numba's to infer, and what a kernel calls stands before it.
 
 from __future__ import annotations
