@@ -202,7 +202,8 @@ def _unit(rig: AugmentedModel, theta: Array, sigma: Array, rate: float) -> Array
     _, _, c, d = linearised(rig, theta)
     count = len(rig.coordinates)
     speed, quick = abs(fastest(rig, theta)) or 1.0, QUICK * rate
-    reached = np.abs(np.linalg.pinv(c[:, :count])) @ sigma * speed**2
+    moving = c[:, :count] + 1j * speed * c[:, count : 2 * count]  # readings of a motion at that speed
+    reached = np.abs(np.linalg.pinv(moving)) @ sigma * speed**2
     states = [rig.twin.state_names.index(name) for name in rig.degrees[count:] if name in rig.twin.state_names]
     of_states = np.abs(np.linalg.pinv(c[:, states])) @ sigma * quick**2
     of_outputs = np.abs(np.linalg.pinv(d[:, count + len(states) :])) @ sigma * quick
