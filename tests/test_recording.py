@@ -205,6 +205,18 @@ def test_load_refuses_a_cut_off_file(tmp_path):
         Recording.load(path)
 
 
+def test_a_recording_is_replaced_only_if_asked_for(tmp_path):
+    sample().save(tmp_path)
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    other = Recording({"t": T}, {"name": "other"})
+    said = r"holds an earlier recording, recording\.parquet; name another folder, or give overwrite=True$"
+    with pytest.raises(RecordError, match=said):
+        other.save(tmp_path)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+    other.save(tmp_path, overwrite=True)
+    assert Recording.load(tmp_path).name == "other"
+
+
 def test_an_error_while_saving_leaves_the_folder_as_it_was(tmp_path, monkeypatch):
     sample().save(tmp_path)
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
@@ -214,7 +226,7 @@ def test_an_error_while_saving_leaves_the_folder_as_it_was(tmp_path, monkeypatch
 
     monkeypatch.setattr(pq, "write_table", full)
     with pytest.raises(RecordError, match="the recording cannot be written: No space left on device"):
-        Recording({"t": T}, {"name": "other"}).save(tmp_path)
+        Recording({"t": T}, {"name": "other"}).save(tmp_path, overwrite=True)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 

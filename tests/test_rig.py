@@ -94,7 +94,7 @@ def before(experiment: Experiment) -> int:
 
 # --- processes --------------------------------------------------------------------------------------------------------
 
-MASKING = (sys.executable, "-m", "masking.cli")
+MASKING = (sys.executable, "-m", "masking")
 
 
 @contextmanager

@@ -37,7 +37,7 @@ def test_in_lockstep_it_is_the_run_offline(name):
 
 @pytest.mark.parametrize("name", ["cart_felt", "cart_felt_observer"])
 def test_a_push_that_begins_before_the_release_is_felt_from_there_on(name):
-    """The hand pushes while the rig is homed; the virtual mass gets what changes of what the controller felt."""
+    """The hand pushes while the rig is homed; the ideal mass gets what the controller felt."""
     made = short(name, FELT, seconds=10.0)
     found = hardware.run(made, SimulatedPlant(made.twin), lockstep=True)
     assert found.manifest["rig"]["end"] == "finished"

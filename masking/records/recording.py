@@ -183,13 +183,22 @@ class Recording:
             rows.append([name] if name in self.columns else [f"{name}.{short}" for short in self.names(name)])
         return views.figure(self.columns, self.units, rows, self.name)
 
-    def save(self, folder: str | Path) -> Path:
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write both files into `folder`, made if need be, and return it; after an error the folder is as it was.
 
+        Args:
+            folder: where to.
+            overwrite: whether a recording that is there may be replaced.
+
         Raises:
-            RecordError: it cannot be written.
+            RecordError: it cannot be written, or holds a recording that may not be replaced.
         """
         folder = Path(folder)
+        held = next((name for name in (TABLE, MANIFEST) if (folder / name).exists()), None)
+        if held and not overwrite:
+            raise RecordError(
+                f"{folder} holds an earlier recording, {held}; name another folder, or give overwrite=True"
+            )
         text = json_text({"format": FORMAT, **self.manifest})
         try:
             folder.mkdir(parents=True, exist_ok=True)

@@ -86,7 +86,9 @@ def make(
             say(f"{name}: recording {seconds:g} s")
             commands = size * limits * _waves(len(limits), number, seconds, seed)
             part = part_of(progress, number, len(NAMES))
-            _record(twin, plant, commands, limits, settings, lockstep=lockstep, progress=part).save(path)
+            _record(twin, plant, commands, limits, settings, lockstep=lockstep, progress=part).save(
+                path, overwrite=True
+            )
             recording = Recording.load(path)
         missed[name] = int(recording.manifest["rig"]["counters"].get("missed", 0))
         made.append(Data.of(recording, twin, str(path)))

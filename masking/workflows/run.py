@@ -49,12 +49,12 @@ def save(recording: Recording, folder: Path) -> run_report.Report:
 
     Args:
         recording: of a run.
-        folder: made if need be.
+        folder: made if need be; what it holds of an earlier run is replaced.
 
     Raises:
         RecordError: the folder cannot be written.
     """
-    recording.save(folder)
+    recording.save(folder, overwrite=True)
     with html.writing(folder):
         (folder / animation.PAGE).unlink(missing_ok=True)
     return run_report.report(recording, folder)

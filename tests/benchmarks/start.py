@@ -101,7 +101,7 @@ def spread(seconds: Sequence[float]) -> str:
 def script() -> list[str]:
     """Give the installed command, else the module that it calls."""
     found = Path(sys.executable).with_name("masking")
-    return [str(found)] if found.exists() else [sys.executable, "-m", "masking.cli"]
+    return [str(found)] if found.exists() else [sys.executable, "-m", "masking"]
 
 
 def timed(command: Sequence[str], cache: str) -> list[float]:

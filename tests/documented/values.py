@@ -207,7 +207,7 @@ def discovered(case: str, part: str = "all") -> str:
         Path("plant.yaml").write_text(test_discovery.PLANT, encoding="utf-8")
         ((_, *records),) = hidden.generate([test_discovery.CASES["friction"]], 20.0, 20.0)
         for name, record in zip(("train", "valid"), records, strict=True):
-            Recording(test_discovery.table(record), {"name": name}).save(name)
+            Recording(test_discovery.table(record), {"name": name}).save(name, overwrite=True)
         words = ["train", "--validate", "valid", "--plant", "plant.yaml"]
     text = printed("discover", *words, "--overwrite", "--out", "results/discovered")
     return listing(text if part == "all" else text.split("\nAll of the")[0])

@@ -1,4 +1,4 @@
-"""`python -m masking.cli`."""
+"""`python -m masking`: the command line."""
 
 import sys
 
