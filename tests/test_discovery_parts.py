@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import optimize, signal
 
-from masking.declaration import catalogue
+from masking.declaration import catalogue, registry
+from masking.declaration.checks import beyond_ordinary
 from masking.declaration.dimensions import is_plain
 from masking.discovery import fitting, initial_states, shooting
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
@@ -159,7 +160,7 @@ def test_two_coordinates_push_each_other_by_their_masses():
     assert values["mu1"] * acts["x1"] + values["mu2"] * acts["x2"] == pytest.approx(0.0, abs=1e-15)
 
 
-@pytest.mark.parametrize("name", [name for name in catalogue.names("model") if name != "delayed_oscillators"])
+@pytest.mark.parametrize("name", [n for n in catalogue.names("model") if not beyond_ordinary(registry.load_model(n))])
 def test_every_packaged_model_has_a_place_at_each_coordinate(name):
     # pushed by 1 in the unit of its place, each coordinate gets what its equation divides by
     twin = inputs.rig(name, None)
