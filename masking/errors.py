@@ -131,6 +131,10 @@ class RecordError(MaskingError):
     exit_status = 2
 
 
+class ColumnError(RecordError):
+    """A recording lacks the column of a sensor or an actuator."""
+
+
 class PlantError(MaskingError):
     """A plant could not do what was asked of it."""
 

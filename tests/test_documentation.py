@@ -12,6 +12,7 @@ import yaml
 
 from masking.cli import parser
 from masking.effects import EFFECTS
+from masking.runs.experiment import Experiment
 from tests.test_architecture import FLOORS
 
 ROOT = Path(__file__).parents[1]
@@ -114,3 +115,14 @@ def test_every_effect_is_in_the_table_with_its_meaning(effect):
     assert sits == effect.where
     assert re.findall(r"`(\w+)`", parameters) == [*effect.parameters]
     assert meaning == effect.meaning
+
+
+def test_the_cart_in_metres_of_the_declarations_moves_as_the_oscillator(tmp_path):
+    blocks = FENCED.findall((ROOT / "docs" / "declarations.md").read_text(encoding="utf-8"))
+    (text,) = (body for language, body in blocks if language == "yaml" and "x/stroke" in body)
+    (tmp_path / "cart.yaml").write_text(text, encoding="utf-8")
+    run = Experiment.load(tmp_path / "cart.yaml").run()
+    assert run.manifest["masking_error"]["x"] <= 0.03
+    assert run["virtual.x"][0] == pytest.approx(0.5, abs=0.01)
+    assert run["rig.x"][0] == pytest.approx(0.0025, abs=5e-5)
+    assert run.t[-1] == pytest.approx(2.0)

@@ -209,7 +209,9 @@ def test_parameters_that_only_act_together_are_named(linear):
     """Oscillator 1 is damped by 2 z1 w1, and by an effect with a coefficient of its own."""
     twin = linear.changed({"damping1": schema.EffectChange(enabled=True, parameters={"c": 0.4})})
     (note,) = fit(twin, recorded(twin, sines(6.0)), ("w1", "z1", "damping1_c")).notes
-    assert note.startswith("z1 and damping1_c cannot be distinguished from these records; fix one of them")
+    assert note.startswith(
+        "z1 and damping1_c cannot be distinguished from these records; fix one of them (--parameters"
+    )
 
 
 def test_a_parameter_that_is_not_excited_is_named(linear):

@@ -76,8 +76,11 @@ def test_a_plant_file_brings_its_own_model(folder):
 
 
 def test_what_cannot_be_simulated_is_refused_with_the_mend(folder):
-    with pytest.raises(RecordError, match="there is no column"):
+    with pytest.raises(RecordError, match=r"there is no column .* name that with --plant \(in Python, plant=\)$"):
         masking.simulate("setup", folder / "decay.csv", columns={"t": "time"})
+    with pytest.raises(RecordError, match="there is no column") as error:
+        masking.simulate("setup", folder / "decay.csv", plant="tue_rig", columns={"t": "time"})
+    assert "--plant" not in str(error.value)
     (folder / "oscillator.yaml").write_text(OSCILLATOR.replace("-w**2*x", "1e6*w**2*x"))
     with pytest.raises(ModelError, match=r"is not finite; check signs and units .*decay\.csv@0:1"):
         masking.simulate(folder / "oscillator.yaml", folder / "decay.csv", columns={"t": "time"})

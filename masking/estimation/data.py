@@ -11,7 +11,7 @@ from typing import get_args
 
 import numpy as np
 
-from masking.errors import ModelError, RecordError, nearest
+from masking.errors import ColumnError, ModelError, RecordError, nearest
 from masking.numerics.arrays import Array
 from masking.records import clock, readers
 from masking.records.hold import Hold, InputHold, Names
@@ -254,7 +254,7 @@ def _columns(recording: Recording, prefix: str, names: Sequence[str], where: str
     for name in names:
         column = next((c for c in (f"{prefix}.{name}", name) if c in recording.columns), None)
         if column is None:
-            raise RecordError(
+            raise ColumnError(
                 f"{where}: there is no column {prefix}.{name} or {name}; {nearest(name, list(recording.columns))}"
             )
         found.append(recording[column])

@@ -340,7 +340,8 @@ def _flat(names: tuple[str, ...], direction: Array) -> str:
     if len(strong) == 1:
         return f"these records do not determine {strong[0]}; excite what it belongs to, or leave it out"
     listed = f"{', '.join(strong[:-1])} and {strong[-1]}"
-    return f"{listed} cannot be distinguished from these records; fix one of them, or give records that excite each"
+    mend = "fix one of them (--parameters names those to fit; in Python, parameters=), or give records that excite each"
+    return f"{listed} cannot be distinguished from these records; {mend}"
 
 
 def _each(errors: Mapping[str, float]) -> str:

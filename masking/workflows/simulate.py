@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from masking.declaration import catalogue
-from masking.errors import DeclarationError, IntegrationError, ModelError, Problem
+from masking.errors import ColumnError, DeclarationError, IntegrationError, ModelError, Problem
 from masking.estimation import simulation
 from masking.estimation.data import Data
 from masking.estimation.simulation import Simulated
@@ -53,7 +53,13 @@ def simulate(
     check_folder(out, "simulation.json", overwrite=overwrite)
     alone = plant is None and catalogue.kind_of(model) == "plant"
     twin = inputs.rig(None, model) if alone else inputs.rig(model, plant)
-    given = Data.read(record, twin, hold, columns, dt)
+    try:
+        given = Data.read(record, twin, hold, columns, dt)
+    except ColumnError as error:
+        if plant is not None or alone:
+            raise
+        mend = "if the record has the sensors and actuators of a plant, name that with --plant (in Python, plant=)"
+        raise ColumnError(f"{error}; {mend}") from None
     if initial is not None and not 2 <= round(initial * given.rate) <= len(given):
         least, most = 2.0 / given.rate, len(given) / given.rate
         message = f"{initial:g} s do not hold 2 readings or more of the record"
