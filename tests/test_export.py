@@ -124,6 +124,19 @@ def test_a_sampled_controller_in_c_gives_the_commands_of_the_kernel(name, tmp_pa
 
 
 @needs_gcc
+@pytest.mark.parametrize("homing", [None, 1])
+def test_a_controller_with_a_force_from_a_file_has_it_as_a_table(homing, tmp_path):
+    controller = {"rate": "500 Hz", "observer": "disturbance", "homing": homing}
+    experiment = Experiment.load("cart_reference").changed(controller=controller)
+    made = sampled_unit(experiment.sampled, "controller", 0.02)
+    units = [CompiledUnit(tmp_path, made), python_unit(tmp_path, made)]
+    _, ours, found = by_kernel(experiment, experiment.sampled.before + 1500, others=units, missed={300})
+    assert np.max(np.abs(ours[-1500:])) > 1e-3
+    for exported in found:
+        assert np.max(np.abs(exported - ours)) <= EXACT * np.max(np.abs(ours))
+
+
+@needs_gcc
 def test_the_loop_of_a_controller_in_float_differs_by_what_rounding_does(tmp_path):
     # Friction and hysteresis of the rig magnify it: readings that change by half a unit in the last place do as much.
     ulp, generator = float(np.finfo(np.float32).eps), np.random.default_rng(4)

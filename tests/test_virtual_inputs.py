@@ -192,13 +192,20 @@ def test_files_and_signals_that_cannot_be_read_are_told(folder):
         assert message in str(error.value)
 
 
-def test_exports_take_expressions_alone(tmp_path, folder):
+def test_exports_take_no_sensors(tmp_path):
+    with pytest.raises(DeclarationError, match="an exported controller takes no sensor; write F as an expression"):
+        masking.export("cart_felt", to="c", out=tmp_path / "out")
+
+
+def test_exports_of_laws_take_expressions_alone(tmp_path, folder):
     text = (folder / "driven.yaml").as_posix()
     (tmp_path / "run.yaml").write_text(
         f"name: run\nplant: cart_pendulum\nvirtual: {text}\ntime_scale: 0.1\nduration: 1\n"
         f"inputs: {{F: {{file: {folder / 'force.csv'}, interpolation: linear}}, G: 0}}\n"
     )
-    with pytest.raises(DeclarationError, match="takes numbers and expressions of the time, not a file"):
+    with pytest.raises(
+        DeclarationError, match=r"law of the states takes expressions, not a file; .* give the controller rate"
+    ):
         masking.export(tmp_path / "run.yaml", to="c", out=tmp_path / "out")
 
 

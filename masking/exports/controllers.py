@@ -95,7 +95,7 @@ def _begin(sampled: SampledController, module: Module, operations: dict[str, Ope
         init = Operation((*common.split(), "memory0", "values", "holding"), INIT)
     else:
         n, is_held = sizes.coordinates, not sampled.homing and sampled.has_model
-        start = len(begun.p) - (2 * n + 1) if sampled.homing else -1
+        start = len(begun.p) - len(sampled.feed.tail()) - (2 * n + 1) if sampled.homing else -1
         given = (sizes, len(begun.x), len(begun.p), start, 1.0 / sampled.rate, is_held)
         made = (kernels.beginning, ("clear", "measure", "still", "allocate", "wire", *given))
         found["memory0"][:n] = found["memory0"][sizes.next][:n] = 0.0

@@ -26,20 +26,22 @@ from masking.numerics.sizes import Sizes
 
 Kernel = Callable[..., Any]
 PIECE = 5  # numbers of a polynomial
+HALVINGS = 32  # of the points between which a time is looked for
 OF_PUSH = 3  # numbers of a push before what was found
 
 
 @compiled
 def interpolate(tau, p, at, cell):
     """Copy the polynomial for a time from the table at an index into its cells; return the index behind the table."""
-    count = int(p[at])
+    count = math.floor(p[at])
     low, high = 0, count  # the piece is the number of points up to tau
-    while low < high:
-        middle = (low + high) // 2
-        if p[at + 1 + PIECE * (middle + 1) + 4] <= tau:
-            low = middle + 1
-        else:
-            high = middle
+    for _ in range(HALVINGS):
+        if low < high:
+            middle = (low + high) // 2
+            if p[at + 1 + PIECE * (middle + 1) + 4] <= tau:
+                low = middle + 1
+            else:
+                high = middle
     first = at + 1 + PIECE * low
     for i in range(PIECE):
         p[cell + i] = p[first + i]
@@ -47,12 +49,23 @@ def interpolate(tau, p, at, cell):
 
 
 @compiled
-def tables(t, p, cells, scale):
-    """Set the cells of all series for a time of the rig; return the index behind their tables."""
-    at = p.size - int(p[p.size - 1])
-    for cell in cells:
-        at = interpolate(t / p[scale], p, at, cell)
-    return at
+def first_table(t, p):
+    """Return the index of the first table."""
+    return p.size - math.floor(p[p.size - 1])
+
+
+def tables(cells: tuple[int, ...], scale: int) -> Kernel:
+    """Make `set_cells(t, p)`, which sets the cells of all series for a time of the rig; it returns the index behind."""
+    if not cells:
+        return first_table
+    others, cell = tables(cells[:-1], scale), cells[-1]
+
+    @compiled
+    def set_cells(t, p):
+        at = others(t, p)
+        return interpolate(t / p[scale], p, at, cell)
+
+    return set_cells
 
 
 def law(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
@@ -63,10 +76,11 @@ def law(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
         cells: where the polynomial of each series is among the parameters.
         scale: where the seconds per unit of virtual time are.
     """
+    set_cells = tables(cells, scale)
 
     @compiled
     def fed(t, since, y, d, p, u, r, g):
-        tables(t, p, cells, scale)
+        set_cells(t, p)
         return bare(t, since, y, d, p, u, r, g)
 
     return fed
@@ -74,10 +88,11 @@ def law(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
 
 def virtual(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
     """Make `virtual` of `energy_balance`, or `remember` of `virtual_memory`, with series read at each instant."""
+    set_cells = tables(cells, scale)
 
     @compiled
     def fed(t, y, p, out):
-        tables(t, p, cells, scale)
+        set_cells(t, p)
         bare(t, y, p, out)
 
     return fed
