@@ -217,9 +217,14 @@ class Sampled:
 
 
 def is_exported(name: str) -> bool:
-    """Tell whether an experiment is in the table: a law that is given the states keeps no past, and makes no jumps."""
+    """Tell whether an experiment is in the table.
+
+    A law that is given the states keeps no past and makes no jumps; an exported controller takes no live input.
+    """
     experiment = Experiment.load(name)
     virtual = experiment.virtual
+    if any(source.is_live for source in experiment.declaration.inputs.values()):
+        return False
     return experiment.has_observer or not (len(virtual.delays()) or virtual.declaration.events)
 
 
