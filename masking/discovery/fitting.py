@@ -220,7 +220,7 @@ def together(
     return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
 
 
-def tempered(problem: EstimationProblem, known: Hypothesis) -> Hypothesis:
+def tempered(problem: EstimationProblem, known: Hypothesis, penalty: Array | None = None) -> Hypothesis:
     """Return a hypothesis with the record weighted as its residual allows, and the prior as it is.
 
     The cost takes all of a residual for white noise. What a missing force leaves is far larger, and its likelihood is
@@ -229,16 +229,18 @@ def tempered(problem: EstimationProblem, known: Hypothesis) -> Hypothesis:
     Args:
         problem: the record and the rig.
         known: the hypothesis, fitted.
+        penalty: as in `fit`.
     """
     factor = problem.tempering(known.residuals)
     if factor <= problem.rules.slow_excess:
         return known
     begun = _Begun.at(known)
-    found = _solved(replace(problem, sigma=np.sqrt(factor) * problem.sigma), begun)
+    found = _solved(replace(problem, sigma=np.sqrt(factor) * problem.sigma), begun, penalty=penalty)
     if found is None:
         return known
     pull = (found.theta - problem.prior.mean) / problem.prior.deviation
-    cost = float(found.squares @ problem.weights + pull @ pull)
+    rough = 0.0 if penalty is None else float(found.added @ penalty @ found.added)
+    cost = float(found.squares @ problem.weights + pull @ pull) + rough
     return replace(found, cost=cost, covariance=found.covariance / factor)
 
 

@@ -47,7 +47,7 @@ class FreeLaw:
         terms: what it is made of.
         hypothesis: the model with it, fitted to the record.
         x, rate: displacement and rate along the record (m,).
-        penalty: on its factors (f, f).
+        penalty: on the free parameters of all effects (f, f), as in `fitting.fit`.
         problem: the record in the shooting intervals of the fit.
     """
 
@@ -88,6 +88,10 @@ class FreeLaw:
     def covariance(self) -> Array:
         """Return the covariance of the factors (f, f)."""
         return self.hypothesis.covariance[-self.size :, -self.size :]
+
+    def tempered(self) -> FreeLaw:
+        """Return the law with the record weighted as its residual allows, see `fitting.tempered`."""
+        return replace(self, hypothesis=fitting.tempered(self.problem, self.hypothesis, self.penalty))
 
     def rows(self, x: Array, rate: Array) -> Array:
         """Return what the factors are multiplied by at displacements and rates (m, f)."""
@@ -286,5 +290,5 @@ def _fitted(problem: EstimationProblem, one: _Start, known: Sequence[EffectInsta
         if best is not None and fitted.cost > LOST * max(best.hypothesis.cost, noise):
             break
         instances, theta = fitted.instances, fitted.theta
-        best = FreeLaw(one.place, one.form, fitted, one.x, one.rate, one.penalty, stage)
+        best = FreeLaw(one.place, one.form, fitted, one.x, one.rate, whole, stage)
     return best

@@ -158,10 +158,17 @@ def law_of(found: Explained, validation: EstimationProblem, substeps: int) -> Un
         except IntegrationError:
             return None
         form = closed_form.fitted(law, law.problem, validation)
-    is_formula = form is not None and form.score <= _score(law, validated, problem, validation)
-    fitted = law.hypothesis
-    if form is not None and is_formula:
-        fitted, validated = form.hypothesis, form.validated
+        is_formula = form is not None and form.score <= _score(law, validated, problem, validation)
+        if form is not None and is_formula:
+            fitted = fitting.tempered(law.problem, form.hypothesis)
+            written = _explanation(fitted, fitted.instances)
+        else:
+            law = law.tempered()
+            fitted, written = law.hypothesis, _in_tables(law)
+        try:
+            validated = fitting.validated(validation, fitted)
+        except IntegrationError:
+            return None
     if not validated.squares @ validation.weights < min(one.squares @ validation.weights for one in without):
         return None
     twin, rules = found.twin, problem.rules
@@ -171,7 +178,6 @@ def law_of(found: Explained, validation: EstimationProblem, substeps: int) -> Un
     )
     floor = relative(twin.sensors, [validation.record], len(validation.record) * validation.sigma**2)
     closed = verdict.at_noise_floor(errors[1].values(), floor.values(), len(validation.record), rules)
-    written = _explanation(fitted, fitted.instances) if is_formula else _in_tables(law)
     return UnnamedLaw(law, written, validated, errors, closed, validation, form, is_formula)
 
 
