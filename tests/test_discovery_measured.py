@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy import io, signal
 
+import masking
 from masking import cli
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -78,34 +79,48 @@ def test_silverbox_has_a_cubic_spring(tmp_path):
 
 
 @pytest.mark.search
-def test_emps_has_dry_friction_and_an_offset(tmp_path):
-    """Published, by inverse dynamics: Fc 20.3935 N, offset -3.1648 N, M 95.1089 kg, Fv 203.5034 N s/m."""
+def test_emps_has_friction_that_differs_between_directions(tmp_path):
+    """Published, by inverse dynamics: Fc 20.3935 N, offset -3.1648 N, M 95.1089 kg, Fv 203.5034 N s/m.
+
+    Dry friction with an offset is friction of different size in each direction.
+    """
     train, test = DATA / "emps" / "DATA_EMPS.mat", DATA / "emps" / "DATA_EMPS_PULSES.mat"
-    found = discovered(
-        tmp_path, DRIVE, train, test, "--map", "u=vir,q=qm", "--parameters", "M,Fv", "--shooting-interval", "0.2",
-    )  # fmt: skip
-    friction, offset = found["effects"]
-    assert (friction["name"], friction["on"], friction["probability"] > 0.9) == ("dry_friction", "guide", True)
-    others = {(one["name"], one["on"]) for one in offset["alternatives"]}
-    assert {(offset["name"], offset["on"]), *others} >= {("constant_force", "guide"), ("actuator_offset", "u")}
-    assert friction["parameters"]["fc"]["value"] == pytest.approx(20.3935, rel=0.05)
-    (value,) = (one["value"] for one in offset["parameters"].values())
-    force = value if offset["name"] == "constant_force" else -35.150651 * value
-    assert force == pytest.approx(-3.1648, rel=0.05)
-    values = {name: one["value"] for name, one in found["parameters"].items()}
-    assert values["M"] == pytest.approx(95.1089, rel=0.05)
-    assert values["Fv"] == pytest.approx(203.5034, rel=0.05)
-    residual = latent(test, values, friction["parameters"]["fc"]["value"], force)
+    (tmp_path / "drive.yaml").write_text(DRIVE)
+    found = masking.discover(
+        train,
+        validation=test,
+        model=tmp_path / "drive.yaml",
+        columns={"u": "vir", "q": "qm"},
+        parameters=("M", "Fv"),
+        shooting_interval=0.2,
+    )
+    (cause,) = found.effects
+    assert (cause.name, cause.on, found.verdict) == ("asymmetric_friction", "guide", "unknown")
+    mass, viscous = (float(value) for value in found.explanation.hypothesis.theta)
+    forward, backward = (cause.parameters[name][0] for name in ("fp", "fm"))
+    speed = np.linspace(0.02, 0.13, 50)  # m/s; the record reaches 0.13
+    for dry, sign in ((forward, 1.0), (backward, -1.0)):
+        published = 203.5034 * speed + 20.3935 - sign * 3.1648
+        assert viscous * speed + dry == pytest.approx(published, rel=0.05)
+    assert mass == pytest.approx(95.1089, rel=0.05)
+    residual = latent(test, mass, viscous, (forward, backward))
     assert residual < 1.1 * 0.045  # the best with these four parameters in the README of the data: 4.5 %
+    before, after = found.simulation_error.validation
+    assert after["q"] < 0.1 * before["q"]
+    for name, value, std in zip(("M", "Fv"), found.law.fitted.theta, found.written_deviations, strict=False):
+        declared, prior = {"M": (100.0, 20.0), "Fv": (200.0, 50.0)}[name]
+        assert abs(value - declared) < 2.0 * prior, name
+        assert std < 2.0 * prior, name
 
 
-def latent(file, values, friction, offset):
+def latent(file, mass, viscous, friction):
     """Return the part of the force below 20 Hz that inverse dynamics do not give."""
     held = io.loadmat(file)
     force, q = held["gtau"].ravel()[0] * held["vir"].ravel(), held["qm"].ravel()
     smooth = signal.filtfilt(*signal.butter(4, 100.0 / 500.0), q)
     v = np.gradient(smooth) * 1e3
-    told = values["M"] * np.gradient(v) * 1e3 + values["Fv"] * v + friction * np.sign(v) + offset
+    forward, backward = friction
+    told = mass * np.gradient(v) * 1e3 + viscous * v + np.where(v > 0.0, forward, -backward)
     moving = np.abs(v) > 1e-3
     low = [signal.filtfilt(*signal.butter(4, 20.0 / 500.0), x)[moving] for x in (force, force - told)]
     return np.sqrt(np.mean(low[1] ** 2) / np.mean(low[0] ** 2))
