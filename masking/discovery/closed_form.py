@@ -124,9 +124,10 @@ class _Known:
     def solved(self, terms: Sequence[Atom], values: Sequence[Sequence[float]]) -> tuple[Array, Array]:
         """Return the best factors of terms, and what they leave of the target (f,)."""
         table = np.column_stack([self.column(atom, v) for atom, v in zip(terms, values, strict=True)])
-        if not np.isfinite(table).all():
+        with np.errstate(over="ignore", invalid="ignore"):
+            size = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
+        if not np.isfinite(size).all():
             return np.zeros(len(terms)), 1e3 * (1.0 + np.abs(self.target))
-        size = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
         factors = np.linalg.lstsq(table / size, self.target, rcond=1e-9)[0] / size
         return factors, self.target - table @ factors
 
@@ -289,6 +290,16 @@ class ClosedForm:
     validated: Hypothesis
     score: float
 
+    def tempered(self, problem: EstimationProblem, validation: EstimationProblem) -> ClosedForm:
+        """Return the form with the record weighted as its residual allows, see `fitting.tempered`.
+
+        Raises:
+            IntegrationError: the motion is not finite on the validation record.
+        """
+        instances = self.hypothesis.instances
+        found = fitting.tempered(_with(problem, instances), self.hypothesis)
+        return replace(self, hypothesis=found, validated=fitting.validated(_with(validation, instances), found))
+
     @property
     def instance(self) -> EffectInstance:
         """Return the form as an effect with its fitted values."""
@@ -351,13 +362,18 @@ def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProbl
     for many, fits in FITS.items():
         for form in [one for one in every if len(one.atoms) == many][:fits]:
             one = instance(form, law)
-            rig = replace(problem.rig, tried=(one.entry, *(other.entry for other in others)))
+            every_one = (*others, one)
             with suppress(IntegrationError):
-                made = fitting.fit(replace(problem, rig=rig), (*others, one), theta=known.theta, start=known.start)
-                checked = fitting.validated(replace(validation, rig=rig), made)
+                made = fitting.fit(_with(problem, every_one), every_one, theta=known.theta, start=known.start)
+                checked = fitting.validated(_with(validation, every_one), made)
                 score = made.cost + float(checked.squares @ validation.weights) + both * form.size + evidence * many
                 if best is None or score < best.score:
                     best = ClosedForm(form, made, checked, score)
         if best is not None and best.hypothesis.cost < known.cost + evidence:
             break
     return best
+
+
+def _with(problem: EstimationProblem, instances: Sequence[EffectInstance]) -> EstimationProblem:
+    """Return a problem whose rig knows the effects of instances."""
+    return replace(problem, rig=replace(problem.rig, tried=tuple(one.entry for one in instances)))

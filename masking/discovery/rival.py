@@ -17,8 +17,8 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     """Return a discovery with the probability that no name is right, and with the law without a name where it is not.
 
     Where the names leave so much more than noise that it could explain, that law is fitted, as their rival; also where
-    they leave a little more, two act at one place or the last takes what another left, for a closed form may do as well
-    with no more numbers.
+    they leave a little more, two act at one place, the last takes what another left or one changes beyond the motion,
+    for a closed form may do as well with no more numbers.
 
     Args:
         found: the discovery.
@@ -35,7 +35,7 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     is_open = found.verdict == "unknown" or (calibration.matters(left) and not found.closed)
     are_two = share_a_place(found.explanation.names, found.problem.rig)
     leaves_more = found.explanation.cost > (1.0 + rules.screen_resolution) * size or _errs(found) > rules.noise_floor
-    if is_open or are_two or leaves_more or _takes_a_rest(found):
+    if is_open or are_two or leaves_more or _takes_a_rest(found) or _changes_beyond(found):
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps)
     refused, above = found.verdict == "unknown", not found.is_at_noise_floor
@@ -60,6 +60,25 @@ def _errs(found: Discovery) -> float:
     """Return the largest error of a sensor on unseen data, over its noise."""
     after, floor = found.simulation_error.validation[1], found.simulation_error.validation_noise_floor
     return max(after[name] / floor[name] for name in floor)
+
+
+def _changes_beyond(found: Discovery) -> bool:
+    """Return whether a law has its edge, width or rate beyond the motion, which shows it in a limit that others share.
+
+    Such as dry friction that is proportional to each rate of the record.
+    """
+    places, motion = [place.name for place in found.problem.rig.places], found.search.motion
+    for one in found.explanation.hypothesis.instances:
+        if one.at in places:
+            at = places.index(one.at)
+            reached = {
+                "D": float(np.abs(motion.displacement[:, at]).max()),
+                "D/s": float(np.abs(motion.rate[:, at]).max()),
+            }
+            units = (one.entry.parameters[name].unit for name in one.names)
+            if any(abs(value) > reached.get(unit, np.inf) for unit, value in zip(units, one.estimated, strict=True)):
+                return True
+    return False
 
 
 def _takes_a_rest(found: Discovery) -> bool:

@@ -155,18 +155,16 @@ def law_of(found: Explained, validation: EstimationProblem, substeps: int) -> Un
             base = found.search.base.hypothesis
             declared = replace(base, theta=problem.prior.mean)
             without = [fitting.validated(validation, one) for one in (base, declared)]
-        except IntegrationError:
-            return None
-        form = closed_form.fitted(law, law.problem, validation)
-        is_formula = form is not None and form.score <= _score(law, validated, problem, validation)
-        if form is not None and is_formula:
-            fitted = fitting.tempered(law.problem, form.hypothesis)
-            written = _explanation(fitted, fitted.instances)
-        else:
-            law = law.tempered()
-            fitted, written = law.hypothesis, _in_tables(law)
-        try:
-            validated = fitting.validated(validation, fitted)
+            form = closed_form.fitted(law, law.problem, validation)
+            is_formula = form is not None and form.score <= _score(law, validated, problem, validation)
+            if form is not None and is_formula:
+                form = form.tempered(law.problem, validation)
+                fitted, validated = form.hypothesis, form.validated
+                written = _explanation(fitted, fitted.instances)
+            else:
+                law = law.tempered()
+                fitted, validated = law.hypothesis, fitting.validated(validation, law.hypothesis)
+                written = _in_tables(law)
         except IntegrationError:
             return None
     if not validated.squares @ validation.weights < min(one.squares @ validation.weights for one in without):
