@@ -12,7 +12,8 @@ from scipy.interpolate import CubicSpline
 
 import masking
 from masking.declaration.expression import Expression
-from masking.discovery import calibration, closed_form, grammar
+from masking.discovery import calibration, closed_form, grammar, rival
+from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.bases import Curve, pieces
 from masking.discovery.tabulated import tabulated
 from masking.reports import discovery_text
@@ -126,6 +127,18 @@ def test_scores_of_probabilities_are_those_of_their_definitions():
 
 def outcome(probability, is_right):
     return scoring.Outcome("", "cubic", "named", "", "", probability, is_right, 0.0, 1.0, None, "", 1.0)
+
+
+@pytest.mark.parametrize(("edge", "rate", "is_beyond"), [(0.5, 0.1, False), (2.0, 0.1, True), (0.5, 2.0, True)])
+def test_a_law_that_changes_beyond_the_motion_is_known_in_a_limit(found, edge, rate, is_beyond):
+    discovery, _, _ = found
+    place, motion = discovery.law.place, discovery.search.motion
+    at = [one.name for one in discovery.rig.places].index(place)
+    far, fast = np.abs(motion.displacement[:, at]).max(), np.abs(motion.rate[:, at]).max()
+    law = EffectInstance("local_friction", place, (0.1, edge * far, 0.1 * far, rate * fast), (0, 1, 2, 3))
+    fitted = replace(discovery.explanation.hypothesis, instances=(law,))
+    asked = replace(discovery, explanation=replace(discovery.explanation, hypothesis=fitted))
+    assert rival.changes_beyond(asked) is is_beyond
 
 
 def test_a_law_that_ran_away_has_no_closed_form(found):

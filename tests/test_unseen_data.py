@@ -61,6 +61,13 @@ def test_readings_beyond_the_range_of_a_sensor_exclude_its_law(models, effect, v
     assert is_excluded(asked, [EffectInstance(effect, "q", values, (0,))]) is excluded
 
 
+@pytest.mark.parametrize(("static", "excluded"), [(0.3, False), (0.1, True)])
+def test_friction_that_grows_with_the_rate_is_not_stribecks(models, static, excluded):
+    asked = problem(models["pendulum"], "pendulum", **CASE)
+    law = EffectInstance("stribeck_friction", asked.rig.places[0].name, (0.2, static, 0.5), (0, 1, 2))
+    assert is_excluded(asked, [law]) is excluded
+
+
 def test_outliers_exclude_nothing(models):
     asked = problem(models["pendulum"], "pendulum", **CASE)
     readings = np.clip(asked.record.readings, -0.5, 0.5)

@@ -1,6 +1,7 @@
-"""Exclusion: laws that a record rules out by itself, whatever the motion was.
+"""Exclusion: laws that a record rules out by itself, whatever the motion was, and those that belie their names.
 
 A sensor reads no more than its law can give: behind a limit nothing exceeds it, and what has no sign is never negative.
+Friction that falls with the rate is no such friction where it grows.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from masking.declaration.expression import Expression
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.problem import EstimationProblem
 from masking.numerics.arrays import Array
@@ -18,7 +20,7 @@ REACH, POINTS = 10.0, 4001  # times the largest reading: the range of a law is t
 
 
 def is_excluded(problem: EstimationProblem, instances: Sequence[EffectInstance]) -> bool:
-    """Return whether readings are beyond the range of the only law of their sensor.
+    """Return whether readings are beyond the range of the only law of their sensor, or a law is not what it is called.
 
     Args:
         problem: the record and the rig.
@@ -26,7 +28,7 @@ def is_excluded(problem: EstimationProblem, instances: Sequence[EffectInstance])
     """
     sensors = [one.at for one in instances if one.where == "sensor"]
     alone = [one for one in instances if one.where == "sensor" and sensors.count(one.at) == 1 and not one.entry.states]
-    return any(_is_beyond(problem, one) for one in alone)
+    return any(_is_beyond(problem, one) for one in alone) or any(map(_belies_its_name, instances))
 
 
 def folds(problem: EstimationProblem, instance: EffectInstance) -> bool:
@@ -59,3 +61,8 @@ def _is_beyond(problem: EstimationProblem, instance: EffectInstance) -> bool:
     readings = problem.record.readings[:, at]
     margin = problem.rules.excluded_deviations * float(problem.sigma[at])
     return int(((readings > law.max() + margin) | (readings < law.min() - margin)).sum()) > OUTLIERS
+
+
+def _belies_its_name(instance: EffectInstance) -> bool:
+    text, known = instance.entry.positive, dict(zip(instance.entry.parameters, instance.values, strict=True))
+    return bool(text) and not Expression(text).evaluate(known) > 0.0

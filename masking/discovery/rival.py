@@ -35,7 +35,7 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     is_open = found.verdict == "unknown" or (calibration.matters(left) and not found.closed)
     are_two = share_a_place(found.explanation.names, found.problem.rig)
     leaves_more = found.explanation.cost > (1.0 + rules.screen_resolution) * size or _errs(found) > rules.noise_floor
-    if is_open or are_two or leaves_more or _takes_a_rest(found) or _changes_beyond(found):
+    if is_open or are_two or leaves_more or _takes_a_rest(found) or changes_beyond(found):
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps)
     refused, above = found.verdict == "unknown", not found.is_at_noise_floor
@@ -62,7 +62,7 @@ def _errs(found: Discovery) -> float:
     return max(after[name] / floor[name] for name in floor)
 
 
-def _changes_beyond(found: Discovery) -> bool:
+def changes_beyond(found: Discovery) -> bool:
     """Return whether a law has its edge, width or rate beyond the motion, which shows it in a limit that others share.
 
     Such as dry friction that is proportional to each rate of the record.

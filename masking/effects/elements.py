@@ -237,6 +237,7 @@ ELEMENTS: tuple[Effect, ...] = (
         family="friction",
         label="Stribeck friction",
         trials=(Trial(starts.falls, ("vst",), sticks=True), Trial(starts.falls, ("vst", "vs"))),
+        positive="fs - fc",
         nested=("dry_friction",),
         calibrated=("fc",),
     ),

@@ -170,6 +170,7 @@ class Effect:
         by_step: parameters that are no physics, but make a state as stiff as a step of integration bears: expressions
             over `step`, in s, and `mobility`, the acceleration of the displacement by a unit of force.
         least: least values of parameters that a step of integration bears, as such expressions of the parameters, too.
+        positive: an expression of its parameters that is positive, or else it is not what its name says; '' if any are.
     """
 
     name: str
@@ -202,6 +203,7 @@ class Effect:
     at_zero: Mapping[str, str] = field(default_factory=dict)
     by_step: Mapping[str, str] = field(default_factory=dict)
     least: Mapping[str, str] = field(default_factory=dict)
+    positive: str = ""
 
     @property
     def spoken(self) -> str:
