@@ -1,6 +1,6 @@
 """Ring: the last rows of a running loop in memory that other processes read, such as the one that records them.
 
-The loop writes a row in about a microsecond and waits for nobody. Readers come and go; one that is too slow is told how
+The loop writes a row in about a microsecond and waits for nobody. Readers come and go; one that is too slow learns how
 many rows it missed, and never gets a row of which a part is newer. The rows outlive the process that wrote them.
 
     "MASKRING"  rows  width  bytes of text  process  count  closed      each 8 bytes, little-endian
