@@ -9,7 +9,7 @@ controller draws, and a nonce of the server, which is another one each time that
     controller -> plant   HELLO again, under the key of the session, as all that follows both ways
 
 So what was recorded in another session, with another server, or in the other direction has a wrong tag, and within a
-session the index of a frame tells what was sent again. The server opens no session with a number that it has seen.
+session the index of a frame shows what was sent again. The server opens no session with a number that it has seen.
 
 Keyed BLAKE2b does what HMAC does in one pass: it takes a quarter of the time of `hmac.digest` with SHA-256
 (`python -m tests.benchmarks authentication`). Source: RFC 7693, section 2.9 for keys, and RFC 2104 for HMAC.
@@ -63,19 +63,11 @@ class Key:
             number = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
         except OSError as error:
             raise PlantMismatchError(f"the key {path} cannot be read ({error.strerror}); {_MAKE}") from error
-        with os.fdopen(number, "rb") as file:
-            status = os.fstat(number)
-            if not stat.S_ISREG(status.st_mode):
-                raise PlantMismatchError(f"the key {path} is no file; {_MAKE}")
-            if sys.platform != "win32":
-                if status.st_mode & 0o077:
-                    mode = stat.S_IMODE(status.st_mode)
-                    raise PlantMismatchError(
-                        f"the key {path} has mode {mode:04o}, so that others can use it; 'chmod 600 {path}'"
-                    )
-                if status.st_uid not in {os.geteuid(), 0}:
-                    raise PlantMismatchError(f"the key {path} belongs to another user; take a file of your own")
-            content = file.read(_LONGEST + 1).strip()
+        try:
+            _check_owner(path, os.fstat(number))
+            content = os.read(number, _LONGEST + 1).strip()
+        finally:
+            os.close(number)
         try:
             return cls(content)
         except PlantMismatchError as error:
@@ -91,6 +83,19 @@ class Key:
         about = session.to_bytes(8, "little") + nonce
         to_plant, to_controller = (hashlib.blake2b(way + about, key=self._shared).digest() for way in (_FORWARD, _BACK))
         return _Tags(to_plant), _Tags(to_controller)
+
+
+def _check_owner(path: str | Path, status: os.stat_result) -> None:
+    """Refuse what is no file, or a file that others can use."""
+    if not stat.S_ISREG(status.st_mode):
+        raise PlantMismatchError(f"the key {path} is no file; {_MAKE}")
+    if sys.platform == "win32":  # which has no such modes
+        return
+    if status.st_mode & 0o077:
+        mode = stat.S_IMODE(status.st_mode)
+        raise PlantMismatchError(f"the key {path} has mode {mode:04o}, so that others can use it; 'chmod 600 {path}'")
+    if status.st_uid not in {os.geteuid(), 0}:
+        raise PlantMismatchError(f"the key {path} belongs to another user; take a file of your own")
 
 
 @final

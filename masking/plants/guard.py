@@ -13,7 +13,7 @@ from masking.plants.interface import Plant, Sample, Settings
 
 
 class Guard(Protocol):
-    """Judges each sample, and the command that is about to be written; nothing goes to the plant past it.
+    """Looks at each sample and at the command that is about to be written; nothing goes to the plant past it.
 
     Attributes:
         counters: what it did, by name, since `begin`.

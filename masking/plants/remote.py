@@ -18,7 +18,7 @@ from masking.plants.wire import Frame, Kind
 
 TRY = 0.25  # seconds before a request is sent again
 LOCKSTEP_TIMEOUT = 5.0  # seconds; a plant in lockstep answers when it is ready
-WATCHDOGS, PERIODS = 2.0, 3.0  # times of the watchdog, and at least samples, of silence after which a plant is lost
+WATCHDOGS, PERIODS = 1.5, 3.0  # times of the watchdog, and at least samples, of silence after which a plant is lost
 HELD = 4  # samples in a row that may be missing
 _LARGEST = 2**62  # indices, which are int64 in a run
 
@@ -33,7 +33,7 @@ class RemotePlant(ABC):
 
     Args:
         address: of the plant.
-        timeout: seconds of silence after which a running plant is lost; by default two times that of the watchdog, and
+        timeout: seconds of silence after which a running plant is lost; by default 1.5 times that of the watchdog, and
             at least 3 samples.
         patience: seconds to wait for a plant that is still starting or saving its last record.
         key: that the plant has, too, where its server asks for one.

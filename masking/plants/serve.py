@@ -81,7 +81,7 @@ def serve(
         patience: seconds to wait for a command in lockstep.
         after_latch: seconds that are still recorded after a trip.
         allowed: watchdogs and rates that controllers may ask for.
-        guard: judges every command before it is written.
+        guard: what every command passes before it is written.
         key: that controllers must have; needed where other machines reach the address.
 
     Returns:

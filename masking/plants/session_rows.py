@@ -55,7 +55,7 @@ class SessionRows:
         """Complete the row.
 
         Args:
-            plant: that tells what it made of the command.
+            plant: whose telemetry is that of the end of the row.
             command: (actuators,) that held after the sample.
             fresh: it came in time.
             latched: the plant has tripped.
