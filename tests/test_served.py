@@ -5,18 +5,19 @@ own record shows how old each command was when it was written.
 """
 
 import signal
+import threading
 import time
 
 import numpy as np
 import pytest
-from test_plants import LOCKSTEP, MassSpring, forged, line, opened, process, served
+from test_plants import LOCKSTEP, NOWHERE, RUN, MassSpring, forged, line, opened, process, served
 
 from masking import cli
 from masking.declaration import catalogue
 from masking.errors import PlantLostError, PlantRefusedError
 from masking.plants import wire
-from masking.plants.guard import ActuatorLimits
-from masking.plants.interface import Settings
+from masking.plants.guard import PlantLimits, Reach
+from masking.plants.interface import Sample, Settings
 from masking.plants.session import Allowed
 from masking.plants.udp import UdpPlant
 from masking.plants.wire import Kind
@@ -270,6 +271,18 @@ def test_a_plant_refuses_what_it_does_not_allow_and_says_what_it_does(settings, 
         assert said in str(caught.value)
 
 
+@pytest.mark.parametrize("text", ["\0" * 60_000, "[" * 60_000, "9" * 60_000, '{"rate": 1e999}', "\U0001f600" * 15_000])
+def test_a_hello_that_is_none_is_refused_and_the_server_goes_on(text):
+    with served(MassSpring(), clock="lockstep") as (address, _), line(address) as bare:
+        bare.send(wire.encode(Kind.HELLO, 4, text=text))
+        refused = wire.decode(bare.recv(65535))
+        assert refused.kind is Kind.REFUSE
+        assert len(refused.text) <= 2000
+        opened(bare, 5, LOCKSTEP)
+        assert wire.decode(bare.recv(65535)).index == 0
+        bare.send(wire.encode(Kind.BYE, 5))
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -298,7 +311,7 @@ def test_a_range_of_rates_is_written_with_a_colon(capsys):
 
 def test_every_command_is_clamped_on_the_side_of_the_plant(tmp_path):
     run = {"rate": 1000.0, "samples": 50, "limits": np.full(2, 1e300), "lockstep": True}
-    guard = ActuatorLimits({"u1": 0.25})
+    guard = PlantLimits({"u1": 0.25})
     with served(MassSpring(), clock="lockstep", record=tmp_path, guard=guard) as (address, folders):
         run_rig(lambda tick, _: np.array([1e200 * (-1) ** tick, 3.0]), UdpPlant(address, patience=20.0), **run)
     own = Recording.load(folders[0])
@@ -313,17 +326,62 @@ def test_the_limits_are_those_of_the_plant_file_in_the_units_of_its_commands(tmp
     text = catalogue.find("plant", "tue_rig").read_text(encoding="utf-8")
     weak.write_text(text.replace("{max: 0.42, unit: V}", "{max: 20, unit: mV}", 1), encoding="utf-8")
     guard = hardware._guard(Twin.load(weak))
-    assert guard.largest == pytest.approx({"V1": 0.02, "V2": 0.42, "V3": 0.42}, rel=1e-14)
-    assert hardware._guard(Twin.load("ideal")).largest == {"u1": 0.42, "u2": 0.42, "u3": 0.42}
+    assert guard.inputs == pytest.approx({"V1": 0.02, "V2": 0.42, "V3": 0.42}, rel=1e-14)
+    assert hardware._guard(Twin.load("ideal")).inputs == {"u1": 0.42, "u2": 0.42, "u3": 0.42}
 
 
 def test_limits_of_another_plant_are_refused():
-    guard = ActuatorLimits({"V1": 0.25})
+    guard = PlantLimits({"V1": 0.25})
     with (
         served(MassSpring(), sessions=None, guard=guard) as (address, _),
-        pytest.raises(PlantRefusedError, match=r"limits\.inputs\.V1: the plant has no such actuator; did you mean"),
+        pytest.raises(
+            PlantRefusedError,
+            match="the limits are those of a plant with the actuator V1, which this one does not have; did you mean",
+        ),
     ):
         UdpPlant(address).configure(Settings(1000.0))
+
+
+def test_a_twin_stops_where_a_sensor_shows_its_limit(tmp_path):
+    """The rig is driven with all that its actuators give, at their sign of the velocity, until the server stops it."""
+    is_over, found, folders = threading.Event(), [], []
+    kept = {"record": tmp_path, "lockstep": True, "sessions": 1, "ready": found.append, "stop": is_over.is_set}
+    thread = threading.Thread(target=lambda: folders.extend(hardware.serve("ideal", NOWHERE, **kept)))
+    thread.start()
+    try:
+        while not found:
+            assert thread.is_alive()
+            time.sleep(0.01)
+        before = np.zeros(3)
+
+        def driven(_, values):
+            nonlocal before
+            command, before = np.sign(values - before + 1e-12), values
+            return command
+
+        with pytest.raises(
+            PlantLostError, match=r"ended the session: x[12] - x3 is -?5\.\d+ mm as s[12] reads it, its limit"
+        ):
+            run_rig(driven, UdpPlant(found[0], patience=60.0), **{**RUN, "samples": 20000, "limits": np.full(3, 9.0)})
+    finally:
+        is_over.set()
+        thread.join(60.0)
+    own = Recording.load(folders[0])
+    assert np.abs(own.array("input")).max() == 0.42
+    for name in ("1", "2"):
+        moved = own[f"plant.x{name}"] - own["plant.x3"]
+        speed = np.abs(np.diff(moved)).max()  # m in a tick
+        assert np.abs(moved).max() <= 5e-3 + 2.0 * speed
+    assert not own.array("input")[-1].any()
+
+
+@pytest.mark.parametrize("reading", [np.nan, np.inf, -np.inf, 5.1, -5.1])
+def test_a_reading_that_shows_no_place_within_the_limit_trips(reading):
+    guard = PlantLimits({}, {"x2": Reach("x", 5.0, "mm", 1.0)})
+    guard.begin(MassSpring(), LOCKSTEP)
+    assert guard.check(Sample(0, np.array([99.0, 5.0])), np.zeros(2)) == ""
+    found = guard.check(Sample(0, np.array([0.0, reading])), np.zeros(2))
+    assert found == f"x is {reading:g} mm as x2 reads it, its limit is 5 mm"
 
 
 class Careful:

@@ -216,8 +216,7 @@ class AuthenticatedHub:
                         del self._known[next(iter(self._known))]
                     self._known[session] = tags
                 return tagged[:-TAG], peer
-            first = self._key.tags(session)
-            if is_hello and first[0].is_on(tagged):
+            if is_hello and (first := self._key.tags(session))[0].is_on(tagged):
                 challenge = wire.encode(Kind.CHALLENGE, session, text=self._nonce(session).decode())
                 self._hub.send(first[1].add(challenge), peer)
                 raise BlockingIOError("it was challenged")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Protocol, final
 
 import numpy as np
@@ -34,38 +35,73 @@ class Guard(Protocol):
 
 
 @final
-class ActuatorLimits:
-    """Clamps each command to the largest that its actuator bears.
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How far a coordinate may go, as a sensor of its own shows it.
 
     Args:
-        largest: magnitude of the command of each actuator, in its unit; one that is not named has no limit.
+        what: the coordinate, or the expression of coordinates, that the sensor measures.
+        largest: magnitude that it may have, in `unit`.
+        unit: of that.
+        gain: of the sensor, its unit per `unit`.
     """
 
-    def __init__(self, largest: Mapping[str, float]) -> None:
-        self.largest = dict(largest)
+    what: str
+    largest: float
+    unit: str
+    gain: float
+
+    def passed(self, sensor: str, reading: float) -> str:
+        """Say that a reading is beyond, as also where it is not a number; empty where it is not."""
+        value = reading / self.gain
+        if abs(value) <= self.largest:
+            return ""
+        return f"{self.what} is {value:.4g} {self.unit} as {sensor} reads it, its limit is {self.largest:g} {self.unit}"
+
+
+@final
+class PlantLimits:
+    """Clamps each command to the largest that its actuator bears, and trips where a reading shows a coordinate beyond.
+
+    Args:
+        inputs: magnitude of the command of each actuator, in its unit; one that is not named has no limit.
+        reaches: by sensor, how far what it measures may go.
+    """
+
+    def __init__(self, inputs: Mapping[str, float], reaches: Mapping[str, Reach] | None = None) -> None:
+        self.inputs, self.reaches = dict(inputs), dict(reaches or {})
         self.counters: Mapping[str, int] = {}
         self._clamped = 0
         self._above, self._below = np.empty(0), np.empty(0)
+        self._watched: list[tuple[int, str, Reach]] = []
 
     def begin(self, plant: Plant, settings: Settings) -> None:
-        """Put the limits into the order of the plant's actuators.
+        """Put the limits into the order of the plant's channels.
 
         Raises:
             PlantMismatchError: the plant does not have one of them.
         """
         del settings
-        for name in self.largest:
-            if name not in plant.actuators:
-                mend = nearest(name, plant.actuators)
-                raise PlantMismatchError(f"limits.inputs.{name}: the plant has no such actuator; {mend}")
-        self._above = np.array([self.largest.get(name, np.inf) for name in plant.actuators])
+        for kind, names, there in (
+            ("actuator", self.inputs, plant.actuators),
+            ("sensor", self.reaches, plant.sensors),
+        ):
+            for name in names:
+                if name not in there:
+                    message = f"the limits are those of a plant with the {kind} {name}, which this one does not have"
+                    raise PlantMismatchError(f"{message}; {nearest(name, there)}")
+        self._above = np.array([self.inputs.get(name, np.inf) for name in plant.actuators])
         self._below = -self._above
+        self._watched = [(plant.sensors.index(name), name, reach) for name, reach in self.reaches.items()]
         self.counters = {}
         self._clamped = 0
 
     def check(self, sample: Sample, command: Array) -> str:
-        """Clamp a command (actuators,), which is finite."""
-        del sample
+        """Clamp a command (actuators,), which is finite; say which coordinate is beyond its limit."""
+        for i, name, reach in self._watched:
+            cause = reach.passed(name, float(sample.values[i]))
+            if cause:
+                return cause
         if (command > self._above).any() or (command < self._below).any():
             np.clip(command, self._below, self._above, out=command)
             self._clamped += 1

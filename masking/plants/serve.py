@@ -45,6 +45,7 @@ Clock = Literal["real", "lockstep"]
 RESERVED: Final = 10.0  # seconds that a controller may take from configure to activate
 MOST: Final = 1000  # frames that are looked at in one tick
 LOOK: Final = 0.005  # seconds between looks at the line and the watchdog in a tick that is longer
+LONGEST_TEXT: Final = 2000  # characters
 REMEMBERED: Final = 100_000  # sessions whose numbers are not taken again
 
 
@@ -388,8 +389,8 @@ class _Server:
         values: Array = wire.NO_VALUES,
         text: str = "",
     ) -> None:
-        """Send a frame; one that cannot go out is dropped, as the net might."""
-        frame = wire.encode(kind, number, index, values=values, text=text)
+        """Send a frame; one that cannot go out is dropped, as the net might, and a text that quotes too much is cut."""
+        frame = wire.encode(kind, number, index, values=values, text=text[:LONGEST_TEXT])
         with contextlib.suppress(OSError):
             self.line.send(frame, address)
 

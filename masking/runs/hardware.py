@@ -19,7 +19,7 @@ from masking.plants import adapters
 from masking.plants import serve as serving
 from masking.plants.address import scheme_of
 from masking.plants.authentication import Key
-from masking.plants.guard import ActuatorLimits, Guard
+from masking.plants.guard import Guard, PlantLimits, Reach
 from masking.plants.interface import Plant, Settings
 from masking.plants.machine import Stop
 from masking.plants.session import LONGEST_WATCHDOG, RATES, Allowed
@@ -98,15 +98,17 @@ def serve(
 
 
 def _guard(twin: Twin) -> Guard:
-    """Return what keeps a served plant within the limits of a plant file."""
-    units = {name: actuator.unit for name, actuator in twin.declaration.actuators.items()}
-    units = units or {name: given.unit for name, given in twin.base.inputs.items()}
-    return ActuatorLimits(
-        {
-            name: limit.max * twin.size(limit.unit) / twin.size(units[name])
-            for name, limit in twin.declaration.limits.inputs.items()
-        }
-    )
+    """Return what keeps a served plant within the limits of a plant file, as far as its sensors measure them."""
+    plant, size = twin.declaration, twin.size
+    units = {name: given.unit for name, given in (plant.actuators or twin.base.inputs).items()}
+    inputs = {name: limit.max * size(limit.unit) / size(units[name]) for name, limit in plant.limits.inputs.items()}
+    reaches = {}
+    for name, sensor in plant.sensors.items():
+        for expression, limit in plant.limits.coordinates.items():
+            if sensor.measures.text == expression.text:
+                gain = sensor.gain.value * size(sensor.gain.unit) / size(sensor.unit) * size(limit.unit)
+                reaches[name] = Reach(expression.text, limit.max, limit.unit, gain)
+    return PlantLimits(inputs, reaches)
 
 
 def run(
