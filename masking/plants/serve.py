@@ -46,6 +46,7 @@ RESERVED: Final = 10.0  # seconds that a controller may take from configure to a
 MOST: Final = 1000  # frames that are looked at in one tick
 LOOK: Final = 0.005  # seconds between looks at the line and the watchdog in a tick that is longer
 LONGEST_TEXT: Final = 2000  # characters
+OVER: Final = "this session is over; open a new one"
 REMEMBERED: Final = 100_000  # sessions whose numbers are not taken again
 
 
@@ -163,7 +164,7 @@ class _Server:
                 session.end = self.tripped = f"the plant failed: {type(error).__name__}: {error}"
             if session.latch is not None:
                 self.tripped = session.latch["cause"]
-            self.remember(session.number, "this session is over; open a new one")
+            self.remember(session.number, OVER)
             self.reply(session, Kind.STOP, session.end)
             session.close(self.plant)
             if self.guard is not None:
@@ -183,8 +184,7 @@ class _Server:
         session, until = None, math.inf
         while not self.stop():
             if time.monotonic() > until:
-                session, until = None, math.inf
-                self.plant.deactivate()
+                session, until = self.released(session), math.inf
             for frame, address in self.arrived(POLL):
                 if frame.kind is Kind.HELLO:
                     opened = self.open(frame, address, session)
@@ -194,11 +194,16 @@ class _Server:
                     if frame.kind is Kind.START:
                         return session
                     if frame.kind is Kind.BYE:
-                        session, until = None, math.inf
-                        self.plant.deactivate()
+                        session, until = self.released(session), math.inf
                 elif frame.kind is Kind.COMMAND:
-                    self.send(frame.session, address, Kind.STOP, text="this session is over; open a new one")
+                    self.send(frame.session, address, Kind.STOP, text=OVER)
         return None
+
+    def released(self, session: Session | None) -> None:
+        """Give up a session that was opened and never started."""
+        self.plant.deactivate()
+        if session is not None:
+            self.remember(session.number, OVER)
 
     def open(self, frame: Frame, address: Peer, session: Session | None) -> Session | None:
         """Answer a hello; return the session that then holds the plant."""
