@@ -184,7 +184,8 @@ class _Server:
         session, until = None, math.inf
         while not self.stop():
             if time.monotonic() > until:
-                session, until = self.released(session), math.inf
+                self.release(session)
+                session, until = None, math.inf
             for frame, address in self.arrived(POLL):
                 if frame.kind is Kind.HELLO:
                     opened = self.open(frame, address, session)
@@ -194,12 +195,13 @@ class _Server:
                     if frame.kind is Kind.START:
                         return session
                     if frame.kind is Kind.BYE:
-                        session, until = self.released(session), math.inf
+                        self.release(session)
+                        session, until = None, math.inf
                 elif frame.kind is Kind.COMMAND:
                     self.send(frame.session, address, Kind.STOP, text=OVER)
         return None
 
-    def released(self, session: Session | None) -> None:
+    def release(self, session: Session | None) -> None:
         """Give up a session that was opened and never started."""
         self.plant.deactivate()
         if session is not None:
