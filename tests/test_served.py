@@ -11,11 +11,13 @@ import time
 import numpy as np
 import pytest
 from test_plants import LOCKSTEP, NOWHERE, RUN, MassSpring, forged, line, opened, process, served
+from test_rig import serving
 
 from masking import cli
 from masking.declaration import catalogue
 from masking.errors import PlantLostError, PlantRefusedError
-from masking.plants import wire
+from masking.plants import adapters, wire
+from masking.plants.authentication import Key
 from masking.plants.guard import PlantLimits, Reach
 from masking.plants.interface import Sample, Settings
 from masking.plants.session import Allowed
@@ -478,6 +480,41 @@ def test_a_session_that_is_over_is_not_opened_again():
         opened(bare, 6, LOCKSTEP)
         bare.recv(65535)
         bare.send(wire.encode(Kind.BYE, 6))
+
+
+def test_key_and_acknowledgement_on_the_command_line(tmp_path, capsys):
+    key = tmp_path / "rig.key"
+    key.write_bytes(b"0123456789abcdef")
+    key.chmod(0o600)
+    with serving("ideal", "--key", key, "--sessions", 1000, "--watchdog", 1) as (server, address):
+        remote = UdpPlant(address, patience=20.0, key=Key.read(key))
+        remote.configure(Settings(1000.0))
+        remote.activate()
+        remote.write(remote.read().index, np.zeros(3))
+        with pytest.raises(PlantLostError):
+            while True:
+                remote.read()
+        remote.deactivate()
+        assert cli.main(["rig", "check", address]) == 1
+        assert "its key is another one, or none was given; give the server's by --key FILE" in capsys.readouterr().err
+        assert cli.main(["rig", "check", address, "--key", str(key)]) == 1
+        assert "it has tripped: no valid command for 20 ms; look at the rig, then start once" in capsys.readouterr().err
+        assert cli.main(["rig", "check", address, "--key", str(key), "--acknowledge"]) == 0
+        assert capsys.readouterr().out.endswith(f"{address} conforms\n")
+        assert cli.main(["rig", "check", address, "--key", str(key)]) == 0
+        server.send_signal(signal.SIGTERM)
+
+
+class Asked(MassSpring):
+    def configure(self, settings):
+        raise PlantRefusedError(f"acknowledge is {settings.acknowledge}")
+
+
+@pytest.mark.parametrize("options", [[], ["--acknowledge"]])
+def test_a_run_acknowledges_where_it_is_asked_to(tmp_path, options, monkeypatch, capsys):
+    monkeypatch.setattr(adapters, "connect", lambda address, key: Asked())
+    assert cli.main(["rig", "run", "huygens_rig", "--plant", "x:y", "--out", str(tmp_path / "out"), *options]) == 1
+    assert capsys.readouterr().err == f"masking: acknowledge is {bool(options)}\n"
 
 
 # --- samples that do not arrive ---------------------------------------------------------------------------------------
