@@ -529,7 +529,7 @@ def test_a_twin_behind_a_serial_line_is_a_plant(pyserial, folder, offline, tmp_p
 
 @needs_pty
 def test_a_twin_behind_a_serial_line_keeps_time(pyserial, folder):
-    with serving(folder / "delayed.yaml", "serial:pty") as where:
+    with serving(folder / "delayed.yaml", "serial:pty", watchdog=5.0) as where:
         assert cli.main(["rig", "check", where]) == 0
         delayed = Experiment.load(folder / "delayed_experiment.yaml")
         found = hardware.run(delayed, adapters.connect(where), watchdog=5.0)  # both sides are in this process

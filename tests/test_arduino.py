@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from masking.errors import PlantRefusedError
+from masking.errors import PlantLostError, PlantRefusedError
 from masking.exports.controllers import sampled_unit
 from masking.exports.plants import twin_unit
 from masking.plants import adapters
@@ -95,3 +95,24 @@ def test_a_board_moves_as_the_twin_does(experiment, board):
 def test_a_board_refuses_another_rate(board):
     with pytest.raises(PlantRefusedError, match="this plant has 500 samples per second: give that rate"):
         adapters.connect(board).configure(Settings(1000.0))
+
+
+def test_a_board_that_has_tripped_waits_for_an_acknowledgement(board):
+    plant = adapters.connect(board)
+    plant.configure(Settings(500.0, 0.1))
+    plant.activate()
+    plant.write(plant.read().index, np.zeros(1))
+    with pytest.raises(PlantLostError, match="ended the session: no valid command in the time of the watchdog"):
+        while True:
+            plant.read()
+    plant.deactivate()
+    said = "refuses: it has tripped: no valid command in the time of the watchdog; look at the rig, then start once"
+    for _ in range(2):
+        with pytest.raises(PlantRefusedError, match=said):
+            plant.configure(Settings(500.0, 0.1))
+    plant.configure(Settings(500.0, 1.0, acknowledge=True))
+    plant.activate()
+    assert plant.read().index == 0
+    plant.deactivate()
+    plant.configure(Settings(500.0, 1.0))
+    plant.deactivate()

@@ -24,10 +24,12 @@ from masking.errors import (
     WireError,
 )
 from masking.plants import serve as serving
+from masking.plants import session as sessions
 from masking.plants import wire
 from masking.plants.conformance import check
 from masking.plants.interface import LifeCycle, Sample, Settings, check_command
 from masking.plants.serve import serve
+from masking.plants.session import Allowed
 from masking.plants.udp import UdpPlant
 from masking.plants.wire import Kind
 from masking.records.recording import Recording
@@ -35,6 +37,7 @@ from masking.runs.realtime import run_rig
 
 LOCKSTEP = Settings(rate=1000.0, lockstep=True)
 NOWHERE = "udp://127.0.0.1:0"
+SLOW = Allowed(watchdog=5.0)
 
 
 class MassSpring:
@@ -86,6 +89,7 @@ import os, sys, time
 import numpy as np
 from masking.plants.interface import LifeCycle, Sample, Settings, check_command
 from masking.plants.serve import serve
+from masking.plants.session import Allowed
 from masking.plants.udp import UdpPlant
 from masking.runs.realtime import run_rig
 """
@@ -107,7 +111,8 @@ def process(code: str, *arguments: object):
 SERVER = """
 def say(address):
     print(address, flush=True)
-serve(MassSpring(), "udp://127.0.0.1:0", record=sys.argv[1], stop_after=int(sys.argv[2]), ready=say, after_latch=0.1)
+serve(MassSpring(), "udp://127.0.0.1:0", record=sys.argv[1], stop_after=int(sys.argv[2]), ready=say, after_latch=0.1,
+      allowed=Allowed(watchdog=5.0))
 """
 
 # Writes 1 V to both actuators at every tick, and says so after the first.
@@ -125,6 +130,7 @@ print(run.reason, flush=True)
 def served(plant, *, sessions: int | None = 1, **settings):
     """Serve a plant in a thread; give its address and, once it ended, the folders of its recordings."""
     is_ready, is_over, addresses, folders, told = threading.Event(), threading.Event(), [], [], []
+    chosen = {"allowed": SLOW, **settings}
 
     def ready(address):
         addresses.append(address)
@@ -132,7 +138,7 @@ def served(plant, *, sessions: int | None = 1, **settings):
 
     def run():
         folders.extend(
-            serve(plant, NOWHERE, stop_after=sessions, stop=is_over.is_set, ready=ready, tell=told.append, **settings)
+            serve(plant, NOWHERE, stop_after=sessions, stop=is_over.is_set, ready=ready, tell=told.append, **chosen)
         )
 
     thread = threading.Thread(target=run)
@@ -611,7 +617,7 @@ def test_in_lockstep_a_silent_controller_is_given_up(tmp_path):
 
 
 def test_a_controller_that_never_commands_is_given_up(tmp_path, monkeypatch):
-    monkeypatch.setattr(serving, "SILENT_START", 0.02)
+    monkeypatch.setattr(sessions, "SILENT_START", 0.02)
     with served(MassSpring(), record=tmp_path, after_latch=0.0) as (address, folders):
         plant = UdpPlant(address, timeout=5.0, patience=20.0)
         plant.configure(Settings(rate=1000.0))
@@ -777,7 +783,7 @@ def test_what_a_plant_said_last_is_read_also_when_it_is_gone(commands):
         plant.deactivate()
 
 
-def test_a_latched_plant_takes_the_next_controller(tmp_path):
+def test_a_plant_that_has_tripped_takes_the_next_controller_that_acknowledges_it(tmp_path):
     with process(SERVER.replace("after_latch=0.1", "after_latch=1e3"), tmp_path, 2) as (server, address):
         with process(CONTROLLER, address, 0.02) as (controller, said):
             assert said == "running", controller.stderr.read()
@@ -786,9 +792,13 @@ def test_a_latched_plant_takes_the_next_controller(tmp_path):
         while True:
             try:
                 plant.configure(Settings(rate=1000.0, watchdog=5.0))
+            except PlantRefusedError as error:
+                if "has this plant" in str(error):  # the watchdog has not seen it yet
+                    continue
+                said = "it has tripped: no valid command for 20 ms; look at the rig, then start once with --acknowledge"
+                assert said in str(error)
                 break
-            except PlantRefusedError:  # the watchdog has not seen it yet
-                continue
+        plant.configure(Settings(rate=1000.0, watchdog=5.0, acknowledge=True))
         plant.activate()
         assert plant.read().index >= 0
         plant.deactivate()
@@ -796,4 +806,5 @@ def test_a_latched_plant_takes_the_next_controller(tmp_path):
     first = Recording.load(tmp_path / "session-1")
     assert first.manifest["end"] == "no valid command for 20 ms"
     assert first["input.u1"][-1] == 0.0
-    assert Recording.load(tmp_path / "session-2").manifest["end"] == "bye"
+    second = Recording.load(tmp_path / "session-2")
+    assert (second.manifest["end"], second.manifest["acknowledged"]) == ("bye", "no valid command for 20 ms")

@@ -13,6 +13,7 @@ from masking.cli.options import NAMED, Verb, add_json, add_out, add_verb, answer
 from masking.cli.progress import INTERRUPTED, Bar
 
 if TYPE_CHECKING:
+    from masking.plants.authentication import Key
     from masking.records.recording import Recording
 
 SUCH = "such as udp://127.0.0.1:5005, serial:///dev/ttyACM0, mujoco:rig.xml or fmu:rig.fmu"
@@ -30,10 +31,21 @@ def _add_common(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--lockstep", action="store_true", help="each side waits for the other; no clock")
 
 
+def _add_remote(sub: argparse.ArgumentParser) -> None:
+    _add_key(sub, "that the server has, too")
+    text = "why the plant tripped in the last run was looked at; it is refused without"
+    sub.add_argument("--acknowledge", action="store_true", help=text)
+
+
+def _add_key(sub: argparse.ArgumentParser, text: str) -> None:
+    sub.add_argument("--key", metavar="FILE", help=f"file of mode 0600 with a key {text}")
+
+
 def _add_check(sub: argparse.ArgumentParser) -> None:
     from masking.plants import conformance
 
     _add_common(sub)
+    _add_remote(sub)
     sub.add_argument("address", metavar="ADDRESS", help=f"{SUCH}; the outputs move")
     text = "samples per second (default: %(default)g)"
     sub.add_argument("--rate", metavar="HZ", type=float, default=conformance.RATE, help=text)
@@ -42,6 +54,8 @@ def _add_check(sub: argparse.ArgumentParser) -> None:
 
 
 def _add_serve(sub: argparse.ArgumentParser) -> None:
+    from masking.plants.session import LONGEST_WATCHDOG, RATES
+
     _add_common(sub)
     sub.add_argument("plant", metavar="PLANT", help=f"{NAMED}, whose twin is served; or an address, {SUCH}")
     text = "udp://host:port, serial:pty for a pseudo terminal, or a serial port (default: %(default)s)"
@@ -49,10 +63,25 @@ def _add_serve(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--record", metavar="DIR", help="folder for the plant's own record of each session")
     sub.add_argument("--seed", type=int, default=0, help="of the sensors' noise (default: 0)")
     sub.add_argument("--sessions", type=int, metavar="N", help="end after N sessions")
+    text = "plant file whose limits hold for every command (default: PLANT, where it is one)"
+    sub.add_argument("--limits", metavar="PLANT", help=text)
+    text = "longest watchdog that a controller may ask for (default: %(default)g)"
+    sub.add_argument("--watchdog", metavar="SECONDS", type=float, default=LONGEST_WATCHDOG, help=text)
+    low, high = RATES
+    text = f"samples per second that a controller may ask for (default: {low:g}:{high:g})"
+    sub.add_argument("--rates", metavar="LOW:HIGH", type=_rates, default=RATES, help=text)
+    _add_key(sub, "that controllers must have, too; needed where other machines reach the address")
+
+
+def _rates(text: str) -> tuple[float, float]:
+    """Read `LOW:HIGH`; a ValueError where it is written otherwise."""
+    low, high = map(float, text.split(":"))
+    return low, high
 
 
 def _add_run(sub: argparse.ArgumentParser) -> None:
     _add_common(sub)
+    _add_remote(sub)
     sub.add_argument("experiment", metavar="EXPERIMENT", help=NAMED)
     sub.add_argument(
         "--plant",
@@ -68,9 +97,17 @@ def _add_calibrate(sub: argparse.ArgumentParser) -> None:
     _add_common(sub)
     sub.add_argument("plant", metavar="PLANT", help="the rig's plant file, or a packaged plant")
     sub.add_argument("--at", metavar="ADDRESS", help=f"{SUCH} (default: the plant's twin)")
+    _add_key(sub, "that the server has, too")
     sub.add_argument("--model", metavar="MODEL", help="a model of the rig to fit beside that of the plant file")
     sub.add_argument("--seconds", type=float, default=40.0, help="length of each record (default: 40)")
     add_out(sub, "results/PLANT_calibration; records that it holds are used again")
+
+
+def _key(chosen: argparse.Namespace) -> Key | None:
+    """Return the key of `--key`."""
+    from masking.plants.authentication import Key
+
+    return Key.read(chosen.key) if chosen.key is not None else None
 
 
 def _check(chosen: argparse.Namespace) -> int:
@@ -78,8 +115,8 @@ def _check(chosen: argparse.Namespace) -> int:
     from masking.plants import adapters, conformance
     from masking.plants.interface import Settings
 
-    settings = Settings(chosen.rate, conformance.WATCHDOG, chosen.lockstep)
-    make_plant = partial(adapters.connect, chosen.address)
+    settings = Settings(chosen.rate, conformance.WATCHDOG, chosen.lockstep, chosen.acknowledge)
+    make_plant = partial(adapters.connect, chosen.address, _key(chosen))
     conformance.reach(make_plant, settings, chosen.amplitude)
     found = conformance.verdicts(make_plant, settings, amplitude=chosen.amplitude)
     broken = sum(len(verdict.broken) for verdict in found)
@@ -100,6 +137,10 @@ def _serve(chosen: argparse.Namespace) -> int:
         record=chosen.record,
         seed=chosen.seed,
         sessions=chosen.sessions,
+        limits=chosen.limits,
+        watchdog=chosen.watchdog,
+        rates=chosen.rates,
+        key=chosen.key,
         ready=lambda address: print(f"{chosen.plant} is served at {address}", file=sys.stderr, flush=True),
     )
     records = [str(folder) for folder in folders]
@@ -125,8 +166,10 @@ def _run(chosen: argparse.Namespace) -> int:
         answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 
     with Bar("running") as bar:
-        plant = connect_each(chosen.plant, tuple(made.declaration.plants))
-        recording = hardware.run(made, plant, lockstep=chosen.lockstep, progress=bar, keep=keep)
+        plant = connect_each(chosen.plant, tuple(made.declaration.plants), _key(chosen))
+        recording = hardware.run(
+            made, plant, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge, progress=bar, keep=keep
+        )
     keep(recording)
     end = recording.manifest["rig"]["end"]
     is_planned = end in {stopping.FINISHED, stopping.SYNCHRONISED}
@@ -149,7 +192,7 @@ def _calibrate(chosen: argparse.Namespace) -> int:
         with Bar("calibrating") as bar:
             found = calibrate(
                 twin,
-                adapters.connect(chosen.at) if chosen.at else SimulatedPlant(twin),
+                adapters.connect(chosen.at, _key(chosen)) if chosen.at else SimulatedPlant(twin),
                 out,
                 model=chosen.model,
                 seconds=chosen.seconds,

@@ -12,20 +12,35 @@ from typing import Any, Final, NoReturn, cast
 
 from masking.errors import MaskingError, PlantError, PlantMismatchError
 from masking.plants.address import scheme_of
+from masking.plants.authentication import Key
 from masking.plants.interface import Plant
 from masking.plants.lines import Hub
+from masking.plants.remote import RemotePlant
 
 GROUP: Final = "masking.plants"
 
 
-def connect(address: str) -> Plant:
+def connect(address: str, key: Key | None = None) -> Plant:
     """Return the plant at an address such as `udp://127.0.0.1:5005`; nothing is reached before it is configured.
 
+    Args:
+        address: of the plant.
+        key: that its server has, too.
+
     Raises:
-        PlantMismatchError: no adapter has this scheme, its library is missing, or the address is wrong.
+        PlantMismatchError: no adapter has this scheme, its library is missing, the address is wrong, or a key is given
+            where there are no frames.
         PlantError: the adapter fails.
     """
-    return cast(Plant, _call(address, lambda adapter: adapter(address)))
+
+    def opened(adapter: Any) -> object:  # noqa: ANN401  # whatever an entry point leads to
+        if key is None:
+            return adapter(address)
+        if not (isinstance(adapter, type) and issubclass(adapter, RemotePlant)):
+            raise PlantMismatchError(f"{address} has no frames that a key could stand for; leave out --key")
+        return adapter(address, key=key)
+
+    return cast(Plant, _call(address, opened))
 
 
 def listen(address: str) -> Hub:

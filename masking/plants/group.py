@@ -11,6 +11,7 @@ import numpy as np
 from masking.errors import PlantMismatchError
 from masking.numerics.arrays import Array
 from masking.plants import adapters
+from masking.plants.authentication import Key
 from masking.plants.interface import APPLIED, Counting, LifeCycle, Plant, Sample, Settings, Telling, check_command
 
 
@@ -99,12 +100,13 @@ class PlantGroup:
         return reported
 
 
-def connect_each(addresses: Sequence[str], names: Sequence[str]) -> Plant:
+def connect_each(addresses: Sequence[str], names: Sequence[str], key: Key | None = None) -> Plant:
     """Return the plant at an address, or the plants of an experiment together.
 
     Args:
         addresses: one, or `name=address` for each name.
         names: of the plants of an experiment with several; empty where it has one.
+        key: that the servers of all have, too.
 
     Raises:
         PlantMismatchError: they are others, or no adapter has them.
@@ -112,10 +114,10 @@ def connect_each(addresses: Sequence[str], names: Sequence[str]) -> Plant:
     pairs = [address.partition("=") for address in addresses]
     found = {name: address for name, is_named, address in pairs if is_named}
     if not names and len(addresses) == 1:
-        return adapters.connect(addresses[0])
+        return adapters.connect(addresses[0], key)
     if not names:
         raise PlantMismatchError(f"--plant {', '.join(addresses)}: the experiment has one plant; give its address")
     if len(pairs) != len(names) or found.keys() != {*names}:
         wanted = " ".join(f"--plant {name}=ADDRESS" for name in names)
         raise PlantMismatchError(f"--plant {', '.join(addresses)}: the experiment has several plants; give {wanted}")
-    return PlantGroup({name: adapters.connect(found[name]) for name in names})
+    return PlantGroup({name: adapters.connect(found[name], key) for name in names})

@@ -36,22 +36,26 @@ class Settings:
 
     Args:
         rate: samples per second, Hz, at most 1e6.
-        watchdog: seconds of the plant's clock without a valid command after which its outputs go to zero and stay; at
+        watchdog: seconds in which a sample must be answered; else the plant's outputs go to zero and stay there. At
             most 1e6.
         lockstep: the plant waits for the command that answers each sample; else its clock goes on without.
+        acknowledge: whoever starts the run has looked at why the plant stopped the last one; a plant that has tripped
+            refuses to start without.
     """
 
     rate: float
     watchdog: float = 0.02
     lockstep: bool = False
+    acknowledge: bool = False
 
     def __post_init__(self) -> None:
         for name, value in (("rate", self.rate), ("watchdog", self.watchdog)):
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= _LARGEST:
                 message = f"{name} is {value!r}; give a positive number of {_UNITS[name]}, at most {_LARGEST:g}"
                 raise PlantMismatchError(message)
-        if not isinstance(self.lockstep, bool):
-            raise PlantMismatchError(f"lockstep is {self.lockstep!r}; give true or false")
+        for name, answer in (("lockstep", self.lockstep), ("acknowledge", self.acknowledge)):
+            if not isinstance(answer, bool):
+                raise PlantMismatchError(f"{name} is {answer!r}; give true or false")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,9 +38,11 @@ class Hub(Protocol):
 
     Attributes:
         address: at which it is reached.
+        is_local: nobody reaches it but from this machine, or by a cable of its own.
     """
 
     address: str
+    is_local: bool
 
     def send(self, frame: bytes, peer: Peer) -> None:
         """Send a frame; OSError where it cannot go out."""

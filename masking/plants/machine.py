@@ -46,10 +46,14 @@ class Deadlines:
         self._period = 1e9 / rate
         self._start, self._tick = time.monotonic_ns(), 0
 
-    def wait(self, stop: Stop) -> float:
+    def wait(self, stop: Stop, every: float = POLL) -> float:
         """Wait for the next instant, or until asked to stop; return how late it was missed or met, in seconds.
 
         Where it passed more than a period ago, it and those after it are left out up to the next one to come.
+
+        Args:
+            stop: looked at once, and then time and again while there is time.
+            every: seconds between these.
         """
         self._tick += 1
         late = time.monotonic_ns() - self._instant
@@ -58,7 +62,7 @@ class Deadlines:
             self._tick += left_out
             self.missed += left_out
         while (now := time.monotonic_ns()) < self._instant and not stop():
-            _sleep_until(min(self._instant, now + int(POLL * 1e9)))
+            _sleep_until(min(self._instant, now + int(every * 1e9)))
         return max(0, late, now - self._instant) * 1e-9
 
     @property

@@ -11,13 +11,16 @@ from typing import NoReturn
 from masking.errors import PlantLostError, PlantMismatchError, PlantRefusedError, WireError
 from masking.numerics.arrays import Array
 from masking.plants import wire
+from masking.plants.authentication import AuthenticatedLine, Key
 from masking.plants.interface import LifeCycle, Sample, Settings, check_command
 from masking.plants.lines import Line
 from masking.plants.wire import Frame, Kind
 
 TRY = 0.25  # seconds before a request is sent again
 LOCKSTEP_TIMEOUT = 5.0  # seconds; a plant in lockstep answers when it is ready
-PERIODS = 20  # samples of silence after which a plant is lost
+WATCHDOGS, PERIODS = 1.5, 3.0  # times of the watchdog, and at least samples, of silence after which a plant is lost
+HELD = 4  # samples in a row that may be missing
+_LARGEST = 2**62  # indices, which are int64 in a run
 
 
 class RemotePlant(ABC):
@@ -25,22 +28,27 @@ class RemotePlant(ABC):
 
     The controller gets the newest sample: where several wait, because it was held up, all but the last are skipped.
     The plant checks, on its own clock, the age of the sample that a command answers. `counters` counts the frames
-    that were refused, by cause, and those `skipped`, from one configuration to the next.
+    that were refused, by cause, those `skipped`, and those that never came, `lost`, from one configuration to the next.
+    Where more than 4 in a row did not come, or the index jumps by that, the plant is lost.
 
     Args:
         address: of the plant.
-        timeout: seconds of silence after which a running plant is lost; never less than 20 samples.
+        timeout: seconds of silence after which a running plant is lost; by default 1.5 times that of the watchdog, and
+            at least 3 samples.
         patience: seconds to wait for a plant that is still starting or saving its last record.
+        key: that the plant has, too, where its server asks for one.
     """
 
-    def __init__(self, address: str, *, timeout: float = 0.2, patience: float = 3.0) -> None:
+    def __init__(
+        self, address: str, *, timeout: float | None = None, patience: float = 3.0, key: Key | None = None
+    ) -> None:
         self.sensors: tuple[str, ...] = ()
         self.actuators: tuple[str, ...] = ()
         self.owns_clock = True
         self.counters: Counter[str] = Counter()
         self._address = address
-        self._timeout, self._patience = timeout, patience
-        self._silence = timeout
+        self._timeout, self._patience, self._key = timeout, patience, key
+        self._silence = 0.0
         self._life = LifeCycle()
         self._line: Line | None = None
         self._session = 0
@@ -54,24 +62,27 @@ class RemotePlant(ABC):
 
     def mend(self) -> str:
         """Say what to do where no plant answers."""
-        return f"start it with 'masking rig serve PLANT --address {self._address}', or correct the address"
+        key = " --key FILE" if self._key is not None else ""
+        return f"start it with 'masking rig serve PLANT --address {self._address}{key}', or correct the address"
 
     def configure(self, settings: Settings) -> None:
         """Open a session and learn the names of the channels.
 
         Raises:
             PlantLostError: nobody answers.
-            PlantRefusedError: the plant is taken, or does not accept these settings.
+            PlantRefusedError: the plant is taken, does not accept these settings, or has another key.
             PlantMismatchError: what answers does not name its channels.
         """
         self._life.configure()
         self.deactivate()
         self._session, self._last, self._lockstep = secrets.randbits(64), -1, settings.lockstep
         self._first = None
-        self._silence = LOCKSTEP_TIMEOUT if settings.lockstep else max(self._timeout, PERIODS / settings.rate)
+        silence = WATCHDOGS * settings.watchdog if self._timeout is None else self._timeout
+        self._silence = LOCKSTEP_TIMEOUT if settings.lockstep else max(silence, PERIODS / settings.rate)
         self.counters.clear()
         try:
-            self._line = self.open_line()
+            line = self.open_line()
+            self._line = line if self._key is None else AuthenticatedLine(line, self._key)
             answer = self._ask(wire.settings_text(settings))
             if answer.kind is Kind.REFUSE:
                 raise PlantRefusedError(f"{self._address} refuses: {answer.text}")
@@ -104,7 +115,7 @@ class RemotePlant(ABC):
         """Wait for the next sample and return the newest; in lockstep the one that follows the last command.
 
         Raises:
-            PlantLostError: none came in time, or the plant ended the session; says why.
+            PlantLostError: none came in time, too many are missing, or the plant ended the session; says why.
         """
         self._life.need_active("read")
         newest = None
@@ -114,6 +125,7 @@ class RemotePlant(ABC):
                 raise PlantLostError(f"the plant at {self._address} ended the session: {frame.text}")
             if not self._is_next(frame):
                 continue
+            self._need_successor(frame.index)
             self.counters["skipped"] += newest is not None
             newest, self._last = frame, frame.index
             if self._lockstep:
@@ -151,6 +163,10 @@ class RemotePlant(ABC):
                     self.counters["unexpected"] += 1
             except PlantLostError:  # nobody listens there yet
                 time.sleep(max(0.0, min(again, give_up) - time.monotonic()))
+        if self.counters["unauthenticated"]:
+            raise PlantRefusedError(
+                f"{self._address} answers, but not with this key; give both sides the same --key FILE"
+            )
         raise PlantLostError(f"no plant answers at {self._address}; {self.mend()}")
 
     def _following(self, wait: float) -> Frame | None:
@@ -170,6 +186,16 @@ class RemotePlant(ABC):
             return True
         self.counters[cause] += 1
         return False
+
+    def _need_successor(self, index: int) -> None:
+        """Count the samples that are missing before an index; too many are a `PlantLostError`."""
+        missing = index - self._last - 1 if self._last >= 0 else 0
+        if index >= _LARGEST:
+            self._lost(f"has sample {index}, which is no number of a sample")
+        if missing:
+            self.counters["lost"] += missing
+        if missing > HELD:
+            self._lost(f"went from sample {self._last} to {index}: {missing} in a row are lost, more than {HELD}")
 
     def _receive(self, wait: float) -> Frame | None:
         """Return the next sound frame of this session, or None if none comes within a number of seconds."""

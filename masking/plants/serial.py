@@ -14,6 +14,7 @@ import serial
 
 from masking.errors import PlantMismatchError
 from masking.plants import address as addresses
+from masking.plants.authentication import Key
 from masking.plants.lines import Peer
 from masking.plants.remote import RemotePlant
 from masking.plants.wire import Splitter, to_stream
@@ -30,8 +31,10 @@ _APART: Final = 5e-4  # s between looks at a port that cannot be waited for
 class SerialPlant(RemotePlant):
     """The plant behind a serial port, `serial:///dev/ttyACM0?baud=115200` or `serial:COM3`."""
 
-    def __init__(self, address: str, *, timeout: float = 0.5, patience: float = PATIENCE) -> None:
-        super().__init__(address, timeout=timeout, patience=patience)
+    def __init__(
+        self, address: str, *, timeout: float | None = None, patience: float = PATIENCE, key: Key | None = None
+    ) -> None:
+        super().__init__(address, timeout=timeout, patience=patience, key=key)
         self._where = addresses.parse(address, ("baud",), FORM)
         self._baud = round(self._where.number("baud", BAUD))
 
@@ -117,6 +120,8 @@ class SerialLine:
 @final
 class SerialHub:
     """The plant's end of a serial line, which has one controller."""
+
+    is_local = True
 
     def __init__(self, address: str) -> None:
         where = addresses.parse(address, ("baud",), "serial:pty or " + FORM)

@@ -2,12 +2,16 @@
 
 Any plant that does not own its clock can be served. Between sessions it is unconfigured and its outputs are zero; each
 session begins from its configured start. At tick k the newest valid command that has arrived answers sample k - 1, or
-else the last one holds; the plant advances under it, and sample k goes out. The outputs go to zero and stay there until
-a controller opens a new session
+else the last one holds; what the guard makes of it is written, the plant advances under it, and sample k goes out. The
+outputs go to zero and stay there until a controller opens a new session when the controller says so, when the server is
+stopped, and when the plant trips:
 
-* when no valid command came for the time of the watchdog, counted in ticks from the first command on, or, in lockstep,
-  for `patience` seconds;
-* when the controller says so, the plant fails, or the server is stopped.
+* from the first command on, no sample was answered for the time of the watchdog, on the wall's clock, also within a
+  tick; in lockstep, no command came for `patience` seconds;
+* the server itself was held up for that time, so that nobody watched what the outputs held;
+* the guard says so, or the plant fails.
+
+After a trip the next controller is refused until it acknowledges the cause (`Settings.acknowledge`).
 
 A tick that is late by more than a period moves all that follow: the plant stood still meanwhile, and no tick is caught
 up. The missed ones are counted.
@@ -16,33 +20,34 @@ up. The missed ones are counted.
 from __future__ import annotations
 
 import contextlib
-import datetime
 import math
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal, final
+from typing import Final, Literal, final
 
-import numpy as np
-
-from masking.errors import MaskingError, PlantMismatchError, RecordError, WireError
+from masking.errors import MaskingError, PlantMismatchError, PlantRefusedError, RecordError, WireError
 from masking.numerics.arrays import Array
 from masking.plants import adapters, wire
-from masking.plants.interface import Plant, Sample, Settings, Telling
+from masking.plants.authentication import AuthenticatedHub, Key
+from masking.plants.guard import Guard
+from masking.plants.interface import Plant, Sample
 from masking.plants.lines import Hub, Peer
 from masking.plants.machine import POLL, Deadlines, Stop, asked_to_stop, undisturbed
+from masking.plants.session import Allowed, Session
 from masking.plants.wire import Frame, Kind
-from masking.records.recording import Recording
 
 Clock = Literal["real", "lockstep"]
 
 RESERVED: Final = 10.0  # seconds that a controller may take from configure to activate
-SILENT_START: Final = 10.0  # seconds of the plant's clock until the first command; the outputs are zero meanwhile
 MOST: Final = 1000  # frames that are looked at in one tick
-CHUNK: Final = 4096  # rows
-_FIXED: Final = ("t", "tick", "wall", "late", "fresh", "latched")
+LOOK: Final = 0.005  # seconds between looks at the line and the watchdog in a tick that is longer
+LONGEST_TEXT: Final = 2000  # characters
+OVER: Final = "this session is over; open a new one"
+REMEMBERED: Final = 100_000  # sessions whose numbers are not taken again
 
 
 def serve(
@@ -57,6 +62,9 @@ def serve(
     tell: Callable[[str], None] | None = None,
     patience: float = 5.0,
     after_latch: float = 1.0,
+    allowed: Allowed | None = None,
+    guard: Guard | None = None,
+    key: Key | None = None,
 ) -> tuple[Path, ...]:
     """Serve a plant until asked to stop; SIGINT, SIGTERM and SIGHUP end it with the record saved.
 
@@ -73,18 +81,29 @@ def serve(
         ready: called with the address once it can be reached.
         tell: called with what an operator should know; by default it goes to standard error.
         patience: seconds to wait for a command in lockstep.
-        after_latch: seconds that are still recorded after the watchdog stopped a session.
+        after_latch: seconds that are still recorded after a trip.
+        allowed: watchdogs and rates that controllers may ask for.
+        guard: what every command passes before it is written.
+        key: that controllers must have; needed where other machines reach the address.
 
     Returns:
         folders of the recordings.
 
     Raises:
-        PlantMismatchError: the plant owns its clock, or the address is wrong or taken.
+        PlantMismatchError: the plant owns its clock, the address is wrong or taken, or other machines reach it and no
+            key is given.
     """
     if plant.owns_clock:
         raise PlantMismatchError("this plant owns its clock; serve one that does not, or run it directly")
     with contextlib.ExitStack() as stack:
         line = stack.enter_context(contextlib.closing(adapters.listen(address)))
+        if key is not None:
+            line = AuthenticatedHub(line, key)
+        elif not line.is_local:
+            raise PlantMismatchError(
+                f"{address} is reached from other machines, which may drive the plant: give --key FILE, and the same "
+                "to 'masking rig run'; or serve at udp://127.0.0.1:5005, which only this machine reaches"
+            )
         asked = stack.enter_context(asked_to_stop())
         stack.callback(plant.deactivate)
         server = _Server(
@@ -95,60 +114,12 @@ def serve(
             tell=tell or _to_stderr,
             patience=patience,
             after_latch=after_latch,
+            allowed=allowed or Allowed(),
+            guard=guard,
         )
         if ready is not None:
             ready(line.address)
         return server.run(Path(record) if record is not None else None, stop_after)
-
-
-@final
-class _Session:
-    """What is known of one controller: who it is, its last command, and how it went."""
-
-    def __init__(self, number: int, address: Peer, settings: Settings, plant: Plant) -> None:
-        self.number, self.address, self.settings = number, address, settings
-        self.command: Array = np.zeros(len(plant.actuators))
-        self.answered = -1  # index of the newest sample that a command answered
-        self.fresh = False  # a command arrived since the last tick
-        self.silent = 0  # ticks since a command arrived
-        self.patience = max(1, math.ceil(settings.watchdog * settings.rate - 1e-9))  # of the watchdog, ticks
-        self.latch: dict[str, Any] | None = None
-        self.end = ""
-        self.counters: Counter[str] = Counter()
-        self.rows = _Rows(plant)
-
-    def take(self, frame: Frame, tick: int) -> None:
-        """Take over a command that is newer than the last and not too old, at a tick; else count why not."""
-        if len(frame.values) != len(self.command):
-            cause = "wrong size"
-        elif frame.index <= self.answered:
-            cause = "duplicate" if frame.index == self.answered else "reordered"
-        elif frame.index > tick:
-            cause = "ahead"
-        elif tick - frame.index >= self.patience:
-            cause = "stale"
-        elif self.latch is not None:
-            cause = "after latch"
-        else:
-            cause = "commands"
-            self.command[:] = frame.values
-            self.answered, self.fresh = frame.index, True
-        self.counters[cause] += 1
-
-    def watch(self, tick: int) -> None:
-        """Count the ticks without a command; latch the outputs at zero when they are too many."""
-        self.silent = 0 if self.fresh else self.silent + 1
-        if self.latch is not None:
-            return
-        if self.answered >= 0 and self.silent >= self.patience:
-            self.trip(tick, f"no valid command for {self.settings.watchdog * 1e3:g} ms")
-        elif self.answered < 0 and self.silent >= SILENT_START * self.settings.rate:
-            self.trip(tick, f"no command for {SILENT_START:g} s after the start")
-
-    def trip(self, tick: int, cause: str) -> None:
-        """Set the outputs to zero for the rest of the session."""
-        self.command[:] = 0.0
-        self.latch = {"cause": cause, "tick": tick}
 
 
 @final
@@ -165,10 +136,16 @@ class _Server:
         tell: Callable[[str], None],
         patience: float,
         after_latch: float,
+        allowed: Allowed,
+        guard: Guard | None,
     ) -> None:
         self.plant, self.line, self.clock, self.stop, self.tell = plant, line, clock, stop, tell
         self.patience, self.after_latch = patience, after_latch
+        self.allowed, self.guard = allowed, guard
         self.pending: tuple[Frame, Peer] | None = None  # a hello that ended a latched session
+        self.tripped = ""  # why the last session was stopped, until a controller acknowledges it
+        self.over: dict[int, str] = {}  # what a hello is told whose number was taken before
+        self.looked = 0.0  # instant of the last look at the line within a tick
         self.reported: set[str] = set()
 
     def run(self, record: Path | None, stop_after: int | None) -> tuple[Path, ...]:
@@ -177,31 +154,38 @@ class _Server:
         held = 0
         while held != stop_after and (session := self.next_session()) is not None:
             held += 1
+            session.acknowledged, self.tripped = self.tripped, ""
             real = self.clock == "real"
             try:
                 with undisturbed(priority=real) as note:
                     self.tell_once(note)
                     self.hold(session)
             except Exception as error:  # whatever a plant raises ends its session, not the server
-                session.end = f"the plant failed: {type(error).__name__}: {error}"
+                session.end = self.tripped = f"the plant failed: {type(error).__name__}: {error}"
+            if session.latch is not None:
+                self.tripped = session.latch["cause"]
+            self.remember(session.number, OVER)
             self.reply(session, Kind.STOP, session.end)
-            session.rows.close(session, self.plant)
+            session.close(self.plant)
+            if self.guard is not None:
+                session.counters.update(self.guard.counters)
             if record is not None and session.rows.count:
                 try:
-                    folders.append(session.rows.recording(session, self.clock).save(_free_folder(record)))
+                    recording = session.rows.recording(session.manifest(self.clock))
+                    folders.append(recording.save(_free_folder(record)))
                 except RecordError as error:
                     self.tell(f"the record of this session is lost: {error}")
             if session.end != "bye":
                 self.tell(f"session ended: {session.end}")
         return tuple(folders)
 
-    def next_session(self) -> _Session | None:
+    def next_session(self) -> Session | None:
         """Wait until a controller opens a session and starts it; None where the server is stopped first."""
         session, until = None, math.inf
         while not self.stop():
             if time.monotonic() > until:
+                self.release(session)
                 session, until = None, math.inf
-                self.plant.deactivate()
             for frame, address in self.arrived(POLL):
                 if frame.kind is Kind.HELLO:
                     opened = self.open(frame, address, session)
@@ -211,39 +195,63 @@ class _Server:
                     if frame.kind is Kind.START:
                         return session
                     if frame.kind is Kind.BYE:
+                        self.release(session)
                         session, until = None, math.inf
-                        self.plant.deactivate()
                 elif frame.kind is Kind.COMMAND:
-                    self.send(frame.session, address, Kind.STOP, text="this session is over; open a new one")
+                    self.send(frame.session, address, Kind.STOP, text=OVER)
         return None
 
-    def open(self, frame: Frame, address: Peer, session: _Session | None) -> _Session | None:
+    def release(self, session: Session | None) -> None:
+        """Give up a session that was opened and never started."""
+        self.plant.deactivate()
+        if session is not None:
+            self.remember(session.number, OVER)
+
+    def open(self, frame: Frame, address: Peer, session: Session | None) -> Session | None:
         """Answer a hello; return the session that then holds the plant."""
-        if session is None:
+        held = session is not None and frame.session == session.number
+        refusal = "" if held else self.over.get(frame.session, "")
+        if session is None and not refusal:
             try:
-                settings = wire.read_settings(frame.text)
-                if settings.lockstep != (self.clock == "lockstep"):
-                    wanted = "lockstep" if settings.lockstep else "real"
-                    mend = "start both in lockstep, or both without"
-                    message = f"its clock is '{self.clock}', the controller wants '{wanted}'; {mend}"
-                    raise PlantMismatchError(message)
-                self.plant.configure(settings)
-                session = _Session(frame.session, address, settings, self.plant)
+                session = self.opened(frame, address)
             except Exception as error:  # whatever a plant raises refuses this controller; the server waits for another
                 self.plant.deactivate()
-                text = str(error) if isinstance(error, MaskingError) else f"{type(error).__name__}: {error}"
-                self.send(frame.session, address, Kind.REFUSE, text=text)
-                return None
-        if (frame.session, address) == (session.number, session.address):
+                refusal = str(error) if isinstance(error, MaskingError) else f"{type(error).__name__}: {error}"
+        elif session is not None and (frame.session, address) != (session.number, session.address):
+            holder = ":".join(map(str, session.address))
+            refusal = f"a controller at {holder} has this plant; stop that one first"
+            session.counters["refused controllers"] += 1
+        if session is not None and not refusal:
             self.reply(session, Kind.ACCEPT, wire.channels_text(self.plant.sensors, self.plant.actuators))
         else:
-            holder = ":".join(map(str, session.address))
-            text = f"a controller at {holder} has this plant; stop that one first"
-            self.send(frame.session, address, Kind.REFUSE, text=text)
-            session.counters["refused controllers"] += 1
+            self.send(frame.session, address, Kind.REFUSE, text=refusal)
+            if not held:
+                self.remember(frame.session, refusal)
         return session
 
-    def hold(self, session: _Session) -> None:
+    def opened(self, frame: Frame, address: Peer) -> Session:
+        """Configure the plant as a hello asks, and return the session; a `MaskingError` where it may not have it."""
+        settings = wire.read_settings(frame.text)
+        if settings.lockstep != (self.clock == "lockstep"):
+            wanted = "lockstep" if settings.lockstep else "real"
+            mend = "start both in lockstep, or both without"
+            raise PlantMismatchError(f"its clock is '{self.clock}', the controller wants '{wanted}'; {mend}")
+        self.allowed.check(settings)
+        if self.tripped and not settings.acknowledge:
+            mend = "look at the rig, then start once with --acknowledge"
+            raise PlantRefusedError(f"it has tripped: {self.tripped}; {mend}")
+        self.plant.configure(settings)
+        if self.guard is not None:
+            self.guard.begin(self.plant, settings)
+        return Session(frame.session, address, settings, self.plant)
+
+    def remember(self, number: int, text: str) -> None:
+        """Take no session of this number again, so that no hello counts twice; tell it why."""
+        self.over[number] = text
+        if len(self.over) > REMEMBERED:
+            del self.over[next(iter(self.over))]
+
+    def hold(self, session: Session) -> None:
         """Run a session from its first sample to its end."""
         rate = session.settings.rate
         try:
@@ -252,22 +260,22 @@ class _Server:
         finally:
             self.plant.deactivate()
 
-    def advance(self, session: _Session, rate: float) -> None:
+    def advance(self, session: Session, rate: float) -> None:
         """Advance an active plant from its first sample to the end of the session."""
         sample = self.plant.read()
         deadlines, began, late = Deadlines(rate), time.monotonic(), 0.0
-        over = math.inf  # the tick at which a latched session ends
+        instant, over = began, math.inf  # that of the sample, s; the tick at which a latched session ends
         while True:
             session.rows.begin(sample, rate, time.monotonic() - began, late)
             if session.latch is None:
                 self.send(session.number, session.address, Kind.SENSORS, sample.index, values=sample.values)
             else:
                 self.reply(session, Kind.STOP, session.latch["cause"])
-            session.fresh = False
+            session.show(instant)
             if self.clock == "real":
-                late = deadlines.wait(self.stop)
-                self.listen(session, sample.index, 0.0)
-                session.watch(sample.index)
+                self.looked = time.monotonic()
+                late = deadlines.wait(partial(self.look, session, sample), LOOK)
+                instant = self.answers(session, sample, late)
             else:
                 self.await_answer(session, sample.index)
             session.counters["overruns"] = deadlines.missed
@@ -279,12 +287,53 @@ class _Server:
                 session.end = session.end or "the server was stopped"
             if session.end:
                 return
-            self.plant.write(sample.index, session.command)
+            if not session.is_written:
+                self.write(session, sample)
             advanced = self.plant.read()
-            session.rows.finish(session, self.plant)
+            session.finish(self.plant)
             sample = advanced
 
-    def await_answer(self, session: _Session, tick: int) -> None:
+    def answers(self, session: Session, sample: Sample, late: float) -> float:
+        """Take in the answers to a sample at the end of its tick, if they came in time.
+
+        Args:
+            session: of the tick.
+            sample: that was sent.
+            late: seconds that the end of the tick was missed or met late.
+
+        Returns:
+            instant at which the next sample is due, s of the monotonic clock.
+        """
+        now = time.monotonic()
+        instant = now - late if late * session.settings.rate <= 1.0 else now
+        session.watch_clock(sample.index, late)  # first: what waits to be read is as old
+        self.listen(session, sample.index, 0.0)
+        session.watch_clock(sample.index, time.monotonic() - instant)
+        session.watch(sample.index, instant)
+        return instant
+
+    def look(self, session: Session, sample: Sample) -> bool:
+        """Look within a tick at the line and the watchdog if it is time; tell whether the tick is cut short."""
+        now = time.monotonic()
+        if now - self.looked >= LOOK:
+            session.watch_clock(sample.index, now - self.looked - LOOK)
+            self.listen(session, sample.index, 0.0)
+            session.watch(sample.index, now)
+            self.looked = now
+            if session.latch is not None and not session.is_written and not session.end:
+                self.write(session, sample)
+        return bool(session.end) or self.stop()
+
+    def write(self, session: Session, sample: Sample) -> None:
+        """Write the command that answers a sample, as the guard leaves it."""
+        if self.guard is not None and session.latch is None:
+            cause = self.guard.check(sample, session.command)
+            if cause:
+                session.trip(sample.index, cause)
+        self.plant.write(sample.index, session.command)
+        session.is_written = True
+
+    def await_answer(self, session: Session, tick: int) -> None:
         """Wait for the command that answers a sample; latch where none comes."""
         until = time.monotonic() + self.patience
         while not (session.fresh or session.end or self.stop()):
@@ -293,11 +342,12 @@ class _Server:
                 return
             self.listen(session, tick, POLL)
 
-    def listen(self, session: _Session, tick: int, wait: float) -> None:
+    def listen(self, session: Session, tick: int, wait: float) -> None:
         """Take in what has arrived by a tick, or else arrives within a number of seconds."""
         for frame, address in self.arrived(wait, session.counters):
             if frame.kind is Kind.HELLO:
-                if session.latch is not None and frame.session != session.number:
+                is_new = frame.session != session.number and frame.session not in self.over
+                if session.latch is not None and is_new:
                     self.pending = (frame, address)
                     session.end = session.latch["cause"]
                     return
@@ -332,7 +382,7 @@ class _Server:
             except OSError:  # an earlier answer could not be delivered
                 wait = 0.0
 
-    def reply(self, session: _Session, kind: Kind, text: str) -> None:
+    def reply(self, session: Session, kind: Kind, text: str) -> None:
         """Send a text to the session's controller."""
         self.send(session.number, session.address, kind, text=text)
 
@@ -346,8 +396,8 @@ class _Server:
         values: Array = wire.NO_VALUES,
         text: str = "",
     ) -> None:
-        """Send a frame; one that cannot go out is dropped, as the net might."""
-        frame = wire.encode(kind, number, index, values=values, text=text)
+        """Send a frame; one that cannot go out is dropped, as the net might, and a text that quotes too much is cut."""
+        frame = wire.encode(kind, number, index, values=values, text=text[:LONGEST_TEXT])
         with contextlib.suppress(OSError):
             self.line.send(frame, address)
 
@@ -356,81 +406,6 @@ class _Server:
         if note and note not in self.reported:
             self.reported.add(note)
             self.tell(note)
-
-
-@final
-class _Rows:
-    """What happened in a session, a row for each sample, in chunks made ahead so that no tick waits for memory."""
-
-    def __init__(self, plant: Plant) -> None:
-        self.names = [*_FIXED, *(f"sensor.{name}" for name in plant.sensors)]
-        self.inputs = slice(len(self.names), len(self.names) + len(plant.actuators))
-        self.names += [f"input.{name}" for name in plant.actuators]
-        self.telemetry = tuple(plant.telemetry()) if isinstance(plant, Telling) else ()
-        self.names += [f"plant.{name}" for name in self.telemetry]
-        self.sensors = slice(len(_FIXED), self.inputs.start)
-        self.count = 0
-        self.is_open = False
-        self.chunks = [self.chunk(), self.chunk()]
-
-    def chunk(self) -> Array:
-        """Make room for more rows."""
-        return np.full((CHUNK, len(self.names)), np.nan)
-
-    @property
-    def row(self) -> Array:
-        """The last row that was begun."""
-        row: Array = self.chunks[(self.count - 1) // CHUNK][(self.count - 1) % CHUNK]
-        return row
-
-    def begin(self, sample: Sample, rate: float, wall: float, late: float) -> None:
-        """Begin the row of a sample."""
-        if self.count == len(self.chunks) * CHUNK:
-            self.chunks.append(self.chunk())
-        self.count += 1
-        self.is_open = True
-        row = self.row
-        row[:4] = sample.index / rate, sample.index, wall, late
-        row[self.sensors] = sample.values
-
-    def finish(self, session: _Session, plant: Plant) -> None:
-        """Complete the row with the command that held after the sample, and with what the plant reports of it."""
-        row = self.row
-        row[4:6] = session.fresh, session.latch is not None
-        row[self.inputs] = session.command
-        if isinstance(plant, Telling):
-            values = plant.telemetry()
-            row[self.inputs.stop :] = [values[name] for name in self.telemetry]
-        self.is_open = False
-
-    def close(self, session: _Session, plant: Plant) -> None:
-        """Complete the last row: the outputs are zero after it."""
-        session.command[:], session.fresh = 0.0, False
-        if self.is_open:
-            with contextlib.suppress(Exception):  # what a plant that failed cannot tell stays unknown
-                self.finish(session, plant)
-
-    def recording(self, session: _Session, clock: Clock) -> Recording:
-        """Return the rows and what the session was; what is not finite is 0 there, and 1 in `nonfinite.<column>`."""
-        table = np.concatenate(self.chunks)[: self.count]
-        columns = dict(zip(self.names, table.T, strict=True))
-        for name, column in list(columns.items()):
-            finite = np.isfinite(column)
-            if not finite.all():
-                columns[name] = np.where(finite, column, 0.0)
-                columns[f"nonfinite.{name}"] = np.where(finite, 0.0, 1.0)
-        settings = session.settings
-        manifest = {
-            "name": "a plant's own record",
-            "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            "clock": clock,
-            "rate": settings.rate,
-            "watchdog": settings.watchdog,
-            "end": session.end,
-            "latch": session.latch,
-            "counters": dict(session.counters),
-        }
-        return Recording(columns, manifest)
 
 
 def _free_folder(record: Path) -> Path:

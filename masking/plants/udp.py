@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ipaddress
 import select
 import socket
 from typing import Self, final
 
 from masking.errors import PlantMismatchError
 from masking.plants import wire
+from masking.plants.authentication import Key
 from masking.plants.lines import Peer
 from masking.plants.remote import RemotePlant
 
@@ -16,8 +18,10 @@ from masking.plants.remote import RemotePlant
 class UdpPlant(RemotePlant):
     """The plant that is served at `udp://host:port`."""
 
-    def __init__(self, address: str, *, timeout: float = 0.2, patience: float = 3.0) -> None:
-        super().__init__(address, timeout=timeout, patience=patience)
+    def __init__(
+        self, address: str, *, timeout: float | None = None, patience: float = 3.0, key: Key | None = None
+    ) -> None:
+        super().__init__(address, timeout=timeout, patience=patience, key=key)
         self._target = wire.parse_address(address)
 
     def open_line(self) -> UdpLine:
@@ -85,7 +89,8 @@ class UdpHub(_Datagrams):
         except OSError as error:
             self.close()
             raise PlantMismatchError(f"{address} cannot be served ({error}); choose another host or port") from error
-        self.address = f"udp://{host}:{self._socket.getsockname()[1]}"
+        bound, port = self._socket.getsockname()
+        self.address, self.is_local = f"udp://{host}:{port}", ipaddress.ip_address(bound).is_loopback
 
     def send(self, frame: bytes, peer: Peer) -> None:
         """Send a frame to a controller."""

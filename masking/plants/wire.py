@@ -13,7 +13,8 @@ One frame is one datagram, or on a stream of bytes what stands between two zeros
             36-    payload
             last 4 CRC-32 of all before
 
-A frame that is wrong in any part is refused whole with a `WireError`, whose `cause` the receiver counts.
+A frame that is wrong in any part is refused whole with a `WireError`, whose `cause` the receiver counts. Where both
+sides hold a key, a tag follows each frame (`masking.plants.authentication`).
 
 On a stream a frame is written without zeros, by consistent overhead byte stuffing, and ends in one, so that a receiver
 that lost bytes finds the next frame. Source: Cheshire and Baker (1999), IEEE/ACM Transactions on Networking 7(2).
@@ -43,19 +44,21 @@ LARGEST_DATAGRAM: Final = 65_535  # bytes that are received
 _RUN: Final = 254  # bytes other than zero that one byte of a stream can count
 _HEADER: Final = struct.Struct("<4sBBHQQQI")
 _CHECK: Final = struct.Struct("<I")
+SMALLEST: Final = _HEADER.size + _CHECK.size  # bytes of a frame
 NO_VALUES: Final[Array] = np.empty(0)
 _U64: Final = 2**64
 
 
 class Kind(IntEnum):
-    """What a frame is: the first two rows carry text, those after them values."""
+    """What a frame is: the third row carries values, the others text."""
 
     HELLO, ACCEPT, REFUSE, STOP = 1, 2, 3, 4  # settings; channel names; a reason; a reason
     START, BYE = 5, 6  # nothing
     SENSORS, COMMAND = 7, 8
+    CHALLENGE = 9  # a nonce; only where frames have tags
 
 
-TEXTUAL: Final = frozenset({Kind.HELLO, Kind.ACCEPT, Kind.REFUSE, Kind.STOP, Kind.START, Kind.BYE})
+TEXTUAL: Final = frozenset({*Kind} - {Kind.SENSORS, Kind.COMMAND})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +114,7 @@ def decode(datagram: bytes) -> Frame:
     Raises:
         WireError: it is not exactly one sound frame of this version, or it is a command that is not finite.
     """
-    size = len(datagram) - _HEADER.size - _CHECK.size
+    size = len(datagram) - SMALLEST
     if size < 0 or datagram[:4] != MAGIC:
         raise WireError("foreign", "no frame of ours")
     _, version, number, reserved, session, index, sent, count = _HEADER.unpack_from(datagram)
@@ -136,6 +139,16 @@ def decode(datagram: bytes) -> Frame:
     if kind is Kind.COMMAND and not np.isfinite(values).all():
         raise WireError("nonfinite", "a command is not finite")
     return Frame(kind, session, index, sent, values, "")
+
+
+def kind_of(frame: bytes) -> int:
+    """Return the kind of a frame of at least `SMALLEST` bytes; the rest is not looked at."""
+    return frame[5]
+
+
+def session_of(frame: bytes) -> int:
+    """Return the number of the session of a frame of at least `SMALLEST` bytes; the rest is not looked at."""
+    return int.from_bytes(frame[8:16], "little")
 
 
 def to_stream(frame: bytes) -> bytes:
@@ -196,7 +209,7 @@ def read_settings(text: str) -> Settings:
         PlantMismatchError: it does not hold exactly the settings, or one is out of range.
     """
     content = _object(text)
-    if set(content) != set(Settings.__slots__):
+    if set(content) | {"acknowledge"} != set(Settings.__slots__):  # which not every controller knows
         raise PlantMismatchError(f"a hello holds {', '.join(Settings.__slots__)}; got {text}")
     return Settings(**content)
 

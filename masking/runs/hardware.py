@@ -18,8 +18,11 @@ from masking.numerics.sizes import LARGEST
 from masking.plants import adapters
 from masking.plants import serve as serving
 from masking.plants.address import scheme_of
+from masking.plants.authentication import Key
+from masking.plants.guard import Guard, PlantLimits, Reach
 from masking.plants.interface import Plant, Settings
 from masking.plants.machine import Stop
+from masking.plants.session import LONGEST_WATCHDOG, RATES, Allowed
 from masking.plants.simulated import SimulatedPlant
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
@@ -40,6 +43,10 @@ def serve(
     record: str | Path | None = None,
     seed: int = 0,
     sessions: int | None = None,
+    limits: str | Path | None = None,
+    watchdog: float = LONGEST_WATCHDOG,
+    rates: tuple[float, float] = RATES,
+    key: str | Path | None = None,
     ready: Callable[[str], None] | None = None,
     stop: Stop | None = None,
 ) -> tuple[Path, ...]:
@@ -52,16 +59,28 @@ def serve(
         record: folder for the plant's own record of each session.
         seed: of the noise of a twin's sensors.
         sessions: how many to serve; None for any number.
+        limits: a packaged plant or a plant file, whose limits every command is brought within; by default those of the
+            plant, and none for an address.
+        watchdog: the longest that a controller may ask for, s.
+        rates: the lowest and the highest that it may ask for, Hz.
+        key: file that only its owner can read, with a key that controllers must have, too; needed where other machines
+            reach the address.
         ready: called with the address once the plant can be reached.
         stop: looked at in each tick.
 
     Returns:
         the folders of the records.
+
+    Raises:
+        PlantMismatchError: the plant owns its clock, the address is wrong or taken, or the key is missing or unsafe.
     """
-    if scheme_of(str(plant)):
+    shared = Key.read(key) if key is not None else None
+    twin = None if scheme_of(str(plant)) else Twin.load(plant)
+    limited = twin if limits is None else Twin.load(limits)
+    if twin is None:
         served = adapters.connect(str(plant))
     else:
-        served = SimulatedPlant(Twin.load(plant), seed)
+        served = SimulatedPlant(twin, seed)
         served.configure(Settings(rate=1000.0))  # compiles what a controller would not wait for; any rate does
         served.deactivate()
     return serving.serve(
@@ -72,7 +91,24 @@ def serve(
         stop_after=sessions,
         ready=ready,
         stop=stop,
+        allowed=Allowed(watchdog, rates),
+        guard=_guard(limited) if limited is not None else None,
+        key=shared,
     )
+
+
+def _guard(twin: Twin) -> Guard:
+    """Return what keeps a served plant within the limits of a plant file, as far as its sensors measure them."""
+    plant, size = twin.declaration, twin.size
+    units = {name: given.unit for name, given in (plant.actuators or twin.base.inputs).items()}
+    inputs = {name: limit.max * size(limit.unit) / size(units[name]) for name, limit in plant.limits.inputs.items()}
+    reaches = {}
+    for name, sensor in plant.sensors.items():
+        for expression, limit in plant.limits.coordinates.items():
+            if sensor.measures.text == expression.text:
+                gain = sensor.gain.value * size(sensor.gain.unit) / size(sensor.unit) * size(limit.unit)
+                reaches[name] = Reach(expression.text, limit.max, limit.unit, gain)
+    return PlantLimits(inputs, reaches)
 
 
 def run(
@@ -81,6 +117,7 @@ def run(
     *,
     lockstep: bool = False,
     watchdog: float = WATCHDOG,
+    acknowledge: bool = False,
     progress: Callable[[float], None] | None = None,
     stop: Stop | None = None,
     keep: Callable[[Recording], None] | None = None,
@@ -95,6 +132,7 @@ def run(
         plant: any that is not active; its outputs are at zero on every way out.
         lockstep: run as fast as both sides can, each waiting for the other.
         watchdog: seconds without a command after which the plant goes to zero by itself.
+        acknowledge: why the plant tripped in the last run was looked at; it is refused without.
         progress: called with the part done.
         stop: looked at before each tick.
         keep: called with what there is since the release where the run ends in an error, before it is raised.
@@ -140,6 +178,7 @@ def run(
         limits=sampled.limits[:, LARGEST],
         watchdog=watchdog,
         lockstep=lockstep,
+        acknowledge=acknowledge,
         accept=lambda found: check_channels(
             found, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND
         ),

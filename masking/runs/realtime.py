@@ -63,6 +63,7 @@ def run_rig(
     limits: Array,
     watchdog: float = 0.02,
     lockstep: bool = False,
+    acknowledge: bool = False,
     accept: Callable[[Plant], None] | None = None,
     on_tick: Callable[[int], None] | None = None,
     stop: Stop | None = None,
@@ -80,6 +81,7 @@ def run_rig(
         limits: (actuators,), largest magnitude of each command, positive.
         watchdog: seconds without a command after which the plant goes to zero by itself.
         lockstep: run as fast as both sides can, each waiting for the other.
+        acknowledge: why the plant tripped in the last run was looked at.
         accept: called with the configured plant before it is activated; raises what it refuses the plant with.
         on_tick: called with the row after each tick, within the tick's time.
         stop: looked at before each tick.
@@ -90,7 +92,7 @@ def run_rig(
         PlantError: the plant is lost, refuses, or has other channels.
         Exception: what the controller raised.
     """
-    settings = Settings(rate, watchdog, lockstep)
+    settings = Settings(rate, watchdog, lockstep, acknowledge)
     rows, reason, note = None, FAILED, ""
     try:
         with asked_to_stop() as asked, contextlib.ExitStack() as way_out:

@@ -21,7 +21,7 @@ from masking.records.recording import Recording
 from masking.rig.twin import Twin
 from masking.runs.experiment import Experiment
 from tests import test_components, test_discovery, test_measure
-from tests.benchmarks import clocks, components, exported, hidden, masking_error_table, official, wishes
+from tests.benchmarks import authentication, clocks, components, exported, hidden, masking_error_table, official, wishes
 
 ROOT: Final = Path(__file__).parents[2]
 SEEDS: Final = range(5)
@@ -113,6 +113,12 @@ def observer_error(kind: str, order: str = "2") -> str:
     settings = {"rate": "1 kHz", "model": "setup_springs", "observer": observer}
     changed = Experiment.load("huygens_rig").changed(controller=settings, duration=400.0)
     return spread([worst(changed.changed(seed=seed)) for seed in SEEDS])
+
+
+@slow_value
+def authentication_cost(which: str) -> str:
+    """Return the time that a tag takes, rounded up: `ours`, or `theirs` with HMAC-SHA256."""
+    return authentication.bound(authentication.microseconds()[("ours", "theirs").index(which)])
 
 
 @slow_value

@@ -19,7 +19,10 @@ extern "C" {
 #ifndef LOCKSTEP
 #define LOCKSTEP "false" /* "true" with: masking rig serve --lockstep */
 #endif
-#define SETTINGS "{\"rate\": @RATE@, \"watchdog\": 0.02, \"lockstep\": " LOCKSTEP "}"
+#ifndef ACKNOWLEDGE
+#define ACKNOWLEDGE "false" /* "true" once it is known why the plant has tripped, which refuses to start without */
+#endif
+#define SETTINGS "{\"rate\": @RATE@, \"watchdog\": 0.02, \"lockstep\": " LOCKSTEP ", \"acknowledge\": " ACKNOWLEDGE "}"
 #define AGAIN 250u /* ms until a request is sent again */
 
 static @NAME@_state unit;
