@@ -1,16 +1,20 @@
 """Machine code on disk: found by other processes, loaded without numba, never mistaken for another's."""
 
+import errno
 import os
+import py_compile
+import stat
 import subprocess
 import sys
 import time
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import masking
-from masking.codegen import native, store
+from masking.codegen import files, native, store
 from masking.codegen.files import read_sealed, write_sealed
 from masking.codegen.graph import Graph
 from masking.codegen.source import DECORATOR, Module
@@ -105,6 +109,149 @@ def test_a_file_that_does_not_hold_what_its_name_says_is_made_anew(tmp_path, mon
     assert not store.exists("1.5")
     assert store.load("1.5", lambda: number(1.5)).function("f")(0.0) == 1.5
     assert store.exists("1.5")
+
+
+CHILD = '''
+import json, sys
+from masking.codegen import store
+from masking.codegen.source import DECORATOR, Module
+
+def number():
+    module = Module("test", {})
+    module.add_text("f(t: float) -> float", f"{DECORATOR}\\ndef f(t):\\n    return 1.5")
+    return module
+
+made = store.load("1.5", number)
+assert made.function("f")(0.0) == 1.5
+assert made.module().f(0.0) == 1.5
+print(json.dumps([str(made.path), made.objects["f"]]))
+'''
+
+
+def child(cache, **more):
+    """Run a process that calls a kept function; return its output and what it said."""
+    environment = {**os.environ, "MASKING_CACHE": str(cache), **more}
+    done = subprocess.run([sys.executable, "-c", CHILD], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout, done.stderr.splitlines()
+
+
+def own(file):
+    """Return whether a file is regular, of mode 0600, and sealed."""
+    return not file.is_symlink() and stat.S_IMODE(file.stat().st_mode) == 0o600 and read_sealed(file) is not None
+
+
+def linked(file):
+    file.rename(file.with_name("elsewhere"))
+    file.symlink_to(file.with_name("elsewhere"))
+
+
+def pipe(file):
+    file.unlink()
+    os.mkfifo(file)
+
+
+SPOILS = {
+    "cut off": (lambda file: os.truncate(file, 40), "is damaged or another file; it is made anew"),
+    "writable by others": (lambda file: file.chmod(0o622), "other users may write it; it is made anew"),
+    "a link": (linked, "is not executed: it is a symbolic link; it is made anew"),
+    "a pipe": (pipe, "is not executed: it is no file of this program; it is made anew"),
+    "large": (lambda file: os.truncate(file, 2**40), "is not executed: it is no file of this program"),
+}
+
+
+@pytest.mark.parametrize(("spoil", "words"), SPOILS.values(), ids=SPOILS)
+def test_machine_code_and_text_that_may_not_be_trusted_are_made_anew(tmp_path, spoil, words):
+    child(tmp_path)
+    for folder in ("modules", "texts", "objects"):
+        (file,) = (tmp_path / folder).iterdir()
+        assert own(file)
+        spoil(file)
+        _, said = child(tmp_path)
+        assert len(said) == 1
+        assert said[0].startswith(f"masking: {file} ")
+        assert words in said[0]
+        assert own(file)
+        assert not child(tmp_path)[1]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+def test_files_of_another_user_are_not_executed(tmp_path):
+    child(tmp_path)
+    for folder in ("modules", "texts", "objects"):
+        (file,) = (tmp_path / folder).iterdir()
+        os.chown(file, 1234, 1234)
+        _, (said,) = child(tmp_path)
+        assert said == f"masking: {file} is not executed: it belongs to another user; it is made anew"
+        assert file.stat().st_uid == 0
+    os.chown(tmp_path / "objects", 1234, 1234)
+    _, said = child(tmp_path)
+    assert "its folder belongs to another user; it is made anew" in said[0]
+    assert "(the folder belongs to another user): they are kept in" in said[1]
+
+
+def test_a_folder_that_others_may_write_into_is_closed_to_them(tmp_path):
+    child(tmp_path)
+    (tmp_path / "objects").chmod(0o777)
+    _, (said,) = child(tmp_path)
+    assert "is not executed: other users may write into its folder; it is made anew" in said
+    assert stat.S_IMODE((tmp_path / "objects").stat().st_mode) == 0o755
+    assert not child(tmp_path)[1]
+
+
+def test_compiled_python_beside_a_text_is_not_executed(tmp_path):
+    child(tmp_path)
+    (text,) = (tmp_path / "texts").iterdir()
+    python = text.with_suffix(".py")
+    python.write_text("raise SystemExit(1)")
+    py_compile.compile(str(python))
+    assert not child(tmp_path)[1]
+
+
+def test_where_files_cannot_be_written_they_go_to_a_private_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "here").mkdir()
+    for cache in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/nowhere"), Path("/dev/full")):
+        _, (said,) = child(cache, TMPDIR=str(tmp_path / "here"))
+        assert said.startswith(f"masking: generated files cannot be kept in {cache} (")
+        assert said.endswith(" until this process ends")
+        assert not [*(tmp_path / "here").iterdir()]
+
+
+def test_without_any_place_machine_code_is_made_anew(tmp_path, monkeypatch, capsys):
+    """A full disk, as files of which nothing can be written."""
+
+    def full(descriptor):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setenv("MASKING_CACHE", str(tmp_path))
+    monkeypatch.setattr(os, "fsync", full)
+    monkeypatch.setattr(files, "_told", set())
+    for _ in range(2):
+        assert store.load("2.25", lambda: number(2.25)).function("f")(0.0) == 2.25
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        f"masking: generated files cannot be kept in {tmp_path} (No space left on device): "
+        "they are made anew in each process"
+    ]
+    assert not [file for file in tmp_path.rglob("*") if file.is_file()]
+
+
+def test_a_file_that_is_cut_at_any_length_or_changed_anywhere_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "_told", set())
+    path = tmp_path / "objects" / "name"
+    write_sealed(path, content := bytes(range(256)) * 4)
+    whole = path.read_bytes()
+    assert read_sealed(path) == content
+    random = np.random.default_rng(1)
+    for size in range(len(whole)):
+        os.truncate(path, 0)
+        path.write_bytes(whole[:size])
+        assert read_sealed(path) is None
+        changed = bytearray(whole)
+        changed[size] ^= 1 << int(random.integers(8))
+        path.write_bytes(changed)
+        assert read_sealed(path) is None
 
 
 def test_equal_functions_of_different_modules_are_compiled_once(tmp_path, monkeypatch):

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import numpy as np
 
-from masking.codegen.files import read_sealed, write_sealed
+from masking.codegen import files
 
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
@@ -161,10 +161,10 @@ class NativeFunction:
 
     def _load(self) -> Callable[..., None]:
         path = self.stem.with_name(f"{self.stem.name}.{_processor()}.o")
-        code = read_sealed(path)
+        code = files.find(path)
         if code is None:
             code = self._compile()
-            write_sealed(path, code)
+            files.keep(path, code)
         types = [c_type for kind in self.arguments.values() for c_type in C_TYPES[kind]]
         called = {symbol(name): one for name, one in self.links.items() if symbol(name).encode() in code}
         addresses = {name: one.address for name, one in called.items()}

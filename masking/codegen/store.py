@@ -2,13 +2,12 @@
 
 `modules/` holds for each key what the module says of itself and which text and objects are its own; `texts/` the
 printed modules, named by their hash; `objects/` the machine code of each function that was ever called, named by the
-hash of its content. A file that does not hold what its name says is made anew.
+hash of its content. A file that does not hold what its name says, or that another user could have written, is made anew.
 """
 
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import json
 import os
 import sys
@@ -23,8 +22,8 @@ from typing import Any
 
 import platformdirs
 
-from masking.codegen.content import DIGITS, contents, digest, sources
-from masking.codegen.files import read_sealed, write_sealed, write_whole
+from masking.codegen import files
+from masking.codegen.content import contents, digest, sources
 from masking.codegen.native import NativeFunction
 from masking.codegen.source import Module
 
@@ -52,6 +51,7 @@ class Generated:
 
     Args:
         path: of its text.
+        text: Python, as it is executed; never read again from the disk.
         meta: what it says of itself.
         objects: the content hash of each function.
         links: functions of other modules that it calls, by the names that it has for them.
@@ -59,6 +59,7 @@ class Generated:
     """
 
     path: Path
+    text: str = field(repr=False)
     meta: Mapping[str, Any]
     objects: Mapping[str, str] = field(repr=False)
     links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
@@ -73,13 +74,11 @@ class Generated:
         name = self.path.stem
         if name in sys.modules:
             return sys.modules[name]
-        specification = importlib.util.spec_from_file_location(name, self.path)
-        if specification is None or specification.loader is None:
-            raise ImportError(f"cannot import the generated module {self.path}")
-        module = importlib.util.module_from_spec(specification)
+        module = ModuleType(name)
+        module.__file__ = str(self.path)
         sys.modules[name] = module  # numba looks functions up by the name of their module
         try:
-            specification.loader.exec_module(module)
+            exec(compile(self.text, self.path, "exec"), module.__dict__)  # noqa: S102  (of a file that was checked)
         except BaseException:
             del sys.modules[name]
             raise
@@ -122,10 +121,10 @@ def _made(name: str, build: Callable[[], Module]) -> Generated:
     _forget(directory())
     text = made.text()
     objects = contents(text, made.meta.get("functions", ()))
-    write_whole(_text_path(digest(text)), text.encode())
+    files.keep(_text_path(digest(text)), text.encode())
     described = json.dumps({"text": digest(text), "meta": made.meta, "objects": objects})
-    write_sealed(_path(name), described.encode())  # last: if it is there, all is
-    return _generated(described)
+    files.keep(_path(name), described.encode())  # last: if it is there, all is
+    return _generated(described, text)
 
 
 @cache
@@ -134,23 +133,20 @@ def _forget(folder: Path) -> None:
     oldest = time.time() - KEPT
     for part in ("modules", "texts", "objects"):
         for file in (folder / part).glob("*"):
-            with contextlib.suppress(FileNotFoundError):  # another process was first
+            with contextlib.suppress(OSError):  # another process was first, or it is not this user's
                 if max(file.stat().st_atime, file.stat().st_mtime) < oldest:
                     file.unlink()
 
 
 def _read(name: str) -> Generated | None:
-    described = read_sealed(_path(name))
-    if described is None:
-        return None
-    found = _generated(described)
-    is_whole = found.path.exists() and digest(found.path.read_text(encoding="utf-8")) == found.path.stem[-DIGITS:]
-    return found if is_whole else None
+    described = files.find(_path(name))
+    text = files.find(_text_path(json.loads(described)["text"])) if described else None
+    return _generated(described, text.decode()) if described and text else None
 
 
-def _generated(described: str | bytes) -> Generated:
+def _generated(described: str | bytes, text: str) -> Generated:
     found = json.loads(described)
-    return Generated(_text_path(found["text"]), found["meta"], found["objects"])
+    return Generated(_text_path(found["text"]), text, found["meta"], found["objects"])
 
 
 def _path(name: str) -> Path:
@@ -158,4 +154,4 @@ def _path(name: str) -> Path:
 
 
 def _text_path(content: str) -> Path:
-    return directory() / "texts" / f"masking_generated_{content}.py"
+    return directory() / "texts" / f"masking_generated_{content}.txt"
