@@ -237,6 +237,19 @@ def test_without_any_place_machine_code_is_made_anew(tmp_path, monkeypatch, caps
     assert not [file for file in tmp_path.rglob("*") if file.is_file()]
 
 
+@pytest.mark.parametrize(
+    "code", [lambda code: code[:18] + b"\xff" + code[19:], lambda code: b"text", lambda code: code[:999]]
+)
+def test_machine_code_of_another_processor_is_made_anew(tmp_path, code):
+    """Sealed as ours, but not for this processor, no machine code, or cut off before it was sealed."""
+    child(tmp_path)
+    (file,) = (tmp_path / "objects").iterdir()
+    write_sealed(file, code(read_sealed(file)))
+    (said,) = (line for line in child(tmp_path)[1] if line.startswith("masking: "))  # the linker writes, too
+    assert said.startswith(f"masking: {file} is no machine code of this processor (")
+    assert not child(tmp_path)[1]
+
+
 def test_a_file_that_is_cut_at_any_length_or_changed_anywhere_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(files, "_told", set())
     path = tmp_path / "objects" / "name"

@@ -38,7 +38,7 @@ def keep(target: Path, content: bytes) -> None:
             where = f"they are kept in {other.parents[1]} until this process ends"
         except OSError:
             where = "they are made anew in each process"
-        _notice("kept", f"generated files cannot be kept in {target.parents[1]} ({_reason(error)}): {where}")
+        notice("kept", f"generated files cannot be kept in {target.parents[1]} ({_reason(error)}): {where}")
 
 
 def find(source: Path) -> bytes | None:
@@ -81,14 +81,14 @@ def read_sealed(source: Path) -> bytes | None:
     try:
         data = _read(source)
     except UntrustedError as error:
-        _notice("trusted", f"{source} is not executed: {error}; it is made anew")
+        notice("trusted", f"{source} is not executed: {error}; it is made anew")
         return None
     except OSError:  # none is there; whoever writes it tells why that cannot be
         return None
     seal, content = data[:SEAL], data[SEAL:]
     if seal == _seal(source, content):
         return content
-    _notice("whole", f"{source} is damaged or another file; it is made anew")
+    notice("whole", f"{source} is damaged or another file; it is made anew")
     return None
 
 
@@ -159,7 +159,7 @@ def _private() -> Path:
 _told: set[str] = set()
 
 
-def _notice(kind: str, text: str) -> None:
+def notice(kind: str, text: str) -> None:
     """Print a line, once of each kind in a process."""
     if kind not in _told:
         _told.add(kind)

@@ -162,13 +162,20 @@ class NativeFunction:
     def _load(self) -> Callable[..., None]:
         path = self.stem.with_name(f"{self.stem.name}.{_processor()}.o")
         code = files.find(path)
-        if code is None:
-            code = self._compile()
-            files.keep(path, code)
+        if code is not None:
+            try:
+                return self._interface(path.stem, code)
+            except RuntimeError as error:  # of the linker
+                files.notice("linked", f"{path} is no machine code of this processor ({error}); it is made anew")
+        code = self._compile()
+        files.keep(path, code)
+        return self._interface(f"{path.stem} anew", code)
+
+    def _interface(self, content: str, code: bytes) -> Callable[..., None]:
         types = [c_type for kind in self.arguments.values() for c_type in C_TYPES[kind]]
         called = {symbol(name): one for name, one in self.links.items() if symbol(name).encode() in code}
         addresses = {name: one.address for name, one in called.items()}
-        return ctypes.CFUNCTYPE(None, *types, ctypes.c_void_p)(_linked(path.stem, code, addresses))
+        return ctypes.CFUNCTYPE(None, *types, ctypes.c_void_p)(_linked(content, code, addresses))
 
     def _compile(self) -> bytes:
         """Return the machine code of the function behind a C interface."""

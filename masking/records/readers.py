@@ -6,9 +6,7 @@ missing is made of the time between samples. A part of a long record is a record
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import re
 import zipfile
@@ -21,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError, nearest
-from masking.records import loggers
+from masking.records import loggers, text_table
 from masking.records.hold import Names
 from masking.records.nested import vectors
 from masking.records.recording import MANIFEST, TABLE, Recording
@@ -93,7 +91,7 @@ def read(
     chosen = part.samples(columns[CLOCK])
     if file.suffix.lower() in _TEXT:
         wanted_cells = {names.get(n, n): c for n, c in columns.items() if n in wanted}
-        _check_cells(part, heading, wanted_cells, chosen, columns[CLOCK])
+        text_table.check_cells(part, heading, wanted_cells, chosen, columns[CLOCK])
     columns = columns if chosen.all() else {n: c[chosen] for n, c in columns.items()}
     columns = {n: c for n, c in columns.items() if n in wanted or np.isfinite(c).all()}
     try:
@@ -138,7 +136,7 @@ def _columns(file: Path, heading: Sequence[str]) -> tuple[dict[str, Column], byt
     if kind == ".parquet":
         return parquet.read(file)
     if kind in _TEXT:
-        return _text(file, heading), None
+        return text_table.read(file, heading), None
     if kind in _NESTED:
         return _NESTED[kind](file), None
     raise RecordError(f"{file}: '{kind}' files are not read; give {_KNOWN}")
@@ -148,111 +146,6 @@ def _own(file: Path, columns: dict[str, Column]) -> Recording:
     """Return one of our own recordings with columns that may have been renamed."""
     kept = Recording.load(file.parent if (file.parent / MANIFEST).exists() and file.name == TABLE else file)
     return Recording(columns, kept.manifest, kept.notes)
-
-
-def _text(file: Path, heading: Sequence[str]) -> dict[str, Column]:
-    """Read a table between commas, semicolons, tabs or blanks; its first line names its columns, or a heading does."""
-    names, separator, lines = _lines(file, heading)
-    body = "\n".join(line for _, line in lines)
-    if separator == ";" and "," in body:  # decimal commas
-        body = body.replace(",", ".")
-    used = [i for i, name in enumerate(names) if name]
-    try:
-        table = np.genfromtxt(io.StringIO(body), delimiter=separator, usecols=used, ndmin=2)
-    except ValueError as error:
-        reason = str(error).strip().splitlines()[-1].strip()
-        raise RecordError(
-            f"{file}: the lines do not hold one number for each of {len(names)} columns: {reason}"
-        ) from None
-    repeated = sorted({names[i] for i in used if names.count(names[i]) > 1})
-    if repeated:
-        raise RecordError(f"{file}: column '{repeated[0]}' appears more than once")
-    return {names[i]: np.ascontiguousarray(table[:, j]) for j, i in enumerate(used)}
-
-
-def _lines(file: Path, heading: Sequence[str]) -> tuple[list[str], str | None, list[tuple[int, str]]]:
-    """Return the names of columns, what is between them, None for blanks, and the lines below with their numbers."""
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordError(f"{file}: the table cannot be read ({error})") from error
-    lines = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), 1)
-        if line.strip() and not line.lstrip().startswith(("%", "//"))
-    ]
-    if not lines:
-        raise RecordError(f"{file}: the table is empty")
-    head = lines[0][1].lstrip("# ")
-    separator = next((s for s in ("\t", ";", ",") if s in head), None)
-    cells = (
-        csv.reader([head], delimiter=separator) if separator else csv.reader([" ".join(head.split())], delimiter=" ")
-    )
-    names = [name.strip() for name in next(cells)]
-    is_bare = all(_is_number(name.replace(",", ".")) for name in names if name)
-    if is_bare and not heading:
-        raise RecordError(
-            f"{file}: the first line holds numbers; name its {len(names)} columns, such as --columns t,u1,y1"
-        )
-    if heading and not is_bare:
-        raise RecordError(
-            f"{file}: the first line names its columns, such as {names[0]}; rename them, such as --map t={names[0]}, "
-            "in place of --columns"
-        )
-    if heading and len(heading) != len(names):
-        raise RecordError(f"{file}: {len(names)} columns have {len(heading)} names, {', '.join(heading)}; name each")
-    if heading:
-        names, lines = [*heading], [(0, ""), *lines]
-    return names, separator, [(n, line) for n, line in lines[1:] if line.partition("#")[0].strip()]
-
-
-def _check_cells(
-    part: Part,
-    heading: Sequence[str],
-    columns: Mapping[str, Column],
-    chosen: NDArray[np.bool_],
-    clock: Column,
-) -> None:
-    """Refuse a text where a number must be, with its line in the file.
-
-    Args:
-        part: the record.
-        heading: names of the columns of a file that has none.
-        columns: that must be finite, by their names in the file.
-        chosen: whether a sample is in the part (samples,).
-        clock: in s (samples,).
-
-    Raises:
-        RecordError: a sample of the part is not finite.
-    """
-    wrong = {name: np.flatnonzero(chosen & ~np.isfinite(values)) for name, values in columns.items()}
-    first = min(((int(rows[0]), name) for name, rows in wrong.items() if len(rows)), default=None)
-    if first is None:
-        return
-    row, name = first[0], next(n for n, rows in wrong.items() if len(rows) and rows[0] == first[0])
-    names, separator, lines = _lines(part.file, heading)
-    number, line = lines[row]
-    cell = line.partition("#")[0].split(separator)[names.index(name)].strip()
-    count = len(np.unique(np.concatenate([*wrong.values()])))
-    at = f" (t = {clock[row]:.9g} s)" if np.isfinite(clock[row]) else ""
-    rest = f", and {count - 1} more line{'s' * (count > 2)} so" if count > 1 else ""
-    mend = (
-        "take the line out, such as one of units, or put numbers there"
-        if row == 0
-        else f"put numbers there, or use a part without, such as {part.file}@:{clock[row]:.9g}"
-        if at
-        else "take the line out, or put numbers there"
-    )
-    what = f"'{cell}'" if cell else "nothing"
-    raise RecordError(f"{part.name}: line {number} holds {what} in column '{name}'{at}, not a number{rest}; {mend}")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _mat(file: Path) -> dict[str, Column]:

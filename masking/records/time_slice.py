@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError
+from masking.records.decimals import is_decimal
 
 MARK = "@"
 _NEAR = 1e-3  # of the time between samples: a sample so near to a time is at it
@@ -40,14 +41,15 @@ class Part:
         """
         text = str(path)
         file, _, times = text.rpartition(MARK)
-        if not file or Path(text).exists() or not Path(file).exists():
+        if not file or exists(Path(text)) or not exists(Path(file)):
             return cls(text, Path(text))
         first, colon, last = times.partition(":")
+        start = end = None
         try:
-            start, end = (float(time) if time.strip() else None for time in (first, last))
+            start, end = (_seconds(time.strip()) for time in (first, last))
         except ValueError:
-            start = end = math.nan
-        if not colon or not all(time is None or math.isfinite(time) for time in (start, end)):
+            colon = ""
+        if not colon:
             raise RecordError(
                 f"{text}: '{times}' is no part of a record; give two times in s, such as {file}{MARK}10:20, "
                 f"{file}{MARK}10: or {file}{MARK}:20"
@@ -88,3 +90,24 @@ class Part:
                 f"{step:.9g} s between samples"
             )
         return chosen
+
+
+def exists(path: Path) -> bool:
+    """Tell whether a path is there; one that the system cannot look up, such as a name too long, is not."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def _seconds(text: str) -> float | None:
+    """Return a time; None for no text.
+
+    Raises:
+        ValueError: it is no finite decimal number.
+    """
+    if not text:
+        return None
+    if not is_decimal(text) or not math.isfinite(value := float(text)):
+        raise ValueError
+    return value
