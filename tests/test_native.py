@@ -111,7 +111,7 @@ def test_a_file_that_does_not_hold_what_its_name_says_is_made_anew(tmp_path, mon
     assert store.exists("1.5")
 
 
-CHILD = '''
+CHILD = """
 import json, sys
 from masking.codegen import store
 from masking.codegen.source import DECORATOR, Module
@@ -125,7 +125,7 @@ made = store.load("1.5", number)
 assert made.function("f")(0.0) == 1.5
 assert made.module().f(0.0) == 1.5
 print(json.dumps([str(made.path), made.objects["f"]]))
-'''
+"""
 
 
 def child(cache, **more):
@@ -211,9 +211,9 @@ def test_compiled_python_beside_a_text_is_not_executed(tmp_path):
 def test_where_files_cannot_be_written_they_go_to_a_private_folder(tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "here").mkdir()
-    for cache in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/nowhere"), Path("/dev/full")):
-        _, (said,) = child(cache, TMPDIR=str(tmp_path / "here"))
-        assert said.startswith(f"masking: generated files cannot be kept in {cache} (")
+    for place in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/nowhere"), Path("/dev/full")):
+        _, (said,) = child(place, TMPDIR=str(tmp_path / "here"))
+        assert said.startswith(f"masking: generated files cannot be kept in {place} (")
         assert said.endswith(" until this process ends")
         assert not [*(tmp_path / "here").iterdir()]
 

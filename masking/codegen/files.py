@@ -52,25 +52,33 @@ def elsewhere(target: Path) -> Path:
     return _private() / target.parent.name / target.name
 
 
+def write_whole(target: Path, content: bytes) -> None:
+    """Write a file whole or not at all; a reader sees the old file or the new one, also after a power cut.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".tmp", delete=False) as file:  # of mode 0600
+        try:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())  # it is on the disk before it gets its name
+            Path(file.name).replace(target)
+        except BaseException:
+            Path(file.name).unlink(missing_ok=True)
+            raise
+
+
 def write_sealed(target: Path, content: bytes) -> None:
     """Write a file behind a checksum of its name and content.
-
-    It is on disk before it gets its name: a reader sees the old file or the new one, also after a power cut.
 
     Raises:
         OSError: it cannot be written, or the folder is not this user's own.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     _check_folder(target.parent)
-    with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".tmp", delete=False) as file:  # of mode 0600
-        try:
-            file.write(_seal(target, content) + content)
-            file.flush()
-            os.fsync(file.fileno())
-            Path(file.name).replace(target)
-        except BaseException:
-            Path(file.name).unlink(missing_ok=True)
-            raise
+    write_whole(target, _seal(target, content) + content)
 
 
 def read_sealed(source: Path) -> bytes | None:

@@ -2,12 +2,15 @@
 
 `modules/` holds for each key what the module says of itself and which text and objects are its own; `texts/` the
 printed modules, named by their hash; `objects/` the machine code of each function that was ever called, named by the
-hash of its content. A file that does not hold what its name says, or that another user could have written, is made anew.
+hash of its content. A file that does not hold what its name says, or that another user could have written, is
+made anew.
 """
 
 from __future__ import annotations
 
 import contextlib
+import importlib.abc
+import importlib.util
 import json
 import os
 import sys
@@ -74,11 +77,14 @@ class Generated:
         name = self.path.stem
         if name in sys.modules:
             return sys.modules[name]
-        module = ModuleType(name)
-        module.__file__ = str(self.path)
+        loader = _Checked(self.path, self.text)
+        specification = importlib.util.spec_from_loader(name, loader)
+        if specification is None:
+            raise ImportError(f"cannot import the generated module {self.path}")
+        module = importlib.util.module_from_spec(specification)
         sys.modules[name] = module  # numba looks functions up by the name of their module
         try:
-            exec(compile(self.text, self.path, "exec"), module.__dict__)  # noqa: S102  (of a file that was checked)
+            loader.exec_module(module)
         except BaseException:
             del sys.modules[name]
             raise
@@ -91,6 +97,22 @@ class Generated:
         work = tuple(described["work"]) if described["work"] else self.work if "work" in types[0] else None
         stem = self.path.parent.parent / "objects" / self.objects[name]
         return NativeFunction(name, *types, work, self.module, stem, self.links)
+
+
+@dataclass(frozen=True)
+class _Checked(importlib.abc.ExecutionLoader):
+    """Imports a text that was checked when it was read, and no compiled Python that lies beside it."""
+
+    path: Path
+    text: str
+
+    def get_source(self, fullname: str) -> str:
+        """Return the text."""
+        return self.text
+
+    def get_filename(self, fullname: str) -> str:
+        """Return the path of the text, for tracebacks."""
+        return str(self.path)
 
 
 def exists(name: str) -> bool:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
+import struct
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,11 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError
-from masking.records.nested import vectors
+from masking.records import bounds
+from masking.records.nested import vectors, without_doubles
 
 Column = NDArray[np.float64]
 Nested = Mapping[str, object]
 TIME = "time"
+_MDF_DEFLATED = (0, 1)  # plain and transposed
 
 
 def read(file: Path) -> dict[str, Column]:
@@ -42,7 +46,8 @@ def read(file: Path) -> dict[str, Column]:
     except RecordError:
         raise
     except Exception as error:  # these packages raise what their parsers meet, struct.error among them
-        raise RecordError(f"{file}: the file cannot be read ({error})") from error
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise RecordError(f"{file}: the file cannot be read ({reason})") from error
     if not found:
         raise RecordError(f"{file}: it holds no channels of numbers")
     return found
@@ -50,6 +55,9 @@ def read(file: Path) -> dict[str, Column]:
 
 def _tdms(file: Path, nptdms: ModuleType) -> Nested:
     """Return the channels by group; the clock is that of the first with a waveform's increment."""
+    described = nptdms.TdmsFile.read_metadata(file)
+    if sum(len(c) for group in described.groups() for c in group.channels()) > file.stat().st_size:
+        raise ValueError("it promises more samples than it has bytes")
     made: dict[str, dict[str, object]] = {}
     for group in nptdms.TdmsFile.read(file).groups():
         made[group.name] = channels = {c.name: c[:] for c in group.channels()}
@@ -61,7 +69,9 @@ def _tdms(file: Path, nptdms: ModuleType) -> Nested:
 
 def _mdf(file: Path, asammdf: ModuleType) -> Nested:
     """Return the channels of each group that has a name of its own by that, of the others by their numbers from 1."""
+    bounds.check(file, _unpacked_mdf(file))
     with asammdf.MDF(file) as opened:
+        bounds.check(file, sum(8 * g.channel_group.cycles_nr * len(g.channels) for g in opened.groups))
         named = [group.channel_group.acq_name for group in opened.groups]
         often = Counter(named)
         groups = [n if n and often[n] == 1 else str(i) for i, n in enumerate(named, 1)]
@@ -71,17 +81,63 @@ def _mdf(file: Path, asammdf: ModuleType) -> Nested:
         return made if len(made) > 1 else next(iter(made.values()), {})
 
 
+def _unpacked_mdf(file: Path) -> int:
+    """Return how many bytes the compressed blocks of an MDF file unpack to, or say that they do.
+
+    Raises:
+        ValueError: one unpacks to more than it says.
+    """
+    data, total = file.read_bytes(), 0
+    for block in re.finditer(b"##DZ", data):
+        head = data[block.start() + 24 : block.start() + 48]
+        if len(head) == 24:
+            _, kind, _, _, original, size = struct.unpack("<2sBBIQQ", head)
+            total += int(original)
+            packed = data[block.start() + 48 :][:size]
+            if (
+                kind in _MDF_DEFLATED
+                and original <= bounds.limit(file)
+                and bounds.inflated(packed, original) > original
+            ):
+                raise ValueError("a block unpacks to more than it says")
+    return total
+
+
+def _unpacked_mcap(file: Path) -> int:
+    """Return how many bytes the chunks of an MCAP file unpack to.
+
+    Raises:
+        ValueError: one unpacks to more than it says.
+    """
+    streams, total, most = importlib.import_module("mcap.stream_reader"), 0, bounds.limit(file)
+    with file.open("rb") as stream:
+        for one in streams.StreamReader(stream, emit_chunks=True, record_size_limit=file.stat().st_size).records:
+            if type(one).__name__ == "Chunk":
+                said, found = one.uncompressed_size, one.uncompressed_size
+                if one.compression == "zstd":
+                    found = importlib.import_module("zstandard").frame_content_size(one.data)
+                elif one.compression == "lz4" and said <= most:
+                    found = len(
+                        importlib.import_module("lz4.frame").LZ4FrameDecompressor().decompress(one.data, said + 1)
+                    )
+                if found > said:
+                    raise ValueError("a chunk unpacks to more than it says")
+                total += said
+    return total
+
+
 def _mcap(file: Path, reader: ModuleType) -> Nested:
     """Return the fields of the JSON messages of each topic, on a clock that begins with the record."""
     samples: dict[str, list[dict[str, object]]] = defaultdict(list)
     clocks: dict[str, list[int]] = defaultdict(list)  # ns
     others = set()
+    bounds.check(file, _unpacked_mcap(file))
     with file.open("rb") as stream:
-        for _, channel, message in reader.make_reader(stream).iter_messages():
+        for _, channel, message in reader.make_reader(stream, validate_crcs=True).iter_messages():
             if channel.message_encoding != "json":
                 others.add(f"{channel.topic} ({channel.message_encoding or 'no encoding'})")
                 continue
-            content = json.loads(message.data)
+            content = json.loads(message.data, object_pairs_hook=without_doubles)
             fields = content if isinstance(content, dict) else {"value": content}
             topic = channel.topic.strip("/")
             samples[topic].append(_flat("", fields))
@@ -93,7 +149,7 @@ def _mcap(file: Path, reader: ModuleType) -> Nested:
     start = min((clock[0] for clock in clocks.values()), default=0)
     made: dict[str, dict[str, object]] = {}
     for topic, rows in samples.items():
-        made[topic] = {name: [row.get(name) for row in rows] for name in rows[0]}
+        made[topic] = {name: [row.get(name) for row in rows] for name in dict.fromkeys(n for row in rows for n in row)}
         made[topic][TIME] = [(when - start) * 1e-9 for when in clocks[topic]]
     return made
 

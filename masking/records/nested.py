@@ -50,3 +50,16 @@ def _columns(path: str, array: NDArray[np.generic]) -> Iterator[tuple[str, Colum
         rows = array if array.shape[0] < array.shape[1] else array.T
         for number, row in enumerate(rows, 1):
             yield f"{path}/{number}".lstrip("/"), np.ascontiguousarray(row, dtype=np.float64)
+
+
+def without_doubles(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Return an object of JSON.
+
+    Raises:
+        ValueError: a key stands in it twice.
+    """
+    held = dict(pairs)
+    if len(held) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"the key '{next(n for n in names if names.count(n) > 1)}' stands twice in an object")
+    return held

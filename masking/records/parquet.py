@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from masking.errors import RecordError
+from masking.records import bounds
 
 MANIFEST_KEY = b"masking.manifest"
 _MAGIC = b"PAR1"  # the first bytes of every parquet file
@@ -84,23 +85,35 @@ def read(path: Path) -> tuple[dict[str, NDArray[np.float64]], bytes | None]:
         raise RecordError(f"{path} is not a recording: it is no parquet file")
     try:
         with pq.ParquetFile(path) as file:
+            _check_kinds(path, file.schema_arrow)
+            _check_size(path, file.metadata)
             table = file.read()
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, MemoryError, UnicodeError) as error:
         raise RecordError(f"{path} is not a recording: the parquet file is cut off or damaged") from error
     names: list[str] = table.column_names
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise RecordError(f"{path}: column '{repeated[0]}' appears more than once")
-    columns = {name: _numbers(path, name, column) for name, column in zip(names, table.columns, strict=True)}
+    columns = {name: _numbers(column) for name, column in zip(names, table.columns, strict=True)}
     return columns, (table.schema.metadata or {}).get(MANIFEST_KEY)
 
 
-def _numbers(path: Path, name: str, column: pa.ChunkedArray) -> NDArray[np.float64]:
+def _check_kinds(path: Path, schema: pa.Schema) -> None:
+    for one in schema:
+        if not (pa.types.is_floating(one.type) or pa.types.is_integer(one.type)):
+            raise RecordError(f"{path}: column '{one.name}' holds {one.type}, not numbers")
+
+
+def _check_size(path: Path, metadata: pq.FileMetaData) -> None:
+    parts = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
+    columns = [part.column(i) for part in parts for i in range(part.num_columns)]
+    bounds.check(path, sum(max(8 * one.num_values, one.total_uncompressed_size) for one in columns))
+
+
+def _numbers(column: pa.ChunkedArray) -> NDArray[np.float64]:
     kind = column.type
-    if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
-        raise RecordError(f"{path}: column '{name}' holds {kind}, not numbers")
     if kind != pa.float64():
-        column = column.cast(pa.float64())
+        column = column.cast(pa.float64(), safe=False)  # large integers are rounded
     if column.null_count:
         column = column.fill_null(float("nan"))
     # From buffers for the reason given in `write`.

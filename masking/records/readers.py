@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import zipfile
+import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError, nearest
-from masking.records import loggers, text_table
+from masking.records import bounds, loggers, numpy_files, text_table
 from masking.records.hold import Names
-from masking.records.nested import vectors
+from masking.records.nested import vectors, without_doubles
 from masking.records.recording import MANIFEST, TABLE, Recording
-from masking.records.time_slice import Part
+from masking.records.time_slice import Part, exists
 
 if TYPE_CHECKING:
     from scipy import io as scipy_io
@@ -37,6 +37,7 @@ else:
 Column = NDArray[np.float64]
 CLOCK = "t"
 PREFIXES = ("input", "sensor")
+_LARGEST_JSON = 2**27  # bytes; in memory they are some ten times as many
 _TEXT = {".csv", ".txt", ".tsv", ".dat"}
 _KNOWN = "a folder of a recording, or a .parquet, .csv, .mat, .h5, .npz, .json, .tdms, .mf4 or .mcap file"
 
@@ -68,8 +69,10 @@ def read(
     file = part.file
     if file.is_dir():
         file /= TABLE
-    if not file.exists():
+    if not exists(file):
         raise RecordError(f"{file}: no such record; give {_KNOWN}")
+    if not file.is_file():
+        raise RecordError(f"{file}: it is no regular file; give {_KNOWN}")
     if dt is not None and not (np.isfinite(dt) and dt > 0.0):
         raise RecordError(f"{file}: the time between samples is {dt:g} s; give a positive number of seconds")
     heading = tuple(names) if names and not isinstance(names, Mapping) else ()
@@ -103,7 +106,8 @@ def read(
 def digest(path: str | Path) -> str:
     """Return the SHA-256 of a record's file, in hexadecimal digits; of the whole file where the record is a part."""
     file = Part.of(path).file
-    return hashlib.sha256((file / TABLE if file.is_dir() else file).read_bytes()).hexdigest()
+    with (file / TABLE if file.is_dir() else file).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def mapping(text: str) -> dict[str, str]:
@@ -151,13 +155,17 @@ def _own(file: Path, columns: dict[str, Column]) -> Recording:
 def _mat(file: Path) -> dict[str, Column]:
     """Read the vectors of a MATLAB file; one of version 7.3, and some of other programs, are HDF5."""
     try:
-        held = scipy_io.loadmat(file, simplify_cells=True)
+        bounds.check(file, bounds.matlab_5(file))
+        with warnings.catch_warnings(action="ignore"):
+            held = scipy_io.loadmat(file, simplify_cells=True)
     except NotImplementedError:
         return hdf5.read(file)
-    except (OSError, ValueError) as error:
+    except RecordError:
+        raise
+    except Exception as error:  # scipy raises what its parser meets, zlib.error and struct.error among them
         if hdf5.is_hdf5(file):
             return hdf5.read(file)
-        raise RecordError(f"{file}: the MATLAB file cannot be read ({error})") from error
+        raise RecordError(f"{file}: the MATLAB file cannot be read ({_line(error)})") from error
     return _nested(file, {name: value for name, value in held.items() if not name.startswith("__")})
 
 
@@ -166,27 +174,31 @@ def _hdf5(file: Path) -> dict[str, Column]:
 
 
 def _npz(file: Path) -> dict[str, Column]:
-    """Read the arrays of a numpy file."""
-    try:
-        with file.open("rb") as stream:
-            return _nested(file, np.load(stream, allow_pickle=False))
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise RecordError(f"{file}: the numpy file cannot be read ({error})") from error
+    return _nested(file, numpy_files.read(file))
 
 
 def _json(file: Path) -> dict[str, Column]:
     """Read lists of numbers, or a list of samples that are objects with the same keys."""
+    if file.stat().st_size > _LARGEST_JSON:
+        raise RecordError(f"{file}: the JSON file has more than {_LARGEST_JSON} bytes; give a .parquet file")
     try:
-        held = json.loads(file.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise RecordError(f"{file}: the JSON file cannot be read ({error})") from error
+        held = json.loads(file.read_text(encoding="utf-8-sig"), object_pairs_hook=without_doubles)
+    except (OSError, ValueError, RecursionError, MemoryError) as error:
+        raise RecordError(f"{file}: the JSON file cannot be read ({_line(error)})") from error
     if isinstance(held, list) and held and all(isinstance(sample, dict) for sample in held):
-        held = {name: [sample.get(name) for sample in held] for name in held[0]}
+        held = {name: [sample.get(name) for sample in held] for name in dict.fromkeys(n for one in held for n in one)}
     return _nested(file, held)
 
 
+def _line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
+
+
 def _nested(file: Path, held: object) -> dict[str, Column]:
-    found = dict(vectors("", held))
+    try:
+        found = dict(vectors("", held))
+    except (RecursionError, MemoryError) as error:
+        raise RecordError(f"{file}: it cannot be read ({_line(error)})") from error
     if not found:
         raise RecordError(f"{file}: it holds no vectors of numbers")
     return found

@@ -1,7 +1,7 @@
 """Tables of numbers as text: between commas, semicolons, tabs or blanks, with a name for each column.
 
-A cell is a decimal number or it is missing; whatever else Python or another program takes for a number, such as `1_000`,
-`0x10` or `1 000`, is missing. A line has as many cells as there are names, or the file is refused with its line.
+A cell is a decimal number or it is missing, whatever else Python or another program takes for a number, such as
+`1_000`, `0x10` or `1 000`. A line has as many cells as there are names, or the file is refused with its line.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def check_cells(
 
 
 def _text(file: Path) -> str:
-    """Return the text of a file with \\n at the end of each line."""
+    """Return the text of a file with a line feed at the end of each line."""
     try:
         if file.stat().st_size > LARGEST:
             raise RecordError(f"{file}: the table has more than {LARGEST} bytes; cut it, or give a .parquet file")
@@ -231,8 +231,8 @@ def _check_count(file: Path, number: int, cells: list[str], table: _Table) -> No
         cells.pop()
     if len(cells) > wanted:
         raise RecordError(
-            f"{file}: line {number} has {len(cells)} cells, but {wanted} columns have a name: '{_shown(cells[wanted])}' "
-            "is in none; are there decimal commas, or names missing?"
+            f"{file}: line {number} has {len(cells)} cells, but {wanted} columns have a name: "
+            f"'{_shown(cells[wanted])}' is in none; are there decimal commas, or names missing?"
         )
     if len(cells) < wanted:
         raise RecordError(
@@ -252,7 +252,11 @@ def _row(line: str, table: _Table) -> list[str] | None:
         return whole
     if not line[:remark].strip():
         has_numbers = len(whole) == len(table.names) > 1 and any(is_number(cell) for cell in whole[1:])
-        return whole if has_numbers and not is_number(whole[0].lstrip("# ")) and line[remark + 1 : remark + 2].strip() else None
+        return (
+            whole
+            if has_numbers and not is_number(whole[0].lstrip("# ")) and line[remark + 1 : remark + 2].strip()
+            else None
+        )
     before = [cell.strip() for cell in _cells(line[:remark], table.separator)]
     return before if len(before) == len(table.names) and before[-1] else whole
 
