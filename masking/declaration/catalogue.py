@@ -16,6 +16,7 @@ from masking.errors import DeclarationError, Place, Problem, nearest
 _PACKAGE = Path(__file__).resolve().parents[1]
 _FOLDERS = {"model": "models", "plant": "plants", "experiment": "examples", "dictionary": "dictionaries"}
 KINDS = tuple(_FOLDERS)
+_ENDINGS = (".yaml", ".yml")
 _ARTICLE = {
     "model": "a model",
     "plant": "a plant",
@@ -89,19 +90,22 @@ def find(kind: str | None, name_or_path: str | Path, reference: Reference = NOWH
         reference: where.
 
     Raises:
-        DeclarationError: there is none, or it is of another kind.
+        DeclarationError: there is none, it is of another kind, or no .yaml file.
     """
     text = str(name_or_path)
     for some in [kind] if kind else _FOLDERS:
         if text in names(some):
             return folder(some) / f"{text}.yaml"
-    is_name = isinstance(name_or_path, str) and not text.endswith((".yaml", ".yml")) and "/" not in text
+    is_name = isinstance(name_or_path, str) and not text.endswith(_ENDINGS) and "/" not in text
     try:
         path = Path(text).expanduser()
     except RuntimeError:  # ~ of somebody who is not here
         path = Path(text)
     candidates = [reference.folder / path, path] if reference.folder else [path]
     if not is_name and (files := [candidate for candidate in candidates if _is(candidate, Path.is_file)]):
+        if files[0].resolve().suffix not in _ENDINGS:  # whose lines no message shows
+            message = f"{text} is no declaration: its name does not end in .yaml"
+            raise DeclarationError(Problem(reference.place, reference.path, message, "name a .yaml file"))
         return files[0]
     if is_name and kind:
         for other in _FOLDERS:
@@ -161,7 +165,7 @@ def _not_found(kind: str | None, text: str, is_name: bool, candidates: list[Path
     mend = f"{_ARTICLE[kind]} is a .yaml file"
     if is_name:
         mend = nearest(text, [name for some in ([kind] if kind else _FOLDERS) for name in names(some)])
-    endings = [end for end in (".yaml", ".yml") if any(_is(Path(f"{c}{end}"), Path.is_file) for c in candidates)]
+    endings = [end for end in _ENDINGS if any(_is(Path(f"{c}{end}"), Path.is_file) for c in candidates)]
     if endings:
         mend = f"did you mean the file {text}{endings[0]}?"
     elif any(_is(candidate, Path.is_dir) for candidate in candidates):

@@ -7,6 +7,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 
+from masking.declaration import expansion
 from masking.declaration.couplings import driven_outputs, motions
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ModelDeclaration
@@ -94,6 +95,7 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
             *_events(model),
             *_unused(model),
             *_cycles(model, "definitions", model.definitions),
+            *_large(model),
         ]
         problems += parameter_values(model, {})[1]
     return problems
@@ -428,6 +430,13 @@ def _cycles(model: ModelDeclaration, section: str, expressions: Mapping[str, Exp
         message = f"defined by itself: {' -> '.join([*turned, first])}"
         yield problem_at(model, f"{section}.{first}", message, at_key=True)
         uses = {name: used for name, used in uses.items() if name not in loop}
+
+
+def _large(model: ModelDeclaration) -> Iterator[Problem]:
+    for path, size in expansion.oversized(formulas(model), model.definitions):
+        message = f"with its definitions written out it has {size} operations and operands"
+        mend = f"at most {expansion.LARGEST} are allowed: a definition that holds another one twice doubles it"
+        yield problem_at(model, path, message, mend)
 
 
 def parameter_values(model: ModelDeclaration, overrides: Mapping[str, float]) -> tuple[dict[str, float], list[Problem]]:

@@ -57,7 +57,7 @@ def _tdms(file: Path, nptdms: ModuleType) -> Nested:
     """Return the channels by group; the clock is that of the first with a waveform's increment."""
     described = nptdms.TdmsFile.read_metadata(file)
     if sum(len(c) for group in described.groups() for c in group.channels()) > file.stat().st_size:
-        raise ValueError("it promises more samples than it has bytes")
+        raise ValueError("it says that it has more samples than bytes")
     made: dict[str, dict[str, object]] = {}
     for group in nptdms.TdmsFile.read(file).groups():
         made[group.name] = channels = {c.name: c[:] for c in group.channels()}

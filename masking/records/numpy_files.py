@@ -50,7 +50,7 @@ def _size(stream: IO[bytes], length: int) -> int:
         length: of the array with its header in bytes.
 
     Raises:
-        ValueError: it is no array of numbers, or the header promises more than there is.
+        ValueError: it is no array of numbers, or the header says that it is longer than the file.
     """
     version = npy.read_magic(stream)
     header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
@@ -58,7 +58,7 @@ def _size(stream: IO[bytes], length: int) -> int:
     if dtype.hasobject:
         raise ValueError("it holds Python objects, which are not unpickled")
     if math.prod(shape) * dtype.itemsize > length:
-        raise ValueError(f"an array of shape {shape} is promised in {length} bytes")
+        raise ValueError(f"an array of shape {shape} does not fit into {length} bytes")
     return 8 * math.prod(shape)
 
 
