@@ -22,7 +22,7 @@ DEEPEST_NESTING = 50
 
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same events, in C where PyYAML was built so
 
-_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
+_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _LEADING_ZERO = re.compile(r"[-+]?0\d")
 # y, n and N are truth values in YAML 1.1 too, though not in PyYAML; they are names here, and N is the newton.
 _AMBIGUOUS: tuple[tuple[re.Pattern[str], str, str], ...] = (  # what YAML 1.1 makes of it, and what to write instead

@@ -54,13 +54,13 @@ def read(file: Path) -> dict[str, NDArray[np.float64]]:
                 _check_chunks(file, held)
                 found.update(vectors(path, held[()]))
 
-    def visit_link(path: str, held: object) -> None:
-        if isinstance(held, h5py.ExternalLink):
-            raise _elsewhere(file, path, "an external link")
+    def outside(path: str, held: object) -> str | None:
+        return path if isinstance(held, h5py.ExternalLink) else None
 
     try:
         with h5py.File(file, "r") as opened:
-            opened.visititems_links(visit_link)
+            if (path := opened.visititems_links(outside)) is not None:
+                raise _elsewhere(file, path, "an external link")
             opened.visititems(visit)
     except RecordError:
         raise

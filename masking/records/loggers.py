@@ -9,10 +9,13 @@ import importlib
 import json
 import re
 import struct
+import sys
+import traceback
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +73,7 @@ def _tdms(file: Path, nptdms: ModuleType) -> Nested:
 def _mdf(file: Path, asammdf: ModuleType) -> Nested:
     """Return the channels of each group that has a name of its own by that, of the others by their numbers from 1."""
     bounds.check(file, _unpacked_mdf(file))
-    with asammdf.MDF(file) as opened:
+    with _opened_mdf(file, asammdf) as opened:
         bounds.check(file, sum(8 * g.channel_group.cycles_nr * len(g.channels) for g in opened.groups))
         named = [group.channel_group.acq_name for group in opened.groups]
         often = Counter(named)
@@ -79,6 +82,18 @@ def _mdf(file: Path, asammdf: ModuleType) -> Nested:
         for signal in opened.iter_channels():
             made[groups[signal.group_index]] |= {signal.name: signal.samples, TIME: signal.timestamps}
         return made if len(made) > 1 else next(iter(made.values()), {})
+
+
+def _opened_mdf(file: Path, asammdf: ModuleType) -> Any:  # noqa: ANN401  (of an optional package)
+    """Open an MDF file; what is left of one that cannot be opened ends without a word on stderr."""
+    said, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    try:
+        return asammdf.MDF(file)
+    except Exception as error:
+        traceback.clear_frames(error.__traceback__)
+        raise
+    finally:
+        sys.unraisablehook = said
 
 
 def _unpacked_mdf(file: Path) -> int:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import threading
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -67,7 +68,13 @@ def write(
     ]
     schema = pa.schema(fields, metadata={MANIFEST_KEY: manifest})
     # Dictionaries do not pay for real numbers: measured 11 times the time and 1.3 times the size.
-    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), stream, compression="zstd", use_dictionary=False)
+    pq.write_table(
+        pa.Table.from_arrays(arrays, schema=schema),
+        stream,
+        compression="zstd",
+        use_dictionary=False,
+        write_page_checksum=True,
+    )
 
 
 def read(path: Path) -> tuple[dict[str, NDArray[np.float64]], bytes | None]:
@@ -84,14 +91,14 @@ def read(path: Path) -> tuple[dict[str, NDArray[np.float64]], bytes | None]:
     if not is_parquet:
         raise RecordError(f"{path} is not a recording: it is no parquet file")
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
             _check_kinds(path, file.schema_arrow)
             _check_size(path, file.metadata)
             table = file.read()
     except (pa.ArrowException, OSError, MemoryError, UnicodeError) as error:
         raise RecordError(f"{path} is not a recording: the parquet file is cut off or damaged") from error
     names: list[str] = table.column_names
-    repeated = sorted({name for name in names if names.count(name) > 1})
+    repeated = sorted(name for name, count in Counter(names).items() if count > 1)
     if repeated:
         raise RecordError(f"{path}: column '{repeated[0]}' appears more than once")
     columns = {name: _numbers(column) for name, column in zip(names, table.columns, strict=True)}

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError, nearest
-from masking.records import bounds, loggers, numpy_files, text_table
+from masking.records import loggers, matlab_5, numpy_files, text_table
 from masking.records.hold import Names
 from masking.records.nested import vectors, without_doubles
 from masking.records.recording import MANIFEST, TABLE, Recording
@@ -67,7 +67,7 @@ def read(
     """
     part = Part.of(path)
     file = part.file
-    if file.is_dir():
+    if exists(file) and file.is_dir():
         file /= TABLE
     if not exists(file):
         raise RecordError(f"{file}: no such record; give {_KNOWN}")
@@ -155,7 +155,7 @@ def _own(file: Path, columns: dict[str, Column]) -> Recording:
 def _mat(file: Path) -> dict[str, Column]:
     """Read the vectors of a MATLAB file; one of version 7.3, and some of other programs, are HDF5."""
     try:
-        bounds.check(file, bounds.matlab_5(file))
+        matlab_5.check(file)
         with warnings.catch_warnings(action="ignore"):
             held = scipy_io.loadmat(file, simplify_cells=True)
     except NotImplementedError:
@@ -197,7 +197,7 @@ def _line(error: BaseException) -> str:
 def _nested(file: Path, held: object) -> dict[str, Column]:
     try:
         found = dict(vectors("", held))
-    except (RecursionError, MemoryError) as error:
+    except (RecursionError, MemoryError, OverflowError) as error:
         raise RecordError(f"{file}: it cannot be read ({_line(error)})") from error
     if not found:
         raise RecordError(f"{file}: it holds no vectors of numbers")

@@ -230,7 +230,7 @@ class Recording:
             raise RecordError(f"{path}: not a recording: the table carries no manifest")
         try:
             manifest = json.loads(text)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise RecordError(f"{path}: the manifest inside the table is not JSON ({error})") from error
         if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
             found = manifest.get("format") if isinstance(manifest, dict) else None

@@ -10,6 +10,7 @@ import csv
 import io
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,7 +58,7 @@ def read(file: Path, heading: Sequence[str]) -> dict[str, Column]:
     """
     table = _table(file, heading)
     used = [i for i, name in enumerate(table.names) if name]
-    repeated = sorted({table.names[i] for i in used if table.names.count(table.names[i]) > 1})
+    repeated = sorted(name for name, count in Counter(table.names).items() if name and count > 1)
     if repeated:
         raise RecordError(f"{file}: column '{repeated[0]}' appears more than once")
     found = _of_decimals(table)

@@ -31,10 +31,16 @@ def name(case: Any) -> str:
     return str(case.name)
 
 
-def judge_one(kind: str, case: Any, folder: Path) -> tuple[str, str]:
+def prepared(case: Any, folder: Path) -> str | Path:
+    """Write what a case reads into a folder; return its path."""
+    return case.make(folder) if isinstance(case, RecordCase) else folder
+
+
+def judge_one(case: Any, target: str | Path) -> tuple[str, str]:
+    """Return what is wrong with what happens to a case, and what it said."""
     if isinstance(case, RecordCase):
-        return judge.judged_record(case, folder)
-    return declarations.judged(case, folder)
+        return judge.judged_record(case, target)
+    return declarations.judged(case, Path(target))
 
 
 def warm(kind: str) -> None:
@@ -42,6 +48,6 @@ def warm(kind: str) -> None:
     if kind == "records":
         for case in binaries.honest():
             with tempfile.TemporaryDirectory() as folder:
-                assert judge.judged_record(case, Path(folder)) == ("", "read"), case.name
+                assert judge_one(case, prepared(case, Path(folder))) == ("", "read"), case.name
     else:
         declarations.warm()

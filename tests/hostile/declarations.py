@@ -120,7 +120,16 @@ CHANGES: dict[str, Change] = {
 def _chains() -> Iterator[Case]:
     """Definitions that double, each in few characters."""
     head = "name: m\ncoordinates: {x: a}\nparameters: {k: 1}\ndefinitions:\n  a0: k*x\n"
-    for text in ("A + A", "A*A", "sin(A) + cos(A)", "(A + 1)*(A + 2)", "A + A*x", "exp(A)/(1 + A)", "A*A*A", "where(A > 0, A, 1)"):
+    for text in (
+        "A + A",
+        "A*A",
+        "sin(A) + cos(A)",
+        "(A + 1)*(A + 2)",
+        "A + A*x",
+        "exp(A)/(1 + A)",
+        "A*A*A",
+        "where(A > 0, A, 1)",
+    ):
         for count in (14, 22, 60, 300):
             lines = [f"  a{i}: {text.replace('A', f'a{i - 1}')}" for i in range(1, count + 1)]
             body = "\n".join([*lines, f"equations: {{x'': -a{count}}}", ""])
@@ -138,7 +147,18 @@ def _chains() -> Iterator[Case]:
 
 def _references() -> Iterator[Case]:
     """Files that are no declarations in the place of one: nothing of them is shown."""
-    for path in ("SECRET", "SECRET.yaml", "/etc/passwd", "/dev/zero", "/dev/stdin", "~/.ssh/id_rsa", "/proc/self/environ", "..", "/", "a\\0b"):
+    for path in (
+        "SECRET",
+        "SECRET.yaml",
+        "/etc/passwd",
+        "/dev/zero",
+        "/dev/stdin",
+        "~/.ssh/id_rsa",
+        "/proc/self/environ",
+        "..",
+        "/",
+        "a\\0b",
+    ):
         yield Case(f"plant: {path}", "assembly", f"plant: '{path}'\nvirtual: duffing\n")
         yield Case(f"virtual: {path}", "assembly", f"plant: ideal\nvirtual: '{path}'\n")
         yield Case(f"model: {path}", "check", f"name: p\nkind: ideal\nmodel: '{path}'\n")

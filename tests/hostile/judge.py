@@ -25,15 +25,24 @@ from pathlib import Path
 
 import numpy as np
 
-from masking.errors import DeclarationError, MaskingError
-from tests.hostile.cases import SECRET, Either, Read, RecordCase, Refused
+from masking.errors import MaskingError
+from tests.hostile.cases import SECRET, Read, RecordCase, Refused
 from tests.hostile.corpus import MARKER
 
 SECONDS = 10.0
 BYTES = 2**30
 LONGEST_MESSAGE = 2000
 ROOT = Path(__file__).parents[2]
-STARTS = ("os.system", "os.exec", "os.posix_spawn", "os.fork", "subprocess.Popen", "socket.connect", "pty.spawn", "pickle.find_class")
+STARTS = (
+    "os.system",
+    "os.exec",
+    "os.posix_spawn",
+    "os.fork",
+    "subprocess.Popen",
+    "socket.connect",
+    "pty.spawn",
+    "pickle.find_class",
+)
 
 
 @dataclass(frozen=True)
@@ -58,11 +67,10 @@ class Watch:
             cls.events.append(event)
 
 
-def judged_record(case: RecordCase, folder: Path) -> tuple[str, str]:
+def judged_record(case: RecordCase, path: str | Path) -> tuple[str, str]:
     """Read a record; return what is wrong with what happened."""
     from masking.records import readers
 
-    path = case.make(folder)
     try:
         found = readers.read(path, **case.given)
     except MaskingError as error:
@@ -99,7 +107,6 @@ def work(kind: str, first: int, step: int, is_sample: bool) -> None:
     cases = corpora.of(kind, is_sample)
     corpora.warm(kind)
     base = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (base + BYTES, base + BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     for number in range(first, len(cases), step):
         print(json.dumps([number]), flush=True)
@@ -107,10 +114,13 @@ def work(kind: str, first: int, step: int, is_sample: bool) -> None:
             folder = Path(name)
             os.chdir(folder)
             Watch.events.clear()
+            target = corpora.prepared(cases[number], folder)
             _forget_peak()
+            resource.setrlimit(resource.RLIMIT_AS, (base + BYTES, resource.RLIM_INFINITY))
             before, start = _peak(), time.perf_counter()
             with open(os.devnull, "w") as nothing, contextlib.redirect_stderr(nothing):
-                wrong, detail = corpora.judge_one(kind, cases[number], folder)
+                wrong, detail = corpora.judge_one(cases[number], target)
+            resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
             seconds, grown = time.perf_counter() - start, max(0, _peak() - before)
             if Watch.events or (folder / MARKER).exists():
                 wrong, detail = "executed", f"{Watch.events}"
@@ -187,7 +197,9 @@ def _verdict(name: str, wrong: str, detail: str, seconds: float, grown: int) -> 
 def _started(kind: str, first: int, step: int, is_sample: bool) -> subprocess.Popen[str]:
     words = [sys.executable, "-m", "tests.hostile.judge", kind, str(first), str(step), "--sample" * is_sample]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "ARROW_NUM_THREADS": "1"}
-    return subprocess.Popen([word for word in words if word], cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        [word for word in words if word], cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True
+    )
 
 
 def summary(verdicts: Sequence[Verdict]) -> str:
@@ -201,19 +213,6 @@ def summary(verdicts: Sequence[Verdict]) -> str:
     return "\n".join([*lines, *(f"{v.wrong}: {v.name}: {v.detail}" for v in verdicts if v.wrong)])
 
 
-def judged_declaration(call: object, *args: object) -> tuple[str, tuple[object, ...]]:
-    """Call what reads a declaration; return what is wrong and the problems that it names."""
-    try:
-        call(*args)  # type: ignore[operator]
-    except DeclarationError as error:
-        return "", error.problems
-    except MaskingError as error:
-        return "", (error,)
-    except BaseException as error:  # noqa: BLE001
-        return "traceback", (f"{type(error).__name__}: {error}",)
-    return "read", ()
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("kind")
@@ -222,5 +221,3 @@ if __name__ == "__main__":
     parser.add_argument("--sample", action="store_true")
     given = parser.parse_args()
     work(given.kind, given.first, given.step, given.sample)
-
-__all__ = ["Either", "Verdict", "run", "summary"]
