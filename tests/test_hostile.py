@@ -2,13 +2,16 @@
 
 import sys
 
+import numpy as np
 import pytest
 from hostile.corpus import EXECUTE, MARKER, MODELS, NUMBERS, SYNTAX, YAML
 
 from masking.declaration import registry
 from masking.declaration.expression import Expression
 from masking.declaration.strict_yaml import loads
-from masking.errors import DeclarationError, Place
+from masking.errors import DeclarationError, Place, RecordError
+from masking.records import readers
+from tests.hostile import corpora, judge
 
 FORBIDDEN = (
     "os.system",
@@ -130,3 +133,78 @@ def test_the_harmless_neighbours_are_read():
         "\ufeffa: 1",
     ):
         loads(text)
+
+
+@pytest.mark.parametrize(("kind", "least"), [("records", 1000), ("declarations", 1500)])
+def test_one_in_seven_of_the_corpus(kind, least):
+    """Nothing is executed, read wrongly, ends in a traceback, or takes more than 10 s or 1 GiB.
+
+    All of it: `python -m tests.benchmarks.hostile`.
+    """
+    names = [corpora.name(case) for case in corpora.of(kind, is_sample=False)]
+    assert len(names) >= least
+    assert len(names) == len(set(names))
+    verdicts = judge.run(kind, is_sample=True)
+    assert not [verdict for verdict in verdicts if verdict.wrong]
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("1,2,3,4", "line 3 has 4 cells, but 3 columns have a name: '4' is in none; are there decimal commas"),
+        ("1,2", "line 3 has 2 cells, but 3 columns have a name: 'y' has none; is it cut off"),
+        ("1,1_000,3", "line 3 holds '1_000' in column 'x' (t = 1 s), not a number"),
+        ("#N/A,2,3", "line 3 holds '#N/A' in column 't', not a number"),
+        ("1,#N/A,3", "line 3 holds '#N/A' in column 'x' (t = 1 s), not a number"),
+        ("1,0x10,3", "line 3 holds '0x10' in column 'x' (t = 1 s), not a number"),
+        ("1,1e400,3", "line 3 holds '1e400' in column 'x' (t = 1 s), no finite number"),
+        ("1,,3", "line 3 holds nothing in column 'x' (t = 1 s), not a number"),
+        ('1,"2\n2",3', "line 3: a quote is not closed in it; a cell is on one line"),
+        ("1,2\0,3", "line 3, character 4 is U+0000, which no text holds; is it damaged, or in UTF-16?"),
+        ("0,2,3", "column 't' must increase strictly: row 1 is 0 after 0"),
+    ],
+)
+def test_a_line_of_a_table_is_refused_with_its_number(tmp_path, row, words):
+    path = tmp_path / "a.csv"
+    path.write_text(f"t,x,y\n0,1,2\n{row}\n2,3,4\n")
+    with pytest.raises(RecordError) as refused:
+        readers.read(path, needed=("x", "y"))
+    assert str(refused.value).startswith(f"{path}: ")
+    assert words in str(refused.value)
+
+
+def test_decimal_commas_stand_between_semicolons_alone(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t;x\n0,5;1,25\n1,5;-2,5e-3\n")
+    np.testing.assert_array_equal(readers.read(path)["x"], [1.25, -2.5e-3])
+    path.write_text("t;x\n0.5;1,25\n")
+    with pytest.raises(
+        RecordError, match=r"line 2 holds '0\.5' and line 2 holds '1,25'; write all numbers with a decimal"
+    ):
+        readers.read(path)
+
+
+def test_a_definition_that_doubles_is_named(tmp_path):
+    path = tmp_path / "a.yaml"
+    lines = "".join(f"  a{i}: a{i - 1} + a{i - 1}\n" for i in range(1, 23))
+    head = "name: m\ncoordinates: {x: a}\nparameters: {k: 1}\ndefinitions:\n  a0: k*x\n"
+    path.write_text(f"{head}{lines}equations: {{x'': -a22}}\n")
+    with pytest.raises(DeclarationError) as refused:
+        registry.load_model(path)
+    assert str(refused.value) == (
+        f"{path}:17:8: definitions.a12: with its definitions written out it has 16383 operations and operands; at most "
+        "10000 are allowed: a definition that holds another one twice doubles it"
+    )
+
+
+def test_a_file_that_is_no_declaration_is_not_shown(tmp_path):
+    (tmp_path / "secret").write_text("root:x:0:0:root:/root:/bin/sh\n")
+    (tmp_path / "linked.yaml").symlink_to(tmp_path / "secret")
+    path = tmp_path / "a.yaml"
+    for name in (str(tmp_path / "secret"), "linked.yaml"):
+        path.write_text(f"plant: {name}\nvirtual: duffing\n")
+        with pytest.raises(DeclarationError) as refused:
+            registry.assemble(registry.load_experiment(path))
+        assert str(refused.value) == (
+            f"{path}:1:8: plant: {name} is no declaration: its name does not end in .yaml; name a .yaml file"
+        )

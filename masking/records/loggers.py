@@ -5,6 +5,7 @@ A channel is named by its group or topic: `rig/x`. The clock of each is beside i
 
 from __future__ import annotations
 
+import gc
 import importlib
 import json
 import re
@@ -90,7 +91,11 @@ def _opened_mdf(file: Path, asammdf: ModuleType) -> Any:  # noqa: ANN401  (of an
     try:
         return asammdf.MDF(file)
     except Exception as error:
-        traceback.clear_frames(error.__traceback__)
+        left: BaseException | None = error
+        while left is not None:
+            traceback.clear_frames(left.__traceback__)
+            left = left.__context__
+        gc.collect()
         raise
     finally:
         sys.unraisablehook = said

@@ -155,7 +155,7 @@ class _Walk:
             length = min(length, most)
             data = self.read(min(size, keep))
             self._skip(length - 8 - len(data))
-        if kind not in kinds or size > 4 and length == 8:
+        if kind not in kinds or (size > 4 and length == 8):
             raise ValueError(f"an element is of the unknown kind {kind}")
         return length, (kind, data)
 

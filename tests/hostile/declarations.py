@@ -53,8 +53,8 @@ class Case:
 
 def cases() -> Iterator[Case]:
     for kind, texts in {"expression": EXECUTE + SYNTAX + NUMBERS, "yaml": YAML, "model": MODELS}.items():
-        for text in texts:
-            yield Case(f"{kind} {ascii(text)[:60]}", kind, text)
+        for number, text in enumerate(texts):
+            yield Case(f"{kind} {number}: {ascii(text)[:60]}", kind, text)
     yield from _chains()
     yield from _references()
     random = np.random.default_rng(23)
@@ -186,7 +186,7 @@ def judged(case: Case, folder: Path) -> tuple[str, str]:
         return _judged_problems(case, error.problems, said)
     except MaskingError as error:
         return "not told", f"without a place: {error}"
-    except BaseException as error:  # noqa: BLE001  (whatever it is, it must not be)
+    except BaseException as error:  # whatever it is, it must not be
         return "traceback", f"{type(error).__name__}: {error}"
     return ("", "read") if case.is_honest or case.may_be_read else ("taken silently", "")
 

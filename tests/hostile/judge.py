@@ -75,7 +75,7 @@ def judged_record(case: RecordCase, path: str | Path) -> tuple[str, str]:
         found = readers.read(path, **case.given)
     except MaskingError as error:
         return _judged_refusal(str(error), case)
-    except BaseException as error:  # noqa: BLE001  (whatever it is, it must not be)
+    except BaseException as error:  # whatever it is, it must not be
         return "traceback", f"{type(error).__name__}: {error}"
     if isinstance(case.wanted, Refused) and all(name in found.columns for name in case.given.get("needed", ())):
         return "taken silently", str({name: values[:3] for name, values in found.columns.items()})
@@ -118,7 +118,7 @@ def work(kind: str, first: int, step: int, is_sample: bool) -> None:
             _forget_peak()
             resource.setrlimit(resource.RLIMIT_AS, (base + BYTES, resource.RLIM_INFINITY))
             before, start = _peak(), time.perf_counter()
-            with open(os.devnull, "w") as nothing, contextlib.redirect_stderr(nothing):
+            with Path(os.devnull).open("w") as nothing, contextlib.redirect_stderr(nothing):
                 wrong, detail = corpora.judge_one(cases[number], target)
             resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
             seconds, grown = time.perf_counter() - start, max(0, _peak() - before)
@@ -162,6 +162,7 @@ def run(kind: str, is_sample: bool = False, jobs: int = 2) -> list[Verdict]:
                 state = running[process]
                 if not line:
                     ready.unregister(key.fileobj)
+                    key.fileobj.close()
                     status, at = process.wait(), int(state[1])
                     del running[process]
                     if at >= 0 and at not in found:
