@@ -202,7 +202,7 @@ def test_a_file_that_is_no_declaration_is_not_shown(tmp_path):
     (tmp_path / "linked.yaml").symlink_to(tmp_path / "secret")
     path = tmp_path / "a.yaml"
     for name in (str(tmp_path / "secret"), "linked.yaml"):
-        path.write_text(f"plant: {name}\nvirtual: duffing\n")
+        path.write_text(f"plant: {name}\nvirtual: duffing\nduration: 1\n")
         with pytest.raises(DeclarationError) as refused:
             registry.assemble(registry.load_experiment(path))
         assert str(refused.value) == (

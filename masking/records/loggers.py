@@ -86,7 +86,7 @@ def _mdf(file: Path, asammdf: ModuleType) -> Nested:
 
 
 def _opened_mdf(file: Path, asammdf: ModuleType) -> Any:  # noqa: ANN401  (of an optional package)
-    """Open an MDF file; what is left of one that cannot be opened ends without a word on stderr."""
+    """Open an MDF file; where that fails, the package closes it without a line on stderr."""
     said, sys.unraisablehook = sys.unraisablehook, lambda _: None
     try:
         return asammdf.MDF(file)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import BinaryIO, Literal
 
@@ -27,6 +27,7 @@ _ARRAYS = frozenset(range(4, 16))  # classes of arrays of numbers, text, or a sp
 _NUMERIC = frozenset(range(6, 16))
 
 Order = Literal["little", "big"]
+_ORDERS: Mapping[bytes, Order] = {b"\x00\x01IM": "little", b"\x01\x00MI": "big"}  # of version 5
 
 
 def check(file: Path) -> None:
@@ -42,7 +43,7 @@ def check(file: Path) -> None:
     total, start = 0, HEADER
     length = file.stat().st_size
     with file.open("rb") as stream:
-        order: Order | None = {b"IM": "little", b"MI": "big"}.get(stream.read(HEADER)[-2:])  # type: ignore[assignment]
+        order = _ORDERS.get(stream.read(HEADER)[-4:])
         while order and start + 8 <= length:
             stream.seek(start)
             kind, size = _pair(stream.read(8), order)

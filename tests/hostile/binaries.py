@@ -81,7 +81,7 @@ def _parquet_file(path: Path) -> Path:
 
 
 def _hdf5_file(path: Path) -> Path:
-    with h5py.File(path, "w") as file:
+    with h5py.File(path, "w", libver="latest") as file:  # with checksums of all that is not numbers, too
         for name, values in COLUMNS.items():
             file.create_dataset(name, data=values, compression="gzip", fletcher32=True, chunks=(10,))
     return path

@@ -78,7 +78,7 @@ def cases() -> Iterator[Case]:
                 yield Case(f"{kind} {name}: {scalar[:30]!a} in line {line}", kind, made, line)
 
 
-Change = Callable[[str, np.random.Generator], tuple[str | bytes, int]]
+Change = Callable[[str, np.random.Generator | None], tuple[str | bytes, int]]
 
 
 def _at_end(line: str) -> Change:
@@ -86,14 +86,15 @@ def _at_end(line: str) -> Change:
 
 
 def _inserted(what: str) -> Change:
-    def change(text: str, random: np.random.Generator) -> tuple[str, int]:
+    def change(text: str, random: np.random.Generator | None) -> tuple[str, int]:
+        assert random is not None
         at = int(random.integers(1, len(text) - 1))
         return f"{text[:at]}{what}{text[at:]}", text[:at].count("\n") + 1
 
     return change
 
 
-def _twice(text: str, _: np.random.Generator) -> tuple[str, int]:
+def _twice(text: str, _: np.random.Generator | None) -> tuple[str, int]:
     key = next(line for line in text.split("\n") if re.match(r"\w+:", line)).partition(":")[0]
     return _at_end(f"{key}: again")(text, _)
 
@@ -147,6 +148,8 @@ def _chains() -> Iterator[Case]:
 
 def _references() -> Iterator[Case]:
     """Files that are no declarations in the place of one: nothing of them is shown."""
+    plant = catalogue.find("plant", "ideal").read_text(encoding="utf-8")
+    line = 1 + plant[: plant.index("\nmodel: ") + 1].count("\n")
     for path in (
         "SECRET",
         "SECRET.yaml",
@@ -159,11 +162,11 @@ def _references() -> Iterator[Case]:
         "/",
         "a\\0b",
     ):
-        yield Case(f"plant: {path}", "assembly", f"plant: '{path}'\nvirtual: duffing\n")
-        yield Case(f"virtual: {path}", "assembly", f"plant: ideal\nvirtual: '{path}'\n")
-        yield Case(f"model: {path}", "check", f"name: p\nkind: ideal\nmodel: '{path}'\n")
-        yield Case(f"extends: {path}", "model", f"name: m\nextends: '{path}'\n")
-        yield Case(f"own_effects: {path}", "plant", f"name: p\nkind: ideal\nmodel: duffing\nown_effects: ['{path}']\n")
+        yield Case(f"plant: {path}", "assembly", f"plant: '{path}'\nvirtual: duffing\nduration: 1\n", 1)
+        yield Case(f"virtual: {path}", "assembly", f"plant: ideal\nvirtual: '{path}'\nduration: 1\n", 2)
+        yield Case(f"model: {path}", "check", re.sub("(?m)^model: .*", f"model: '{path}'", plant), line)
+        yield Case(f"extends: {path}", "model", f"name: m\nextends: '{path}'\n", 2)
+        yield Case(f"own_effects: {path}", "plant", *_at_end(f"own_effects: ['{path}']")(plant, None))
 
 
 def warm() -> None:
