@@ -10,6 +10,7 @@ import numpy as np
 
 from masking.control.observer import Plan, check_followed, check_rate, check_sensing, unseen
 from masking.declaration import schema
+from masking.declaration.instruments import Sensor
 from masking.errors import ActuationError, ModelError
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
@@ -197,7 +198,7 @@ class Instruments:
         pairs = zip(self.gains(), self.plant.sensors.values(), strict=True)
         return np.array([gain * self._measured(sensor, at) for gain, sensor in pairs])
 
-    def _measured(self, sensor: schema.Sensor, values: Mapping[str, float]) -> float:
+    def _measured(self, sensor: Sensor, values: Mapping[str, float]) -> float:
         """Return what a sensor measures of a rig at rest, in SI units; outputs are those without further forces."""
         outputs = {n: o.expression for n, o in self.model.declaration.outputs.items() if n in sensor.measures.names}
         return sensor.measures.evaluate({**{n: x.evaluate(values) for n, x in outputs.items()}, **values})

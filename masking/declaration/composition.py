@@ -114,11 +114,14 @@ def _plant(parts: list[Part]) -> dict[str, Any]:
     _check_actuators(parts)
     limits = {name: data.get("limits", {}) for name, data in all_data.items()}
     inputs = _joined(parts, "limits.inputs", {n: x.get("inputs", {}) for n, x in limits.items()}, lambda _, x: x)
-    coordinates = {
-        part.written(text): limit for part in parts for text, limit in limits[part.name].get("coordinates", {}).items()
-    }
-    power = _shared(parts, "limits.power", [x.get("power") for x in limits.values()])
-    made["limits"] = {"inputs": inputs, "coordinates": coordinates} | ({"power": power} if power else {})
+    made["limits"] = {"inputs": inputs}
+    for key in ("coordinates", "velocities"):
+        made["limits"][key] = {
+            part.written(text): limit for part in parts for text, limit in limits[part.name].get(key, {}).items()
+        }
+    for key in ("power", "missed"):
+        shared = _shared(parts, f"limits.{key}", [x.get(key) for x in limits.values()])
+        made["limits"] |= {key: shared} if shared else {}
     made["own_effects"] = list(dict.fromkeys(one for part in parts for one in part.plant.own_effects))
     made["effects"] = _effects(parts, {name: data.get("effects", {}) for name, data in all_data.items()})
     return {key: value for key, value in made.items() if value}

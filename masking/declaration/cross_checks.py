@@ -35,6 +35,11 @@ def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Proble
         if sensor.gain.value == 0.0:
             problems.append(problem_at(plant, f"sensors.{name}.gain", "the gain is 0"))
         problems += check_symbols(sensor.measures, seen, model.coordinates)
+        if sensor.range is not None and not sensor.range[0] < sensor.range[1]:
+            message = f"the range is {list(sensor.range)}"
+            problems.append(
+                problem_at(plant, f"sensors.{name}.range", message, "write [least, largest], such as [-10, 10]")
+            )
     channels = plant.actuators or model.inputs
     owner = "an actuator of this plant" if plant.actuators else f"an input of {model.name}"
     for name in plant.limits.inputs:
@@ -44,6 +49,12 @@ def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Proble
     problems += _allocation(plant, model)
     for expression in plant.limits.coordinates:
         problems += check_symbols(expression, measurable, model.coordinates)
+    positions = [*model.coordinates, *model.parameters]
+    for expression in plant.limits.velocities:  # the rate of an expression of coordinates
+        problems += check_symbols(expression, positions, model.coordinates)
+    if plant.limits.missed is not None and plant.limits.missed > 1.0:
+        message = f"missed is a share of the samples, not {plant.limits.missed:g}"
+        problems.append(problem_at(plant, "limits.missed", message, "write a number up to 1, such as 0.05"))
     return problems
 
 

@@ -11,7 +11,8 @@ from collections.abc import Iterator, Mapping
 from masking.declaration.checks import problem_at
 from masking.declaration.dimensions import dimension_in, is_plain, symbol_dimensions, unit_problem
 from masking.declaration.expression import Expression
-from masking.declaration.schema import Actuator, Limit, ModelDeclaration, PlantDeclaration, PowerLimit, Quantity, Sensor
+from masking.declaration.instruments import Actuator, Limit, PowerLimit, Quantity, Sensor
+from masking.declaration.schema import ModelDeclaration, PlantDeclaration
 from masking.declaration.units import Dimension, describe, dimension_of
 from masking.errors import DeclarationError, Problem
 
@@ -25,6 +26,7 @@ def check_plant_units(plant: PlantDeclaration, model: ModelDeclaration) -> list[
     entries: dict[str, _Entry] = {
         **{f"limits.inputs.{name}": limit for name, limit in plant.limits.inputs.items()},
         **{f"limits.coordinates.{expression.text}": limit for expression, limit in plant.limits.coordinates.items()},
+        **{f"limits.velocities.{expression.text}": limit for expression, limit in plant.limits.velocities.items()},
         **({"limits.power": plant.limits.power} if plant.limits.power else {}),
         **{f"actuators.{name}": actuator for name, actuator in plant.actuators.items()},
         **{f"sensors.{name}": sensor for name, sensor in plant.sensors.items()},
@@ -78,16 +80,24 @@ def _limits(plant: PlantDeclaration, model: ModelDeclaration, symbols: _Symbols)
             what = "actuator" if plant.actuators else "input"
             message = f"the {what} {name} is in {channel.unit}, the limit in {limit.unit}"
             yield problem_at(plant, f"limits.inputs.{name}.unit", message)
-    for expression, limit in plant.limits.coordinates.items():
-        try:
-            found = dimension_in(expression, symbols)
-        except DeclarationError as error:
-            yield from error.problems
-            continue
-        if found is not None and _is_written(limit) and dimension_of(limit.unit) != found:
-            unit = _unit_of(expression, found, model)
-            message = f"{expression.text} is in {unit}, the limit in {limit.unit}"
-            yield problem_at(plant, f"limits.coordinates.{expression.text}.unit", message)
+    second = dimension_of("s")
+    for key, declared, order in (
+        ("coordinates", plant.limits.coordinates, 0),
+        ("velocities", plant.limits.velocities, 1),
+    ):
+        for expression, limit in declared.items():
+            try:
+                found = dimension_in(expression, symbols)
+            except DeclarationError as error:
+                yield from error.problems
+                continue
+            if found is None or not _is_written(limit):
+                continue
+            if dimension_of(limit.unit) != tuple(a - order * b for a, b in zip(found, second, strict=True)):
+                unit = _unit_of(expression, found, model) + order * "/s"
+                what = f"the rate of {expression.text}" if order else expression.text
+                message = f"{what} is in {unit}, the limit in {limit.unit}"
+                yield problem_at(plant, f"limits.{key}.{expression.text}.unit", message)
 
 
 def _sensor(

@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
+from pydantic import ConfigDict, Field, PrivateAttr
 
 from masking.declaration.drawing import Shape
 from masking.declaration.events import Event
 from masking.declaration.expression import Expression
 from masking.declaration.fields import (
+    Block,
     ControllerRate,
     Formula,
     Name,
@@ -28,19 +29,13 @@ from masking.declaration.fields import (
     refuse,
 )
 from masking.declaration.input_source import InputSource
+from masking.declaration.instruments import Actuator, Limits, Sensor
 from masking.declaration.shorthand import Short
 from masking.declaration.strict_yaml import Places
 from masking.errors import Place
 
 
-class Block(BaseModel):
-    """A mapping with fixed keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
-
-
 _MEANING = Short("meaning", (str,))
-_NUMBER = Short("value", (int, float))
 _VALUE = Short("value", (int, float, str))
 _EXPRESSION = Short("expression", (int, float, str))
 _KIND = Short("kind", (str,))
@@ -139,36 +134,6 @@ class Scale(Block):
     unit: TextField
 
 
-class Quantity(Block):
-    """A number with its unit."""
-
-    value: Number
-    unit: TextField = "1"
-
-
-class Limit(Block):
-    """The largest allowed magnitude."""
-
-    max: Positive
-    unit: TextField = "1"
-
-
-class Sensor(Block):
-    """What a sensor measures, and how many of its own units one unit of that gives."""
-
-    measures: Formula
-    unit: TextField = "1"
-    gain: Annotated[Quantity, _NUMBER] = Quantity(value=1.0)
-    meaning: TextField = ""
-
-
-class Actuator(Block):
-    """A channel that a controller writes to."""
-
-    meaning: TextField = ""
-    unit: TextField = "1"
-
-
 class EffectUse(Block):
     """A physical effect that a plant has: which, where (an element, sensor or actuator, or several) and how strong.
 
@@ -234,23 +199,6 @@ class EffectChange(Block):
 
     enabled: Truth | None = None
     parameters: dict[Name, Value] = {}
-
-
-class PowerLimit(Block):
-    """The largest mean power of an actuator: `heating` is the power per squared command, `time` the mean's, in s."""
-
-    value: Positive
-    unit: TextField = "1"
-    heating: Annotated[Quantity, _NUMBER] | None = None
-    time: Positive = 10.0
-
-
-class Limits(Block):
-    """What the rig withstands: actuators, coordinates (or expressions of them) and the power of each actuator."""
-
-    inputs: dict[Name, Limit] = {}
-    coordinates: dict[Formula, Limit] = {}
-    power: PowerLimit | None = None
 
 
 class Transform(Block):

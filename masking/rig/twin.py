@@ -494,7 +494,7 @@ def _units(plant: schema.PlantDeclaration, model: schema.ModelDeclaration) -> se
     limits = plant.limits
     found = {"1", *(a.unit for a in plant.actuators.values()), *(x.unit for x in limits.inputs.values())}
     found |= {x.unit for s in plant.sensors.values() for x in (s, s.gain)}
-    found |= {x.unit for x in limits.coordinates.values()} | {x.unit for x in model.inputs.values()}
+    found |= {x.unit for x in (*limits.coordinates.values(), *limits.velocities.values(), *model.inputs.values())}
     if limits.power is not None:
         found |= {limits.power.unit, limits.power.heating.unit if limits.power.heating else "1"}
     return found

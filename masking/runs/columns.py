@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from masking.declaration import schema
+from masking.declaration import instruments, schema
 from masking.declaration.registry import Assembly
 from masking.declaration.virtual_inputs import cell
 from masking.modelling.model import Model
@@ -31,7 +31,7 @@ class Columns:
     units: dict[str, dict[str, str]] = field(default_factory=dict)
 
     @property
-    def _ports(self) -> Mapping[str, schema.Actuator | schema.Input]:
+    def _ports(self) -> Mapping[str, instruments.Actuator | schema.Input]:
         return self.assembly.plant.actuators or self.assembly.plant_model.inputs
 
     def add(self, name: str, values: Array, unit: str, meaning: str) -> None:

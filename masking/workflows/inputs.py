@@ -12,7 +12,8 @@ from masking.declaration import registry
 from masking.declaration.checks import beyond_ordinary
 from masking.declaration.couplings import driven_outputs
 from masking.declaration.expression import Expression
-from masking.declaration.schema import ModelDeclaration, PlantDeclaration, Sensor
+from masking.declaration.instruments import Sensor
+from masking.declaration.schema import ModelDeclaration, PlantDeclaration
 from masking.discovery.settings import DiscoverySettings
 from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.estimation.data import Data
