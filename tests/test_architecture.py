@@ -26,7 +26,7 @@ FLOORS: dict[str, set[str]] = {
     "analysis": {"numerics", "codegen", "modelling"},
     "rig": {"numerics", "declaration", "effects", "codegen", "modelling"},
     "control": {"numerics", "declaration", "codegen", "modelling", "rig"},
-    "plants": {"numerics", "records", "rig"},
+    "plants": {"numerics", "codegen", "records", "rig"},
     "exports": {"numerics", "codegen", "modelling", "rig", "control"},
     "runs": {
         *("numerics", "declaration", "display", "effects", "codegen", "modelling", "records", "analysis", "rig"),

@@ -10,6 +10,7 @@ from test_plants import MassSpring, damped
 
 from masking.errors import CommandError, PlantLostError, PlantMismatchError
 from masking.plants.interface import Sample
+from masking.plants.safety import Cause
 from masking.runs.realtime import run_rig
 
 RUN = {"rate": 1000.0, "samples": 50, "limits": np.array([0.2, 0.4]), "lockstep": True}
@@ -72,12 +73,14 @@ def test_what_is_not_finite_never_reaches_the_plant(value):
     def step(_, values):
         return np.array([0.1, value if len(plant.written) == 7 else 0.1])
 
-    with pytest.raises(CommandError, match=f"tick 7: the controller's command for u2 is {value}; look at its state"):
-        run_rig(step, plant, **RUN, on_end=kept.append)
+    run = run_rig(step, plant, **RUN, on_end=kept.append)
+    assert str(run.trip).startswith(
+        f"tick 7: CONTROLLER_NONFINITE: the controller's command for u2 is {value}; look at"
+    )
     assert np.isfinite(plant.written).all()
     assert plant.written[-1].tolist() == [0.0, 0.0]
     assert plant.calls[-1] == "deactivate"
-    assert kept[0].reason == "command refused"
+    assert kept[0].reason == "tripped"
     assert (len(kept[0].index), kept[0].applied[-1].tolist()) == (8, [0.0, 0.0])
 
 
@@ -109,7 +112,9 @@ def test_what_the_controller_raises_comes_through_once_the_plant_is_at_zero():
     with pytest.raises(ZeroDivisionError, match="mine"):
         run_rig(step, plant, **RUN, on_end=on_end)
     assert not plant.applied.any()
-    assert (kept[0].reason, kept[0].index.tolist()) == ("failed", [0, 1, 2, 3])
+    assert (kept[0].reason, kept[0].index.tolist()) == ("tripped", [0, 1, 2, 3])
+    assert kept[0].trip.cause is Cause.CONTROLLER_EXCEPTION
+    assert "ZeroDivisionError: mine" in kept[0].trip.detail
     assert kept[0].applied[-1].tolist() == [0.0, 0.0]
 
 

@@ -174,7 +174,9 @@ def _run(chosen: argparse.Namespace) -> int:
     end = recording.manifest["rig"]["end"]
     is_planned = end in {stopping.FINISHED, stopping.SYNCHRONISED}
     if not is_planned:
-        print(f"masking: {end}: {stopping.REASONS[end]}; the record ends there", file=sys.stderr)
+        trip = recording.manifest["rig"].get("trip")
+        why = trip["sentence"] if trip else stopping.REASONS[end]
+        print(f"masking: {end}: {why}; the record ends there", file=sys.stderr)
     return int(not is_planned)
 
 

@@ -121,7 +121,7 @@ class Instruments:
             ModelError: the sensors do not tell every coordinate, their noise is not known, or the rate is too low.
         """
         n = len(self.model.coordinates)
-        dynamics, driven = self._linear()
+        dynamics, driven = self.linear()
         check_rate(rate, dynamics)
         sensing = self.sensing()
         passive = () if self.driven is None else np.flatnonzero(~self.driven.any(axis=0))
@@ -140,7 +140,7 @@ class Instruments:
         command = self.allocation_inverse @ np.linalg.pinv(slope @ driven) @ slope / self.limits()[:, [LARGEST]]
         return Plan(dynamics, sensing, command, levels, 1.0 / rate, self.delay, hidden)
 
-    def _linear(self) -> tuple[Array, Array]:
+    def linear(self) -> tuple[Array, Array]:
         """Return d [q, v]/dt per [q, v] (2 n, 2 n), and accelerations per input (n, inputs), of the model at rest.
 
         Damping is that of velocities at which the model passes rest in oscillations of a unit of length: the slope of

@@ -12,7 +12,7 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, WithJsonSchema
+from pydantic import PlainSerializer, PlainValidator, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
 from masking.declaration.expression import Expression
@@ -197,9 +197,3 @@ ControllerRate = Annotated[
     PlainSerializer(lambda hertz: "continuous" if hertz is None else f"{hertz!r} Hz"),
     WithJsonSchema({"type": "string", "examples": ["continuous", "1 kHz"]}),
 ]
-
-
-class Block(BaseModel):
-    """A mapping with fixed keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)

@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, PrivateAttr
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
 from masking.declaration.drawing import Shape
 from masking.declaration.events import Event
 from masking.declaration.expression import Expression
 from masking.declaration.fields import (
-    Block,
     ControllerRate,
     Formula,
     Name,
@@ -33,6 +32,12 @@ from masking.declaration.instruments import Actuator, Limits, Sensor
 from masking.declaration.shorthand import Short
 from masking.declaration.strict_yaml import Places
 from masking.errors import Place
+
+
+class Block(BaseModel):
+    """A mapping with fixed keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
 
 _MEANING = Short("meaning", (str,))

@@ -1,8 +1,10 @@
 """Safety of a rig, sample by sample: whether readings can be those of a sound rig, and what may be commanded.
 
-Everything is declared in the units of the plant's channels and held in arrays that are made ahead. A kernel returns 0, or
-the number of a cause in `masking.plants.safety.Cause`, whose channel, value and limit it writes into `found`.
+Everything is in the units of the plant's channels, in arrays that are made ahead. A kernel returns 0, or the number of
+a cause, as `masking.plants.safety.Cause` has it, and writes the channel, the value and the limit into `told`.
 """
+# ruff: noqa: ANN001, ANN201, PLR0912, PLR0917
+# The types are numba's to infer.
 
 from __future__ import annotations
 
@@ -16,28 +18,29 @@ from masking.numerics.sizes import HEATING, LARGEST, POWER
 
 Kernel = Callable[..., Any]
 
-# What is found; `masking.plants.safety.Cause` has the sentences.
+# What is found: numbers of `masking.plants.safety.Cause`.
 NONFINITE, STUCK, JUMP, RANGE, POSITION, VELOCITY, THERMAL, COMMAND, NO_RESPONSE, WRONG_SIGN = range(1, 11)
 
-# Columns of the table of sensors (sensors, 7): least and largest reading, largest change in a sample, what a sound
-# reading may be off (noise and rounding), standard deviation of the noise, acceleration that no model explains, samples
-# over which a speed is taken (0 where no model says how the reading moves), the reading at rest.
+# Columns of the table of sensors (sensors, 8): least and largest reading; largest change in a sample; what a sound
+# reading may be off, by noise and rounding; standard deviation of the noise; acceleration that no model explains;
+# samples over which a speed is taken, 0 where no model says how the reading moves; the reading at coordinates of zero.
 LEAST, MOST, STEP, OFF, NOISE, UNEXPLAINED, SPAN, ORIGIN = range(8)
 SENSOR_COLUMNS: Final = 8
-# What is remembered of each sensor (sensors, 9): its last three readings; how many equal ones came, the mean third
-# difference, the smallest change seen; since readings are equal: predicted motion, its speed, and what they may be off.
+# What is remembered of each sensor (sensors, 11): its last three readings; how many equal ones came, the mean third
+# difference, the smallest change seen. Since readings are equal: the predicted motion and its speed, what these may be
+# off, and whether there is such a prediction (1) that is clearly not met (2).
 FIRST, SECOND, THIRD, EQUAL, ROUGH, FINEST, MOTION, SPEED, MOTION_OFF, SPEED_OFF, MOVES = range(11)
 SEEN_COLUMNS: Final = 11
 # Columns of the table of what is limited (limits, 4): its limit, its value at readings of zero, the samples over which
 # its rate is taken (0 for a position), whether the estimate gives it.
 BOUND, AT_ZERO, OVER, ESTIMATED = range(4)
 LIMIT_COLUMNS: Final = 4
-# Counts (7): samples since the last gap, samples since the beginning, the row of the latest reading and command, commands
-# that were cut for their heat, commands that were clamped, the bucket of energy in use.
+# Counts (6): samples since the last gap and since the beginning; the row of the latest reading and command; commands
+# that were cut for their heat, and that were clamped; samples in the buckets of energy.
 WHOLE, TOTAL, ROW, CUT, CLAMPED, BUCKET = range(6)
 COUNTS: Final = 6
-# Settings of the response (5): half its window and the delay, in samples; samples that are equal for too long, and those
-# of a second; commands that may be cut.
+# Settings (6), in samples: half the window of a response, the delay, readings that are equal for too long, a second,
+# commands that may be cut, a bucket of energy.
 HALF, DELAY, HELD, SECOND_OF, CUTS, PER_BUCKET = range(6)
 SETTINGS: Final = 6
 # What a response needs to be judged, beside what no model explains, and what it is then.
@@ -49,27 +52,27 @@ WRONG = 0.5
 
 
 @compiled
-def tell(found, channel, value, limit):
+def tell(told, channel, value, limit):
     """Write what was found."""
-    found[0], found[1], found[2] = channel, value, limit
+    told[0], told[1], told[2] = channel, value, limit
 
 
 @compiled
-def plausible(s, missed, sensors, seen, counts, found):
+def plausible(s, missed, sensors, seen, counts, told):
     """Return why a reading cannot be that of a sound sensor, 0 where each can; `missed` samples came before it."""
     for i in range(s.size):
         if not math.isfinite(s[i]):
-            tell(found, i, s[i], 0.0)
+            tell(told, i, s[i], 0.0)
             return NONFINITE
     for i in range(s.size):
         if s[i] <= sensors[i, LEAST] or s[i] >= sensors[i, MOST]:
-            tell(found, i, s[i], sensors[i, LEAST] if s[i] <= sensors[i, LEAST] else sensors[i, MOST])
+            tell(told, i, s[i], sensors[i, LEAST] if s[i] <= sensors[i, LEAST] else sensors[i, MOST])
             return RANGE
     if counts[TOTAL] > 0:
         for i in range(s.size):
             change, most = abs(s[i] - seen[i, FIRST]), sensors[i, STEP] * (1.0 + missed)
             if change > most:
-                tell(found, i, change, most)
+                tell(told, i, change, most)
                 return JUMP
     return 0
 
@@ -100,7 +103,7 @@ def remember(s, missed, seen, past, counts, settings):
 
 
 @compiled
-def stuck(h, s, sensors, seen, model, past, sent, counts, settings, found):
+def stuck(h, s, sensors, seen, model, past, sent, counts, settings, told):
     """Return STUCK where a reading stays the same to the last bit although it would change, else 0.
 
     It would change where its noise was seen to be more than its steps, and where the speed that it had, and the
@@ -141,13 +144,13 @@ def stuck(h, s, sensors, seen, model, past, sent, counts, settings, found):
             counts[TOTAL] > settings[SECOND_OF] and noise > 0.5 * sensors[i, NOISE] > 0.0 and noise > seen[i, FINEST]
         )
         if seen[i, EQUAL] >= settings[HELD] and (is_noisy or seen[i, MOVES] == 2.0):
-            tell(found, i, s[i], settings[HELD] * h)
+            tell(told, i, s[i], settings[HELD] * h)
             return STUCK
     return 0
 
 
 @compiled
-def within(h, s, estimate, limits, weights, by_estimate, past, counts, found):
+def within(h, s, estimate, limits, weights, by_estimate, past, counts, told):
     """Return POSITION or VELOCITY where one is beyond its limit, else 0."""
     rows = past.shape[0]
     for i in range(limits.shape[0]):
@@ -163,18 +166,18 @@ def within(h, s, estimate, limits, weights, by_estimate, past, counts, found):
             for j in range(s.size):
                 value += weights[i, j] * (s[j] - past[before, j]) / (over * h)
         if not abs(value) <= limits[i, BOUND]:
-            tell(found, i, value, limits[i, BOUND])
+            tell(told, i, value, limits[i, BOUND])
             return POSITION if over == 0 else VELOCITY
     return 0
 
 
 @compiled
-def respond(h, s, sensors, model, past, sent, reaction, counts, settings, work, found):
+def respond(h, s, sensors, model, past, sent, reaction, counts, settings, work, told):
     """Return NO_RESPONSE or WRONG_SIGN where readings do not follow a command as the model says, else 0.
 
     A second difference of readings over 2 n samples is the sum of the accelerations in between, weighted by a triangle.
-    Where an actuator's part in it is clear, what is left without the parts of readings and of other actuators is compared
-    with it: their ratio, least squares over about a second, is 1 where it answers, 0 where not.
+    Where an actuator's part in it is clear, what is left without the parts of readings and of other actuators is
+    compared with it: their ratio, least squares over about a second, is 1 where it answers, 0 where not.
     """
     n, rows, sensed, channels = settings[HALF], past.shape[0], s.size, sent.shape[1]
     if n == 0 or counts[WHOLE] <= 2 * n + settings[DELAY] + 1:
@@ -216,7 +219,7 @@ def respond(h, s, sensors, model, past, sent, reaction, counts, settings, work, 
         if reaction[j, 1] > WEIGHT * CLEAR * CLEAR:
             ratio = reaction[j, 0] / reaction[j, 1]
             if ratio < DEAD:
-                tell(found, j, ratio, 1.0)
+                tell(told, j, ratio, 1.0)
                 return WRONG_SIGN if ratio < REVERSED else NO_RESPONSE
     return 0
 
@@ -228,16 +231,16 @@ def watch() -> Kernel:
     def watch(
         missed: int, h: float, s: Vector, estimate: Vector, sensors: Matrix, seen: Matrix, model: Matrix, past: Matrix,
         sent: Matrix, limits: Matrix, weights: Matrix, by_estimate: Matrix, reaction: Matrix, counts: IntVector,
-        settings: IntVector, found: Vector, work: Matrix,
+        settings: IntVector, told: Vector, work: Matrix,
     ) -> int:  # fmt: skip
-        cause = plausible(s, missed, sensors, seen, counts, found)
+        cause = plausible(s, missed, sensors, seen, counts, told)
         if cause == 0:
             remember(s, missed, seen, past, counts, settings)
-            cause = stuck(h, s, sensors, seen, model, past, sent, counts, settings, found)
+            cause = stuck(h, s, sensors, seen, model, past, sent, counts, settings, told)
         if cause == 0:
-            cause = within(h, s, estimate, limits, weights, by_estimate, past, counts, found)
+            cause = within(h, s, estimate, limits, weights, by_estimate, past, counts, told)
         if cause == 0:
-            cause = respond(h, s, sensors, model, past, sent, reaction, counts, settings, work, found)
+            cause = respond(h, s, sensors, model, past, sent, reaction, counts, settings, work, told)
         return cause
 
     return watch
@@ -253,7 +256,7 @@ def guard() -> Kernel:
     @compiled
     def guard(
         h: float, demanded: Vector, applied: Vector, table: Matrix, energy: Matrix, sent: Matrix, counts: IntVector,
-        settings: IntVector, found: Vector,
+        settings: IntVector, told: Vector,
     ) -> int:  # fmt: skip
         buckets, is_clamped, is_cut, cause = energy.shape[1] - 1, False, -1, 0
         at = counts[BUCKET] // settings[PER_BUCKET]
@@ -265,7 +268,7 @@ def guard() -> Kernel:
         counts[BUCKET] = (counts[BUCKET] + 1) % (buckets * settings[PER_BUCKET])
         for i in range(applied.size):
             if not math.isfinite(demanded[i]):
-                tell(found, i, demanded[i], 0.0)
+                tell(told, i, demanded[i], 0.0)
                 cause = COMMAND
         for i in range(applied.size):
             applied[i] = 0.0
@@ -287,7 +290,7 @@ def guard() -> Kernel:
             counts[CLAMPED] += 1
         counts[CUT] = counts[CUT] + 1 if is_cut >= 0 else max(0, counts[CUT] - 1)
         if counts[CUT] > settings[CUTS]:
-            tell(found, is_cut, table[is_cut, POWER], table[is_cut, POWER])
+            tell(told, is_cut, table[is_cut, POWER], table[is_cut, POWER])
             cause = THERMAL
             for i in range(applied.size):
                 applied[i] = 0.0

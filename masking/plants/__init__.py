@@ -2,7 +2,7 @@
 
 In: commands.
 Out: readings: a rig, simulated here or behind a wire, through one interface.
-Imports: numerics, records, rig.
+Imports: numerics, codegen, records, rig.
 
 What an amplifier mixes is the `allocation` of a plant file, which `masking.rig.allocation` reads.
 """

@@ -493,8 +493,8 @@ def _units(plant: schema.PlantDeclaration, model: schema.ModelDeclaration) -> se
     """Return the text of every unit in a plant file, and of the inputs of its model."""
     limits = plant.limits
     found = {"1", *(a.unit for a in plant.actuators.values()), *(x.unit for x in limits.inputs.values())}
-    found |= {x.unit for s in plant.sensors.values() for x in (s, s.gain)}
-    found |= {x.unit for x in (*limits.coordinates.values(), *limits.velocities.values(), *model.inputs.values())}
+    found |= {x.unit for s in plant.sensors.values() for x in (s, s.gain)} | {x.unit for x in model.inputs.values()}
+    found |= {x.unit for x in limits.coordinates.values()} | {x.unit for x in limits.velocities.values()}
     if limits.power is not None:
         found |= {limits.power.unit, limits.power.heating.unit if limits.power.heating else "1"}
     return found

@@ -14,7 +14,6 @@ from masking.control.sampled import SampledController
 from masking.control.step import SampledStep
 from masking.errors import MaskingError, ModelError
 from masking.numerics.arrays import Array
-from masking.numerics.sizes import LARGEST
 from masking.plants import adapters
 from masking.plants import serve as serving
 from masking.plants.address import scheme_of
@@ -26,10 +25,11 @@ from masking.plants.session import LONGEST_WATCHDOG, RATES, Allowed
 from masking.plants.simulated import SimulatedPlant
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
+from masking.runs import protection
 from masking.runs.experiment import Experiment
 from masking.runs.offline import TwinRun
 from masking.runs.realtime import RigRun, check_channels, every, run_rig
-from masking.runs.stopping import FAILED, FINISHED, LOST, REFUSED, STOPPED, SYNCHRONISED
+from masking.runs.stopping import FINISHED, STOPPED, SYNCHRONISED
 
 WATCHDOG = 0.02
 _MEND = "run it on that plant, or write the plant that is there into it"
@@ -157,6 +157,7 @@ def run(
     keeper = _Keeper(controller, before, after, watched)
     declared, instruments = experiment.assembly.plant, experiment.instruments
     wanted = Path(next(iter(declared.files), declared.name)).stem
+    rules = protection.rules(instruments, sampled.rate, experiment.twin, controller.estimate)
 
     def is_over() -> bool:
         return keeper.is_over or (stop is not None and stop())
@@ -164,30 +165,36 @@ def run(
     def made(ran: RigRun) -> Recording:
         reason = keeper.reason if ran.reason in {STOPPED, FINISHED} and keeper.is_over else ran.reason
         outcome = {"end": reason, "counters": dict(ran.counters), **({"note": ran.note} if ran.note else {})}
+        outcome |= {"unwatched": list(rules.notes)} if rules.notes else {}
+        outcome |= {} if ran.trip is None else {"trip": ran.trip.as_dict()}
         return experiment.record_rig(keeper.rows(ran, experiment.every), lockstep=lockstep, outcome=outcome)
 
-    def on_end(ran: RigRun) -> None:
-        if ran.reason in {LOST, REFUSED, FAILED} and keep is not None and keeper.is_released:
-            keep(made(ran))
-
-    ran = run_rig(
-        keeper.step,
-        plant,
-        rate=sampled.rate,
-        samples=before + after,
-        limits=sampled.limits[:, LARGEST],
-        watchdog=watchdog,
-        lockstep=lockstep,
-        acknowledge=acknowledge,
-        accept=lambda found: check_channels(
-            found, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND
-        ),
-        on_tick=None if progress is None else every(progress, before + after),
-        stop=is_over,
-        on_end=on_end,
-    )
+    ended: list[RigRun] = []
+    try:
+        ran = run_rig(
+            keeper.step,
+            plant,
+            rate=sampled.rate,
+            samples=before + after,
+            limits=rules,
+            watchdog=watchdog,
+            lockstep=lockstep,
+            acknowledge=acknowledge,
+            accept=lambda found: check_channels(
+                found, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND
+            ),
+            on_tick=None if progress is None else every(progress, before + after),
+            stop=is_over,
+            estimate=controller.estimate,
+            on_end=ended.append,
+        )
+    except BaseException:
+        if ended and keep is not None and keeper.is_released:
+            keep(made(ended[0]))
+        raise
     if not keeper.is_released:
-        raise MaskingError(f"the run was {ran.reason} during homing, before the release; nothing was recorded")
+        why = f" ({ran.trip})" if ran.trip else ""
+        raise MaskingError(f"the run was {ran.reason} during homing, before the release{why}; nothing was recorded")
     return made(ran)
 
 

@@ -1,12 +1,15 @@
 """Run a controller on a plant, one tick after the other, and leave the plant at zero whatever happens.
 
-In each tick: read the sensors, step the controller, refuse what is not finite, clamp to the limits, write.
+In each tick: read the sensors, look whether they are plausible and the rig within its limits, step the controller,
+refuse what is not finite, clamp to the limits, write. What is between reading and writing is the chain of
+`masking.plants.safety`: no command reaches the plant but through it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import time
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
@@ -14,13 +17,16 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.errors import CommandError, PlantLostError, PlantMismatchError
+from masking.errors import CommandError, PlantError, PlantLostError, PlantMismatchError
 from masking.numerics.arrays import Array
-from masking.plants.interface import Counting, Plant, Settings
+from masking.plants.interface import APPLIED, Counting, Plant, Settings, Telling
 from masking.plants.machine import Deadlines, Stop, asked_to_stop, undisturbed
-from masking.runs.stopping import FAILED, FINISHED, INTERRUPTED, LOST, REFUSED, STOPPED
+from masking.plants.safety import Cause, Chain, Rules, Trip
+from masking.runs.stopping import FAILED, FINISHED, INTERRUPTED, LOST, STOPPED, TRIPPED
 
 Step = Callable[[int, Array], Array]
+_LOOKED_AFTER = 0.05  # s between looks at what a plant puts out
+_IDLE = 2  # looks in a row at which it may put out nothing although it is commanded to
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +45,7 @@ class RigRun:
         reason: why it ended, one of `masking.runs.stopping.REASONS`.
         counters: ticks that were `late` and `clamped`, periods `missed`, and what the plant counted.
         note: what the machine did not permit, such as real-time priority; empty where there is nothing to say.
+        trip: why the safety chain tripped; None where it did not.
     """
 
     times: Array
@@ -52,6 +59,7 @@ class RigRun:
     reason: str
     counters: Mapping[str, int]
     note: str = ""
+    trip: Trip | None = None
 
 
 def run_rig(
@@ -60,13 +68,15 @@ def run_rig(
     *,
     rate: float,
     samples: int,
-    limits: Array,
+    limits: Array | Rules,
     watchdog: float = 0.02,
     lockstep: bool = False,
     acknowledge: bool = False,
     accept: Callable[[Plant], None] | None = None,
     on_tick: Callable[[int], None] | None = None,
     stop: Stop | None = None,
+    emergency: Stop | None = None,
+    estimate: Array | None = None,
     on_end: Callable[[RigRun], None] | None = None,
 ) -> RigRun:
     """Configure and activate a plant, run a controller on it, and deactivate it on every way out.
@@ -78,13 +88,15 @@ def run_rig(
         plant: any plant that is not active.
         rate: Hz.
         samples: ticks.
-        limits: (actuators,), largest magnitude of each command, positive.
+        limits: what the rig is held to; or (actuators,), the largest magnitude of each command, positive.
         watchdog: seconds without a command after which the plant goes to zero by itself.
         lockstep: run as fast as both sides can, each waiting for the other.
         acknowledge: why the plant tripped in the last run was looked at.
         accept: called with the configured plant before it is activated; raises what it refuses the plant with.
         on_tick: called with the row after each tick, within the tick's time.
         stop: looked at before each tick.
+        emergency: likewise; the run then trips.
+        estimate: what the controller knows of the rig's states, changed in place; for rules that need it.
         on_end: called with what was recorded once the plant is at zero, also before an error is raised.
 
     Raises:
@@ -100,21 +112,32 @@ def run_rig(
             plant.configure(settings)
             if accept is not None:
                 accept(plant)
-            rows = _Rows(samples, plant, _checked(limits, plant))
+            if not isinstance(limits, Rules):
+                limits = Rules.of_commands(limits, plant.sensors, plant.actuators, rate)
+            rows = _Rows(samples, plant, Chain(limits, estimate))
             note = way_out.enter_context(undisturbed(priority=not lockstep))
             way_out.callback(plant.deactivate)  # first of all on the way out
             plant.activate()
-            reason = _loop(step, plant, rows, settings, on_tick=on_tick, stop=stop, asked=asked)
+            reason = _loop(step, plant, rows, settings, on_tick=on_tick, stop=stop, emergency=emergency, asked=asked)
     except BaseException as error:
         if on_end is not None and rows is not None:
-            reason = LOST if isinstance(error, PlantLostError) else FAILED
-            reason = REFUSED if isinstance(error, CommandError) else reason
-            on_end(rows.run(rate, reason, plant, note))
+            on_end(rows.run(rate, _reason(error, rows), plant, note))
         raise
     run = rows.run(rate, reason, plant, note)
     if on_end is not None:
         on_end(run)
     return run
+
+
+def _reason(error: BaseException, rows: _Rows) -> str:
+    """Return why a run ended in an error, and let the chain know."""
+    tick, text = int(rows.index[max(0, rows.count - 1)]), f"{type(error).__name__}: {error}"
+    if isinstance(error, PlantLostError):
+        rows.chain.stop(Cause.PLANT_LOST, tick, detail=text)
+        return LOST
+    if rows.chain.trip is None and isinstance(error, PlantError):
+        rows.chain.stop(Cause.PLANT_ERROR, tick, detail=text)
+    return TRIPPED if rows.chain.trip is not None else FAILED
 
 
 def check_channels(plant: Plant, sensors: Sequence[str], actuators: Sequence[str], whose: str, mend: str) -> None:
@@ -157,11 +180,14 @@ def _loop(
     *,
     on_tick: Callable[[int], None] | None,
     stop: Stop | None,
+    emergency: Stop | None,
     asked: Stop,
 ) -> str:
     """Run tick after tick; return why it ended."""
     keeps_time = not (plant.owns_clock or settings.lockstep)
-    deadlines = Deadlines(settings.rate)
+    deadlines, chain = Deadlines(settings.rate), rows.chain
+    taken = _Taken(plant, chain, settings.rate) if isinstance(plant, Telling) else None
+    ended = time.perf_counter()
     for row in range(rows.samples):
         if keeps_time and row:
             deadlines.wait(asked)
@@ -171,26 +197,73 @@ def _loop(
             return STOPPED
         sample = plant.read()
         began = time.perf_counter()
-        rows.begin(sample.index, sample.values, began, deadlines.missed)
-        try:
-            demanded = step(sample.index, sample.values)
-            rows.durations[row] = time.perf_counter() - began
-            command = rows.limited(demanded, plant.actuators)
-        except CommandError:
-            plant.write(sample.index, rows.applied[row])  # still zero
-            raise
-        plant.write(sample.index, command)
+        missed = rows.begin(sample.index, sample.values, began, deadlines.missed)
+        if not settings.lockstep:
+            silence = (began - ended) * settings.rate
+            chain.time(sample.index, is_late=bool(rows.late[row]), silence=silence, missed=missed)
+        if emergency is not None and emergency():
+            chain.stop(Cause.ESTOP, sample.index)
+        if chain.watch(sample.index, rows.sensors[row], missed) is None:
+            _answer(step, plant, rows, sample.index, began)
+        plant.write(sample.index, rows.guarded(sample.index))
+        ended = time.perf_counter()
+        if taken is not None:
+            taken.look(sample.index, rows.applied[row])
+        if chain.trip is not None:
+            return TRIPPED
         if on_tick is not None:
             on_tick(row)
     return FINISHED
 
 
-def _checked(limits: Array, plant: Plant) -> Array:
-    limits = np.array(limits, dtype=np.float64)
-    if limits.shape != (len(plant.actuators),) or not np.all(limits > 0.0) or not np.all(np.isfinite(limits)):
-        names = ", ".join(plant.actuators)
-        raise PlantMismatchError(f"limits are {limits.tolist()}; give one positive number for each of {names}")
-    return limits
+def _answer(step: Step, plant: Plant, rows: _Rows, tick: int, began: float) -> None:
+    """Let the controller answer a tick; what it raises comes through once zero was written.
+
+    Raises:
+        CommandError: it returned something else than one number for each actuator.
+        Exception: what the controller raised.
+    """
+    row = rows.count - 1
+    try:
+        demanded = step(tick, rows.sensors[row])
+        rows.durations[row] = time.perf_counter() - began
+        rows.demand(demanded)
+    except BaseException as error:
+        cause = Cause.CONTROLLER_NONFINITE if isinstance(error, CommandError) else Cause.CONTROLLER_EXCEPTION
+        rows.chain.stop(cause, tick, ", ".join(plant.actuators), value=np.nan, detail=traceback.format_exc())
+        with contextlib.suppress(PlantError):
+            plant.write(tick, rows.chain.applied)
+        raise
+
+
+@final
+class _Taken:
+    """Whether a plant that tells what it puts out takes the commands that it is given.
+
+    Args:
+        plant: the plant.
+        chain: which trips where it does not.
+        rate: samples per second.
+    """
+
+    def __init__(self, plant: Telling, chain: Chain, rate: float) -> None:
+        self._plant, self._chain, self._every, self._row = plant, chain, max(2, round(rate * _LOOKED_AFTER)), 0
+        self._least = np.full(len(chain.applied), np.inf)
+        self._idle = np.zeros(len(chain.applied), dtype=np.int64)
+
+    def look(self, tick: int, written: Array) -> None:
+        """Look at what was written (actuators,), and now and then at what is put out."""
+        np.minimum(self._least, np.abs(written), out=self._least)
+        self._row += 1
+        if self._row % self._every:
+            return
+        told, names = self._plant.telemetry(), self._chain.rules.actuators
+        for i, name in enumerate(names):
+            is_idle = self._least[i] > 0.0 and told.get(APPLIED + name, np.nan) == 0.0
+            self._idle[i] = self._idle[i] + 1 if is_idle else 0
+            if self._idle[i] > _IDLE:
+                self._chain.stop(Cause.COMMANDS_NOT_TAKEN, tick, name, value=float(written[i]))
+        self._least[:] = np.inf
 
 
 @final
@@ -200,24 +273,27 @@ class _Rows:
     Args:
         samples: number of rows.
         plant: a configured plant.
-        limits: (actuators,).
+        chain: of the run.
     """
 
-    def __init__(self, samples: int, plant: Plant, limits: Array) -> None:
+    def __init__(self, samples: int, plant: Plant, chain: Chain) -> None:
         if samples < 1:
             raise PlantMismatchError(f"samples is {samples}; give at least 1")
-        self.samples, self.count, self.limits, self._below = samples, 0, limits, -limits
-        self.clamped = self.missed = self.gaps = 0
+        self.samples, self.count, self.chain = samples, 0, chain
+        self.missed = self.gaps = 0
         # Filled, so that their pages are there before the first tick.
         self.wall, self.durations = np.full(samples, 0.0), np.full(samples, 0.0)
         self.index, self.late = np.full(samples, 0, dtype=np.int64), np.full(samples, False)
         self.sensors = np.full((samples, len(plant.sensors)), 0.0)
-        self.demanded = np.full((samples, len(limits)), 0.0)
-        self.applied = np.full((samples, len(limits)), 0.0)
-        self._finite = np.full(len(limits), True)
+        self.demanded = np.full((samples, len(plant.actuators)), 0.0)
+        self.applied = np.full((samples, len(plant.actuators)), 0.0)
 
-    def begin(self, index: int, values: Array, wall: float, missed: int) -> None:
-        """Begin the next row with a sample: its values (sensors,), s of the wall clock, periods missed so far."""
+    def begin(self, index: int, values: Array, wall: float, missed: int) -> int:
+        """Begin the next row with a sample: its values (sensors,), s of the wall clock, periods missed so far.
+
+        Returns:
+            the samples that were missed before this one.
+        """
         row = self.count
         self.count += 1
         self.wall[row], self.index[row], self.sensors[row] = wall, index, values
@@ -225,27 +301,25 @@ class _Rows:
         self.late[row] = gap > 0 or missed > self.missed
         self.gaps += max(0, gap)
         self.missed = missed
+        return max(0, gap)
 
-    def limited(self, demanded: Array, actuators: tuple[str, ...]) -> Array:
-        """Return the command (actuators,) within the limits, and keep it in the row that was begun.
+    def demand(self, demanded: Array) -> None:
+        """Keep what the controller answered in the row that was begun.
 
         Raises:
-            CommandError: it is not one finite number for each actuator.
+            CommandError: it is not one number for each actuator.
         """
         row = self.count - 1
-        if np.shape(demanded) != self.limits.shape:
+        if np.shape(demanded) != self.chain.applied.shape:
             message = f"tick {self.index[row]}: the controller returned shape {np.shape(demanded)}"
-            raise CommandError(f"{message}; return {self.limits.shape}, one number for each actuator")
+            raise CommandError(f"{message}; return {self.chain.applied.shape}, one number for each actuator")
         self.demanded[row] = demanded
-        if not np.isfinite(self.demanded[row], out=self._finite).all():
-            channel = int(np.argmin(self._finite))
-            message = f"tick {self.index[row]}: the controller's command for {actuators[channel]} is"
-            mend = "look at its state and at the sensors of that tick"
-            raise CommandError(f"{message} {self.demanded[row, channel]}; {mend}")
+
+    def guarded(self, tick: int) -> Array:
+        """Return what may be written in the row that was begun, and keep it there."""
+        row = self.count - 1
         applied: Array = self.applied[row]
-        np.maximum(self.demanded[row], self._below, out=applied)
-        np.minimum(applied, self.limits, out=applied)
-        self.clamped += not np.array_equal(applied, self.demanded[row])
+        applied[:] = self.chain.guard(tick, self.demanded[row])
         return applied
 
     def run(self, rate: float, reason: str, plant: Plant, note: str) -> RigRun:
@@ -263,6 +337,7 @@ class _Rows:
             late=self.late[rows],
             durations=self.durations[rows],
             reason=reason,
-            counters={**counted, **own, "clamped": self.clamped},
+            counters={**counted, **own, "clamped": self.chain.clamped},
             note=note,
+            trip=self.chain.trip,
         )

@@ -26,7 +26,7 @@ SYNCHRONISED: Final = "synchronised"
 STOPPED: Final = "stopped"
 INTERRUPTED: Final = "interrupted"
 LOST: Final = "plant lost"
-REFUSED: Final = "command refused"
+TRIPPED: Final = "tripped"
 FAILED: Final = "failed"
 REASONS: Final = {
     FINISHED: "its planned time has passed",
@@ -34,7 +34,7 @@ REASONS: Final = {
     STOPPED: "whoever started it asked it to stop",
     INTERRUPTED: "SIGINT, SIGTERM or SIGHUP came",
     LOST: "the plant ended the session, or did not answer in time",
-    REFUSED: "the controller's command was not one finite number for each actuator",
+    TRIPPED: "the safety chain found a fault, which is under rig.trip",
     FAILED: "an error was raised",
 }
 _ROWS: Final = 2**15  # of the ideal motion, of which the period is taken
