@@ -51,6 +51,10 @@ def _add_check(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--rate", metavar="HZ", type=float, default=conformance.RATE, help=text)
     text = "largest command, in the actuators' units (default: %(default)g)"
     sub.add_argument("--amplitude", metavar="U", type=float, default=conformance.AMPLITUDE, help=text)
+    text = "the rig's plant file, or a packaged plant: also pulse each actuator, and compare the answer with the twin's"
+    sub.add_argument("--plant", metavar="PLANT", help=text)
+    text = "size of a pulse, as a part of the largest command (default: 0.05)"
+    sub.add_argument("--pulse", metavar="PART", type=float, default=0.05, help=text)
 
 
 def _add_serve(sub: argparse.ArgumentParser) -> None:
@@ -90,6 +94,8 @@ def _add_run(sub: argparse.ArgumentParser) -> None:
         action="append",
         help=f"{SUCH}; a=ADDRESS for each plant of an experiment with several",
     )
+    text = "pulse each actuator first, and refuse a rig that does not answer as its twin does"
+    sub.add_argument("--self-test", action="store_true", help=text)
     add_out(sub, "results/EXPERIMENT_rig")
 
 
@@ -111,9 +117,11 @@ def _key(chosen: argparse.Namespace) -> Key | None:
 
 
 def _check(chosen: argparse.Namespace) -> int:
-    """Check that a plant keeps the rules of the interface; exit status 1 if it breaks one."""
+    """Check that a plant keeps the rules of the interface, and that its rig answers; exit status 1 if not."""
     from masking.plants import adapters, conformance
     from masking.plants.interface import Settings
+    from masking.rig.twin import Twin
+    from masking.runs.self_test import self_test
 
     settings = Settings(chosen.rate, conformance.WATCHDOG, chosen.lockstep, chosen.acknowledge)
     make_plant = partial(adapters.connect, chosen.address, _key(chosen))
@@ -122,6 +130,12 @@ def _check(chosen: argparse.Namespace) -> int:
     broken = sum(len(verdict.broken) for verdict in found)
     content = {"address": chosen.address, "rules": [dataclasses.asdict(verdict) for verdict in found]}
     text = "\n".join([*map(str, found), f"{chosen.address} {'does not conform' if broken else 'conforms'}"])
+    if chosen.plant and not broken:
+        tested = self_test(
+            Twin.load(chosen.plant), make_plant(), size=chosen.pulse, rate=chosen.rate, lockstep=chosen.lockstep
+        )
+        content, text = content | {"self_test": tested.as_dict()}, f"{text}\nself-test:\n{tested}"
+        broken = len(tested.findings)
     answer(chosen.json, content, text)
     return int(broken > 0)
 
@@ -152,6 +166,7 @@ def _run(chosen: argparse.Namespace) -> int:
     from masking.plants.group import connect_each
     from masking.runs import hardware, stopping
     from masking.runs.experiment import Experiment
+    from masking.runs.self_test import self_test
     from masking.workflows.outputs import RUN, check_folder
     from masking.workflows.run import save
 
@@ -167,6 +182,8 @@ def _run(chosen: argparse.Namespace) -> int:
 
     with Bar("running") as bar:
         plant = connect_each(chosen.plant, tuple(made.declaration.plants), _key(chosen))
+        if chosen.self_test:
+            self_test(made.twin, plant, rate=made.sampled.rate, lockstep=chosen.lockstep).check()
         recording = hardware.run(
             made, plant, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge, progress=bar, keep=keep
         )

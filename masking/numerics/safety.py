@@ -47,6 +47,8 @@ SETTINGS: Final = 6
 CLEAR, WEIGHT, DEAD, REVERSED = 2.0, 200.0, 0.15, -0.3
 # The mean third difference of normal noise is 3.57 times its standard deviation, sqrt(20) sqrt(2/pi).
 THIRD_DIFFERENCE = math.sqrt(40.0 / math.pi)
+# A reading that was the same so often tells nothing of noise, nor of a response.
+SAME = 5.0
 # Of the acceleration that a model gives, this part may be wrong.
 WRONG = 0.5
 
@@ -91,7 +93,7 @@ def remember(s, missed, seen, past, counts, settings):
             seen[i, EQUAL] = 0.0
         else:
             seen[i, EQUAL] += 1.0 + missed
-        if counts[WHOLE] >= 3 and seen[i, EQUAL] < 5.0:
+        if counts[WHOLE] >= 3 and seen[i, EQUAL] < SAME:
             third = abs(s[i] - 3.0 * seen[i, FIRST] + 3.0 * seen[i, SECOND] - seen[i, THIRD])
             seen[i, ROUGH] += part * (third - seen[i, ROUGH])
         seen[i, THIRD], seen[i, SECOND], seen[i, FIRST] = seen[i, SECOND], seen[i, FIRST], s[i]
@@ -172,7 +174,7 @@ def within(h, s, estimate, limits, weights, by_estimate, past, counts, told):
 
 
 @compiled
-def respond(h, s, sensors, model, past, sent, reaction, counts, settings, work, told):
+def respond(h, s, sensors, seen, model, past, sent, reaction, counts, settings, work, told):
     """Return NO_RESPONSE or WRONG_SIGN where readings do not follow a command as the model says, else 0.
 
     A second difference of readings over 2 n samples is the sum of the accelerations in between, weighted by a triangle.
@@ -200,7 +202,7 @@ def respond(h, s, sensors, model, past, sent, reaction, counts, settings, work, 
         reaction[j, 0] -= forget * reaction[j, 0]
         reaction[j, 1] -= forget * reaction[j, 1]
     for i in range(sensed):
-        if sensors[i, SPAN] == 0.0:
+        if sensors[i, SPAN] == 0.0 or seen[i, EQUAL] >= SAME:
             continue
         moved = s[i] - 2.0 * past[(now - n) % rows, i] + past[(now - 2 * n) % rows, i]
         off = 4.0 * sensors[i, OFF] + n * n * h * h * sensors[i, UNEXPLAINED]
@@ -240,7 +242,7 @@ def watch() -> Kernel:
         if cause == 0:
             cause = within(h, s, estimate, limits, weights, by_estimate, past, counts, told)
         if cause == 0:
-            cause = respond(h, s, sensors, model, past, sent, reaction, counts, settings, work, told)
+            cause = respond(h, s, sensors, seen, model, past, sent, reaction, counts, settings, work, told)
         return cause
 
     return watch

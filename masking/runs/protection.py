@@ -87,6 +87,7 @@ class _Builder:
         self._declared()
         motion, pushed = self._motion()
         self._jumps(places, pushed)
+        self._sticking()
         rows = [*self._limited(declared.coordinates, is_rate=False), *self._limited(declared.velocities, is_rate=True)]
         names, limits, weights, estimated = zip(*rows, strict=True) if rows else ((), (), (), ())
         sensors, states = len(self.table), max(1, self.states)
@@ -217,6 +218,12 @@ class _Builder:
                 row[safety.STEP] = _MARGIN * speed / self.rate + 2.0 * row[safety.OFF]
             else:
                 self.notes.append(f"jumps of {name} are not watched: give sensors.{name}.jump")
+
+    def _sticking(self) -> None:
+        """Say which sensors may stick without being seen."""
+        for name, row in zip(self.instruments.sensors, self.table, strict=True):
+            if not row[safety.SPAN] and not row[safety.NOISE]:
+                self.notes.append(f"whether {name} sticks is not watched: declare its noise")
 
     def _limited(
         self, declared: Mapping[Expression, Limit], *, is_rate: bool
