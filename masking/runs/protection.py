@@ -30,7 +30,7 @@ else:
 
 _EXACT: Final = 1e-6  # relative: of a linear expression, and of what readings determine
 _OFF: Final = 8.0  # standard deviations of a reading that it may be off
-_MARGIN: Final = 2.0  # of the largest speed that follows from the limits
+_MARGIN: Final = 1.1  # of the largest speed that follows from the limits
 _UNKNOWN: Final = 0.02  # of the acceleration of the largest commands: what a model does not explain, at least
 _PART: Final = 0.25  # of the largest command, which a response is to tell
 _LONGEST: Final = 0.1  # s over which a speed or a response is taken
