@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import lazy_loader as lazy
@@ -59,6 +59,25 @@ def rules(instruments: Instruments, rate: float, twin: Twin | None = None, estim
         ModelError: an actuator has no largest command.
     """
     return _Builder(instruments, rate, twin, 0 if estimate is None else len(estimate)).rules()
+
+
+def without_model(rules: Rules) -> Rules:
+    """Return the rules for a run without a controller, on a rig whose model is still to be found.
+
+    What follows from how the model moves is not watched, nor what only an estimate gives.
+    """
+    readings = rules.readings.copy()
+    readings[:, safety.SPAN] = 0.0
+    kept = rules.limits[:, safety.ESTIMATED] == 0.0
+    return replace(
+        rules,
+        readings=readings,
+        half=0,
+        limited=tuple(name for name, is_kept in zip(rules.limited, kept, strict=True) if is_kept),
+        limits=rules.limits[kept],
+        weights=rules.weights[kept],
+        estimated=rules.estimated[kept],
+    )
 
 
 class _Builder:

@@ -140,20 +140,9 @@ def self_test(twin: Twin, plant: Plant, *, size: float = SIZE, rate: float = RAT
 
 def _held(rules: Rules, size: float) -> Rules:
     """Return the rules with a part of the largest commands; answers are for the test to judge."""
-    commands, readings = rules.commands.copy(), rules.readings.copy()
+    commands = rules.commands.copy()
     commands[:, LARGEST] *= size
-    readings[:, safety.SPAN] = 0.0
-    by_readings = rules.limits[:, safety.ESTIMATED] == 0.0
-    return replace(
-        rules,
-        commands=commands,
-        readings=readings,
-        half=0,
-        limited=tuple(name for name, kept in zip(rules.limited, by_readings, strict=True) if kept),
-        limits=rules.limits[by_readings],
-        weights=rules.weights[by_readings],
-        estimated=rules.estimated[by_readings],
-    )
+    return replace(protection.without_model(rules), commands=commands)
 
 
 def _moved(rules: Rules, read: Array) -> float:

@@ -23,10 +23,12 @@ from masking.estimation.fit import part_of
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import LARGEST
 from masking.plants.interface import Plant
+from masking.plants.safety import Rules
 from masking.plants.simulated import SimulatedPlant
 from masking.procedures.calibration_findings import HIGHEST, NAMES, PERIOD, Records, reached
 from masking.records.recording import MANIFEST, Recording
 from masking.rig.twin import Twin
+from masking.runs import protection
 from masking.runs.realtime import check_channels, every, run_rig
 from masking.runs.stopping import FINISHED
 from masking.signals import Multisine, minimise_crest
@@ -73,6 +75,7 @@ def make(
     """
     instruments = Instruments(twin.declaration, twin.model, twin.kernels.meta["factors"], {}, twin.delay)
     limits, size = instruments.limits()[:, LARGEST], SMALL
+    rules = protection.without_model(protection.rules(instruments, RATE, twin))
     made: list[Data] = []
     missed = {}
     for number, name in enumerate(NAMES):
@@ -86,9 +89,7 @@ def make(
             say(f"{name}: recording {seconds:g} s")
             commands = size * limits * _waves(len(limits), number, seconds, seed)
             part = part_of(progress, number, len(NAMES))
-            _record(twin, plant, commands, limits, settings, lockstep=lockstep, progress=part).save(
-                path, overwrite=True
-            )
+            _record(twin, plant, commands, rules, settings, lockstep=lockstep, progress=part).save(path, overwrite=True)
             recording = Recording.load(path)
         missed[name] = int(recording.manifest["rig"]["counters"].get("missed", 0))
         made.append(Data.of(recording, twin, str(path)))
@@ -170,7 +171,7 @@ def _record(
     twin: Twin,
     plant: Plant,
     commands: Array,
-    limits: Array,
+    limits: Rules,
     settings: Mapping[str, Any],
     *,
     lockstep: bool,
@@ -199,7 +200,10 @@ def _record(
         on_tick=every(progress, len(commands)),
     )
     if ran.reason != FINISHED:
-        raise MaskingError(f"the recording was {ran.reason} and is not kept; run the same again to go on from here")
+        why = f" ({ran.trip})" if ran.trip else ""
+        raise MaskingError(
+            f"the recording was {ran.reason}{why} and is not kept; run the same again to go on from here"
+        )
     index = ran.index - ran.index[0]
     every_one = np.arange(index[-1] + 1)
     at = np.searchsorted(index, every_one, side="right") - 1  # a command holds until the next

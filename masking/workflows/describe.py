@@ -150,6 +150,7 @@ def plant(declaration: schema.PlantDeclaration) -> Description:
     )
     limits = [(n, f"{x.max:g}", x.unit) for n, x in d.limits.inputs.items()]
     limits += [(x.text, f"{y.max:g}", y.unit) for x, y in d.limits.coordinates.items()]
+    limits += [(f"rate of {x.text}", f"{y.max:g}", y.unit) for x, y in d.limits.velocities.items()]
     if d.limits.power is not None:
         limits.append(("power", f"{d.limits.power.value:g}", d.limits.power.unit))
     return Description("\n".join([*lines, *_table("limits", limits)]).rstrip(), d.canonical())
