@@ -1,7 +1,7 @@
 """Safety of a rig, sample by sample: whether readings can be those of a sound rig, and what may be commanded.
 
 Everything is in the units of the plant's channels, in arrays that are made ahead. A kernel returns 0, or the number of
-a cause, as `masking.plants.safety.Cause` has it, and writes the channel, the value and the limit into `told`.
+a cause, as `masking.plants.safety.Cause` has it, and writes the channel, the value and the limit into `report`.
 """
 # ruff: noqa: ANN001, ANN201, PLR0912, PLR0917
 # The types are numba's to infer.
@@ -43,38 +43,38 @@ COUNTS: Final = 6
 # commands that may be cut, a bucket of energy.
 HALF, DELAY, HELD, SECOND_OF, CUTS, PER_BUCKET = range(6)
 SETTINGS: Final = 6
-# What a response needs to be judged, beside what no model explains, and what it is then.
+# What a response needs to be compared, beside what no model explains, and its ratio where it fails.
 CLEAR, WEIGHT, DEAD, REVERSED = 2.0, 200.0, 0.15, -0.3
 # The mean third difference of normal noise is 3.57 times its standard deviation, sqrt(20) sqrt(2/pi).
 THIRD_DIFFERENCE = math.sqrt(40.0 / math.pi)
-# A reading that was the same so often tells nothing of noise, nor of a response.
+# A reading that was the same so often says nothing of noise, nor of a response.
 SAME = 5.0
 # Of the acceleration that a model gives, this part may be wrong.
 WRONG = 0.5
 
 
 @compiled
-def tell(told, channel, value, limit):
+def tell(report, channel, value, limit):
     """Write what was found."""
-    told[0], told[1], told[2] = channel, value, limit
+    report[0], report[1], report[2] = channel, value, limit
 
 
 @compiled
-def plausible(s, missed, sensors, seen, counts, told):
+def plausible(s, missed, sensors, seen, counts, report):
     """Return why a reading cannot be that of a sound sensor, 0 where each can; `missed` samples came before it."""
     for i in range(s.size):
         if not math.isfinite(s[i]):
-            tell(told, i, s[i], 0.0)
+            tell(report, i, s[i], 0.0)
             return NONFINITE
     for i in range(s.size):
         if s[i] <= sensors[i, LEAST] or s[i] >= sensors[i, MOST]:
-            tell(told, i, s[i], sensors[i, LEAST] if s[i] <= sensors[i, LEAST] else sensors[i, MOST])
+            tell(report, i, s[i], sensors[i, LEAST] if s[i] <= sensors[i, LEAST] else sensors[i, MOST])
             return RANGE
     if counts[TOTAL] > 0:
         for i in range(s.size):
             change, most = abs(s[i] - seen[i, FIRST]), sensors[i, STEP] * (1.0 + missed)
             if change > most:
-                tell(told, i, change, most)
+                tell(report, i, change, most)
                 return JUMP
     return 0
 
@@ -105,7 +105,7 @@ def remember(s, missed, seen, past, counts, settings):
 
 
 @compiled
-def stuck(h, s, sensors, seen, model, past, sent, counts, settings, told):
+def stuck(h, s, sensors, seen, model, past, sent, counts, settings, report):
     """Return STUCK where a reading stays the same to the last bit although it would change, else 0.
 
     It would change where its noise was seen to be more than its steps, and where the speed that it had, and the
@@ -146,13 +146,13 @@ def stuck(h, s, sensors, seen, model, past, sent, counts, settings, told):
             counts[TOTAL] > settings[SECOND_OF] and noise > 0.5 * sensors[i, NOISE] > 0.0 and noise > seen[i, FINEST]
         )
         if seen[i, EQUAL] >= settings[HELD] and (is_noisy or seen[i, MOVES] == 2.0):
-            tell(told, i, s[i], settings[HELD] * h)
+            tell(report, i, s[i], settings[HELD] * h)
             return STUCK
     return 0
 
 
 @compiled
-def within(h, s, estimate, limits, weights, by_estimate, past, counts, told):
+def within(h, s, estimate, limits, weights, by_estimate, past, counts, report):
     """Return POSITION or VELOCITY where one is beyond its limit, else 0."""
     rows = past.shape[0]
     for i in range(limits.shape[0]):
@@ -168,17 +168,17 @@ def within(h, s, estimate, limits, weights, by_estimate, past, counts, told):
             for j in range(s.size):
                 value += weights[i, j] * (s[j] - past[before, j]) / (over * h)
         if not abs(value) <= limits[i, BOUND]:
-            tell(told, i, value, limits[i, BOUND])
+            tell(report, i, value, limits[i, BOUND])
             return POSITION if over == 0 else VELOCITY
     return 0
 
 
 @compiled
-def respond(h, s, sensors, seen, model, past, sent, reaction, counts, settings, work, told):
+def respond(h, s, sensors, seen, model, past, sent, reaction, counts, settings, work, report):
     """Return NO_RESPONSE or WRONG_SIGN where readings do not follow a command as the model says, else 0.
 
     A second difference of readings over 2 n samples is the sum of the accelerations in between, weighted by a triangle.
-    Where an actuator's part in it is clear, what is left without the parts of readings and of other actuators is
+    Where an actuator's part in it is clear, the rest without the parts of readings and of other actuators is
     compared with it: their ratio, least squares over about a second, is 1 where it answers, 0 where not.
     """
     n, rows, sensed, channels = settings[HALF], past.shape[0], s.size, sent.shape[1]
@@ -221,7 +221,7 @@ def respond(h, s, sensors, seen, model, past, sent, reaction, counts, settings, 
         if reaction[j, 1] > WEIGHT * CLEAR * CLEAR:
             ratio = reaction[j, 0] / reaction[j, 1]
             if ratio < DEAD:
-                tell(told, j, ratio, 1.0)
+                tell(report, j, ratio, 1.0)
                 return WRONG_SIGN if ratio < REVERSED else NO_RESPONSE
     return 0
 
@@ -233,16 +233,16 @@ def watch() -> Kernel:
     def watch(
         missed: int, h: float, s: Vector, estimate: Vector, sensors: Matrix, seen: Matrix, model: Matrix, past: Matrix,
         sent: Matrix, limits: Matrix, weights: Matrix, by_estimate: Matrix, reaction: Matrix, counts: IntVector,
-        settings: IntVector, told: Vector, work: Matrix,
+        settings: IntVector, report: Vector, work: Matrix,
     ) -> int:  # fmt: skip
-        cause = plausible(s, missed, sensors, seen, counts, told)
+        cause = plausible(s, missed, sensors, seen, counts, report)
         if cause == 0:
             remember(s, missed, seen, past, counts, settings)
-            cause = stuck(h, s, sensors, seen, model, past, sent, counts, settings, told)
+            cause = stuck(h, s, sensors, seen, model, past, sent, counts, settings, report)
         if cause == 0:
-            cause = within(h, s, estimate, limits, weights, by_estimate, past, counts, told)
+            cause = within(h, s, estimate, limits, weights, by_estimate, past, counts, report)
         if cause == 0:
-            cause = respond(h, s, sensors, seen, model, past, sent, reaction, counts, settings, work, told)
+            cause = respond(h, s, sensors, seen, model, past, sent, reaction, counts, settings, work, report)
         return cause
 
     return watch
@@ -258,7 +258,7 @@ def guard() -> Kernel:
     @compiled
     def guard(
         h: float, demanded: Vector, applied: Vector, table: Matrix, energy: Matrix, sent: Matrix, counts: IntVector,
-        settings: IntVector, told: Vector,
+        settings: IntVector, report: Vector,
     ) -> int:  # fmt: skip
         buckets, is_clamped, is_cut, cause = energy.shape[1] - 1, False, -1, 0
         at = counts[BUCKET] // settings[PER_BUCKET]
@@ -270,7 +270,7 @@ def guard() -> Kernel:
         counts[BUCKET] = (counts[BUCKET] + 1) % (buckets * settings[PER_BUCKET])
         for i in range(applied.size):
             if not math.isfinite(demanded[i]):
-                tell(told, i, demanded[i], 0.0)
+                tell(report, i, demanded[i], 0.0)
                 cause = COMMAND
         for i in range(applied.size):
             applied[i] = 0.0
@@ -292,7 +292,7 @@ def guard() -> Kernel:
             counts[CLAMPED] += 1
         counts[CUT] = counts[CUT] + 1 if is_cut >= 0 else max(0, counts[CUT] - 1)
         if counts[CUT] > settings[CUTS]:
-            tell(told, is_cut, table[is_cut, POWER], table[is_cut, POWER])
+            tell(report, is_cut, table[is_cut, POWER], table[is_cut, POWER])
             cause = THERMAL
             for i in range(applied.size):
                 applied[i] = 0.0

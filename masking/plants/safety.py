@@ -156,7 +156,7 @@ class Rules:
         limits: table of what is limited (limits, 4), as `masking.numerics.safety` has its columns.
         weights: of the readings in each (limits, sensors).
         estimated: of the states of the controller's estimate in each (limits, states).
-        half: samples of half the window in which a response is judged; 0 where none is.
+        half: samples of half the window in which a response is compared; 0 where none is.
         delay: samples between a reading and the first effect of the command that answers it.
         missed: largest share of the samples of a second that may be late or missed.
         notes: what is not watched, a sentence each.

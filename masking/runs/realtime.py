@@ -238,7 +238,7 @@ def _answer(step: Step, plant: Plant, rows: _Rows, tick: int, began: float) -> N
 
 @final
 class _Taken:
-    """Whether a plant that tells what it puts out takes the commands that it is given.
+    """Whether a plant that reports its outputs takes the commands that it is given.
 
     Args:
         plant: the plant.

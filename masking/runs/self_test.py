@@ -139,7 +139,7 @@ def self_test(twin: Twin, plant: Plant, *, size: float = SIZE, rate: float = RAT
 
 
 def _held(rules: Rules, size: float) -> Rules:
-    """Return the rules with a part of the largest commands; answers are for the test to judge."""
+    """Return the rules with a part of the largest commands; answers are compared by the test itself."""
     commands = rules.commands.copy()
     commands[:, LARGEST] *= size
     return replace(protection.without_model(rules), commands=commands)
