@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_rig import serving
 
+from masking.cli import main
 from masking.errors import MaskingError, PlantError
 from masking.numerics import safety
 from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME
@@ -339,3 +341,30 @@ def test_a_self_test_names_what_is_wrong():
     assert [f.split(":")[0] for f in findings(reading=weak).findings[:1]] == ["s1 answers V1 wrongly"]
     with pytest.raises(PlantError, match="the self-test refuses to arm: V2 is dead"):
         findings(command=dead).check()
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_an_index_that_jumps_far_trips_at_once(cart, lockstep):
+    class Jumping(Damaged):
+        owns_clock = True
+
+        def read(self):
+            sample = super().read()
+            return Sample(sample.index + (10**9 if sample.index > 5 else 0), sample.values)
+
+    ran = run_rig(
+        lambda *_: np.zeros(1), Jumping(SimulatedPlant(cart.twin)), rate=500.0, samples=50, limits=np.array([2.0]),
+        lockstep=lockstep,
+    )  # fmt: skip
+    assert (ran.reason, ran.trip.cause, len(ran.index)) == ("tripped", Cause.OVERRUN, 7)
+
+
+def test_the_command_line_tests_a_served_rig_and_refuses_the_wrong_plant_file(capsys):
+    with serving("linear_rig", "--lockstep", "--sessions", 100) as (server, address):
+        assert main(["rig", "check", address, "--lockstep", "--plant", "linear_rig", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)["self_test"]
+        assert found["findings"] == []
+        assert {answer["actuator"] for answer in found["answers"]} == {"V1", "V2", "V3"}
+        assert main(["rig", "check", address, "--lockstep", "--plant", "cart"]) == 2
+        assert "the plant file is that of cart" in capsys.readouterr().err
+        server.terminate()

@@ -297,11 +297,11 @@ class Chain:
         if self._late_in_a_row >= _LATE_IN_A_ROW:
             self.stop(Cause.OVERRUN, tick, value=self._late_in_a_row, limit=_LATE_IN_A_ROW - 1)
         self._late += max(missed, int(is_late))
-        if self._late_since < 0 or tick - self._late_since >= self.rules.rate:
-            self._late, self._late_since = 0, tick
         most = self.rules.missed * self.rules.rate
         if self._late > most:
             self.stop(Cause.OVERRUN, tick, value=self._late, limit=most)
+        if self._late_since < 0 or tick - self._late_since >= self.rules.rate:
+            self._late, self._late_since = 0, tick
 
     def _found_by(self, number: int, tick: int) -> None:
         cause, at = Cause(number), int(self._found[0])

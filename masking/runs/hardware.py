@@ -120,6 +120,7 @@ def run(
     acknowledge: bool = False,
     progress: Callable[[float], None] | None = None,
     stop: Stop | None = None,
+    emergency: Stop | None = None,
     keep: Callable[[Recording], None] | None = None,
 ) -> Recording:
     """Run an experiment on a plant, from rest through the homing phase to the end.
@@ -135,6 +136,7 @@ def run(
         acknowledge: why the plant tripped in the last run was looked at; it is refused without.
         progress: called with the part done.
         stop: looked at before each tick.
+        emergency: likewise; the run then trips.
         keep: called with what there is since the release where the run ends in an error, before it is raised.
 
     Returns:
@@ -185,6 +187,7 @@ def run(
             ),
             on_tick=None if progress is None else every(progress, before + after),
             stop=is_over,
+            emergency=emergency,
             estimate=controller.estimate,
             on_end=ended.append,
         )

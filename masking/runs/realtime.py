@@ -198,9 +198,8 @@ def _loop(
         sample = plant.read()
         began = time.perf_counter()
         missed = rows.begin(sample.index, sample.values, began, deadlines.missed)
-        if not settings.lockstep:
-            silence = (began - ended) * settings.rate
-            chain.time(sample.index, is_late=bool(rows.late[row]), silence=silence, missed=missed)
+        is_late, silence = bool(rows.late[row]) and not settings.lockstep, (began - ended) * settings.rate
+        chain.time(sample.index, is_late=is_late, silence=0.0 if settings.lockstep else silence, missed=missed)
         if emergency is not None and emergency():
             chain.stop(Cause.ESTOP, sample.index)
         if chain.watch(sample.index, rows.sensors[row], missed) is None:
