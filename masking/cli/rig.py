@@ -132,7 +132,12 @@ def _check(chosen: argparse.Namespace) -> int:
     text = "\n".join([*map(str, found), f"{chosen.address} {'does not conform' if broken else 'conforms'}"])
     if chosen.plant and not broken:
         tested = self_test(
-            Twin.load(chosen.plant), make_plant(), size=chosen.pulse, rate=chosen.rate, lockstep=chosen.lockstep
+            Twin.load(chosen.plant),
+            make_plant(),
+            size=chosen.pulse,
+            rate=chosen.rate,
+            lockstep=chosen.lockstep,
+            acknowledge=chosen.acknowledge,
         )
         content, text = content | {"self_test": tested.as_dict()}, f"{text}\nself-test:\n{tested}"
         broken = len(tested.findings)
@@ -183,7 +188,10 @@ def _run(chosen: argparse.Namespace) -> int:
     with Bar("running") as bar:
         plant = connect_each(chosen.plant, tuple(made.declaration.plants), _key(chosen))
         if chosen.self_test:
-            self_test(made.twin, plant, rate=made.sampled.rate, lockstep=chosen.lockstep).check()
+            found = self_test(
+                made.twin, plant, rate=made.sampled.rate, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge
+            )
+            found.check()
         recording = hardware.run(
             made, plant, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge, progress=bar, keep=keep
         )

@@ -103,7 +103,15 @@ class SelfTest:
         return {"answers": answers, "findings": list(self.findings)}
 
 
-def self_test(twin: Twin, plant: Plant, *, size: float = SIZE, rate: float = RATE, lockstep: bool = False) -> SelfTest:
+def self_test(
+    twin: Twin,
+    plant: Plant,
+    *,
+    size: float = SIZE,
+    rate: float = RATE,
+    lockstep: bool = False,
+    acknowledge: bool = False,
+) -> SelfTest:
     """Pulse each actuator in turn, and compare what the sensors read with what those of the twin do.
 
     Args:
@@ -112,6 +120,7 @@ def self_test(twin: Twin, plant: Plant, *, size: float = SIZE, rate: float = RAT
         size: of a pulse, as a part of the largest command, at most 1.
         rate: samples per second.
         lockstep: run as fast as both sides can.
+        acknowledge: why the plant tripped in the last run was looked at.
 
     Raises:
         ModelError: an actuator has no largest command.
@@ -131,7 +140,7 @@ def self_test(twin: Twin, plant: Plant, *, size: float = SIZE, rate: float = RAT
         while seconds * rate > 2.0 and _moved(held, predicted) > _MOVED:
             seconds *= 0.5
             predicted = _predicted(ideal, held, j, seconds)
-        read, trip = _Pulse(held, j, seconds).run(plant, twin, lockstep=lockstep)
+        read, trip = _Pulse(held, j, seconds).run(plant, twin, lockstep=lockstep, acknowledge=acknowledge)
         if trip is not None:
             return SelfTest(tuple(answers), (f"{twin.actuators[j]}: {trip}",))
         answers += _answers(twin, j, predicted, read)
@@ -185,7 +194,9 @@ class _Pulse:
         self.command[self.at] = self.rules.commands[self.at, LARGEST] if self.begin <= k < self.end else 0.0
         return self.command
 
-    def run(self, plant: Plant, twin: Twin | None, *, lockstep: bool) -> tuple[Array, Trip | None]:
+    def run(
+        self, plant: Plant, twin: Twin | None, *, lockstep: bool, acknowledge: bool = False
+    ) -> tuple[Array, Trip | None]:
         """Return what the sensors read before and after the pulse (samples, sensors), once a real rig is at rest again.
 
         Raises:
@@ -203,7 +214,7 @@ class _Pulse:
                 )
 
         ran = run_rig(
-            self.step, plant, rate=rate, samples=self.stop + rest, limits=self.rules, lockstep=lockstep, accept=accept,
+            self.step, plant, rate=rate, samples=self.stop + rest, limits=self.rules, lockstep=lockstep, accept=accept, acknowledge=acknowledge,
             stop=lambda: self.is_over,
         )  # fmt: skip
         every = np.arange(self.stop)
