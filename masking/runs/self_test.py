@@ -214,7 +214,8 @@ class _Pulse:
                 )
 
         ran = run_rig(
-            self.step, plant, rate=rate, samples=self.stop + rest, limits=self.rules, lockstep=lockstep, accept=accept, acknowledge=acknowledge,
+            self.step, plant, rate=rate, samples=self.stop + rest, limits=self.rules, lockstep=lockstep, accept=accept,
+            acknowledge=acknowledge,
             stop=lambda: self.is_over,
         )  # fmt: skip
         every = np.arange(self.stop)
