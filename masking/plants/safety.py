@@ -286,12 +286,12 @@ class Chain:
         self.trip = made = self.trip or Trip(cause, channel, tick, value, limit, detail)
         return made
 
-    def time(self, tick: int, *, is_late: bool, silence: float, missed: int) -> None:
-        """Look at the time of a tick: whether it is late, periods waited for it, and samples that were missed.
+    def time(self, tick: int, *, is_late: bool, silence: float, missed: int, lost: int) -> None:
+        """Look at the time of a tick: whether it is late, periods waited for it, samples missed, those that never came.
 
         Trips where five ticks in a row are late, where too many of a second are, and where the plant was silent.
         """
-        if silence > _LOST + 1.5 and missed > _LOST:
+        if silence > _LOST + 1.5 and lost > _LOST:
             self.stop(Cause.COMM_LOST, tick, value=silence, limit=_LOST)
         self._late_in_a_row = self._late_in_a_row + 1 if is_late else 0
         if self._late_in_a_row >= _LATE_IN_A_ROW:

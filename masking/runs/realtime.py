@@ -187,7 +187,8 @@ def _loop(
     keeps_time = not (plant.owns_clock or settings.lockstep)
     deadlines, chain = Deadlines(settings.rate), rows.chain
     taken = _Taken(plant, chain, settings.rate) if isinstance(plant, Telling) else None
-    ended = time.perf_counter()
+    counters = plant.counters if isinstance(plant, Counting) else {}
+    ended, skipped = time.perf_counter(), 0
     for row in range(rows.samples):
         if keeps_time and row:
             deadlines.wait(asked)
@@ -199,7 +200,14 @@ def _loop(
         began = time.perf_counter()
         missed = rows.begin(sample.index, sample.values, began, deadlines.missed)
         is_late, silence = bool(rows.late[row]) and not settings.lockstep, (began - ended) * settings.rate
-        chain.time(sample.index, is_late=is_late, silence=0.0 if settings.lockstep else silence, missed=missed)
+        before, skipped = skipped, counters.get("skipped", 0)  # they came, and waited for this process
+        chain.time(
+            sample.index,
+            is_late=is_late,
+            silence=0.0 if settings.lockstep else silence,
+            missed=missed,
+            lost=missed - (skipped - before),
+        )
         if emergency is not None and emergency():
             chain.stop(Cause.ESTOP, sample.index)
         if chain.watch(sample.index, rows.sensors[row], missed) is None:
