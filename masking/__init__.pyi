@@ -23,6 +23,7 @@ from .workflows.discover import discover as discover
 from .workflows.export import export as export
 from .workflows.identify import identify as identify
 from .workflows.measure import measure as measure
+from .workflows.recover import recover as recover
 from .workflows.refine import refine as refine
 from .workflows.run import report as report
 from .workflows.run import run as run

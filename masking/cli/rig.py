@@ -96,6 +96,8 @@ def _add_run(sub: argparse.ArgumentParser) -> None:
     )
     text = "pulse each actuator first, and refuse a rig that does not answer as its twin does"
     sub.add_argument("--self-test", action="store_true", help=text)
+    text = "folder for the rest of the rows where that of the results is full (default: that for temporary files)"
+    sub.add_argument("--spare", metavar="DIR", help=text)
     add_out(sub, "results/EXPERIMENT_rig")
 
 
@@ -169,6 +171,7 @@ def _serve(chosen: argparse.Namespace) -> int:
 def _run(chosen: argparse.Namespace) -> int:
     """Run an experiment on a plant that runs by itself, and write its report."""
     from masking.plants.group import connect_each
+    from masking.records import stream
     from masking.runs import hardware, stopping
     from masking.runs.experiment import Experiment
     from masking.runs.self_test import self_test
@@ -178,6 +181,7 @@ def _run(chosen: argparse.Namespace) -> int:
     made = Experiment.load(chosen.experiment)
     out = Path(chosen.out or f"results/{made.stem}_rig")
     check_folder(out, *RUN, overwrite=chosen.overwrite)
+    stream.remove(out)
 
     def keep(recording: Recording) -> None:
         bar.close()
@@ -185,17 +189,25 @@ def _run(chosen: argparse.Namespace) -> int:
         content = {name: recording.manifest[name] for name in ("masking_error", "rig")} | {"recording": str(out)}
         answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 
-    with Bar("running") as bar:
-        plant = connect_each(chosen.plant, tuple(made.declaration.plants), _key(chosen))
-        if chosen.self_test:
-            found = self_test(
-                made.twin, plant, rate=made.sampled.rate, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge
-            )
-            found.check()
-        recording = hardware.run(
-            made, plant, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge, progress=bar, keep=keep
-        )
-    keep(recording)
+    try:
+        with Bar("running") as bar:
+            plant = connect_each(chosen.plant, tuple(made.declaration.plants), _key(chosen))
+            if chosen.self_test:
+                found = self_test(
+                    made.twin, plant, rate=made.sampled.rate, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge
+                )
+                found.check()
+            recording = hardware.run(
+                made, plant, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge, progress=bar, keep=keep,
+                stream=out, spare=chosen.spare,
+            )  # fmt: skip
+        keep(recording)
+    finally:
+        if stream.is_in(out):
+            print(f"masking: {out} holds what was recorded; {stream.MEND.format(out)}", file=sys.stderr)
+    note = recording.manifest["rig"].get("recorder", {}).get("note")
+    if note:
+        print(f"masking: {note}", file=sys.stderr)
     end = recording.manifest["rig"]["end"]
     is_planned = end in {stopping.FINISHED, stopping.SYNCHRONISED}
     if not is_planned:

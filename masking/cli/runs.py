@@ -1,4 +1,4 @@
-"""Verbs that run an experiment and show what was recorded: run, report, animate, compare."""
+"""Verbs that run an experiment and show what was recorded: run, report, recover, animate, compare."""
 
 from __future__ import annotations
 
@@ -84,6 +84,21 @@ def _report(chosen: argparse.Namespace) -> int:
     return answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 
 
+def _add_recover(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    sub.add_argument("folder", metavar="FOLDER", help="that a run on a rig was to be saved in")
+    add_out(sub, "FOLDER")
+
+
+def _recover(chosen: argparse.Namespace) -> int:
+    """Make the recording of a run on a rig that was killed; exit status 1 where its rows were damaged."""
+    from masking.workflows.recover import recover
+
+    made = recover(chosen.folder, out=chosen.out, overwrite=chosen.overwrite)
+    answer(chosen.json, made.as_dict(), made)
+    return int(bool(made.damages))
+
+
 def _add_animate(sub: argparse.ArgumentParser) -> None:
     add_json(sub)
     sub.add_argument(
@@ -138,6 +153,7 @@ def change(text: str) -> tuple[str, float]:
 VERBS = (
     Verb("run", _add_run, _run),
     Verb("report", _add_report, _report),
+    Verb("recover", _add_recover, _recover),
     Verb("animate", _add_animate, _animate),
     Verb("compare", _add_compare, _compare),
 )

@@ -2,8 +2,8 @@
 
     python -m masking.records.recorder RING FOLDER
 
-It outlives the loop: of a process that was killed it takes what is left in the ring. The loop waits for nothing here, and
-a recorder that was killed itself is replaced by another one, which goes on in the same stream.
+It outlives the loop: of a process that was killed it takes what is left in the ring. The loop never waits for it, and a
+recorder that was killed itself is replaced by another one, which goes on in the same stream.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ FULL: Final = 3  # exit status where no place is left
 CLOSED: Final = "closed"
 KILLED: Final = "killed"
 _NICE: Final = 5
+_HELD: Final = 16.0  # s of rows in memory
 _READY: Final = b"ready\n"
 _END: Final = 10.0  # s at most for the last rows
 
@@ -96,7 +97,6 @@ class Recorder:
         columns: unit and meaning of the numbers of a row, by name.
         rate: rows per second, Hz.
         spare: folder for the rest where the first one is full.
-        rows: that are kept in memory.
         **more: what else the manifest says.
 
     Raises:
@@ -109,15 +109,16 @@ class Recorder:
         columns: Mapping[str, Mapping[str, str]],
         rate: float,
         spare: str | Path,
-        rows: int = 0,
         **more: Any,  # noqa: ANN401
     ) -> None:
         self.folder, self.ended, self.is_full, self._starts = Path(folder), 0, False, 0
         units = {name: entry["unit"] for name, entry in columns.items()}
-        self.ring = Ring([*columns], rate, units, max(rows, round(16 * rate)))
-        content = {"columns": dict(columns), "rate": rate, "spare": str(Path(spare).absolute()), "ring": self.ring.path}
+        number = os.urandom(8).hex()
+        self.ring = Ring([*columns], rate, units, round(_HELD * rate), number=number)
+        content = {"columns": dict(columns), "rate": rate, "number": number}
+        content |= {"spare": str(Path(spare).absolute()), "ring": str(self.ring.path)}
         try:
-            stream.begin(folder, {**content, "number": os.urandom(8).hex(), **more})
+            stream.begin(folder, {**content, **more})
             self._process: subprocess.Popen[bytes] | None = self._start()
             if self._process.stdout is None or self._process.stdout.readline() != _READY:
                 self._process.wait()

@@ -265,6 +265,8 @@ def summary(facts: Study) -> str:
         rows.append(("external", external(facts)))
     if manifest.get("rig"):
         rows.append(("rig", ticks(manifest)))
+        if manifest["rig"].get("timing"):
+            rows.append(("loop", loop_times(manifest)))
     energy = manifest.get("energy") or {}
     if "virtual" in energy:
         rows.append(("energy", f"drift of the virtual system {number(energy['virtual'])}"))
@@ -320,6 +322,19 @@ def ticks(manifest: Mapping[str, Any]) -> str:
     if len(parts) == 1:
         parts.append("every sample in time")
     return f"{', '.join(parts)}; its motion is {manifest.get('states') or 'measured'}"
+
+
+def loop_times(manifest: Mapping[str, Any]) -> str:
+    """Say how long the ticks of a run on a plant took, and how late they began."""
+    times = manifest["rig"]["timing"]
+
+    def words(one: Mapping[str, Any]) -> str:
+        return f"{number(1e6 * one['median'], 2)}/{number(1e6 * one['p99'], 2)}/{number(1e6 * one['max'], 2)} us"
+
+    parts = [f"controller, safety and row {words(times['work'])}"] if "work" in times else []
+    parts += [f"late {words(times['lateness'])} (median/p99/worst)"] if "lateness" in times else []
+    worst = times.get("lateness") or times["controller"]
+    return f"{', '.join(parts)}, worst at tick {worst['at']}"
 
 
 def use_words(use: InputUse) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,13 +24,16 @@ from masking.plants.interface import Plant, Settings
 from masking.plants.machine import Stop
 from masking.plants.session import LONGEST_WATCHDOG, RATES, Allowed
 from masking.plants.simulated import SimulatedPlant
+from masking.records import stream as streams
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
 from masking.runs import protection
 from masking.runs.experiment import Experiment
+from masking.runs.loop_rows import StreamedRows, samples_after
 from masking.runs.offline import TwinRun
-from masking.runs.realtime import RigRun, check_channels, every, run_rig
-from masking.runs.stopping import FINISHED, STOPPED, SYNCHRONISED
+from masking.runs.realtime import RigRun, Rows, check_channels, every, run_rig
+from masking.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED
+from masking.runs.timing import timing
 
 WATCHDOG = 0.02
 _MEND = "run it on that plant, or write the plant that is there into it"
@@ -122,6 +126,8 @@ def run(
     stop: Stop | None = None,
     emergency: Stop | None = None,
     keep: Callable[[Recording], None] | None = None,
+    stream: str | Path | None = None,
+    spare: str | Path | None = None,
 ) -> Recording:
     """Run an experiment on a plant, from rest through the homing phase to the end.
 
@@ -138,6 +144,9 @@ def run(
         stop: looked at before each tick.
         emergency: likewise; the run then trips.
         keep: called with what there is since the release where the run ends in an error, before it is raised.
+        stream: folder to which each row goes while the run goes on, the homing included; once the recording is saved,
+            `masking.records.stream.remove` takes them away. By default nothing is written.
+        spare: folder for the rest of the stream where its own is full; by default that for temporary files.
 
     Returns:
         what the controller saw and did since the release; the rig's states are estimates.
@@ -145,12 +154,13 @@ def run(
     Raises:
         ModelError: the experiment does not run on sensors, or has no homing phase.
         PlantError: the plant is lost, refuses, or has other channels.
+        RecordError: the folder holds a stream already, or cannot be written.
         MaskingError: the run was stopped before the release.
     """
     _check(experiment)
     sampled = experiment.sampled
     before = sampled.before
-    after = int(np.floor(experiment.declaration.duration * experiment.time_scale * sampled.rate * (1.0 + 1e-12))) + 1
+    after = samples_after(experiment, sampled)
     controller = _prepare(sampled)
     condition = experiment.stop_condition
     watched = None
@@ -161,14 +171,30 @@ def run(
     wanted = Path(next(iter(declared.files), declared.name)).stem
     rules = protection.rules(instruments, sampled.rate, experiment.twin, controller.estimate)
 
+    streamed = None
+    if stream is not None:
+        second = Path(tempfile.gettempdir() if spare is None else spare)
+        streamed = StreamedRows(experiment, controller, Path(stream), second, lockstep=lockstep, before=before)
+
+    def is_full() -> bool:
+        return streamed is not None and streamed.recorder.is_full
+
     def is_over() -> bool:
-        return keeper.is_over or (stop is not None and stop())
+        return keeper.is_over or is_full() or (stop is not None and stop())
+
+    def on_row(rows: Rows) -> None:
+        if streamed is not None:
+            streamed.put(rows, keeper.first + before, keeper.lasting)
 
     def made(ran: RigRun) -> Recording:
-        reason = keeper.reason if ran.reason in {STOPPED, FINISHED} and keeper.is_over else ran.reason
+        reason = FULL if ran.reason == STOPPED and is_full() else ran.reason
+        reason = keeper.reason if ran.reason in {STOPPED, FINISHED} and keeper.is_over else reason
         outcome = {"end": reason, "counters": dict(ran.counters), **({"note": ran.note} if ran.note else {})}
         outcome |= {"unwatched": list(rules.notes)} if rules.notes else {}
         outcome |= {} if ran.trip is None else {"trip": ran.trip.as_dict()}
+        outcome |= {"timing": timing(ran, lockstep=lockstep)}
+        if streamed is not None and streamed.recorder.note:
+            outcome |= {"recorder": {"ended": streamed.recorder.ended, "note": streamed.recorder.note}}
         return experiment.record_rig(keeper.rows(ran, experiment.every), lockstep=lockstep, outcome=outcome)
 
     ended: list[RigRun] = []
@@ -186,18 +212,26 @@ def run(
                 found, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND
             ),
             on_tick=None if progress is None else every(progress, before + after),
+            on_row=None if streamed is None else on_row,
             stop=is_over,
             emergency=emergency,
             estimate=controller.estimate,
             on_end=ended.append,
         )
     except BaseException:
-        if ended and keep is not None and keeper.is_released:
+        is_kept = bool(ended) and keep is not None and keeper.is_released
+        if streamed is not None:
+            streamed.end(keep=bool(ended and len(ended[0].index)))
+        if is_kept and keep is not None:
             keep(made(ended[0]))
         raise
+    if streamed is not None:
+        streamed.end(keep=keeper.is_released or ran.reason not in {INTERRUPTED, STOPPED})
     if not keeper.is_released:
         why = f" ({ran.trip})" if ran.trip else ""
-        raise MaskingError(f"the run was {ran.reason} during homing, before the release{why}; nothing was recorded")
+        is_kept = stream is not None and streams.is_in(stream)
+        what = streams.MEND.format(stream) if is_kept else "nothing was recorded"
+        raise MaskingError(f"the run was {ran.reason} during homing, before the release{why}; {what}")
     return made(ran)
 
 

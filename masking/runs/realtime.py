@@ -26,6 +26,7 @@ from masking.runs.stopping import FAILED, FINISHED, INTERRUPTED, LOST, STOPPED, 
 
 Step = Callable[[int, Array], Array]
 _LOOKED_AFTER = 0.05  # s between looks at what a plant puts out
+_LARGEST = 2**53  # a tick that a float holds
 _IDLE = 2  # looks in a row at which it may put out nothing although it is commanded to
 
 
@@ -42,6 +43,8 @@ class RigRun:
         applied: (m, actuators), what was written after the clamp.
         late: (m,), True where samples before this one were missed, or the tick began more than a period late.
         durations: (m,), seconds that the controller's step took.
+        lateness: (m,), seconds that ticks began late; on a plant's own clock, after a period since the one before.
+        work: (m,), seconds that the controller, the safety chain and the row of the record took together.
         reason: why it ended, one of `masking.runs.stopping.REASONS`.
         counters: ticks that were `late` and `clamped`, periods `missed`, and what the plant counted.
         note: what the machine did not permit, such as real-time priority; empty where there is nothing to say.
@@ -56,6 +59,8 @@ class RigRun:
     applied: Array
     late: NDArray[np.bool_]
     durations: Array
+    lateness: Array
+    work: Array
     reason: str
     counters: Mapping[str, int]
     note: str = ""
@@ -74,6 +79,7 @@ def run_rig(
     acknowledge: bool = False,
     accept: Callable[[Plant], None] | None = None,
     on_tick: Callable[[int], None] | None = None,
+    on_row: Callable[[Rows], None] | None = None,
     stop: Stop | None = None,
     emergency: Stop | None = None,
     estimate: Array | None = None,
@@ -94,6 +100,7 @@ def run_rig(
         acknowledge: why the plant tripped in the last run was looked at.
         accept: called with the configured plant before it is activated; raises what it refuses the plant with.
         on_tick: called with the row after each tick, within the tick's time.
+        on_row: called once for each row, with those that there are, as soon as its command was written.
         stop: looked at before each tick.
         emergency: likewise; the run then trips.
         estimate: what the controller knows of the rig's states, changed in place; for rules that need it.
@@ -114,12 +121,14 @@ def run_rig(
                 accept(plant)
             if not isinstance(limits, Rules):
                 limits = Rules.of_commands(limits, plant.sensors, plant.actuators, rate)
-            rows = _Rows(samples, plant, Chain(limits, estimate))
+            rows = Rows(samples, plant, Chain(limits, estimate), on_row)
             note = way_out.enter_context(undisturbed(priority=not lockstep))
             way_out.callback(plant.deactivate)  # first of all on the way out
             plant.activate()
             reason = _loop(step, plant, rows, settings, on_tick=on_tick, stop=stop, emergency=emergency, asked=asked)
     except BaseException as error:
+        if rows is not None:
+            rows.tell()
         if on_end is not None and rows is not None:
             on_end(rows.run(rate, _reason(error, rows), plant, note))
         raise
@@ -129,7 +138,7 @@ def run_rig(
     return run
 
 
-def _reason(error: BaseException, rows: _Rows) -> str:
+def _reason(error: BaseException, rows: Rows) -> str:
     """Return why a run ended in an error, and let the chain know."""
     tick, text = int(rows.index[max(0, rows.count - 1)]), f"{type(error).__name__}: {error}"
     if isinstance(error, PlantLostError):
@@ -175,7 +184,7 @@ def every(progress: Callable[[float], None], samples: int) -> Callable[[int], No
 def _loop(
     step: Step,
     plant: Plant,
-    rows: _Rows,
+    rows: Rows,
     settings: Settings,
     *,
     on_tick: Callable[[int], None] | None,
@@ -190,15 +199,14 @@ def _loop(
     counters = plant.counters if isinstance(plant, Counting) else {}
     ended, skipped = time.perf_counter(), 0
     for row in range(rows.samples):
-        if keeps_time and row:
-            deadlines.wait(asked)
+        lateness = deadlines.wait(asked) if keeps_time and row else 0.0 if settings.lockstep else None
         if asked():
             return INTERRUPTED
         if stop is not None and stop():
             return STOPPED
         sample = plant.read()
         began = time.perf_counter()
-        missed = rows.begin(sample.index, sample.values, began, deadlines.missed)
+        missed = rows.begin(sample.index, sample.values, began, deadlines.missed, lateness)
         is_late, silence = bool(rows.late[row]) and not settings.lockstep, (began - ended) * settings.rate
         before, skipped = skipped, counters.get("skipped", 0)  # they came, and waited for this process
         chain.time(
@@ -212,8 +220,12 @@ def _loop(
             chain.stop(Cause.ESTOP, sample.index)
         if chain.watch(sample.index, rows.sensors[row], missed) is None:
             _answer(step, plant, rows, sample.index, began)
-        plant.write(sample.index, rows.guarded(sample.index))
+        command = rows.guarded(sample.index)
+        answered = time.perf_counter()
+        plant.write(sample.index, command)
         ended = time.perf_counter()
+        rows.tell()
+        rows.work[row] = answered - began + (time.perf_counter() - ended)
         if taken is not None:
             taken.look(sample.index, rows.applied[row])
         if chain.trip is not None:
@@ -223,7 +235,7 @@ def _loop(
     return FINISHED
 
 
-def _answer(step: Step, plant: Plant, rows: _Rows, tick: int, began: float) -> None:
+def _answer(step: Step, plant: Plant, rows: Rows, tick: int, began: float) -> None:
     """Let the controller answer a tick; what it raises comes through once zero was written.
 
     Raises:
@@ -274,37 +286,52 @@ class _Taken:
 
 
 @final
-class _Rows:
+class Rows:
     """The rows of a run, made ahead and filled tick by tick.
 
     Args:
         samples: number of rows.
         plant: a configured plant.
         chain: of the run.
+        on_row: called with this once for each row.
     """
 
-    def __init__(self, samples: int, plant: Plant, chain: Chain) -> None:
+    def __init__(self, samples: int, plant: Plant, chain: Chain, on_row: Callable[[Rows], None] | None = None) -> None:
         if samples < 1:
             raise PlantMismatchError(f"samples is {samples}; give at least 1")
-        self.samples, self.count, self.chain = samples, 0, chain
-        self.missed = self.gaps = 0
+        self.samples, self.count, self.chain, self.rate = samples, 0, chain, chain.rules.rate
+        self.missed = self.gaps = self._told = 0
+        self._on_row = on_row
         # Filled, so that their pages are there before the first tick.
         self.wall, self.durations = np.full(samples, 0.0), np.full(samples, 0.0)
+        self.lateness, self.work = np.full(samples, 0.0), np.full(samples, 0.0)
         self.index, self.late = np.full(samples, 0, dtype=np.int64), np.full(samples, False)
         self.sensors = np.full((samples, len(plant.sensors)), 0.0)
         self.demanded = np.full((samples, len(plant.actuators)), 0.0)
         self.applied = np.full((samples, len(plant.actuators)), 0.0)
 
-    def begin(self, index: int, values: Array, wall: float, missed: int) -> int:
-        """Begin the next row with a sample: its values (sensors,), s of the wall clock, periods missed so far.
+    def begin(self, index: int, values: Array, wall: float, missed: int, lateness: float | None = None) -> int:
+        """Begin the next row with a sample.
+
+        Args:
+            index: tick of the plant's clock.
+            values: (sensors,).
+            wall: s of the wall clock.
+            missed: periods missed so far.
+            lateness: s that the tick began late, where it is this side that keeps the time.
 
         Returns:
             the samples that were missed before this one.
         """
         row = self.count
         self.count += 1
+        index = min(index, _LARGEST)
         self.wall[row], self.index[row], self.sensors[row] = wall, index, values
         gap = index - int(self.index[row - 1]) - 1 if row else 0
+        if lateness is not None:
+            self.lateness[row] = lateness
+        elif row:
+            self.lateness[row] = max(0.0, wall - self.wall[row - 1] - (gap + 1) / self.rate)
         self.late[row] = gap > 0 or missed > self.missed
         self.gaps += max(0, gap)
         self.missed = missed
@@ -329,6 +356,13 @@ class _Rows:
         applied[:] = self.chain.guard(tick, self.demanded[row])
         return applied
 
+    def tell(self) -> None:
+        """Let the last row be recorded, if it was not yet."""
+        if self._told < self.count:
+            self._told = self.count
+            if self._on_row is not None:
+                self._on_row(self)
+
     def run(self, rate: float, reason: str, plant: Plant, note: str) -> RigRun:
         """Return the rows that were begun; the applied command of one that was not completed is zero."""
         rows = slice(0, self.count)
@@ -343,6 +377,8 @@ class _Rows:
             applied=self.applied[rows],
             late=self.late[rows],
             durations=self.durations[rows],
+            lateness=self.lateness[rows],
+            work=self.work[rows],
             reason=reason,
             counters={**counted, **own, "clamped": self.chain.clamped},
             note=note,

@@ -28,6 +28,8 @@ INTERRUPTED: Final = "interrupted"
 LOST: Final = "plant lost"
 TRIPPED: Final = "tripped"
 FAILED: Final = "failed"
+FULL: Final = "disk full"
+KILLED: Final = "killed"
 REASONS: Final = {
     FINISHED: "its planned time has passed",
     SYNCHRONISED: "the two coordinates of its stop condition have synchronised",
@@ -36,6 +38,8 @@ REASONS: Final = {
     LOST: "the plant ended the session, or did not answer in time",
     TRIPPED: "the safety chain found a fault, which is under rig.trip",
     FAILED: "an error was raised",
+    FULL: "no place was left for the rows that go to disk during a run",
+    KILLED: "its process ended before it saved the recording, which was made of its stream",
 }
 _ROWS: Final = 2**15  # of the ideal motion, of which the period is taken
 

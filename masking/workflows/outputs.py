@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Final
 
 from masking.errors import RecordError
+from masking.records import stream
 from masking.records.recording import MANIFEST, TABLE
 
-RUN: Final = (TABLE, MANIFEST)  # what every run saves
+RUN: Final = (TABLE, MANIFEST, stream.MANIFEST)  # what every run saves, and what one that was killed leaves
 _MEND: Final = "name another folder with --out, or replace it with --overwrite (in Python, out= and overwrite=True)"
 
 
@@ -39,5 +40,7 @@ def check_folder(out: str | Path | None, *files: str, overwrite: bool = True) ->
     if not os.access(existing, os.W_OK):
         raise RecordError(f"{existing} may not be written; name another folder to save in")
     held = [name for name in files if (path / name).exists()]
+    if stream.MANIFEST in held and not overwrite:
+        raise RecordError(f"{path} holds the stream of a run that did not end in order; {stream.MEND.format(path)}")
     if held and not overwrite:
         raise RecordError(f"{path} holds an earlier result, {held[0]}; {_MEND}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from masking.records import stream
 from masking.records.recording import Recording
 from masking.reports import animation, html, run_report
 from masking.runs import error_budget
@@ -45,7 +46,7 @@ def run(
 
 
 def save(recording: Recording, folder: Path) -> run_report.Report:
-    """Save a recording with its report; an animation of an earlier run in the folder is removed.
+    """Save a recording with its report; an animation of an earlier run in the folder, and a stream, are removed.
 
     Args:
         recording: of a run.
@@ -56,6 +57,7 @@ def save(recording: Recording, folder: Path) -> run_report.Report:
     """
     recording.save(folder, overwrite=True)
     with html.writing(folder):
+        stream.remove(folder)
         (folder / animation.PAGE).unlink(missing_ok=True)
     return run_report.report(recording, folder)
 
