@@ -69,15 +69,15 @@ class _Reader:
         self.damages, self.first, self.tables = list[str](), list[int](), list[Array]()
         self.lost: list[tuple[str, int, int, int]] = []  # file, bytes, page, of what was changed
         self.end: Mapping[str, Any] | None = None
-        self.next, self.sequence, self.has_content = 0, 0, False
+        self.next, self.sequence, self.is_proven = 0, 0, False
         self.chain: bytes | None = None
 
     def read(self) -> Stream:
         """Return what there is."""
         self.chain = hash_of(self.content)
         self._part(self.folder / ROWS, 0)
-        if not self.has_content and self.tables:
-            self.damages.append(f"{MANIFEST} may have been changed: its copy was")
+        if not self.is_proven and self.tables:
+            self.damages.append(f"{MANIFEST} may have been changed, and its copy in {ROWS} was")
         for number, path in enumerate(parts(self.folder, self.content)[1:], 1):
             if path.exists():
                 self._part(path, number)
@@ -109,7 +109,7 @@ class _Reader:
                     fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
                 with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as memory:
                     self._head(path, memory, number)
-                    for page in pages_of(memory, PART_HEAD, None):
+                    for page in pages_of(memory, PART_HEAD, self.chain):
                         self._take(path, page)
                     self._tell(None)
         except FileNotFoundError:
@@ -124,7 +124,9 @@ class _Reader:
         start = memory[PART_HEAD - CHAIN : PART_HEAD]
         if memory[: PART_HEAD - CHAIN] != part_head(number, start)[:-CHAIN]:
             self.damages.append(f"{path.name}: its first {PART_HEAD} bytes were changed")
-        elif start != self.chain and number > 0:
+        elif number == 0:
+            self.is_proven = start == self.chain
+        elif start != self.chain:
             self.damages.append(f"{path.name}: pages before this part are missing")
 
     def _take(self, path: Path, page: Page) -> None:
@@ -135,7 +137,7 @@ class _Reader:
         self._tell(page)
         self.sequence, self.chain = page.sequence + 1, page.chain
         if page.kind == CONTENT:
-            self.has_content = True
+            self.is_proven = True
             if page.payload != self.content:
                 self.content = page.payload
                 self.damages.append(f"{MANIFEST} was changed or is missing; its copy in {path.name} was used")

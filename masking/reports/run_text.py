@@ -264,9 +264,7 @@ def summary(facts: Study) -> str:
     if external(facts):
         rows.append(("external", external(facts)))
     if manifest.get("rig"):
-        rows.append(("rig", ticks(manifest)))
-        if manifest["rig"].get("timing"):
-            rows.append(("loop", loop_times(manifest)))
+        rows += [("rig", ticks(manifest)), *loop_times(manifest)]
     energy = manifest.get("energy") or {}
     if "virtual" in energy:
         rows.append(("energy", f"drift of the virtual system {number(energy['virtual'])}"))
@@ -324,17 +322,16 @@ def ticks(manifest: Mapping[str, Any]) -> str:
     return f"{', '.join(parts)}; its motion is {manifest.get('states') or 'measured'}"
 
 
-def loop_times(manifest: Mapping[str, Any]) -> str:
-    """Say how long the ticks of a run on a plant took, and how late they began."""
-    times = manifest["rig"]["timing"]
+def loop_times(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Say how long the ticks of a run on a plant took, and how late they began: one line, or none."""
+    times = manifest["rig"].get("timing") or {}
 
     def words(one: Mapping[str, Any]) -> str:
         return f"{number(1e6 * one['median'], 2)}/{number(1e6 * one['p99'], 2)}/{number(1e6 * one['max'], 2)} us"
 
-    parts = [f"controller, safety and row {words(times['work'])}"] if "work" in times else []
-    parts += [f"late {words(times['lateness'])} (median/p99/worst)"] if "lateness" in times else []
-    worst = times.get("lateness") or times["controller"]
-    return f"{', '.join(parts)}, worst at tick {worst['at']}"
+    what = {"work": "controller, safety and row", "lateness": "late"}
+    parts = [f"{name} {words(times[key])} at tick {times[key]['at']}" for key, name in what.items() if key in times]
+    return [("loop", f"median/p99/worst: {', '.join(parts)}")] if parts else []
 
 
 def use_words(use: InputUse) -> str:

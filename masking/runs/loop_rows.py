@@ -135,7 +135,7 @@ class StreamedRows:
         spare: Path,
         **more: Any,  # noqa: ANN401
     ) -> None:
-        self.layout, self._controller, self._folder = RowLayout(experiment), controller, folder
+        self.layout, self._folder = RowLayout(experiment), folder
         declaration = experiment.declaration
         content = manifest.content(experiment.assembly, experiment.virtual, more)
         files = experiment.assembly.plant.files
@@ -146,7 +146,18 @@ class StreamedRows:
         content = {name: value for name, value in content.items() if name not in {"rate", "format"}}
         self.recorder = Recorder(folder, self.layout.columns, controller.rate, spare, **content)
         self._row = np.zeros(len(self.layout.columns))
-        self._parts = {name: self._row[place] for name, place in self.layout.slices.items()}
+        sizes, state = controller.sampled.sizes, controller.state
+        known = {
+            "demanded": controller.demanded,
+            "power": controller.power,
+            "estimate": controller.estimate,
+            "disturbance": state[sizes.states : sizes.states + sizes.coordinates] if sizes.order else None,
+        }
+        parts = {name: self._row[place].data for name, place in self.layout.slices.items()}
+        # Memory to memory; measured: a third of the time of arrays.
+        self._known = [(parts[name], source.data) for name, source in known.items() if source is not None]
+        self._loop, self._sensors, self._applied = (parts[name] for name in ("loop", "sensor", "input"))
+        self._lasting = self._row[self.layout.slices["lasting"]]
 
     def put(self, rows: Rows, first: int, lasting: Array) -> None:
         """Record the last row of a loop.
@@ -156,18 +167,16 @@ class StreamedRows:
             first: tick of the release.
             lasting: of pushes at the release (1, pushes).
         """
-        k, parts, controller = rows.count - 1, self._parts, self._controller
-        tick, taken = int(rows.index[k]), rows.durations[k]
-        is_answered, wall = taken > 0.0, rows.wall[k] - rows.wall[0]
-        parts["loop"][:] = tick, tick - first, wall, rows.late[k], rows.lateness[k], taken, is_answered
-        parts["sensor"][:], parts["input"][:] = rows.sensors[k], rows.applied[k]
-        if is_answered:
-            parts["demanded"][:], parts["power"][:] = controller.demanded, controller.power
-            parts["estimate"][:] = controller.estimate
-            sizes = controller.sampled.sizes
-            if sizes.order:
-                parts["disturbance"][:] = controller.state[sizes.states : sizes.states + sizes.coordinates]
-            parts["lasting"][:] = lasting[0]
+        k, loop = rows.count - 1, self._loop
+        tick, taken = rows.index.item(k), rows.durations.item(k)
+        loop[0], loop[1], loop[2] = tick, tick - first, rows.wall.item(k) - rows.wall.item(0)
+        loop[3], loop[4], loop[5], loop[6] = rows.late.item(k), rows.lateness.item(k), taken, taken > 0.0
+        self._sensors[:], self._applied[:] = rows.sensors[k].data, rows.applied[k].data
+        if taken > 0.0:
+            for target, source in self._known:
+                target[:] = source
+            if len(self._lasting):
+                self._lasting[:] = lasting[0]
         self.recorder.ring.put(self._row)
 
     def end(self, *, keep: bool) -> None:
