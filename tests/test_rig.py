@@ -25,7 +25,7 @@ from test_sampled import LENGTH, OMEGA, ideal, relative
 
 from masking import cli
 from masking.declaration import catalogue, registry
-from masking.errors import MaskingError, ModelError, PlantLostError, PlantMismatchError, PlantRefusedError
+from masking.errors import MaskingError, ModelError, PlantLostError, PlantMismatchError, PlantRefusedError, RecordError
 from masking.plants import wire
 from masking.plants.interface import Settings
 from masking.plants.simulated import SimulatedPlant
@@ -35,6 +35,7 @@ from masking.records.recording import Recording
 from masking.rig.twin import Twin
 from masking.runs import hardware
 from masking.runs.experiment import Experiment
+from masking.workflows.recover import recover
 
 RATE = 1000.0
 WATCHDOG = 20  # samples
@@ -518,7 +519,28 @@ def test_a_controller_that_is_killed_leaves_the_rig_at_zero(tmp_path, seconds):
     assert own.manifest["latch"] == {"cause": "no valid command for 20 ms", "tick": last + WATCHDOG}
     assert own.manifest["end"] == "no valid command for 20 ms"
     assert "session ended: no valid command for 20 ms" in cut.told
-    assert not cut.saved.exists()
+    # What it had seen and written is there up to the last tick, but for one whose command was just on its way.
+    found = recovered(cut.saved)
+    ticks = Recording.load(cut.saved / "ticks")
+    assert (found.missing, found.damages) == (0, ())
+    assert last - 1 <= ticks["tick"][-1] <= last + 1
+    seen = ticks["tick"].astype(int)
+    seen = seen[seen < min(last, len(own.t) - 1)]
+    for name in ("s1", "s2", "s3"):
+        assert np.array_equal(ticks[f"sensor.{name}"][: len(seen)], own[f"sensor.{name}"][seen])
+    assert (found.recording is None) == (ticks["index"][-1] < 0)
+
+
+def recovered(folder: Path):
+    """Recover a run once its recorder has ended."""
+    until = time.monotonic() + 10.0
+    while True:
+        try:
+            return recover(folder)
+        except RecordError as error:
+            assert "is being recorded" in str(error)
+            assert time.monotonic() < until
+            time.sleep(0.05)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])

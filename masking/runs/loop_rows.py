@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
@@ -180,7 +181,9 @@ class StreamedRows:
         self.recorder.ring.put(self._row)
 
     def end(self, *, keep: bool) -> None:
-        """Record the last rows; remove the stream where it is not to be kept."""
+        """Record the last rows; remove the stream where it is not kept, and its folder if nothing else is there."""
         self.recorder.close()
         if not keep:
             stream.remove(self._folder)
+            with contextlib.suppress(OSError):
+                self._folder.rmdir()

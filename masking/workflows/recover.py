@@ -38,7 +38,7 @@ class Recovered:
         rows: ticks that are there, the homing included.
         homing: how many of them are in the homing.
         seconds: from the first to the last.
-        missing: rows between them that are not there.
+        missing: rows before the end of the stream that are not there.
         end: why the stream ends.
         damages: what in it was changed or is missing, a sentence each.
         recording: that of the run since the release; None where there is none.
@@ -59,7 +59,7 @@ class Recovered:
         parts = [
             f"{self.rows} ticks, {self.seconds:.3f} s, of which {self.homing} in the homing: {self.folder / TICKS}"
         ]
-        parts.append(f"{self.missing} between them are missing" if self.missing else "none between them is missing")
+        parts.append(f"{self.missing} ticks are missing" if self.missing else "no tick is missing")
         parts += [self.end, *self.damages]
         parts.append(self.why or f"the run since the release, {len(self.recording or ())} samples: {self.folder}")
         return "\n".join(parts)
@@ -95,7 +95,7 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
         raise RecordError(f"{folder}: the run ended before its first tick; remove {stream.MANIFEST} and {stream.ROWS}")
     names, rate = list(found.manifest["columns"]), float(found.manifest["rate"])
     column = dict(zip(names, table.T, strict=True))
-    missing = int(numbers[-1]) + 1 - len(numbers)
+    missing = max(int(numbers[-1]) + 1, int((found.end or {}).get("rows", 0))) - len(numbers)
     end = _end(found)
     lost = {"missing": missing, "end": end, "damages": list(found.damages)}
     _ticks(found, column, rate, lost).save(target / TICKS, overwrite=True)
