@@ -256,8 +256,8 @@ def test_overruns_are_counted_exactly_and_not_made_up_for(monkeypatch):
         begins.append(clock.now)
         missed.append(deadlines.missed)
         clock.now += round(1e6 * stalls.get(tick, 0.05))
-    # A stall of n periods and a part leaves out n of them, and the next tick begins on the grid; less than a period late
-    # none is left out, and the next tick begins at once.
+    # A stall of n periods and a part leaves out n of them, and the next tick begins on the grid. Less than a period
+    # late none is left out, and the next tick begins at once.
     expected = {tick + 1: int(ms) for tick, ms in stalls.items() if ms > 2.0}
     assert {k: b - a for k, (a, b) in enumerate(itertools.pairwise(missed), 1) if b > a} == expected
     assert np.diff(begins).min() > 0.3e6

@@ -546,6 +546,7 @@ def recovered(folder: Path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 def test_a_controller_that_is_told_to_stop_leaves_the_rig_at_zero_and_keeps_its_record(tmp_path, number):
     cut = cut_short(tmp_path, 1.8, number)
+    assert cut.err == "masking: interrupted: SIGINT, SIGTERM or SIGHUP came; the record ends there\n"
     own, found = cut.own, Recording.load(cut.saved)
     assert cut.status == 1
     assert cut.err == "masking: interrupted: SIGINT, SIGTERM or SIGHUP came; the record ends there\n"

@@ -21,6 +21,7 @@ VERBS = (
         "export",
         "identify",
         "measure",
+        "recover",
         "refine",
         "report",
     ),
