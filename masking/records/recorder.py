@@ -2,7 +2,7 @@
 
     python -m masking.records.recorder RING FOLDER
 
-It outlives the loop: of a process that was killed it takes what is left in the ring. The loop never waits for it, and a
+It outlives the loop: of a process that was killed it takes the rest from the ring. The loop never waits for it, and a
 recorder that was killed itself is replaced by another one, which goes on in the same stream.
 """
 
