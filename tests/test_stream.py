@@ -1,6 +1,7 @@
 """A stream: what is cut is an exact prefix, what is changed is found, a full disk loses nothing promised."""
 
 import contextlib
+import errno
 import itertools
 import json
 import os
@@ -129,6 +130,27 @@ def test_a_writer_goes_on_behind_the_last_whole_page(tmp_path):
     found = stream_content.read(tmp_path)
     np.testing.assert_array_equal(found.table, TABLE)
     assert found.damages == ()
+
+
+def test_where_bringing_to_disk_fails_the_second_place_goes_on(tmp_path, monkeypatch):
+    writer = begun(tmp_path / "run", tmp_path / "spare")
+    add(writer, 100)
+
+    def fails(_):
+        raise OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(stream.os, "fdatasync", fails)
+        writer.sync()
+    add(writer, 400, seed=1)
+    writer.end({"why": "closed"})
+    found = stream_content.read(tmp_path / "run")
+    np.testing.assert_array_equal(found.table, TABLE)
+    assert (found.damages, writer.moved) == ((), 1)
+    spare = next((tmp_path / "spare").iterdir())
+    spare.write_bytes(spare.read_bytes()[:-30])
+    cut = stream_content.read(tmp_path / "run")
+    assert (len(cut.table), cut.damages, cut.end) == (400, (), None)
 
 
 def test_a_second_writer_and_a_reader_are_told_to_wait(tmp_path):

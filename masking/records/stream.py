@@ -154,9 +154,20 @@ class StreamWriter:
         self.close()
 
     def sync(self) -> None:
-        """Bring what was added to disk."""
-        if self._file is not None and hasattr(os, "fdatasync"):
+        """Bring what was added to disk; where that fails, the next part follows.
+
+        Raises:
+            NoSpaceError: no part can be written any more.
+        """
+        if self._file is None or not hasattr(os, "fdatasync"):
+            return
+        try:
             os.fdatasync(self._file)
+        except OSError as error:
+            if error.errno not in _FULL:
+                raise
+            self.moved += 1
+            self._open()
 
     def close(self) -> None:
         """Close it as it is."""

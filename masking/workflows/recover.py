@@ -98,7 +98,7 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
     missing = max(int(numbers[-1]) + 1, int((found.end or {}).get("rows", 0))) - len(numbers)
     end = _end(found)
     lost = {"missing": missing, "end": end, "damages": list(found.damages)}
-    _ticks(found, column, rate, lost).save(target / TICKS, overwrite=True)
+    _ticks(found, column, numbers / rate, lost).save(target / TICKS, overwrite=True)
     recording, why = _run(found, table, column, lost)
     if recording is not None:
         recording.save(target, overwrite=True)
@@ -150,9 +150,13 @@ def _remove_ring(found: Stream) -> None:
             reader.path.unlink(missing_ok=True)
 
 
-def _ticks(found: Stream, column: Mapping[str, Array], rate: float, lost: Mapping[str, Any]) -> Recording:
-    """Return the rows as they were; what is not finite is 0 there, and 1 in `nonfinite.<column>`."""
-    columns = {"t": column["tick"] / rate}
+def _ticks(found: Stream, column: Mapping[str, Array], times: Array, lost: Mapping[str, Any]) -> Recording:
+    """Return the rows as they were; what is not finite is 0 there, and 1 in `nonfinite.<column>`.
+
+    Where the plant's clock did not go on from each to the next, they are as far apart as they should be, at `times`.
+    """
+    rate = float(found.manifest["rate"])
+    columns = {"t": column["tick"] / rate if np.all(np.diff(column["tick"]) > 0.0) else times}
     for name, values in column.items():
         finite = np.isfinite(values)
         columns[name] = np.where(finite, values, 0.0)
