@@ -20,7 +20,7 @@ from masking.plants.interface import Sample
 from masking.plants.simulated import SimulatedPlant
 from masking.records import recorder, stream
 from masking.records.recording import Recording
-from masking.runs import hardware
+from masking.runs import hardware, loop_rows
 from masking.runs.experiment import Experiment
 from masking.runs.loop_rows import StreamedRows
 from masking.runs.timing import histogram
@@ -172,6 +172,27 @@ def test_full_disks_end_the_run_in_order(experiment, tmp_path, monkeypatch):
     left = recover(folder)
     assert 0 < left.rows < len(found) + 201
     assert left.end.startswith("it is cut off")
+
+
+def test_a_recorder_that_is_killed_in_a_run_is_replaced_and_counted(experiment, tmp_path, monkeypatch):
+    made = []
+
+    def started(*given, **more):
+        made.append(recorder.Recorder(*given, **more))
+        return made[0]
+
+    monkeypatch.setattr(loop_rows, "Recorder", started)
+
+    def kill(part):
+        if 0.5 <= part < 0.51:
+            os.kill(made[0].process, signal.SIGKILL)
+
+    folder = tmp_path / "run"
+    expected = hardware.run(experiment, SimulatedPlant(experiment.twin), progress=kill, stream=folder)
+    assert expected.manifest["rig"]["recorder"] == {"ended": 1, "note": "1 recorder was killed and replaced"}
+    found = recover(folder)
+    assert same(found.recording, expected)
+    assert (found.missing, found.damages) == (0, ())
 
 
 RUN = """

@@ -145,9 +145,10 @@ class Recorder:
         """Say what did not go as it should; empty where all did."""
         if self.is_full:
             return "no place was left for the stream of the run: it was stopped"
+        many = f"{self.ended} recorders were" if self.ended != 1 else "1 recorder was"
         if self.is_lost:
-            return f"{self.ended} recorders were killed, and no other was started: what followed was not streamed"
-        return f"{self.ended} recorders were killed and replaced" if self.ended else ""
+            return f"{many} killed, and no other was started: what followed was not streamed"
+        return f"{many} killed and replaced" if self.ended else ""
 
     def close(self) -> None:
         """Let the recorder take the last rows and end the stream; wait for it."""
