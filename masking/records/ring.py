@@ -30,7 +30,14 @@ MAGIC: Final = int.from_bytes(b"MASKRING", "little")
 ROWS: Final = 1 << 14
 _HEAD: Final = 7  # integers before the text
 _MAGIC, _ROWS, _WIDTH, _TEXT, _PROCESS, _COUNT, _CLOSED = range(_HEAD)
-_MEMORY: Final = Path("/dev/shm")  # noqa: S108  (files that are in memory alone; the name is a random one, mode 0600)
+_SHARED: Final = Path("/dev/shm")  # noqa: S108  (files that are in memory alone; the names are random ones, mode 0600)
+MEMORY: Final = _SHARED if os.access(_SHARED, os.W_OK) else Path(tempfile.gettempdir())
+
+
+def shared_file(ending: str) -> tuple[int, Path]:
+    """Make an empty file in memory that processes of the same user share; return its descriptor and its path."""
+    handle, name = tempfile.mkstemp(prefix="masking-", suffix=ending, dir=MEMORY)
+    return handle, Path(name)
 
 
 def _sizes(memory: mmap.mmap) -> np.ndarray:
@@ -69,9 +76,7 @@ class Ring:
         text = json.dumps(facts).encode()
         text += b" " * (-len(text) % 8)
         rows = 1 << max(rows - 1, 1).bit_length()
-        folder = _MEMORY if os.access(_MEMORY, os.W_OK) else None
-        handle, name = tempfile.mkstemp(prefix="masking-", suffix=".ring", dir=folder)
-        self.path = Path(name)
+        handle, self.path = shared_file(".ring")
         with os.fdopen(handle, "r+b") as file:
             file.truncate(8 * (_HEAD + rows * len(columns)) + len(text))
             self._memory = mmap.mmap(file.fileno(), 0)
