@@ -29,7 +29,7 @@ from masking.records.switch import Switch, is_running
 from masking.reports.html import prose
 
 WINDOW: Final = 12.0  # s that the traces show
-BINS: Final = 600  # points of a trace: the smallest and largest number of as many rows
+BINS: Final = 600  # points of a trace: the smallest and largest number of a few rows
 _RECENT: Final = 1.0  # s in which the largest value counts as the present one
 _SILENT: Final = 0.5  # s without a row, after which a loop counts as silent
 _DECADES, _PARTS = (-6, -2), 20  # of durations: powers of ten of a second, and bins in each
@@ -241,7 +241,7 @@ class Monitor:
 
 @final
 class _Bins:
-    """The smallest and largest numbers of each so many rows, the last `BINS` of them.
+    """The smallest and largest numbers of each few rows, the last `BINS` of them.
 
     Args:
         every: rows of a bin; row n is in bin n // every.
