@@ -1,4 +1,4 @@
-"""Verbs of `masking rig`: check, serve, run, calibrate."""
+"""Verbs of `masking rig`: check, serve, run, stop, calibrate."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 
 from masking.cli.options import NAMED, Verb, add_json, add_out, add_verb, answer, prepare
 from masking.cli.progress import INTERRUPTED, Bar
+from masking.errors import MaskingError
 
 if TYPE_CHECKING:
     from masking.plants.authentication import Key
     from masking.records.recording import Recording
+    from masking.runs.operator import Operator
 
 SUCH = "such as udp://127.0.0.1:5005, serial:///dev/ttyACM0, mujoco:rig.xml or fmu:rig.fmu"
 
@@ -98,7 +100,23 @@ def _add_run(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--self-test", action="store_true", help=text)
     text = "folder for the rest of the rows where that of the results is full (default: that for temporary files)"
     sub.add_argument("--spare", metavar="DIR", help=text)
+    _add_operator(sub)
     add_out(sub, "results/EXPERIMENT_rig")
+
+
+def _add_operator(sub: argparse.ArgumentParser) -> None:
+    text = "show the run on a page on this machine, which can stop it, at this port (default: a free one)"
+    sub.add_argument("--page", metavar="PORT", type=int, nargs="?", const=0, help=text)
+    sub.add_argument(
+        "--stream", metavar="HOST:PORT", help="send the rows there as JSON over UDP, as PlotJuggler takes them"
+    )
+    text = "with --page: the run waits until the page is open, and trips where it is not heard of for 2 s"
+    sub.add_argument("--attended", action="store_true", help=text)
+    sub.add_argument("--stop-file", metavar="FILE", help="the run trips as soon as there is this file")
+
+
+def _add_stop(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
 
 
 def _add_calibrate(sub: argparse.ArgumentParser) -> None:
@@ -190,7 +208,7 @@ def _run(chosen: argparse.Namespace) -> int:
         answer(chosen.json, content, f"{written.summary}\nreport: {written.path}")
 
     try:
-        with Bar("running") as bar:
+        with Bar("running") as bar, _operator(chosen, bar) as operator:
             plant = connect_each(chosen.plant, tuple(made.declaration.plants), _key(chosen))
             if chosen.self_test:
                 found = self_test(
@@ -199,9 +217,10 @@ def _run(chosen: argparse.Namespace) -> int:
                 found.check()
             recording = hardware.run(
                 made, plant, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge, progress=bar, keep=keep,
-                stream=out, spare=chosen.spare,
+                stream=out, spare=chosen.spare, operator=operator,
             )  # fmt: skip
         keep(recording)
+        operator.wait()
     finally:
         if stream.is_in(out):
             print(f"masking: {out} holds what was recorded; {stream.MEND.format(out)}", file=sys.stderr)
@@ -215,6 +234,37 @@ def _run(chosen: argparse.Namespace) -> int:
         why = trip["sentence"] if trip else stopping.REASONS[end]
         print(f"masking: {end}: {why}; the record ends there", file=sys.stderr)
     return int(not is_planned)
+
+
+def _operator(chosen: argparse.Namespace, bar: Bar) -> Operator:
+    """Return who looks at the run."""
+    from masking.runs.operator import Operator
+    from masking.workflows.operator import Attendant, attend
+
+    if chosen.attended and chosen.page is None:
+        raise MaskingError("--attended needs somebody who looks: add --page")
+
+    def begin(ring: Path, switch: Path) -> Attendant:
+        found = attend(ring, switch, chosen.page, chosen.stream)
+        if found.page:
+            bar.say(f"operator's page: {found.page}")
+        return found
+
+    is_shown = chosen.page is not None or chosen.stream is not None
+    return Operator(begin if is_shown else None, is_attended=chosen.attended, stop_file=chosen.stop_file)
+
+
+def _stop(chosen: argparse.Namespace) -> int:
+    """Press the emergency stop of every run on this machine that this user started; exit status 1 if there is none."""
+    from masking.records.switch import Presser, switches
+
+    stopped = []
+    for switch in switches():
+        switch.press(Presser.COMMAND_LINE)
+        stopped.append(switch.process)
+    text = f"stopped: {', '.join(f'process {one}' for one in stopped)}" if stopped else "no run to stop"
+    answer(chosen.json, {"stopped": stopped}, text)
+    return int(not stopped)
 
 
 def _calibrate(chosen: argparse.Namespace) -> int:
@@ -251,6 +301,7 @@ _OF_RIG = (
     Verb("check", _add_check, _check),
     Verb("serve", _add_serve, _serve),
     Verb("run", _add_run, _run),
+    Verb("stop", _add_stop, _stop),
     Verb("calibrate", _add_calibrate, _calibrate),
 )
 VERBS = (Verb("rig", _add_rig),)

@@ -54,6 +54,7 @@ class Cause(IntEnum):
     PLANT_ERROR = 15
     ESTOP = 16
     COMMANDS_NOT_TAKEN = 17
+    UNATTENDED = 18
 
 
 _SAID: Final = {
@@ -102,10 +103,14 @@ _SAID: Final = {
     ),
     Cause.PLANT_LOST: "the plant is lost; look at its power, its cable and its own record",
     Cause.PLANT_ERROR: "the plant failed; its error is in the record",
-    Cause.ESTOP: "the emergency stop was pressed; release it once the rig is safe",
+    Cause.ESTOP: "the emergency stop was pressed {channel}; release it once the rig is safe",
     Cause.COMMANDS_NOT_TAKEN: (
         "the plant puts out nothing on {channel} although {value:.4g} is commanded; "
         "look at what passes commands on to it"
+    ),
+    Cause.UNATTENDED: (
+        "the operator's page was not heard of for {value:.1f} s, where {limit:.0f} s are borne; "
+        "keep it open and visible, or run without --attended"
     ),
 }
 
@@ -116,7 +121,7 @@ class Trip:
 
     Args:
         cause: why.
-        channel: the sensor, actuator or limited expression; empty where there is none.
+        channel: the sensor, actuator or limited expression, or how an emergency stop was pressed; empty for none.
         tick: of the plant's clock.
         value: that was found, in the channel's unit.
         limit: that it passed, likewise.
@@ -131,7 +136,7 @@ class Trip:
     detail: str = ""
 
     def __str__(self) -> str:
-        said = _SAID[self.cause].format(channel=self.channel, value=self.value, limit=self.limit)
+        said = _SAID[self.cause].format(channel=self.channel, value=self.value, limit=self.limit).replace(" ;", ";")
         return f"tick {self.tick}: {self.cause.name}: {said}"
 
     def as_dict(self) -> dict[str, Any]:

@@ -31,6 +31,7 @@ from masking.runs import protection
 from masking.runs.experiment import Experiment
 from masking.runs.loop_rows import StreamedRows, samples_after
 from masking.runs.offline import TwinRun
+from masking.runs.operator import Operator
 from masking.runs.realtime import RigRun, Rows, check_channels, every, run_rig
 from masking.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED
 from masking.runs.timing import timing
@@ -128,6 +129,7 @@ def run(
     keep: Callable[[Recording], None] | None = None,
     stream: str | Path | None = None,
     spare: str | Path | None = None,
+    operator: Operator | None = None,
 ) -> Recording:
     """Run an experiment on a plant, from rest through the homing phase to the end.
 
@@ -147,6 +149,7 @@ def run(
         stream: folder to which each row goes while the run goes on, the homing included; once the recording is saved,
             `masking.records.stream.remove` takes them away. By default nothing is written.
         spare: folder for the rest of the stream where its own is full; by default that for temporary files.
+        operator: who looks at the run, and may stop it.
 
     Returns:
         what the controller saw and did since the release; the rig's states are estimates.
@@ -182,14 +185,12 @@ def run(
     def is_over() -> bool:
         return keeper.is_over or is_full() or (stop is not None and stop())
 
-    def on_row(rows: Rows) -> None:
-        if streamed is not None:
-            streamed.put(rows, keeper.first + before, keeper.lasting)
-
     def made(ran: RigRun) -> Recording:
-        reason = FULL if ran.reason == STOPPED and is_full() else ran.reason
-        reason = keeper.reason if ran.reason in {STOPPED, FINISHED} and keeper.is_over else reason
-        outcome = {"end": reason, "counters": dict(ran.counters), **({"note": ran.note} if ran.note else {})}
+        outcome = {
+            "end": keeper.end(ran.reason, is_full=is_full()),
+            "counters": dict(ran.counters),
+            **({"note": ran.note} if ran.note else {}),
+        }
         outcome |= {"unwatched": list(rules.notes)} if rules.notes else {}
         outcome |= {} if ran.trip is None else {"trip": ran.trip.as_dict()}
         outcome |= {"timing": timing(ran, lockstep=lockstep)}
@@ -197,8 +198,15 @@ def run(
             outcome |= {"recorder": {"ended": streamed.recorder.ended, "note": streamed.recorder.note}}
         return experiment.record_rig(keeper.rows(ran, experiment.every), lockstep=lockstep, outcome=outcome)
 
+    def on_end(ran: RigRun) -> None:
+        ended.append(ran)
+        if operator is not None:
+            operator.end(keeper.end(ran.reason, is_full=is_full()), ran.trip)
+
     ended: list[RigRun] = []
     try:
+        if operator is not None:
+            operator.begin(experiment, controller, rules)
         ran = run_rig(
             keeper.step,
             plant,
@@ -212,11 +220,12 @@ def run(
                 found, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND
             ),
             on_tick=None if progress is None else every(progress, before + after),
-            on_row=None if streamed is None else on_row,
+            on_row=_taking(keeper, streamed, operator),
             stop=is_over,
             emergency=emergency,
+            look=None if operator is None else operator.look,
             estimate=controller.estimate,
-            on_end=ended.append,
+            on_end=on_end,
         )
     except BaseException:
         is_kept = bool(ended) and keep is not None and keeper.is_released
@@ -233,6 +242,19 @@ def run(
         what = streams.MEND.format(stream) if is_kept else "nothing was recorded"
         raise MaskingError(f"the run was {ran.reason} during homing, before the release{why}; {what}")
     return made(ran)
+
+
+def _taking(keeper: _Keeper, streamed: StreamedRows | None, operator: Operator | None) -> Callable[[Rows], None]:
+    """Return what passes the last row of a loop on to who takes it."""
+
+    def take(rows: Rows) -> None:
+        release = keeper.first + keeper.before
+        if streamed is not None:
+            streamed.put(rows, release, keeper.lasting)
+        if operator is not None:
+            operator.put(rows, release)
+
+    return take
 
 
 def _check(experiment: Experiment) -> None:
@@ -334,6 +356,12 @@ class _Keeper:
     def reason(self) -> str:
         """Return why a run that has ended as planned has."""
         return SYNCHRONISED if self.watched is not None and self.watched.watch.is_synchronised else FINISHED
+
+    def end(self, reason: str, *, is_full: bool) -> str:
+        """Return why the run ended, from why its loop did."""
+        if reason in {STOPPED, FINISHED} and self.is_over:
+            return self.reason
+        return FULL if reason == STOPPED and is_full else reason
 
     def step(self, tick: int, readings: Array) -> Array:
         """Return the commands (actuators,) that answer the readings (sensors,) of a tick of the plant."""

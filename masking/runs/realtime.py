@@ -82,6 +82,7 @@ def run_rig(
     on_row: Callable[[Rows], None] | None = None,
     stop: Stop | None = None,
     emergency: Stop | None = None,
+    look: Callable[[Chain, int], None] | None = None,
     estimate: Array | None = None,
     on_end: Callable[[RigRun], None] | None = None,
 ) -> RigRun:
@@ -103,6 +104,7 @@ def run_rig(
         on_row: called once for each row, with those that there are, as soon as its command was written.
         stop: looked at before each tick.
         emergency: likewise; the run then trips.
+        look: called with the safety chain, which it may stop, and the tick of each sample.
         estimate: what the controller knows of the rig's states, changed in place; for rules that need it.
         on_end: called with what was recorded once the plant is at zero, also before an error is raised.
 
@@ -125,7 +127,8 @@ def run_rig(
             note = way_out.enter_context(undisturbed(priority=not lockstep))
             way_out.callback(plant.deactivate)  # first of all on the way out
             plant.activate()
-            reason = _loop(step, plant, rows, settings, on_tick=on_tick, stop=stop, emergency=emergency, asked=asked)
+            reason = _loop(step, plant, rows, settings, on_tick=on_tick, stop=stop, emergency=emergency, look=look,
+                           asked=asked)  # fmt: skip
     except BaseException as error:
         if rows is not None:
             rows.tell()
@@ -190,6 +193,7 @@ def _loop(
     on_tick: Callable[[int], None] | None,
     stop: Stop | None,
     emergency: Stop | None,
+    look: Callable[[Chain, int], None] | None,
     asked: Stop,
 ) -> str:
     """Run tick after tick; return why it ended."""
@@ -218,6 +222,8 @@ def _loop(
         )
         if emergency is not None and emergency():
             chain.stop(Cause.ESTOP, sample.index)
+        if look is not None:
+            look(chain, sample.index)
         if chain.watch(sample.index, rows.sensors[row], missed) is None:
             _answer(step, plant, rows, sample.index, began)
         command = rows.guarded(sample.index)

@@ -1,0 +1,226 @@
+"""Operator of a run: what lets somebody who looks at it stop it, and the rows that are shown.
+
+Nothing here waits for anybody: rows go to a `Ring`, and the `Switch` is a number in memory.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self, final
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.control.step import SampledStep
+from masking.errors import MaskingError
+from masking.numerics.sizes import LARGEST, POWER
+from masking.plants.safety import Cause, Chain, Rules, Trip
+from masking.records.ring import Ring
+from masking.records.switch import Presser, Switch
+from masking.runs.experiment import Experiment
+from masking.runs.realtime import Rows
+
+if TYPE_CHECKING:
+    from masking.numerics import safety
+else:
+    safety = lazy.load("masking.numerics.safety", suppress_warning=True)
+
+ABSENCE: Final = 2.0  # s without the page, which an attended run bears
+_FILE: Final = 10_000_000  # ns between looks at the file that stops a run
+_KEPT: Final = 16.0  # s of rows
+_BY: Final = {Presser.PAGE: "on the page", Presser.COMMAND_LINE: "from the command line"}
+
+
+class Attendant(Protocol):
+    """What shows the rows of a run."""
+
+    def wait(self) -> None:
+        """Wait until a trip is acknowledged, or nobody looks any more."""
+
+
+Attend = Callable[[Path, Path], Attendant]
+
+
+@final
+class Operator:
+    """Whoever looks at a run, as a context: `masking rig stop` finds its switch while inside.
+
+    Args:
+        attend: called with the files of the ring and the switch once both are there; starts the process that shows the
+            rows. None where nobody does.
+        is_attended: the run trips where the operator's page is not heard of for `ABSENCE`, and waits for it before.
+        stop_file: the run trips as soon as there is such a file, on a disk of this machine; None for none.
+
+    Raises:
+        MaskingError: there is such a file already.
+    """
+
+    def __init__(
+        self, attend: Attend | None = None, *, is_attended: bool = False, stop_file: str | Path | None = None
+    ) -> None:
+        self.switch, self.is_attended = Switch.make(), is_attended
+        self._attend, self._file = attend, None if stop_file is None else Path(stop_file)
+        self._looked, self._has_tripped = 0, False
+        self._shown: _Shown | None = None
+        self._attendant: Attendant | None = None
+        if self._file is not None and self._file.exists():
+            self.switch.remove()
+            raise MaskingError(
+                f"{self._file}: this file stops the run, and it is there; remove it once the rig is safe"
+            )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._shown is not None:
+            self._shown.ring.close()
+        self.switch.remove()
+
+    def begin(self, experiment: Experiment, controller: SampledStep, rules: Rules) -> None:
+        """Show what a controller is about to do; in an attended run, wait until somebody looks.
+
+        Args:
+            experiment: that runs.
+            controller: that answers.
+            rules: of the safety chain.
+        """
+        if self._attend is None:
+            return
+        self._shown = _Shown(experiment, controller, rules, is_attended=self.is_attended)
+        self._attendant = self._attend(self._shown.ring.path, self.switch.path)
+        while self.is_attended and self.switch.silence > ABSENCE and not self.switch.pressed:
+            time.sleep(0.02)
+
+    def look(self, chain: Chain, tick: int) -> None:
+        """Trip a chain where the switch was pressed, the file is there, or nobody attends; measured: 0.2 us."""
+        pressed = self.switch.pressed
+        if pressed:
+            chain.stop(Cause.ESTOP, tick, _BY.get(Presser(pressed), ""))
+        if self._file is None and not self.is_attended:
+            return
+        now = time.monotonic_ns()
+        if self._file is not None and now - self._looked > _FILE:
+            self._looked = now
+            if self._file.exists():
+                self.switch.press(Presser.FILE)
+                chain.stop(Cause.ESTOP, tick, f"by the file {self._file}")
+        if self.is_attended and now - self.switch.seen > ABSENCE * 1e9:
+            chain.stop(Cause.UNATTENDED, tick, value=self.switch.silence, limit=ABSENCE)
+
+    def put(self, rows: Rows, release: int) -> None:
+        """Show the last row of a loop, whose release is at a tick."""
+        if self._shown is not None:
+            self._shown.put(rows, release)
+
+    def end(self, reason: str, trip: Trip | None) -> None:
+        """Say why the run ended."""
+        self._has_tripped = trip is not None
+        self.switch.tell(end=reason, **({} if trip is None else {"trip": trip.as_dict()}))
+        if self._shown is not None:
+            self._shown.ring.close()
+
+    def wait(self) -> None:
+        """Wait until the operator has acknowledged why the run tripped, if it did, or nobody looks at the page."""
+        if self._has_tripped and self._attendant is not None:
+            self._attendant.wait()
+
+
+@final
+class _Shown:
+    """The rows that are shown.
+
+    Args:
+        experiment: that runs.
+        controller: that answers.
+        rules: of the safety chain.
+        is_attended: whether the page must stay open.
+    """
+
+    def __init__(self, experiment: Experiment, controller: SampledStep, rules: Rules, *, is_attended: bool) -> None:
+        sampled = controller.sampled
+        rig, virtual = sampled.instruments.model, sampled.controller.virtual
+        self._controller, self._transform = controller, sampled.kernels.transform
+        n, self._rate = len(rig.coordinates), controller.rate
+        self._q, self._v, self._p = controller.estimate[:n], controller.estimate[n:], controller.parameters
+        self._virtual = np.empty(2 * len(virtual.coordinates))
+        actuators = {name: sampled.instruments.unit(name) for name in sampled.instruments.actuators}
+        sensors = {name: sensor.unit for name, sensor in sampled.instruments.plant.sensors.items()}
+        groups = [
+            {"index": "1", "late": "1", "lateness": "s", "duration": "s"},
+            {f"virtual.{name}": unit for name, unit in _motion(virtual)},
+            {f"rig.{name}": unit for name, unit in _motion(rig)},
+            {f"sensor.{name}": unit for name, unit in sensors.items()},
+            {f"applied.{name}": unit for name, unit in actuators.items()},
+            {f"power.{name}": "W" for name in actuators},
+        ]
+        units = {name: unit for group in groups for name, unit in group.items()}
+        self._row = np.zeros(len(units))
+        ends = [0, *itertools.accumulate(map(len, groups))]
+        self._parts = [self._row[a:b] for a, b in itertools.pairwise(ends)]
+        self._states = controller.estimate[: 2 * n]
+        condition = experiment.stop_condition
+        pair = condition.names if condition else virtual.oscillators[:2]
+        declaration, plant = experiment.declaration, experiment.assembly.plant
+        self.ring = Ring(
+            list(units), self._rate, units, rows=int(_KEPT * self._rate), name=declaration.name, plant=plant.name,
+            pair=list(pair) if len(pair) > 1 else [], attended=is_attended,
+            bounds=list(_bounds(controller, rules)),
+        )  # fmt: skip
+        self._transform(0.0, self._q, self._v, self._p, self._virtual)  # loaded before the first tick
+
+    def put(self, rows: Rows, release: int) -> None:
+        """Show the last row of a loop, whose release is at a tick; measured: 5 us."""
+        k = rows.count - 1
+        index = int(rows.index[k]) - release
+        loop, virtual, rig, sensors, applied, power = self._parts
+        loop[:] = index, rows.late[k], rows.lateness[k], rows.durations[k]
+        if rows.durations[k] > 0.0:  # the controller answered
+            self._transform(index / self._rate, self._q, self._v, self._p, self._virtual)
+            virtual[:], rig[:], power[:] = self._virtual, self._states, self._controller.power
+        sensors[:], applied[:] = rows.sensors[k], rows.applied[k]
+        self.ring.put(self._row)
+
+
+def _motion(model: Any) -> Iterator[tuple[str, str]]:  # noqa: ANN401
+    """Give the coordinates of a model and their rates, with the units that recordings have."""
+    units = {
+        name: "1" if model.is_dimensionless else model.units.conversions[coordinate.unit].si
+        for name, coordinate in model.declaration.coordinates.items()
+    }
+    yield from units.items()
+    yield from ((f"{name}'", unit if model.is_dimensionless else f"{unit}/s") for name, unit in units.items())
+
+
+def _bounds(controller: SampledStep, rules: Rules) -> Iterator[dict[str, Any]]:
+    """Give what is limited, as `masking.reports.live` takes it: what the chain watches, in the declared units."""
+    # The columns are in the SI units of the rig's model, and the sensors' own.
+    known = controller.sampled.instruments
+    declared = known.plant.limits
+    rig = [f"rig.{name}" for name, _ in _motion(known.model)]
+    sensors = [f"sensor.{name}" for name in known.sensors]
+    positions, rates = ({e.text: x for e, x in given.items()} for given in (declared.coordinates, declared.velocities))
+    for name, row, weights, estimated in zip(rules.limited, rules.limits, rules.weights, rules.estimated, strict=True):
+        is_rate, is_estimated = row[safety.OVER] > 0.0, row[safety.ESTIMATED] > 0.0
+        limit = (rates if is_rate else positions)[name]
+        size = known.factors[limit.unit]
+        columns = zip(rig, estimated, strict=False) if is_estimated else zip(sensors, weights, strict=True)
+        yield {
+            "kind": "limit",
+            "label": f"rate of {name}" if is_rate else name,
+            "unit": limit.unit,
+            "bound": limit.max,
+            "zero": float(row[safety.AT_ZERO]) / size,
+            "weights": {column: float(weight) / size for column, weight in columns if weight},
+            "over": 0 if is_estimated else int(row[safety.OVER]),
+        }
+    for name, row in zip(known.actuators, rules.commands, strict=True):
+        unit = known.unit(name)
+        yield {"kind": "command", "label": name, "unit": unit, "bound": float(row[LARGEST]),
+               "weights": {f"applied.{name}": 1.0}}  # fmt: skip
+        if 0.0 < row[POWER] < np.inf:
+            yield {"kind": "heat", "label": name, "unit": "W", "bound": float(row[POWER]),
+                   "weights": {f"power.{name}": 1.0}}  # fmt: skip
