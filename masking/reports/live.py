@@ -5,8 +5,7 @@ ring's facts say what there is to show besides its columns:
 
     name, plant   titles
     pair          the two virtual coordinates whose phases are compared
-    bounds        what is limited: kind ("limit", "command" or "heat"), label, unit, bound, and the linear expression
-                  zero + weights of columns that is held below it; over: rows over which its rate is taken, 0 for none
+    bounds        what is limited, as `Bound` has it: kind, label, unit, bound, trip, zero, weights of columns, over
 """
 
 from __future__ import annotations
@@ -40,13 +39,14 @@ _TITLES: Final = {"virtual": "Virtual system", "rig": "Rig", "sensor": "Sensors"
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """One thing that is limited.
+    """One thing that is limited: the magnitude of zero + weights of columns.
 
     Args:
         kind: "limit", "command" or "heat".
         label: its name.
         unit: of its bound.
         bound: the largest magnitude that is allowed.
+        trip: the least that is too much.
         zero: its value where all columns are zero.
         columns: places of the columns that it is made of.
         weights: of these.
@@ -58,6 +58,7 @@ class Bound:
     label: str
     unit: str
     bound: float
+    trip: float
     zero: float
     columns: list[int]
     weights: Array
@@ -70,6 +71,7 @@ class Bound:
         weights = {str(name): float(weight) for name, weight in entry["weights"].items()}
         return cls(
             str(entry["kind"]), str(entry["label"]), str(entry.get("unit", "")), float(entry["bound"]),
+            float(entry.get("trip", entry["bound"])),
             float(entry.get("zero", 0.0)), [reader.columns.index(name) for name in weights],
             np.array(list(weights.values())), int(entry.get("over", 0)), reader.rate,
         )  # fmt: skip
@@ -136,7 +138,7 @@ class Monitor:
         if self._pair is not None:
             kept = slice(-taken.first % self._thin, None, self._thin)
             motion = np.column_stack([t[kept], table[kept][:, self._pair]])
-            self._motion = np.concatenate([self._motion, motion])[-int(_PHASE_RATE * _MEMORY) :]
+            self._motion = np.concatenate([self._motion, motion[motion[:, 0] >= 0.0]])[-int(_PHASE_RATE * _MEMORY) :]
         self.times.add(table, self.reader.columns)
 
     def _look_at_bounds(self, now: float, table: Array, new: int) -> None:
@@ -215,6 +217,7 @@ class Monitor:
                     "label": prose(one.label, re.findall(r"\w+", one.label)),
                     "unit": one.unit,
                     "bound": one.bound,
+                    "trip": one.trip,
                 }
                 for one in self.bounds
             ],

@@ -213,6 +213,7 @@ def _bounds(controller: SampledStep, rules: Rules) -> Iterator[dict[str, Any]]:
             "label": f"rate of {name}" if is_rate else name,
             "unit": limit.unit,
             "bound": limit.max,
+            "trip": float(row[safety.BOUND]) / size,
             "zero": float(row[safety.AT_ZERO]) / size,
             "weights": {column: float(weight) / size for column, weight in columns if weight},
             "over": 0 if is_estimated else int(row[safety.OVER]),
