@@ -135,6 +135,12 @@ class ColumnError(RecordError):
     """A recording lacks the column of a sensor or an actuator."""
 
 
+class OperatorError(MaskingError):
+    """What is asked for the operator of a run cannot be had: a port, an address, or that a run goes on."""
+
+    exit_status = 2
+
+
 class PlantError(MaskingError):
     """A plant could not do what was asked of it."""
 

@@ -145,6 +145,7 @@ def test_a_page_that_is_gone_stops_attended_runs_alone(cart, number, attended):
             connection.request("GET", f"{at.path}data?since=0")
             connection.getresponse().read()
             time.sleep(0.05)
+        connection.close()
         gone.append(time.monotonic())
         os.kill(attendants[0].process.pid, number)
 

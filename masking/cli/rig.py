@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from masking.cli.options import NAMED, Verb, add_json, add_out, add_verb, answer, prepare
 from masking.cli.progress import INTERRUPTED, Bar
-from masking.errors import MaskingError
+from masking.errors import OperatorError
 
 if TYPE_CHECKING:
     from masking.plants.authentication import Key
@@ -242,7 +242,7 @@ def _operator(chosen: argparse.Namespace, bar: Bar) -> Operator:
     from masking.workflows.operator import Attendant, attend
 
     if chosen.attended and chosen.page is None:
-        raise MaskingError("--attended needs somebody who looks: add --page")
+        raise OperatorError("--attended needs somebody who looks: add --page")
 
     def begin(ring: Path, switch: Path) -> Attendant:
         found = attend(ring, switch, chosen.page, chosen.stream)

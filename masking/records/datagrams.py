@@ -10,7 +10,7 @@ import math
 import socket
 from typing import Final, final
 
-from masking.errors import MaskingError
+from masking.errors import OperatorError
 from masking.records.ring import RingReader
 
 MOST: Final = 1000.0  # datagrams per second
@@ -26,7 +26,7 @@ class Datagrams:
         address: `host:port` of who listens; nobody needs to.
 
     Raises:
-        MaskingError: this is no address.
+        OperatorError: this is no address.
     """
 
     def __init__(self, reader: RingReader, address: str) -> None:
@@ -35,7 +35,7 @@ class Datagrams:
             family, kind, protocol, _, to = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket, self._to = socket.socket(family, kind, protocol), to
         except OSError as error:
-            raise MaskingError(f"--stream {address}: cannot be reached ({error}); {_SUCH}") from error
+            raise OperatorError(f"--stream {address}: cannot be reached ({error}); {_SUCH}") from error
         self._socket.setblocking(False)
         self._reader, self._every = reader, math.ceil(reader.rate / MOST)
         self._time = reader.columns.index("index") if "index" in reader.columns else None
@@ -64,9 +64,9 @@ def split(address: str) -> tuple[str, int]:
     """Return the host and the port of an address.
 
     Raises:
-        MaskingError: it has none.
+        OperatorError: it has none.
     """
     host, colon, port = address.rpartition(":")
     if not colon or not host or not (port.isascii() and port.isdigit() and 0 < int(port) < 1 << 16):
-        raise MaskingError(f"--stream {address}: this is no host and port; {_SUCH}")
+        raise OperatorError(f"--stream {address}: this is no host and port; {_SUCH}")
     return host.removeprefix("[").removesuffix("]"), int(port)

@@ -14,7 +14,7 @@ import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Final, final
 
-from masking.errors import MaskingError
+from masking.errors import OperatorError
 from masking.records.switch import Presser, Switch
 from masking.reports import html
 from masking.reports.live import Monitor
@@ -48,7 +48,7 @@ class OperatorPage:
         port: 0 for a free one.
 
     Raises:
-        MaskingError: the port is taken.
+        OperatorError: the port is taken.
     """
 
     def __init__(self, monitor: Monitor, switch: Switch, port: int = 0) -> None:
@@ -59,7 +59,7 @@ class OperatorPage:
         try:
             self._server = _Server((HOST, port), self)
         except (OSError, OverflowError) as error:
-            raise MaskingError(f"--page {port}: this port cannot be had ({error}); name another, or none") from error
+            raise OperatorError(f"--page {port}: this port cannot be had ({error}); name another, or none") from error
         self.port = int(self._server.server_address[1])
         self._threads = [
             threading.Thread(target=self._watch, daemon=True),

@@ -15,7 +15,7 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.control.step import SampledStep
-from masking.errors import MaskingError
+from masking.errors import OperatorError
 from masking.numerics.sizes import LARGEST, POWER
 from masking.plants.safety import Cause, Chain, Rules, Trip
 from masking.records.ring import Ring
@@ -55,7 +55,7 @@ class Operator:
         stop_file: the run trips as soon as there is such a file, on a disk of this machine; None for none.
 
     Raises:
-        MaskingError: there is such a file already.
+        OperatorError: there is such a file already.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Operator:
         self._attendant: Attendant | None = None
         if self._file is not None and self._file.exists():
             self.switch.remove()
-            raise MaskingError(
+            raise OperatorError(
                 f"{self._file}: this file stops the run, and it is there; remove it once the rig is safe"
             )
 

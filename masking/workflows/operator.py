@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from masking.errors import MaskingError
+from masking.errors import MaskingError, OperatorError
 from masking.records.datagrams import Datagrams
 from masking.records.ring import RingReader
 from masking.records.switch import Switch, is_running
@@ -57,7 +57,7 @@ def attend(ring: Path, switch: Path, page: int | None = None, stream: str | None
         stream: `host:port` that gets the rows as JSON over UDP; None for none.
 
     Raises:
-        MaskingError: the port is taken, or the address is none.
+        OperatorError: the port is taken, or the address is none.
     """
     command = [sys.executable, "-m", "masking.workflows.operator", str(ring), str(switch)]
     command += [] if page is None else ["--page", str(page)]
@@ -71,7 +71,7 @@ def attend(ring: Path, switch: Path, page: int | None = None, stream: str | None
     told = json.loads(line or b'{"error": "the process of the operator page did not start"}')
     if "error" in told:
         process.wait()
-        raise MaskingError(told["error"])
+        raise OperatorError(told["error"])
     return Attendant(told["page"] or "", process)
 
 
