@@ -30,6 +30,7 @@ from masking.runs.operator import ABSENCE, Operator
 from masking.runs.realtime import run_rig
 from masking.workflows.operator import attend
 from tests import chromium
+from tests.benchmarks.operator_page import run
 
 RUN = {"rate": 1000.0, "limits": np.array([0.2, 0.4])}
 
@@ -151,7 +152,7 @@ def test_a_page_that_is_gone_stops_attended_runs_alone(cart, number, attended):
 
     try:
         with Operator(begin, is_attended=attended) as operator:
-            ran = run_cart(cart, operator, seconds=4.0)
+            ran = run(cart, operator, seconds=4.0)
     finally:
         attendants[0].process.kill()
         attendants[0].process.wait()
@@ -160,26 +161,6 @@ def test_a_page_that_is_gone_stops_attended_runs_alone(cart, number, attended):
         assert (ran.reason, ran.trip.cause) == ("tripped", Cause.UNATTENDED)
     else:
         assert (ran.reason, ran.trip) == ("finished", None)
-
-
-def run_cart(experiment, operator, seconds):
-    """Run the controller of an experiment on its twin for some seconds, shown to an operator."""
-    from masking.control.step import SampledStep
-    from masking.runs import protection
-
-    controller, plant = SampledStep(experiment.sampled), SimulatedPlant(experiment.twin)
-    rules = protection.rules(experiment.instruments, controller.rate, experiment.twin, controller.estimate)
-    operator.begin(experiment, controller, rules)
-    return run_rig(
-        lambda tick, readings: controller(readings, tick - experiment.sampled.before),
-        plant,
-        rate=controller.rate,
-        samples=int(seconds * controller.rate),
-        limits=experiment.sampled.limits[:, 0],
-        look=operator.look,
-        on_row=lambda rows: operator.put(rows, experiment.sampled.before),
-        on_end=lambda ran: operator.end(ran.reason, ran.trip),
-    )
 
 
 @pytest.fixture
@@ -209,15 +190,15 @@ def test_an_attended_run_needs_a_page(capsys, tmp_path):
 
 @pytest.mark.skipif(chromium.PATH is None, reason="needs Chromium; on Debian 'apt-get install chromium'")
 def test_a_served_rig_is_run_and_stopped_from_the_page(cart, tmp_path):
-    run_cart(cart, Operator(), 0.1)  # compiled
+    run(cart, None, 0.1)  # compiled
     masking = [sys.executable, "-m", "masking", "rig"]
     serve = [*masking, "serve", "cart", "--address", "udp://127.0.0.1:0", "--sessions", "1"]
     with subprocess.Popen(serve, stderr=subprocess.PIPE, text=True) as server:
         said = server.stderr.readline()
         address = said.split()[-1]
         out = tmp_path / "out"
-        run = [*masking, "run", "cart_van_der_pol", "--plant", address, "--out", str(out), "--page", "--attended"]
-        with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        command = [*masking, "run", "cart_van_der_pol", "--plant", address, "--out", str(out), "--page", "--attended"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
             address = None
             while address is None:
                 line = running.stderr.readline()

@@ -143,10 +143,8 @@ class _Shown:
     def __init__(self, experiment: Experiment, controller: SampledStep, rules: Rules, *, is_attended: bool) -> None:
         sampled = controller.sampled
         rig, virtual = sampled.instruments.model, sampled.controller.virtual
-        self._controller, self._transform = controller, sampled.kernels.transform
         n, self._rate = len(rig.coordinates), controller.rate
-        self._q, self._v, self._p = controller.estimate[:n], controller.estimate[n:], controller.parameters
-        self._virtual = np.empty(2 * len(virtual.coordinates))
+        self._states, self._power = controller.estimate[: 2 * n], controller.power
         actuators = {name: sampled.instruments.unit(name) for name in sampled.instruments.actuators}
         sensors = {name: sensor.unit for name, sensor in sampled.instruments.plant.sensors.items()}
         groups = [
@@ -161,7 +159,10 @@ class _Shown:
         self._row = np.zeros(len(units))
         ends = [0, *itertools.accumulate(map(len, groups))]
         self._parts = [self._row[a:b] for a, b in itertools.pairwise(ends)]
-        self._states = controller.estimate[: 2 * n]
+        self._time = np.zeros(1)
+        q, v = controller.estimate[:n], controller.estimate[n:]
+        self._mapped = sampled.kernels.transform.bind(self._time, q, v, controller.parameters, self._parts[1])
+        self._transform = self._mapped.call
         condition = experiment.stop_condition
         pair = condition.names if condition else virtual.oscillators[:2]
         declaration, plant = experiment.declaration, experiment.assembly.plant
@@ -170,17 +171,17 @@ class _Shown:
             pair=list(pair) if len(pair) > 1 else [], attended=is_attended,
             bounds=list(_bounds(controller, rules)),
         )  # fmt: skip
-        self._transform(0.0, self._q, self._v, self._p, self._virtual)  # loaded before the first tick
 
     def put(self, rows: Rows, release: int) -> None:
         """Show the last row of a loop, whose release is at a tick; measured: 5 us."""
         k = rows.count - 1
         index = int(rows.index[k]) - release
-        loop, virtual, rig, sensors, applied, power = self._parts
+        loop, _, rig, sensors, applied, power = self._parts
         loop[:] = index, rows.late[k], rows.lateness[k], rows.durations[k]
-        if rows.durations[k] > 0.0:  # the controller answered
-            self._transform(index / self._rate, self._q, self._v, self._p, self._virtual)
-            virtual[:], rig[:], power[:] = self._virtual, self._states, self._controller.power
+        if loop[3] > 0.0:  # the controller answered
+            self._time[0] = index / self._rate
+            self._transform()
+            rig[:], power[:] = self._states, self._power
         sensors[:], applied[:] = rows.sensors[k], rows.applied[k]
         self.ring.put(self._row)
 
