@@ -33,6 +33,7 @@ _RECENT: Final = 1.0  # s in which the largest value counts as the present one
 _SILENT: Final = 0.5  # s without a row, after which a loop counts as silent
 _DECADES, _PARTS = (-6, -2), 20  # of durations: powers of ten of a second, and bins in each
 _EDGES: Final = np.logspace(*_DECADES, (_DECADES[1] - _DECADES[0]) * _PARTS + 1)
+_LEAST: Final = 200  # points from which a period is taken
 _PHASE_RATE, _MEMORY = 200.0, 60.0  # Hz and s of the motion from which a phase is taken
 _TITLES: Final = {"virtual": "Virtual system", "rig": "Rig", "sensor": "Sensors"}
 
@@ -330,7 +331,7 @@ def phase_between(t: Array, a: Array, b: Array) -> float:
         a: (m,).
         b: (m,).
     """
-    length = period(t, a) if len(t) > 3 and np.ptp(a) > 0.0 else math.nan
+    length = period(t, a) if len(t) >= _LEAST and np.ptp(a) > 0.0 else math.nan
     if not math.isfinite(length):
         return math.nan
     kept = t > t[-1] - length

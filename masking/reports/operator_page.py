@@ -123,7 +123,7 @@ class OperatorPage:
 
 
 class _Server(ThreadingHTTPServer):
-    """A server whose requests run in threads, of which there are only so many."""
+    """A server whose requests run in threads, at most `_CONNECTIONS` of them."""
 
     daemon_threads, block_on_close, request_queue_size = True, False, _CONNECTIONS
     allow_reuse_address = True

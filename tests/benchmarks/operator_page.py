@@ -1,8 +1,8 @@
 """What the operator's page costs the loop: `python -m tests.benchmarks.operator_page [--seconds S] [--blocks N]`.
 
-The controller of a packaged experiment runs on its twin in real time, in turns alone, with rows shown to nobody, and with
-the page in a browser. `work` is the controller, the safety chain and the rows of a tick; `lateness` how late it began. Of
-each, the median over the blocks of the median and of the 99th percentile.
+The controller of a packaged experiment runs on its twin in real time, in turns alone, with rows shown to nobody, and
+with the page in a browser. `work` is the controller, the safety chain and the rows of a tick; `lateness` how late it
+began. Of each, the median over the blocks of the median and of the 99th percentile.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class _Nobody:
 
 
 @contextlib.contextmanager
-def _looked_at(tab: Any) -> Iterator[Operator]:  # noqa: ANN401
+def _looked_at(tab: Any) -> Iterator[Operator]:
     """Give an operator, with the page in a browser if there is one."""
     attendants: list[Attendant] = []
 
