@@ -95,7 +95,15 @@ class Served:
     def __init__(self, folder: Path, plant: str, *, lockstep: bool, steps: bool = False) -> None:
         self.folder, self.plant, self.lockstep = folder, plant, lockstep
         folder.mkdir(parents=True)
-        command = ["-m", "masking.faults.children", "serve", plant, "lockstep" if lockstep else "real", str(folder), *["steps"] * steps]
+        command = [
+            "-m",
+            "masking.faults.children",
+            "serve",
+            plant,
+            "lockstep" if lockstep else "real",
+            str(folder),
+            *["steps"] * steps,
+        ]
         self.process = subprocess.Popen(  # noqa: S603  # this package's own module
             [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         )

@@ -56,7 +56,7 @@ def _control(address: str, chosen: dict[str, Any]) -> None:
             ctypes.string_at(0)
         if row == _FAILING and fault == "raise":
             raise ZeroDivisionError("the controller was told to raise")
-        if fault == "stalls" and row >= _FAILING or fault == "stall" and row == _FAILING:
+        if (fault == "stalls" and row >= _FAILING) or (fault == "stall" and row == _FAILING):
             time.sleep(_STALL)
         return bench.small(tick, readings)
 
@@ -66,7 +66,12 @@ def _control(address: str, chosen: dict[str, Any]) -> None:
 
     def on_end(ran: RigRun) -> None:
         trip = ran.trip.as_dict() if ran.trip is not None else None
-        made = {"reason": ran.reason, "trip": trip, "rows": len(ran.index), "counters": dict(ran.counters)}
+        made: dict[str, Any] = {
+            "reason": ran.reason,
+            "trip": trip,
+            "rows": len(ran.index),
+            "counters": dict(ran.counters),
+        }
         gaps = (ran.index[1:] - ran.index[:-1]).tolist()
         made |= {"late": [i for i, late in enumerate(ran.late.tolist()) if late], "gaps": gaps}
         print(json.dumps(made | {"now": time.monotonic(), "seen": seen[0]}), flush=True)

@@ -51,7 +51,7 @@ def _hostile(bench: Bench, judgement: Judgement) -> None:
     folder.mkdir(parents=True)
     touched = folder / "executed"
     head = "name: hostile\nvirtual: duffing\nplant: tue_rig\n"
-    expression = "transform: {{expressions: {{x1: \"{}\"}}}}\n"
+    expression = 'transform: {{expressions: {{x1: "{}"}}}}\n'
     cases = {
         "import": expression.format(f"__import__('os').system('touch {touched}')"),
         "attribute": expression.format("x1.__class__"),
@@ -74,7 +74,7 @@ def _hostile(bench: Bench, judgement: Judgement) -> None:
             judgement.need(holds=False, broken=f"{name}: not refused")
         except MaskingError as error:
             judgement.need(_PLACE.search(str(error)), f"{name}: no file:line:column in {str(error)[:100]!r}")
-        except Exception as error:  # noqa: BLE001  # what a reader must not raise is what is judged
+        except Exception as error:  # what a reader must not raise is what is judged
             judgement.need(holds=False, broken=f"{name}: {type(error).__name__}")
     judgement.need(not touched.exists(), "a declaration was executed")
     judgement.say(f"{len(cases)} declarations refused by their place; nothing executed")

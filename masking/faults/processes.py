@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from masking.errors import PlantRefusedError
-from masking.faults.bench import RATE, WATCHDOG, Bench, Served, small
+from masking.faults.bench import RATE, WATCHDOG, Bench, Controller, Served, small
 from masking.faults.damage import DamagedPlant
 from masking.faults.table import Fault, Judgement
 from masking.plants.interface import Settings
@@ -45,7 +45,9 @@ def _latched(own: Recording, judgement: Judgement) -> None:
     judgement.say(f"zero {later} ticks after the last command, latched: {latch['cause']}")
 
 
-def _in_two(bench: Bench, act: Callable[[Any, Served], None], judgement: Judgement, **chosen: Any) -> dict[str, Any]:
+def _in_two(
+    bench: Bench, act: Callable[[Controller, Served], None], judgement: Judgement, **chosen: Any
+) -> dict[str, Any]:
     """Run a controller in a process of its own on a served twin, do something to them, and return what it says."""
     served = bench.served(lockstep=False)
     with bench.controller(served.address, **chosen) as controller:
@@ -124,7 +126,7 @@ def _spoils(bench: Bench, judgement: Judgement) -> None:
 
 
 def _killed(bench: Bench, judgement: Judgement) -> None:
-    def act(controller: Any, _: Served) -> None:
+    def act(controller: Controller, _: Served) -> None:
         controller.process.kill()
 
     if _in_two(bench, act, judgement) or not judgement.broken:
@@ -132,7 +134,7 @@ def _killed(bench: Bench, judgement: Judgement) -> None:
 
 
 def _frozen(bench: Bench, judgement: Judgement) -> None:
-    def act(controller: Any, _: Served) -> None:
+    def act(controller: Controller, _: Served) -> None:
         controller.process.send_signal(signal.SIGSTOP)
         time.sleep(0.2)
         controller.process.send_signal(signal.SIGCONT)
@@ -153,7 +155,7 @@ def _signalled(bench: Bench, judgement: Judgement) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         sent: list[float] = []
 
-        def act(controller: Any, _: Served, number: int = number, sent: list[float] = sent) -> None:
+        def act(controller: Controller, _: Served, number: int = number, sent: list[float] = sent) -> None:
             sent.append(time.monotonic())
             controller.process.send_signal(number)
 
@@ -189,7 +191,7 @@ def _dies(bench: Bench, judgement: Judgement) -> None:
 
 
 def _rearmed(bench: Bench, judgement: Judgement) -> None:
-    def act(controller: Any, _: Served) -> None:
+    def act(controller: Controller, _: Served) -> None:
         controller.process.kill()
 
     _in_two(bench, act, judgement)
@@ -228,7 +230,7 @@ def _clock_steps(bench: Bench, judgement: Judgement) -> None:
 def _second(bench: Bench, judgement: Judgement) -> None:
     refusals: list[str] = []
 
-    def act(controller: Any, served: Served) -> None:
+    def act(controller: Controller, served: Served) -> None:
         second = UdpPlant(served.address, patience=20.0)
         try:
             second.configure(Settings(RATE, WATCHDOG, acknowledge=True))

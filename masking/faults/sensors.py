@@ -48,15 +48,19 @@ def _not_finite(bench: Bench, judgement: Judgement) -> None:
         _trips(bench.run(damage=damage), "SENSOR_NONFINITE", 0, judgement)
 
 
-def _moving(tick: int, _: Array) -> Array:
-    return np.array([0.02, 0.02, 0.2]) * np.sin(2.0 * np.pi * 4.0 * tick / RATE)
+def _moving(channel: int, tick: int, _: Array) -> Array:
+    """Answer a tick as a controller does that moves what a sensor measures by about 3 mm."""
+    largest = np.where(np.arange(_SENSORS) == channel, (0.05, 0.05, 0.3)[channel], 0.0)
+    return np.asarray(largest * np.sin(2.0 * np.pi * 3.0 * tick / RATE))
 
 
 def _stuck(bench: Bench, judgement: Judgement) -> None:
     for channel in range(_SENSORS):
         later = []
         for at in _PHASES:
-            ended = bench.run(_moving, damage={"what": "hold", "channel": channel, "at": at}, samples=600)
+            ended = bench.run(
+                partial(_moving, channel), damage={"what": "hold", "channel": channel, "at": at}, samples=600
+            )
             later.append(ended.tick - at)
             judgement.need(ended.cause == "SENSOR_STUCK", f"s{channel + 1}: {ended.cause or ended.run.reason}")
             _at_zero(ended, judgement)

@@ -89,8 +89,9 @@ def examine(fault: Fault, bench: Bench) -> Finding:
     if fault.test is None:
         judgement.need(holds=False, broken="not offered yet")
     else:
-        for tries in range(1, 1 + (BUSY if fault.in_real_time else 1)):
-            judgement = Judgement()
+        most = BUSY if fault.in_real_time else 1
+        while tries < most:
+            tries, judgement = tries + 1, Judgement()
             try:
                 fault.test(bench, judgement)
             except (MaskingError, OSError, ValueError, LookupError) as error:
