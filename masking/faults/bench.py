@@ -27,6 +27,9 @@ from masking.rig.twin import Twin
 from masking.runs import protection
 from masking.runs.realtime import RigRun, Step, run_rig
 
+Chosen = str | int | float | bool
+"""What is chosen of a fault, as JSON can hold it."""
+
 PLANT: Final = "tue_rig"
 RATE: Final = 1000.0  # Hz
 WATCHDOG: Final = 0.02  # s
@@ -114,7 +117,7 @@ class Served:
         self.address = said.strip()
         self._count = 0
 
-    def damage(self, **chosen: Any) -> None:
+    def damage(self, **chosen: Chosen) -> None:
         """Choose what is damaged in the sessions that follow; nothing without arguments."""
         (self.folder / "damage.json").write_text(json.dumps(chosen), encoding="utf-8")
 
@@ -170,9 +173,9 @@ class Bench:
         found.damage()
         return found
 
-    def anew(self, **chosen: Any) -> Served:
+    def anew(self, *, steps: bool = False) -> Served:
         """Return a twin that is served in a process that only one fault uses; `steps` lets its wall clock step."""
-        found = self._served[str(self._number), False] = Served(self.place(), PLANT, lockstep=False, **chosen)
+        found = self._served[str(self._number), False] = Served(self.place(), PLANT, lockstep=False, steps=steps)
         return found
 
     def run(
@@ -223,7 +226,7 @@ class Bench:
         return Ended(ended[0], served.record(), error)
 
     @contextlib.contextmanager
-    def controller(self, address: str, **chosen: Any) -> Iterator[Controller]:
+    def controller(self, address: str, **chosen: Chosen) -> Iterator[Controller]:
         """Run a controller in a process of its own; give it once it runs."""
         made = Controller(address, chosen)
         try:

@@ -1,6 +1,7 @@
 """Processes of a fault: the server of a twin that can be damaged, and a controller that can fail.
 
-`python -m masking.faults.children serve PLANT real|lockstep FOLDER [steps]` prints its address, and records in the folder.
+`python -m masking.faults.children serve PLANT real|lockstep FOLDER [steps]` prints its address,
+and records in the folder.
 `python -m masking.faults.children control ADDRESS JSON` prints `running` after 200 ticks, and at its end a JSON object.
 """
 

@@ -23,11 +23,10 @@ def _tested(bench: Bench, judgement: Judgement, damage: Mapping[str, Any], named
     """Demand that the self-test refuses a damaged rig, names the channel, and never sends more than its pulse."""
     served = bench.served(plant=_PLANT)
     served.damage(**damage)
-    found, sessions = self_test(twin(_PLANT), UdpPlant(served.address, patience=20.0), lockstep=True), 0
+    found = self_test(twin(_PLANT), UdpPlant(served.address, patience=20.0), lockstep=True)
     largest = 0.0
     for _ in twin(_PLANT).actuators[: max(1, len({answer.actuator for answer in found.answers}))]:
         largest = max(largest, float(np.abs(served.record().array("input")).max()))
-        sessions += 1
     pulse = SIZE * max(limit.max for limit in twin(_PLANT).declaration.limits.inputs.values())
     judgement.need(found.findings, f"{named}: not refused")
     judgement.need(any(named in finding for finding in found.findings), f"{named}: not named in {found.findings}")
@@ -58,7 +57,7 @@ def _hostile(bench: Bench, judgement: Judgement) -> None:
         "lambda": expression.format("(lambda: x1)()"),
         "infinite": expression.format("1e400*x1"),
         "power": expression.format("9**9**9**9*x1"),
-        "look-alike": expression.format("х1"),
+        "look-alike": expression.format("\u04451"),
         "tag": f"initial: !!python/object/apply:os.system ['touch {touched}']\n",
         "twice": "duration: 3\nduration: 4\n",
         "octal": "duration: 010\n",

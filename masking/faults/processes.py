@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from masking.errors import PlantRefusedError
-from masking.faults.bench import RATE, WATCHDOG, Bench, Controller, Served, small
+from masking.faults.bench import RATE, WATCHDOG, Bench, Chosen, Controller, Served, small
 from masking.faults.damage import DamagedPlant
 from masking.faults.table import Fault, Judgement
 from masking.plants.interface import Settings
