@@ -149,6 +149,10 @@ class PlantLostError(PlantError):
     """A plant does not answer, or ended the session; says which and how to get it back."""
 
 
+class SamplesLostError(PlantLostError):
+    """Too many samples of a plant in a row did not arrive."""
+
+
 class PlantOrderError(PlantError):
     """A plant was used out of the order configure, activate, read and write, deactivate."""
 

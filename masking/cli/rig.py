@@ -1,4 +1,4 @@
-"""Verbs of `masking rig`: check, serve, run, stop, calibrate."""
+"""Verbs of `masking rig`: check, serve, run, stop, calibrate, faults."""
 
 from __future__ import annotations
 
@@ -127,6 +127,15 @@ def _add_calibrate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--model", metavar="MODEL", help="a model of the rig to fit beside that of the plant file")
     sub.add_argument("--seconds", type=float, default=40.0, help="length of each record (default: 40)")
     add_out(sub, "results/PLANT_calibration; records that it holds are used again")
+
+
+def _add_faults(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    sub.add_argument(
+        "numbers", metavar="N", type=int, nargs="*", help="of the table; 0 is a run without (default: all)"
+    )
+    text = "leave out what takes long: an hour at rest is a minute, 1000 cuts of a record are 100"
+    sub.add_argument("--quick", action="store_true", help=text)
 
 
 def _key(chosen: argparse.Namespace) -> Key | None:
@@ -297,11 +306,23 @@ def _calibrate(chosen: argparse.Namespace) -> int:
     return answer(chosen.json, found.as_dict(), found)
 
 
+def _faults(chosen: argparse.Namespace) -> int:
+    """Produce the faults that a loop must survive on a served twin, and judge each; exit status 1 if one is not."""
+    from masking.faults import table
+    from masking.faults.rerun import rerun
+
+    with Bar("producing faults") as bar:
+        found = rerun(chosen.numbers, is_quick=chosen.quick, say=lambda finding: bar.say(f"fault {finding.number}"))
+    answer(chosen.json, {"faults": [finding.as_dict() for finding in found]}, table.text(found))
+    return int(not all(finding.passes for finding in found))
+
+
 _OF_RIG = (
     Verb("check", _add_check, _check),
     Verb("serve", _add_serve, _serve),
     Verb("run", _add_run, _run),
     Verb("stop", _add_stop, _stop),
     Verb("calibrate", _add_calibrate, _calibrate),
+    Verb("faults", _add_faults, _faults),
 )
 VERBS = (Verb("rig", _add_rig),)

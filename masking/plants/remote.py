@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from typing import NoReturn
 
-from masking.errors import PlantLostError, PlantMismatchError, PlantRefusedError, WireError
+from masking.errors import PlantLostError, PlantMismatchError, PlantRefusedError, SamplesLostError, WireError
 from masking.numerics.arrays import Array
 from masking.plants import wire
 from masking.plants.authentication import AuthenticatedLine, Key
@@ -76,7 +76,7 @@ class RemotePlant(ABC):
         self._life.configure()
         self.deactivate()
         self._session, self._last, self._lockstep = secrets.randbits(64), -1, settings.lockstep
-        self._first = None
+        self._first, self._period = None, 1.0 / settings.rate
         silence = WATCHDOGS * settings.watchdog if self._timeout is None else self._timeout
         self._silence = LOCKSTEP_TIMEOUT if settings.lockstep else max(silence, PERIODS / settings.rate)
         self.counters.clear()
@@ -118,10 +118,15 @@ class RemotePlant(ABC):
             PlantLostError: none came in time, too many are missing, or the plant ended the session; says why.
         """
         self._life.need_active("read")
-        newest = None
-        deadline = time.monotonic() + self._silence
+        newest, began = None, time.monotonic()
+        deadline = began + self._silence
         while (frame := self._following(0.0 if newest else deadline - time.monotonic())) is not None:
             if frame.kind is Kind.STOP:
+                silent = 0 if newest or self._lockstep else int((time.monotonic() - began) / self._period)
+                if silent > HELD + 1:  # of the samples before that, none arrived
+                    self.counters["lost"] += silent - 1
+                    said = f"sent no sample for {silent} periods, more than {HELD}, and ended the session: {frame.text}"
+                    self._lost(said, kind=SamplesLostError)
                 raise PlantLostError(f"the plant at {self._address} ended the session: {frame.text}")
             if not self._is_next(frame):
                 continue
@@ -195,7 +200,8 @@ class RemotePlant(ABC):
         if missing:
             self.counters["lost"] += missing
         if missing > HELD:
-            self._lost(f"went from sample {self._last} to {index}: {missing} in a row are lost, more than {HELD}")
+            said = f"went from sample {self._last} to {index}: {missing} in a row are lost, more than {HELD}"
+            self._lost(said, kind=SamplesLostError)
 
     def _receive(self, wait: float) -> Frame | None:
         """Return the next sound frame of this session, or None if none comes within a number of seconds."""
@@ -240,9 +246,9 @@ class RemotePlant(ABC):
         assert self._line is not None  # noqa: S101  # the life cycle sees to it
         return self._line
 
-    def _lost(self, what: str, error: Exception | None = None) -> NoReturn:
+    def _lost(self, what: str, error: Exception | None = None, kind: type[PlantLostError] = PlantLostError) -> NoReturn:
         mend = "look at its own output and record, then start it again with 'masking rig serve PLANT'"
-        raise PlantLostError(f"the plant at {self._address} {what}; {mend}") from error
+        raise kind(f"the plant at {self._address} {what}; {mend}") from error
 
     def _close(self) -> None:
         if self._line is not None:

@@ -17,7 +17,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.errors import CommandError, PlantError, PlantLostError, PlantMismatchError
+from masking.errors import CommandError, PlantError, PlantLostError, PlantMismatchError, SamplesLostError
 from masking.numerics.arrays import Array
 from masking.plants.interface import APPLIED, Counting, Plant, Settings, Telling
 from masking.plants.machine import Deadlines, Stop, asked_to_stop, undisturbed
@@ -145,7 +145,8 @@ def _reason(error: BaseException, rows: Rows) -> str:
     """Return why a run ended in an error, and let the chain know."""
     tick, text = int(rows.index[max(0, rows.count - 1)]), f"{type(error).__name__}: {error}"
     if isinstance(error, PlantLostError):
-        rows.chain.stop(Cause.PLANT_LOST, tick, detail=text)
+        cause = Cause.COMM_LOST if isinstance(error, SamplesLostError) else Cause.PLANT_LOST
+        rows.chain.stop(cause, tick, detail=text)
         return LOST
     if rows.chain.trip is None and isinstance(error, PlantError):
         rows.chain.stop(Cause.PLANT_ERROR, tick, detail=text)

@@ -16,6 +16,7 @@ import numpy as np
 
 from masking import cli
 from masking.analysis.stability.equilibria import Equilibrium, equilibria
+from masking.faults.rerun import rerun
 from masking.modelling.model import load_model
 from masking.records.recording import Recording
 from masking.rig.twin import Twin
@@ -242,3 +243,15 @@ def first_further_equilibria() -> str:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if _further(middle) else (middle, high)
     return f"{high:.2f}"
+
+
+@slow_value
+def faults_table() -> str:
+    """Return the faults with what is expected, and which pass; numbers that vary from run to run are left out."""
+    rows = [
+        f"| {found.number} | {found.injected} | {found.expected} | {'pass' if found.passes else 'fail'} |"
+        for found in rerun(is_quick=True)
+    ]
+    passing = sum(row.endswith("| pass |") for row in rows[1:])
+    head = "| # | fault | expected | |\n|---|---|---|---|"
+    return f"\n\n{head}\n" + "\n".join(rows) + f"\n\n{passing} of {len(rows) - 1} pass.\n\n"

@@ -1,0 +1,268 @@
+"""Bench of a fault: twins served in processes of their own, controllers in this process or in another, and records."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from masking.control.instruments import Instruments
+from masking.declaration.instruments import Limit
+from masking.errors import MaskingError, RecordError
+from masking.numerics.arrays import Array
+from masking.plants.interface import Plant
+from masking.plants.safety import Rules
+from masking.plants.udp import UdpPlant
+from masking.records.recording import Recording
+from masking.rig.twin import Twin
+from masking.runs import protection
+from masking.runs.realtime import RigRun, Step, run_rig
+
+Chosen = str | int | float | bool
+"""What is chosen of a fault, as JSON can hold it."""
+
+PLANT: Final = "tue_rig"
+RATE: Final = 1000.0  # Hz
+WATCHDOG: Final = 0.02  # s
+BUSY: Final = 3  # times that a fault in real time is tried: other programs may keep a process waiting for a watchdog
+_SAVED: Final = 20.0  # s at most until a server has saved a session
+
+
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """How a run ended: what the controller kept, the plant's own record, and the error if it ended in one."""
+
+    run: RigRun
+    own: Recording
+    error: BaseException | None = None
+
+    @property
+    def cause(self) -> str:
+        """Return the name of the cause for which the controller tripped; empty where it did not."""
+        return self.run.trip.cause.name if self.run.trip is not None else ""
+
+    @property
+    def tick(self) -> int:
+        """Return the tick of the trip; -1 where there is none."""
+        return self.run.trip.tick if self.run.trip is not None else -1
+
+
+@cache
+def twin(plant: str = PLANT) -> Twin:
+    """Return the twin of a packaged plant."""
+    return Twin.load(plant)
+
+
+@cache
+def rules(plant: str = PLANT, rate: float = RATE, speed: float = 0.0, largest: float = 0.0) -> Rules:
+    """Return what the safety chain holds the twin to.
+
+    Args:
+        plant: a packaged plant.
+        rate: samples per second.
+        speed: limit of the rate of the limited expressions, m/s; 0 for none.
+        largest: command in place of the declared one, in its unit; 0 for the declared one.
+    """
+    found = twin(plant)
+    declared = found.declaration
+    limits = declared.limits
+    if speed:
+        velocities = {text: Limit(max=speed, unit="m/s") for text in limits.coordinates}
+        limits = limits.model_copy(update={"velocities": velocities})
+    if largest:
+        inputs = {name: limit.model_copy(update={"max": largest}) for name, limit in limits.inputs.items()}
+        limits = limits.model_copy(update={"inputs": inputs})
+    declared = declared.model_copy(update={"limits": limits})
+    factors = found.kernels.meta["factors"] | {"m/s": 1.0}
+    return protection.rules(Instruments(declared, found.model, factors, found.noise(), found.delay), rate, found)
+
+
+def small(tick: int, _: Array) -> Array:
+    """Answer a tick as a sound controller does that moves the rig a little."""
+    return np.full(3, 0.02 * np.sin(2.0 * np.pi * 4.0 * tick / RATE))
+
+
+@final
+class Served:
+    """A twin that is served in a process of its own, and the folder of its records."""
+
+    def __init__(self, folder: Path, plant: str, *, lockstep: bool, steps: bool = False) -> None:
+        self.folder, self.plant, self.lockstep = folder, plant, lockstep
+        folder.mkdir(parents=True)
+        command = [
+            "-m",
+            "masking.faults.children",
+            "serve",
+            plant,
+            "lockstep" if lockstep else "real",
+            str(folder),
+            *["steps"] * steps,
+        ]
+        self.process = subprocess.Popen(  # noqa: S603  # this package's own module
+            [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        said = self.process.stdout.readline() if self.process.stdout is not None else ""
+        if not said:
+            self.close()
+            raise MaskingError(f"the twin of {plant} cannot be served in a process of its own")
+        self.address = said.strip()
+        self._count = 0
+
+    def damage(self, **chosen: Chosen) -> None:
+        """Choose what is damaged in the sessions that follow; nothing without arguments."""
+        (self.folder / "damage.json").write_text(json.dumps(chosen), encoding="utf-8")
+
+    def record(self) -> Recording:
+        """Return the plant's own record of the session that ended, once it is saved.
+
+        Raises:
+            RecordError: it is not saved in time.
+        """
+        self._count += 1
+        folder, until = self.folder / f"session-{self._count}", time.monotonic() + _SAVED
+        while True:
+            try:
+                return Recording.load(folder)
+            except RecordError:
+                if time.monotonic() > until:
+                    self._count -= 1
+                    raise
+                time.sleep(0.005)
+
+    def close(self) -> None:
+        """End the process."""
+        self.process.kill()
+        self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
+
+@final
+class Bench:
+    """What faults share: twins that are served, started once they are asked for.
+
+    Args:
+        folder: an empty one, for records.
+        is_quick: leave out what takes longer than a minute.
+    """
+
+    def __init__(self, folder: Path, *, is_quick: bool = True) -> None:
+        self.folder, self.is_quick = folder, is_quick
+        self._served: dict[tuple[str, bool], Served] = {}
+        self._number = 0
+
+    def place(self) -> Path:
+        """Return a folder that is not there yet."""
+        self._number += 1
+        return self.folder / str(self._number)
+
+    def served(self, *, lockstep: bool = True, plant: str = PLANT) -> Served:
+        """Return a twin that is served, sound, and the same as before if its process still runs."""
+        found = self._served.get((plant, lockstep))
+        if found is None or found.process.poll() is not None:
+            found = self._served[plant, lockstep] = Served(self.place(), plant, lockstep=lockstep)
+        found.damage()
+        return found
+
+    def anew(self, *, steps: bool = False) -> Served:
+        """Return a twin that is served in a process that only one fault uses; `steps` lets its wall clock step."""
+        found = self._served[str(self._number), False] = Served(self.place(), PLANT, lockstep=False, steps=steps)
+        return found
+
+    def run(
+        self,
+        step: Step = small,
+        *,
+        lockstep: bool = True,
+        samples: int = 400,
+        held: Rules | None = None,
+        plant: str = PLANT,
+        made: Callable[[str], Plant] | None = None,
+        damage: Mapping[str, Any] | None = None,
+        emergency: Callable[[], bool] | None = None,
+    ) -> Ended:
+        """Run a controller in this process on a served twin.
+
+        Args:
+            step: of the controller.
+            lockstep: whether both sides wait for each other.
+            samples: ticks.
+            held: what the chain holds the rig to; by default what the plant file says.
+            plant: a packaged plant.
+            made: makes the plant of the address; by default an undamaged line.
+            damage: of the plant, as `masking.faults.damage.Damaged` takes it.
+            emergency: the emergency stop.
+        """
+        served = self.served(lockstep=lockstep, plant=plant)
+        served.damage(**(damage or {}))
+        ended: list[RigRun] = []
+        error: BaseException | None = None
+        try:
+            run_rig(
+                step,
+                made(served.address) if made is not None else UdpPlant(served.address, patience=20.0),
+                rate=RATE,
+                samples=samples,
+                limits=held or rules(plant),
+                watchdog=WATCHDOG,
+                lockstep=lockstep,
+                acknowledge=True,
+                emergency=emergency,
+                on_end=ended.append,
+            )
+        except Exception as raised:  # whatever the fault is, its record is judged
+            error = raised
+            if not ended:
+                raise
+        return Ended(ended[0], served.record(), error)
+
+    @contextlib.contextmanager
+    def controller(self, address: str, **chosen: Chosen) -> Iterator[Controller]:
+        """Run a controller in a process of its own; give it once it runs."""
+        made = Controller(address, chosen)
+        try:
+            yield made
+        finally:
+            made.close()
+
+    def close(self) -> None:
+        """End all processes."""
+        for served in self._served.values():
+            served.close()
+
+
+@final
+class Controller:
+    """A controller in a process of its own, which says `running` after 200 ticks, and at its end how it went."""
+
+    def __init__(self, address: str, chosen: Mapping[str, Any]) -> None:
+        command = ["-m", "masking.faults.children", "control", address, json.dumps(dict(chosen))]
+        self.process = subprocess.Popen(  # noqa: S603  # this package's own module
+            [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        self.said = self._line()
+
+    def _line(self) -> str:
+        return self.process.stdout.readline().strip() if self.process.stdout is not None else ""
+
+    def end(self) -> dict[str, Any]:
+        """Wait for what it says at its end; nothing where it was killed."""
+        said = self.said if self.said.startswith("{") else self._line()
+        self.process.wait(20.0)
+        return dict(json.loads(said)) if said else {}
+
+    def close(self) -> None:
+        """End the process."""
+        self.process.kill()
+        self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()

@@ -1,0 +1,109 @@
+"""Processes of a fault: the server of a twin that can be damaged, and a controller that can fail.
+
+`python -m masking.faults.children serve PLANT real|lockstep FOLDER [steps]` prints its address,
+and records in the folder.
+`python -m masking.faults.children control ADDRESS JSON` prints `running` after 200 ticks, and at its end a JSON object.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from masking.faults import bench
+from masking.faults.damage import Damaged
+from masking.numerics.arrays import Array
+from masking.plants.interface import Settings
+from masking.plants.serve import serve
+from masking.plants.simulated import SimulatedPlant
+from masking.plants.udp import UdpPlant
+from masking.runs.realtime import RigRun, run_rig
+
+_RUNNING, _FAILING = 200, 300  # ticks
+_STALL = 0.005  # s
+_HOUR = 3600.0
+
+
+def _serve(plant: str, clock: str, folder: str, *steps: str) -> None:
+    if steps:
+        _step_the_wall_clock()
+    simulated = SimulatedPlant(bench.twin(plant))
+    simulated.configure(Settings(bench.RATE))  # compiles what a controller would not wait for
+    simulated.deactivate()
+    serve(
+        Damaged(simulated, Path(folder) / "damage.json"),
+        "udp://127.0.0.1:0",
+        clock="lockstep" if clock == "lockstep" else "real",
+        record=folder,
+        ready=lambda address: print(address, flush=True),
+        after_latch=0.1,
+    )
+
+
+def _control(address: str, chosen: dict[str, Any]) -> None:
+    fault, seen, row_of = chosen.get("fault", ""), [0.0], itertools.count()
+    if fault == "clock":
+        _step_the_wall_clock()
+
+    def step(tick: int, readings: Array) -> Array:
+        row = next(row_of)
+        seen[0] = time.monotonic()
+        if row == _FAILING and fault == "segfault":
+            ctypes.string_at(0)
+        if row == _FAILING and fault == "raise":
+            raise ZeroDivisionError("the controller was told to raise")
+        if (fault == "stalls" and row >= _FAILING) or (fault == "stall" and row == _FAILING):
+            time.sleep(_STALL)
+        return bench.small(tick, readings)
+
+    def on_tick(row: int) -> None:
+        if row == _RUNNING:
+            print("running", flush=True)
+
+    def on_end(ran: RigRun) -> None:
+        trip = ran.trip.as_dict() if ran.trip is not None else None
+        made: dict[str, Any] = {
+            "reason": ran.reason,
+            "trip": trip,
+            "rows": len(ran.index),
+            "counters": dict(ran.counters),
+        }
+        gaps = (ran.index[1:] - ran.index[:-1]).tolist()
+        made |= {"late": [i for i, late in enumerate(ran.late.tolist()) if late], "gaps": gaps}
+        print(json.dumps(made | {"now": time.monotonic(), "seen": seen[0]}), flush=True)
+
+    run_rig(
+        step,
+        UdpPlant(address, patience=20.0),
+        rate=bench.RATE,
+        samples=chosen.get("samples", 10**6),
+        limits=bench.rules(),
+        watchdog=bench.WATCHDOG,
+        lockstep=chosen.get("lockstep", False),
+        acknowledge=chosen.get("acknowledge", True),
+        on_tick=on_tick,
+        on_end=on_end,
+    )
+
+
+def _step_the_wall_clock() -> None:
+    """Let the wall clock of this process step by an hour, to and fro, each time that it is read."""
+    sound, steps = time.time, itertools.cycle((0.0, _HOUR, -_HOUR))
+    time.time = lambda: sound() + next(steps)
+
+
+def main() -> None:
+    """Do as the first argument says."""
+    if sys.argv[1] == "serve":
+        _serve(*sys.argv[2:])
+    else:
+        _control(sys.argv[2], json.loads(sys.argv[3]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,276 @@
+"""Faults 9 to 17, 22, 25 and 30: of time, of the line and of both processes."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from masking.errors import PlantRefusedError
+from masking.faults.bench import RATE, WATCHDOG, Bench, Chosen, Controller, Served, small
+from masking.faults.damage import DamagedPlant
+from masking.faults.table import Fault, Judgement
+from masking.plants.interface import Settings
+from masking.plants.udp import UdpPlant
+from masking.records.recording import Recording
+
+_TICKS: Final = round(WATCHDOG * RATE)  # of the watchdog
+_HELD: Final = 4  # lost samples that are borne
+_LOST_AT: Final = 300  # first sample that is lost
+
+
+def _started(judgement: Judgement, said: str) -> bool:
+    judgement.need(said == "running", "the controller did not come to run")
+    return said == "running"
+
+
+def _latched(own: Recording, judgement: Judgement) -> None:
+    """Demand that the plant was at zero a watchdog and two ticks after the last command in time, and stayed there."""
+    latch = own.manifest["latch"]
+    judgement.need(latch is not None, f"the plant did not trip: {own.manifest['end']}")
+    if latch is None:
+        return
+    fresh, inputs = own["fresh"], own.array("input")
+    last = int(np.flatnonzero(fresh)[-1])
+    moving = np.flatnonzero(inputs.any(axis=1))
+    ticks = own["tick"]
+    later = int(ticks[min(moving[-1] + 1, len(ticks) - 1)] - ticks[last])
+    judgement.need(later <= _TICKS + 2, f"zero {later} ticks after the last command, more than {_TICKS + 2}")
+    judgement.need(not inputs[ticks >= latch["tick"]].any(), "a command was in force after the trip")
+    judgement.say(f"zero {later} ticks after the last command, latched: {latch['cause']}")
+
+
+def _in_two(
+    bench: Bench, act: Callable[[Controller, Served], None], judgement: Judgement, **chosen: Any
+) -> dict[str, Any]:
+    """Run a controller in a process of its own on a served twin, do something to them, and return what it says."""
+    served = bench.served(lockstep=False)
+    with bench.controller(served.address, **chosen) as controller:
+        if not _started(judgement, controller.said):
+            with contextlib.suppress(Exception):
+                served.record()
+            return {}
+        act(controller, served)
+        return controller.end()
+
+
+def _raises(bench: Bench, judgement: Judgement) -> None:
+    served = bench.served()
+    with bench.controller(served.address, fault="raise", lockstep=True) as controller:
+        _started(judgement, controller.said)
+        said, status = controller.end(), controller.process.returncode
+    own, trip = served.record(), said.get("trip") or {}
+    judgement.need(trip.get("cause") == "CONTROLLER_EXCEPTION", f"ended as {trip.get('cause')}")
+    judgement.need("Traceback" in trip.get("detail", ""), "no traceback in the record")
+    judgement.need(status != 0, "the exit status is 0")
+    judgement.need(not own.array("input")[own["tick"] >= trip.get("tick", 0)].any(), "the output is not zero")
+    judgement.say(f"{trip.get('cause')}, exit status {status}")
+
+
+def _stalls(bench: Bench, judgement: Judgement) -> None:
+    served = bench.served(lockstep=False)
+    with bench.controller(served.address, fault="stall", samples=500) as controller:
+        _started(judgement, controller.said)
+        said = controller.end()
+    served.record()
+    late = len([row for row in said["late"] if row >= 300])
+    after = [gap for gap in said["gaps"] if gap < 1]
+    judgement.need(late == 1, f"{late} late ticks where 1 was stalled")
+    judgement.need(not after, "a tick was caught up")
+    judgement.say(f"once: {late} late tick")
+    with bench.controller(served.address, fault="stalls") as controller:
+        _started(judgement, controller.said)
+        said = controller.end()
+    served.record()
+    trip = said["trip"] or {}
+    stalled = said["rows"] - 1 - 300
+    judgement.need(trip.get("cause") == "OVERRUN", f"ended as {trip.get('cause') or said['reason']}")
+    judgement.need(stalled == 5, f"tripped after {stalled} stalls, not 5")
+    judgement.say(f"always: {trip.get('cause')} after {stalled}")
+
+
+def _loses(bench: Bench, judgement: Judgement) -> None:
+    for lost in (1, _HELD, _HELD + 1, 20):
+        made = partial(DamagedPlant, lost=range(_LOST_AT, _LOST_AT + lost))
+        ended = bench.run(lockstep=False, samples=500, made=made)
+        counted = ended.run.counters.get("lost", 0)
+        if lost <= _HELD:
+            judgement.need(not ended.cause, f"{lost} lost: ended as {ended.cause}")
+            judgement.say(f"{lost} lost: {counted} counted, goes on")
+        else:
+            judgement.need(ended.cause == "COMM_LOST", f"{lost} lost: ended as {ended.cause or ended.run.reason}")
+            judgement.say(f"{lost} lost: {counted} counted, {ended.cause}")
+        judgement.need(abs(counted - lost) <= 1, f"{lost} lost, {counted} counted")
+
+
+def _spoils(bench: Bench, judgement: Judgement) -> None:
+    ended = bench.run(made=partial(DamagedPlant, spoils=True))
+    judgement.need(ended.run.reason == "finished", f"ended as {ended.cause or ended.run.reason}")
+    rows = len(ended.run.applied) - 1  # the last one acts no more: the controller says good-bye
+    judgement.need(np.array_equal(ended.own.array("input")[:rows], ended.run.applied[:rows]), "a wrong command acted")
+    sensors = ended.own.array("sensor")[: len(ended.run.sensors)]
+    judgement.need(np.array_equal(sensors, ended.run.sensors[: len(sensors)]), "a wrong sample was used")
+    kinds = ("duplicate", "reordered", "other session")
+    theirs, ours = ended.own.manifest["counters"], ended.run.counters
+    for name, counted in (("plant", theirs), ("controller", ours)):
+        few = {kind: counted.get(kind, 0) for kind in kinds}
+        broken = sum(counted.values()) - sum(counted.get(k, 0) for k in (*kinds, "commands", "late", "missed"))
+        judgement.need(min(few.values()) >= rows - 6, f"the {name} counted {few} of {rows}")
+        judgement.need(broken >= rows - 6, f"the {name} counted {broken} corrupt frames of {rows}")
+    judgement.say(f"{rows} of {rows} commands and samples as sent; {ours.get('duplicate', 0)} duplicates rejected")
+
+
+def _killed(bench: Bench, judgement: Judgement) -> None:
+    def act(controller: Controller, _: Served) -> None:
+        controller.process.kill()
+
+    if _in_two(bench, act, judgement) or not judgement.broken:
+        _latched(bench.served(lockstep=False).record(), judgement)
+
+
+def _frozen(bench: Bench, judgement: Judgement) -> None:
+    def act(controller: Controller, _: Served) -> None:
+        controller.process.send_signal(signal.SIGSTOP)
+        time.sleep(0.2)
+        controller.process.send_signal(signal.SIGCONT)
+
+    said = _in_two(bench, act, judgement)
+    if not said:
+        return
+    own = bench.served(lockstep=False).record()
+    _latched(own, judgement)
+    judgement.need((said["trip"] or {}).get("cause") == "PLANT_LOST", f"the controller ended as {said['reason']}")
+    latch = own.manifest["latch"] or {"tick": 0}
+    stale = int(own["fresh"][own["tick"] > latch["tick"]].sum())
+    judgement.need(stale == 0, f"{stale} stale frames were used")
+    judgement.say(f"controller: {said['reason']}; {stale} stale frames used")
+
+
+def _signalled(bench: Bench, judgement: Judgement) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        sent: list[float] = []
+
+        def act(controller: Controller, _: Served, number: int = number, sent: list[float] = sent) -> None:
+            sent.append(time.monotonic())
+            controller.process.send_signal(number)
+
+        said = _in_two(bench, act, judgement)
+        if not said:
+            return
+        own = bench.served(lockstep=False).record()
+        seconds = said["now"] - sent[0]
+        judgement.need(said["reason"] == "interrupted", f"{number.name}: ended as {said['reason']}")
+        judgement.need(seconds <= 0.1, f"{number.name}: {seconds * 1e3:.0f} ms")
+        judgement.need(own.manifest["end"] == "bye" and said["rows"] > 0, f"{number.name}: {own.manifest['end']}")
+        judgement.say(f"{number.name} {seconds * 1e3:.1f} ms")
+
+
+def _crashes(bench: Bench, judgement: Judgement) -> None:
+    _in_two(bench, lambda *_: None, judgement, fault="segfault")
+    if not judgement.broken:
+        _latched(bench.served(lockstep=False).record(), judgement)
+
+
+def _dies(bench: Bench, judgement: Judgement) -> None:
+    served = bench.anew()
+    with bench.controller(served.address) as controller:
+        if not _started(judgement, controller.said):
+            return
+        served.process.kill()
+        said = controller.end()
+    seconds, trip = said["now"] - said["seen"], said["trip"] or {}
+    judgement.need(trip.get("cause") == "PLANT_LOST", f"ended as {trip.get('cause')}")
+    judgement.need(seconds <= 2.0 * WATCHDOG, f"{seconds * 1e3:.1f} ms after the last sample")
+    judgement.need(said["rows"] > 0, "nothing was kept")
+    judgement.say(f"{trip.get('cause')} {seconds * 1e3:.1f} ms after the last sample, {said['rows']} rows kept")
+
+
+def _rearmed(bench: Bench, judgement: Judgement) -> None:
+    def act(controller: Controller, _: Served) -> None:
+        controller.process.kill()
+
+    _in_two(bench, act, judgement)
+    if judgement.broken:
+        return
+    served = bench.served(lockstep=False)
+    cause = served.record().manifest["latch"]["cause"]
+    plant = UdpPlant(served.address, patience=20.0)
+    try:
+        plant.configure(Settings(RATE, WATCHDOG))
+        judgement.need(holds=False, broken="armed without an acknowledgement")
+    except PlantRefusedError as error:
+        judgement.need(cause in str(error), f"the refusal does not name the cause: {error}")
+        judgement.say(f"refused: it has tripped: {cause}")
+    finally:
+        plant.deactivate()
+    ended = bench.run(lockstep=False, damage={"what": "set", "channel": 0, "value": "nan"})
+    judgement.need(ended.cause == "SENSOR_NONFINITE", f"with the fault present: {ended.cause or ended.run.reason}")
+    judgement.need(not ended.own.array("input").any(), "a command reached the plant with the fault present")
+    judgement.say(f"with the fault present: {ended.cause} before any command")
+
+
+def _clock_steps(bench: Bench, judgement: Judgement) -> None:
+    served = bench.anew(steps=True)
+    with bench.controller(served.address, fault="clock", samples=500) as controller:
+        _started(judgement, controller.said)
+        said = controller.end()
+    own = served.record()
+    served.close()
+    judgement.need(said["reason"] == "finished", f"ended as {said['reason']}")
+    judgement.need(own.manifest["latch"] is None, f"the plant tripped: {own.manifest['latch']}")
+    judgement.need(np.ptp(own["wall"] - own["t"]) < 1.0, "the record's times step")
+    judgement.say(f"{said['reason']}, {said['rows']} ticks, no trip")
+
+
+def _second(bench: Bench, judgement: Judgement) -> None:
+    refusals: list[str] = []
+
+    def act(controller: Controller, served: Served) -> None:
+        second = UdpPlant(served.address, patience=20.0)
+        try:
+            second.configure(Settings(RATE, WATCHDOG, acknowledge=True))
+        except PlantRefusedError as error:
+            refusals.append(str(error))
+        second.deactivate()
+        time.sleep(0.1)
+        controller.process.send_signal(signal.SIGTERM)
+
+    said = _in_two(bench, act, judgement)
+    if not said:
+        return
+    own = bench.served(lockstep=False).record()
+    judgement.need(refusals and "has this plant" in refusals[0], "the second was not refused")
+    judgement.need(said["reason"] == "interrupted" and own.manifest["end"] == "bye", f"the first: {said['reason']}")
+    counted = own.manifest["counters"].get("refused controllers", 0)
+    judgement.say(f"{counted} refused, the first went on for {said['rows']} ticks")
+
+
+def sound(bench: Bench, judgement: Judgement) -> None:
+    """Run without a fault, in lockstep and in real time: nothing may trip."""
+    for lockstep in (True, False):
+        ended = bench.run(small, lockstep=lockstep, samples=1000)
+        judgement.need(ended.run.reason == "finished", f"ended as {ended.cause or ended.run.reason}")
+        judgement.need(ended.own.manifest["latch"] is None, f"the plant tripped: {ended.own.manifest['latch']}")
+        judgement.say(f"{'lockstep' if lockstep else 'real time'}: {ended.run.reason}, {len(ended.run.index)} ticks")
+
+
+FAULTS: Final = (
+    Fault(0, "no fault", "no trip, in lockstep and in real time", sound, in_real_time=True),
+    Fault(9, "controller raises", "CONTROLLER_EXCEPTION, traceback; zero, exit status not 0", _raises),
+    Fault(10, "5 ms stall once / always", "counted; OVERRUN after 5 in a row; no burst", _stalls, in_real_time=True),
+    Fault(11, "1, 4, 5, 20 samples lost in a row", "hold <= 4, then COMM_LOST; +- 1", _loses, in_real_time=True),
+    Fault(12, "duplicate, reordered, corrupt frames", "rejected, counted; only the newest valid acts", _spoils),
+    Fault(13, "kill -9 of the controller", "zero, latched; <= watchdog + 2 ticks", _killed, in_real_time=True),
+    Fault(14, "SIGSTOP 200 ms, then CONT", "both sides trip; 0 stale frames used", _frozen, in_real_time=True),
+    Fault(15, "SIGINT / SIGTERM / SIGHUP", "zero, disarm, record closed; <= 100 ms", _signalled, in_real_time=True),
+    Fault(16, "segfault of the controller", "zero, latched; <= watchdog + 2 ticks", _crashes, in_real_time=True),
+    Fault(17, "plant dies", "PLANT_LOST, record kept; <= 2 watchdogs", _dies, in_real_time=True),
+    Fault(22, "re-arm unacknowledged or faulty", "refused, cause named", _rearmed, in_real_time=True),
+    Fault(25, "wall clock steps", "nothing", _clock_steps, in_real_time=True),
+    Fault(30, "two controllers on one plant", "second refused", _second, in_real_time=True),
+)

@@ -1,0 +1,99 @@
+"""Faults 18, 19 and 26: of the disk and of the process that writes the controller's record."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import time
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from masking.faults.bench import RATE, Bench
+from masking.faults.table import Fault, Judgement
+from masking.records import stream, stream_content
+from masking.records.recorder import Recorder
+
+_COLUMNS: Final = {f"c{i}": {"unit": "V", "meaning": ""} for i in range(30)}
+_PAGE: Final = 20  # rows
+_ROWS: Final = 2000
+_FULL: Final = 200_000  # bytes that a file may have
+
+
+def _cut(bench: Bench, judgement: Judgement) -> None:
+    folder, number = bench.place(), 100 if bench.is_quick else 1000
+    random = np.random.default_rng(2)
+    table = random.standard_normal((_ROWS, len(_COLUMNS)))
+    stream.begin(folder, {"columns": _COLUMNS, "rate": RATE, "spare": str(folder), "number": "0"})
+    writer, ends = stream.StreamWriter(folder), []
+    for first in range(0, _ROWS, _PAGE):
+        writer.append(first, table[first : first + _PAGE])
+        ends.append((folder / stream.ROWS).stat().st_size)
+    writer.close()
+    data, wrong, lost = (folder / stream.ROWS).read_bytes(), 0, 0
+    for at in random.integers(0, len(data), number):
+        (folder / stream.ROWS).write_bytes(data[:at])
+        found = stream_content.read(folder)
+        wrong += bool(found.damages) or not np.array_equal(found.table, table[: len(found.table)])
+        there = min(_ROWS, _PAGE * (int(np.searchsorted(ends, at, side="right")) + 1))
+        lost = max(lost, there - len(found.table))
+    judgement.need(not wrong, f"{wrong} of {number} cuts are no exact prefix")
+    judgement.need(lost / RATE <= 1.0, f"{lost} rows lost")
+    judgement.say(f"{number - wrong} of {number} cuts are an exact prefix, at most {lost / RATE * 1e3:.0f} ms lost")
+
+
+def _recorded(bench: Bench, judgement: Judgement, act: Callable[[int], None]) -> tuple[Recorder, int]:
+    """Put rows at the rate, do something to the recorder after a third; return it, and the rows that are on disk.
+
+    Demands that what is on disk is an exact prefix, and that no row kept the loop for a period that did not before.
+    """
+    folder = bench.place()
+    made, row = Recorder(folder, _COLUMNS, RATE, folder), np.zeros(len(_COLUMNS))
+    puts, begin = np.zeros(_ROWS), time.monotonic()
+    for n in range(_ROWS):
+        if n == _ROWS // 3:
+            judgement.need(made.process, "no recorder runs")
+            act(made.process or 0)
+        row[:] = n
+        before = time.perf_counter()
+        made.ring.put(row)
+        puts[n] = time.perf_counter() - before
+        time.sleep(max(0.0, begin + (n + 1) / RATE - time.monotonic()))
+    made.close()
+    found = stream_content.read(folder)
+    exact = np.array_equal(found.table[:, 0], np.arange(len(found.table)))
+    judgement.need(exact and not found.damages, f"wrong rows: {found.damages}")
+    extra = int(np.sum(puts[_ROWS // 3 :] > 1.0 / RATE))
+    judgement.need(extra == 0, f"{extra} rows kept the loop for more than a period")
+    judgement.say(f"{_ROWS} rows put, {extra} of them late, {len(found.table)} on disk; {made.note}")
+    return made, len(found.table)
+
+
+def _killed(bench: Bench, judgement: Judgement) -> None:
+    made, there = _recorded(bench, judgement, lambda number: os.kill(number, signal.SIGKILL))
+    judgement.need(made.ended == 1, f"{made.ended} ends counted")
+    judgement.need(there == _ROWS, f"{_ROWS - there} rows lost")
+
+
+def _full(bench: Bench, judgement: Judgement) -> None:
+    def act(number: int) -> None:
+        resource.prlimit(number, resource.RLIMIT_FSIZE, (_FULL, _FULL))
+
+    made, there = _recorded(bench, judgement, act)
+    judgement.need(made.is_full, "the full disk is not told")
+    judgement.need(there < _ROWS, "the disk was not full")
+
+
+FAULTS: Final = (
+    Fault(
+        18,
+        "disk full, slow disk",
+        "loop untouched, orderly stop, loss counted; 0 extra overruns",
+        _full,
+        in_real_time=True,
+    ),
+    Fault(19, "log writer killed", "loop goes on or stops by policy; counted", _killed, in_real_time=True),
+    Fault(26, "power cut (truncate at random bytes)", "exact prefix; <= 1 s lost, never a wrong row", _cut),
+)

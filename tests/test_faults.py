@@ -1,0 +1,58 @@
+"""The faults of the table, as `masking rig faults --quick` produces them, and what judges them."""
+
+import json
+
+import pytest
+
+from masking import cli
+from masking.faults.bench import Bench
+from masking.faults.rerun import FAULTS
+from masking.faults.table import Fault, examine
+
+MISSING = {20, 21, 27, 29}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    made = Bench(tmp_path_factory.mktemp("faults") / "bench")
+    yield made
+    made.close()
+
+
+def test_the_table_is_whole():
+    assert [fault.number for fault in FAULTS] == list(range(31))
+    assert {fault.number for fault in FAULTS if fault.test is None} == MISSING
+
+
+@pytest.mark.parametrize("fault", [f for f in FAULTS if f.test is not None], ids=lambda fault: str(fault.number))
+def test_a_fault_is_survived(bench, fault):
+    found = examine(fault, bench)
+    assert not found.broken, found.measured
+
+
+def test_what_breaks_a_criterion_or_is_not_tested_fails(tmp_path):
+    bench = Bench(tmp_path)
+
+    def breaks(_, judgement):
+        judgement.say("3 ticks")
+        judgement.need(holds=False, broken="3 ticks, more than 2")
+
+    def raises(*_):
+        raise ValueError("unexpected")
+
+    assert examine(Fault(1, "a", "b"), bench).broken == ("not offered yet",)
+    assert examine(Fault(1, "a", "b", breaks), bench).broken == ("3 ticks, more than 2",)
+    assert examine(Fault(1, "a", "b", breaks, in_real_time=True), bench).tries == 3
+    assert examine(Fault(1, "a", "b", raises), bench).broken == ("ValueError: unexpected",)
+
+
+def test_the_command_line_prints_the_table_and_refuses_other_numbers(capsys):
+    assert cli.main(["rig", "faults", "28", "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["faults"]
+    assert (found["number"], found["passes"], found["broken"]) == (28, True, [])
+    assert cli.main(["rig", "faults", "28", "20"]) == 1
+    said = capsys.readouterr().out
+    assert "broken: not offered yet" in said
+    assert said.endswith("1 of 2 pass\n")
+    assert cli.main(["rig", "faults", "77"]) == 2
+    assert "there is no fault 77; give numbers from 0 to 30" in capsys.readouterr().err
