@@ -396,6 +396,13 @@ def test_a_twin_stops_where_a_sensor_shows_its_limit(tmp_path):
     assert not own.array("input")[-1].any()
 
 
+def test_noise_at_a_limit_is_no_motion_beyond_it():
+    reach = Reach("x", 5.0, "mm", 0.2, 1e-4)  # V/mm and V
+    assert reach.passed("s", -1.0 - 7.9e-4) == ""
+    assert reach.passed("s", -1.0 - 8.1e-4) == "x is -5.004 mm as s reads it, its limit is 5 mm"
+    assert reach.passed("s", float("nan")).startswith("x is nan mm")
+
+
 @pytest.mark.parametrize("reading", [np.nan, np.inf, -np.inf, 5.1, -5.1])
 def test_a_reading_that_shows_no_place_within_the_limit_trips(reading):
     guard = PlantLimits({}, {"x2": Reach("x", 5.0, "mm", 1.0)})

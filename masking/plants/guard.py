@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import Final, Protocol, final
 
 import numpy as np
 
@@ -34,6 +34,9 @@ class Guard(Protocol):
         ...
 
 
+OFF: Final = 8.0  # standard deviations of its noise that a reading may be off
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class Reach:
@@ -44,17 +47,19 @@ class Reach:
         largest: magnitude that it may have, in `unit`.
         unit: of that.
         gain: of the sensor, its unit per `unit`.
+        noise: standard deviation of a reading, in the sensor's unit; 8 of them are no motion.
     """
 
     what: str
     largest: float
     unit: str
     gain: float
+    noise: float = 0.0
 
     def passed(self, sensor: str, reading: float) -> str:
         """Say that a reading is beyond, as also where it is not a number; empty where it is not."""
         value = reading / self.gain
-        if abs(value) <= self.largest:
+        if abs(value) <= self.largest + OFF * self.noise / abs(self.gain):
             return ""
         return f"{self.what} is {value:.4g} {self.unit} as {sensor} reads it, its limit is {self.largest:g} {self.unit}"
 

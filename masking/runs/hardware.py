@@ -107,12 +107,12 @@ def _guard(twin: Twin) -> Guard:
     plant, size = twin.declaration, twin.size
     units = {name: given.unit for name, given in (plant.actuators or twin.base.inputs).items()}
     inputs = {name: limit.max * size(limit.unit) / size(units[name]) for name, limit in plant.limits.inputs.items()}
-    reaches = {}
+    reaches, noise = {}, twin.noise()
     for name, sensor in plant.sensors.items():
         for expression, limit in plant.limits.coordinates.items():
             if sensor.measures.text == expression.text:
                 gain = sensor.gain.value * size(sensor.gain.unit) / size(sensor.unit) * size(limit.unit)
-                reaches[name] = Reach(expression.text, limit.max, limit.unit, gain)
+                reaches[name] = Reach(expression.text, limit.max, limit.unit, gain, noise.get(name, 0.0))
     return PlantLimits(inputs, reaches)
 
 

@@ -20,6 +20,7 @@ from masking.declaration.expression import Expression
 from masking.declaration.instruments import Limit
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import LARGEST
+from masking.plants.guard import OFF
 from masking.plants.safety import Rules, unknown
 from masking.rig.twin import Twin
 
@@ -29,7 +30,6 @@ else:
     safety = lazy.load("masking.numerics.safety", suppress_warning=True)
 
 _EXACT: Final = 1e-6  # relative: of a linear expression, and of what readings determine
-_OFF: Final = 8.0  # standard deviations of a reading that it may be off
 _MARGIN: Final = 1.1  # of the largest speed that follows from the limits
 _UNKNOWN: Final = 0.02  # of the acceleration of the largest commands: what a model does not explain, at least
 _PART: Final = 0.25  # of the largest command, which a response is to tell
@@ -149,7 +149,7 @@ class _Builder:
             if sensor.jump is not None:
                 row[safety.STEP] = sensor.jump
             row[safety.NOISE] = self.instruments.noise.get(name, 0.0)
-            row[safety.OFF] = _OFF * row[safety.NOISE]
+            row[safety.OFF] = OFF * row[safety.NOISE]
 
     def _motion(self) -> tuple[Array, Array]:
         """Return the second derivatives of readings, and the largest that commands make in each (sensors,).
