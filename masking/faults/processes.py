@@ -46,7 +46,7 @@ def _latched(own: Recording, judgement: Judgement) -> None:
 
 
 def _in_two(
-    bench: Bench, act: Callable[[Controller, Served], None], judgement: Judgement, **chosen: Any
+    bench: Bench, act: Callable[[Controller, Served], None], judgement: Judgement, **chosen: Chosen
 ) -> dict[str, Any]:
     """Run a controller in a process of its own on a served twin, do something to them, and return what it says."""
     served = bench.served(lockstep=False)
