@@ -307,7 +307,7 @@ def _calibrate(chosen: argparse.Namespace) -> int:
 
 
 def _faults(chosen: argparse.Namespace) -> int:
-    """Produce the faults that a loop must survive on a served twin, and judge each; exit status 1 if one is not."""
+    """Produce the faults that a loop must survive on a served twin, and evaluate each; exit status 1 if one is not."""
     from masking.faults import table
     from masking.faults.rerun import rerun
 

@@ -1,4 +1,4 @@
-"""Faults: what a rig loop must survive, produced on the served twin of a rig and judged by the plant's own record.
+"""Faults: what a rig loop must survive, produced on the served twin of a rig and evaluated by the plant's own record.
 
 In: numbers of faults of the table.
 Out: for each what was expected, what was measured, and whether the criterion is met.

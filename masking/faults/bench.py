@@ -219,7 +219,7 @@ class Bench:
                 emergency=emergency,
                 on_end=ended.append,
             )
-        except Exception as raised:  # whatever the fault is, its record is judged
+        except Exception as raised:  # whatever the fault is, its record is evaluated
             error = raised
             if not ended:
                 raise

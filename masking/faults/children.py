@@ -56,7 +56,7 @@ def _control(address: str, chosen: dict[str, Any]) -> None:
         if row == _FAILING and fault == "segfault":
             ctypes.string_at(0)
         if row == _FAILING and fault == "raise":
-            raise ZeroDivisionError("the controller was told to raise")
+            raise ZeroDivisionError("the controller was asked to raise")
         if (fault == "stalls" and row >= _FAILING) or (fault == "stall" and row == _FAILING):
             time.sleep(_STALL)
         return bench.small(tick, readings)

@@ -65,7 +65,7 @@ class Damaged:
         values = sample.values.copy()
         channel, value = int(self._chosen.get("channel", 0)), float(self._chosen.get("value", 0.0))
         if self._is_on(sample.index, "fail"):
-            raise PlantError("it failed in a step, as it was told to")
+            raise PlantError("it failed in a step, as it was asked to")
         if self._is_on(sample.index, "hold"):
             values[channel] = self._held
         self._held = values[channel]

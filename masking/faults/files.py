@@ -73,7 +73,7 @@ def _hostile(bench: Bench, judgement: Judgement) -> None:
             judgement.need(holds=False, broken=f"{name}: not refused")
         except MaskingError as error:
             judgement.need(_PLACE.search(str(error)), f"{name}: no file:line:column in {str(error)[:100]!r}")
-        except Exception as error:  # what a reader must not raise is what is judged
+        except Exception as error:  # what a reader must not raise is what is evaluated
             judgement.need(holds=False, broken=f"{name}: {type(error).__name__}")
     judgement.need(not touched.exists(), "a declaration was executed")
     judgement.say(f"{len(cases)} declarations refused by their place; nothing executed")

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from masking.errors import PlantRefusedError
-from masking.faults.bench import RATE, WATCHDOG, Bench, Controller, Served, small
+from masking.faults.bench import RATE, WATCHDOG, Bench, Chosen, Controller, Served, small
 from masking.faults.damage import DamagedPlant
 from masking.faults.table import Fault, Judgement
 from masking.plants.interface import Settings
@@ -46,10 +46,7 @@ def _latched(own: Recording, judgement: Judgement) -> None:
 
 
 def _in_two(
-    bench: Bench,
-    act: Callable[[Controller, Served], None],
-    judgement: Judgement,
-    **chosen: Any,  # noqa: ANN401
+    bench: Bench, act: Callable[[Controller, Served], None], judgement: Judgement, **chosen: Chosen
 ) -> dict[str, Any]:
     """Run a controller in a process of its own on a served twin, do something to them, and return what it says."""
     served = bench.served(lockstep=False)

@@ -82,7 +82,7 @@ def _full(bench: Bench, judgement: Judgement) -> None:
         resource.prlimit(number, resource.RLIMIT_FSIZE, (_FULL, _FULL))
 
     made, there = _recorded(bench, judgement, act)
-    judgement.need(made.is_full, "the full disk is not told")
+    judgement.need(made.is_full, "the full disk is not reported")
     judgement.need(there < _ROWS, "the disk was not full")
 
 

@@ -29,7 +29,7 @@ FAULTS: Final = tuple(
 def rerun(
     numbers: Iterable[int] = (), *, is_quick: bool = False, say: Callable[[Finding], None] | None = None
 ) -> tuple[Finding, ...]:
-    """Produce faults on the served twin of a packaged rig, and judge each by the plant's own record.
+    """Produce faults on the served twin of a packaged rig, and evaluate each by the plant's own record.
 
     Args:
         numbers: of the table, where 0 is a run without a fault; all by default.

@@ -1,4 +1,4 @@
-"""A fault of the table: what is injected, what is expected, and how the test judged it."""
+"""A fault of the table: what is injected, what is expected, and how the test evaluated it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Fault:
         number: of the table.
         injected: what is done.
         expected: what must follow, and the criterion.
-        test: injects it, measures, and judges; None where what it tests is not offered yet.
+        test: injects it, measures, and evaluates; None where what it tests is not offered yet.
         in_real_time: other programs may spoil a try, so that it has three.
     """
 
@@ -84,7 +84,7 @@ class Finding:
 
 
 def examine(fault: Fault, bench: Bench) -> Finding:
-    """Inject a fault, and judge what follows."""
+    """Inject a fault, and evaluate what follows."""
     began, tries, judgement = time.monotonic(), 0, Judgement()
     if fault.test is None:
         judgement.need(holds=False, broken="not offered yet")
