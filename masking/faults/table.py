@@ -114,7 +114,8 @@ def examine(fault: Fault, bench: Bench) -> Finding:
 
 def text(findings: Sequence[Finding]) -> str:
     """Return the findings as a table of text."""
-    return "\n".join([*_lines(findings), f"{sum(f.passes for f in findings)} of {len(findings)} pass"])
+    faults = [found for found in findings if found.number]  # 0 is a run without one
+    return "\n".join([*_lines(findings), f"{sum(f.passes for f in faults)} of {len(faults)} pass"])
 
 
 def _lines(findings: Sequence[Finding]) -> Iterator[str]:
