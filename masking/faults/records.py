@@ -93,6 +93,7 @@ FAULTS: Final = (
         "loop untouched, orderly stop, loss counted; 0 extra overruns",
         _full,
         in_real_time=True,
+        missing="a slow disk, and the orderly stop of a run",
     ),
     Fault(19, "log writer killed", "loop goes on or stops by policy; counted", _killed, in_real_time=True),
     Fault(26, "power cut (truncate at random bytes)", "exact prefix; <= 1 s lost, never a wrong row", _cut),

@@ -42,6 +42,7 @@ class Fault:
         expected: what must follow, and the criterion.
         test: injects it, measures, and evaluates; None where what it tests is not offered yet.
         in_real_time: other programs may spoil a try, so that it has three.
+        missing: what of the row the test does not inject or look at; the fault counts as not survived then.
     """
 
     number: int
@@ -49,6 +50,7 @@ class Fault:
     expected: str
     test: Test | None = None
     in_real_time: bool = False
+    missing: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ def examine(fault: Fault, bench: Bench) -> Finding:
                 judgement.need(holds=False, broken=f"{type(error).__name__}: {error}")
             if not judgement.broken:
                 break
+    judgement.need(not fault.missing, f"not tested: {fault.missing}")
     return Finding(
         fault.number,
         fault.injected,
@@ -111,7 +114,8 @@ def examine(fault: Fault, bench: Bench) -> Finding:
 
 def text(findings: Sequence[Finding]) -> str:
     """Return the findings as a table of text."""
-    return "\n".join([*_lines(findings), f"{sum(f.passes for f in findings)} of {len(findings)} pass"])
+    faults = [found for found in findings if found.number]  # 0 is a run without one
+    return "\n".join([*_lines(findings), f"{sum(f.passes for f in faults)} of {len(faults)} pass"])
 
 
 def _lines(findings: Sequence[Finding]) -> Iterator[str]:
