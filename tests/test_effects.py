@@ -785,8 +785,9 @@ def test_floor_is_flat_between_its_steps(declared):
     np.testing.assert_array_equal(model.linearise(at={"x": 0.4}).A, [[0.0, 1.0], [-1.0, 0.0]])
 
 
-# Names of effects that are words of the language, too: arguments, keys of files and manifests, rows and labels.
+# Names of effects that are words of the language, too: arguments, verbs, keys of files and manifests, rows and labels.
 ALSO_WORDS = {
+    "cli": {"stop"},
     "codegen": {"noise"},
     "declaration": {"delay", "stop"},
     "exports": {"noise"},
