@@ -31,6 +31,7 @@ from masking.runs.realtime import run_rig
 from masking.workflows.operator import attend
 from tests import chromium
 from tests.benchmarks.operator_page import run
+from tests.busy import repeated
 
 RUN = {"rate": 1000.0, "limits": np.array([0.2, 0.4])}
 
@@ -99,8 +100,10 @@ def test_a_pressed_switch_trips_within_two_ticks(presser, said):
     assert not ran.applied[-1].any()
 
 
+@repeated
 def test_a_file_trips(tmp_path):
     file = tmp_path / "STOP"
+    file.unlink(missing_ok=True)
     with Operator(stop_file=file) as operator:
 
         def on_tick(row):
@@ -114,6 +117,7 @@ def test_a_file_trips(tmp_path):
         Operator(stop_file=file)
 
 
+@repeated
 def test_an_attended_run_trips_where_nobody_looks():
     with Operator(is_attended=True) as operator:
 
@@ -130,6 +134,7 @@ def test_an_attended_run_trips_where_nobody_looks():
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "stalled"])
 @pytest.mark.parametrize("attended", [False, True], ids=["", "attended"])
+@repeated
 def test_a_page_that_is_gone_stops_attended_runs_alone(cart, number, attended):
     attendants, gone = [], []
 

@@ -19,7 +19,7 @@ import tempfile
 import time
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -148,7 +148,7 @@ def run(kind: str, is_sample: bool = False, jobs: int = 2) -> list[Verdict]:
     found: dict[int, Verdict] = {}
     waiting = [(first, jobs) for first in range(jobs)]
     running: dict[subprocess.Popen[str], list[float | int]] = {}  # since when it is at which case, -1 at first; step
-    with selectors.DefaultSelector() as ready:
+    with selectors.DefaultSelector() as ready, _ended(running):
         while waiting or running:
             while waiting:
                 first, step = waiting.pop()
@@ -185,6 +185,18 @@ def run(kind: str, is_sample: bool = False, jobs: int = 2) -> list[Verdict]:
                         waiting.append((first, int(running[process][3])))
     assert len(found) == len(names), (len(found), len(names))
     return [found[number] for number in range(len(names))]
+
+
+@contextlib.contextmanager
+def _ended(running: Iterable[subprocess.Popen[str]]) -> Iterator[None]:
+    """Let no process outlive a judgement that fails."""
+    try:
+        yield
+    finally:
+        for process in running:
+            process.kill()
+            with process:
+                pass
 
 
 def _verdict(name: str, wrong: str, detail: str, seconds: float, grown: int) -> Verdict:
