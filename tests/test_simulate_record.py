@@ -75,6 +75,20 @@ def test_a_plant_file_brings_its_own_model(folder):
     assert rig.chi["x"] == pytest.approx(alone.chi["x"], rel=1e-6)
 
 
+def test_a_lag_of_a_sensor_begins_anywhere(folder):
+    """The reading is the steady response of the lag to the decay, and a decay of its own that no motion explains."""
+    t, tau, rate = np.arange(4000) / RATE, 0.5, W * (-Z + 1j * np.sqrt(1 - Z**2))
+    read = (START * np.exp(rate * t) / (1 + rate * tau)).real + 2 * START * np.exp(-t / tau)
+    read += NOISE * np.random.default_rng(0).standard_normal(len(t))
+    np.savetxt(folder / "late.csv", np.column_stack([t, read]), delimiter=",", header="time,x", comments="")
+    (folder / "rig.yaml").write_text(
+        "name: rig\nmodel: oscillator.yaml\nsensors: {x: {measures: x, gain: {value: 1, unit: m/m}, unit: m}}\n"
+        "effects: {lag: {effect: sensor_lag, at: x, parameters: {tau: 0.5}}}\n"
+    )
+    made = masking.simulate(folder / "rig.yaml", folder / "late.csv", columns={"t": "time"})
+    assert made.residual.std() == pytest.approx(NOISE, rel=0.05)
+
+
 def test_what_cannot_be_simulated_is_refused_with_the_mend(folder):
     with pytest.raises(RecordError, match=r"there is no column .* name that with --plant \(in Python, plant=\)$"):
         masking.simulate("setup", folder / "decay.csv", columns={"t": "time"})

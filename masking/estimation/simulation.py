@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 
+from masking.declaration.expression import Expression
 from masking.errors import IntegrationError
 from masking.estimation.data import NOT_LATE, Data
 from masking.estimation.least_squares import NO_BOUNDS, Damping, Dense, Linearised, minimise
@@ -100,7 +101,7 @@ def validated(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weight
 
 
 def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: float | None = None) -> Simulated:
-    """Simulate a record from the initial state that reproduces it best; those of the plant's effects begin at rest.
+    """Simulate a record from the initial state that reproduces it best.
 
     Args:
         twin: the plant, with the values to simulate with.
@@ -146,7 +147,7 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
 def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) -> tuple[Array, NormalEquations]:
     """Return the initial state (states,) from which a record is reproduced best, and what is simulated from there.
 
-    Internal states of effects of the plant begin at rest, those of its model anywhere.
+    Internal states of effects of the plant begin about as far from 0 as they may, those of its model anywhere.
 
     Args:
         sensing: the twin.
@@ -191,18 +192,35 @@ def _nearest(
     sensing: Sensitivity, theta: Array, record: Data, weights: Array, start: Array, *, steps: int | None = None
 ) -> tuple[Array, NormalEquations]:
     """Return what `nearest` does, near a state to begin with (states,), in integration steps between samples."""
-    free, record = np.array(sensing.twin.free, dtype=int), sensing.later(theta, record)
+    own, record = reaches(sensing.twin), sensing.later(theta, record)
+    free = np.array([*sensing.twin.free, *own], dtype=int)
+    reach = np.array([np.inf] * len(sensing.twin.free) + [*own.values()])
     first, basis = start.copy(), sensing.basis(theta)
     substeps, at = steps or sensing.twin.substeps(record.rate), len(theta) + free
 
     def linearised(x: Array) -> Linearised[Dense, NormalEquations]:
         first[free] = x
         made = sensing.normal_equations(basis, first, record, weights, substeps)
-        return Linearised(float(weights @ made.squares), Dense(made.matrix[np.ix_(at, at)], made.gradient[at]), made)
+        equations = Dense(made.matrix[np.ix_(at, at)], made.gradient[at]).with_prior(-x, reach)
+        return Linearised(float(weights @ made.squares + ((x / reach) ** 2).sum()), equations, made)
 
     found = minimise(linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost)
     first[free] = found.x
     return first, found.at.found
+
+
+def reaches(twin: Twin) -> dict[int, float]:
+    """Return how far from 0 the internal states of a plant's effects may begin, by their indices in y.
+
+    Those that soon forget how they began are left out: they begin at 0.
+    """
+    names, found = twin.state_names, {}
+    for effect in (e for e in twin.effects if e.enabled):
+        of = twin.model.value if effect.entry.where == "element" else twin.parameter_value
+        known = {key: of(f"{effect.label}_{key}") for key in effect.entry.parameters if effect.entry.states}
+        sizes = {f"{effect.label}_{key}": state.size for key, state in effect.entry.states.items()}
+        found |= {names.index(name): Expression(size).evaluate(known) for name, size in sizes.items() if size}
+    return {index: reach for index, reach in found.items() if reach > 0.0}
 
 
 def first_start(sensing: Sensitivity, record: Data) -> Array:
