@@ -214,7 +214,8 @@ def reaches(twin: Twin) -> dict[int, float]:
 
     Those that soon forget how they began are left out: they begin at 0.
     """
-    names, found = twin.state_names, {}
+    names = twin.state_names
+    found: dict[int, float] = {}
     for effect in (e for e in twin.effects if e.enabled):
         of = twin.model.value if effect.entry.where == "element" else twin.parameter_value
         known = {key: of(f"{effect.label}_{key}") for key in effect.entry.parameters if effect.entry.states}
