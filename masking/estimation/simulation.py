@@ -218,9 +218,10 @@ def reaches(twin: Twin) -> dict[int, float]:
     found: dict[int, float] = {}
     for effect in (e for e in twin.effects if e.enabled):
         of = twin.model.value if effect.entry.where == "element" else twin.parameter_value
-        known = {key: of(f"{effect.label}_{key}") for key in effect.entry.parameters if effect.entry.states}
-        sizes = {f"{effect.label}_{key}": state.size for key, state in effect.entry.states.items()}
-        found |= {names.index(name): Expression(size).evaluate(known) for name, size in sizes.items() if size}
+        sizes = {f"{effect.label}_{key}": state.size for key, state in effect.entry.states.items() if state.size}
+        for name in sizes.keys() & {*names}:  # an effect that is given without its state has none
+            known = {key: of(f"{effect.label}_{key}") for key in effect.entry.parameters}
+            found[names.index(name)] = Expression(sizes[name]).evaluate(known)
     return {index: reach for index, reach in found.items() if reach > 0.0}
 
 
