@@ -119,6 +119,7 @@ def test_a_file_trips(tmp_path):
 
 @repeated
 def test_an_attended_run_trips_where_nobody_looks():
+    run_rig(damped, MassSpring(), **RUN, samples=2, lockstep=True)  # compiled before anybody looks
     with Operator(is_attended=True) as operator:
 
         def on_tick(row):
