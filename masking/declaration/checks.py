@@ -20,7 +20,7 @@ _COHERENT = frozenset(
 # The parts of an entry of each section that may be expressions.
 _FORMULAS = {
     "parameters": ["value"], "outputs": ["expression"], "scales": ["value"],
-    "elements": ["displacement", "rate", "force"],
+    "elements": ["displacement", "rate", "force"], "states": ["size"],
 }  # fmt: skip
 
 
@@ -168,7 +168,8 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
             stretched += velocities(coordinates)
         if path.endswith(".force") and section == "elements":
             stretched = ["d", "d_rate", "t", *static, *model.states, *model.definitions]
-        allowed = {"parameters": static, "scales": static, "elements": stretched, "events": steady}.get(section, moving)
+        narrow = {"parameters": static, "scales": static, "states": static, "elements": stretched, "events": steady}
+        allowed = narrow.get(section, moving)
         yield from check_symbols(expression, [*allowed, *rates], coordinates, known=moving)
         where = section if section in {"lagrangian", "dissipation", "energy"} else ""
         if path in of_states:

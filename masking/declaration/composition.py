@@ -71,7 +71,7 @@ def _model(parts: list[Part]) -> dict[str, Any]:
     made: dict[str, Any] = {"name": _title(parts, lambda part: part.model.name)}
     sections: dict[str, Callable[[Part, Any], Any]] = {
         "coordinates": lambda part, entry: entry,
-        "states": lambda part, entry: entry,
+        "states": lambda part, entry: {**entry, **({"size": part.written(entry["size"])} if "size" in entry else {})},
         "inputs": lambda part, entry: entry,
         "parameters": _with("value"),
         "outputs": _with("expression"),

@@ -183,11 +183,11 @@ class _Checker:
             self.same(self.of(left), right, "the left side is {}, the right side {}")
         for path, expression in formulas(model):
             section, _, rest = path.partition(".")
-            if section in {"parameters", "outputs", "scales"}:
+            if section in {"parameters", "outputs", "scales", "states"}:
                 name = rest.rpartition(".")[0]
                 is_declared = "unit" in getattr(model, section)[name].model_fields_set
-                if section == "scales" and not expression.symbols:
-                    continue  # a number, in the scale's unit
+                if section in {"scales", "states"} and not expression.symbols:
+                    continue  # a number, in the unit of the entry
                 unit = self.units[f"{section}.{name}.unit"] if is_declared else None
                 self.same(unit, expression, "the declared unit is {}, the expression {}")
             elif section == "energy":

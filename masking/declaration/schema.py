@@ -79,11 +79,16 @@ class Coordinate(Block):
 
 
 class State(Block):
-    """An internal state: a quantity z with an equation `z': ...` of first order, and where it starts."""
+    """An internal state: a quantity z with an equation `z': ...` of first order, and where it starts.
+
+    A record may begin about `size`, an expression of parameters or a number in `unit`, away from `initial`; by default
+    anywhere.
+    """
 
     meaning: TextField = ""
     unit: TextField = "1"
     initial: Number = 0.0
+    size: Formula | None = None
 
 
 class Element(Block):

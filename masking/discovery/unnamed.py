@@ -23,6 +23,7 @@ from masking.errors import IntegrationError
 from masking.estimation.simulation import relative
 
 MOST_FINER = 4  # times the integration steps of the model alone: curves are smooth, and have many factors
+LITTLE = 0.1  # of what the names leave beyond noise, which a form must take to be their rival
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,9 @@ class UnnamedLaw:
 def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone: bool = False) -> float:
     """Return by how much the closed form of a law has a better score than the names in both records.
 
-    It is no rival, and this is -inf, where it is known in other intervals. With more numbers than the names, a form may
-    imitate what else is missing: it is no rival either, unless it alone leaves no more than noise.
+    It is no rival, and this is -inf, where it is known in other intervals, or where it leaves nearly all of what the
+    names leave beyond noise: then both are the same law. With more numbers than the names, a form may imitate what else
+    is missing: it is no rival either, unless it alone leaves no more than noise.
 
     Args:
         found: the record with its explanation.
@@ -126,6 +128,9 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone:
         one.cost + float(unseen.squares @ law.problem.weights)
         for one, unseen in ((named, validated), (form.hypothesis, form.validated))
     ]
+    noise = (1.0 + found.problem.rules.screen_resolution) * (named.residuals.size + validated.residuals.size)
+    if costs[0] > noise and costs[1] - noise > (1.0 - LITTLE) * (costs[0] - noise):
+        return -np.inf
     return costs[0] - costs[1] + penalty * (numbers[0] - numbers[1])
 
 

@@ -193,7 +193,11 @@ def _with_effect(
         law = _in_series(declaration, entry, at, label)
         changed = declaration.model_copy(update={"elements": {**declaration.elements, at: law}})
     new_states = {
-        names[state]: State(meaning=f"{e.meaning}, {label}", unit=unit_of(e.unit, units))
+        names[state]: State(
+            meaning=f"{e.meaning}, {label}",
+            unit=unit_of(e.unit, units),
+            size=Expression(e.size, path=label).renamed(names) if e.size else None,
+        )
         for state, e in entry.states.items()
     }
     new_equations = {

@@ -9,12 +9,12 @@ from functools import cache
 
 import numpy as np
 
-from masking.declaration.expression import Expression
 from masking.errors import IntegrationError
 from masking.estimation.data import NOT_LATE, Data
 from masking.estimation.least_squares import NO_BOUNDS, Damping, Dense, Linearised, minimise
 from masking.estimation.sensitivity import NormalEquations, Sensitivity
 from masking.numerics.arrays import Array
+from masking.rig.beginnings import reaches
 from masking.rig.twin import Twin
 
 # Parts of a record from which its initial state is estimated before the whole: friction has many minima.
@@ -147,7 +147,7 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
 def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) -> tuple[Array, NormalEquations]:
     """Return the initial state (states,) from which a record is reproduced best, and what is simulated from there.
 
-    Internal states of effects of the plant begin about as far from 0 as they may, those of its model anywhere.
+    Internal states begin about as far from where they are declared as their size says.
 
     Args:
         sensing: the twin.
@@ -192,37 +192,23 @@ def _nearest(
     sensing: Sensitivity, theta: Array, record: Data, weights: Array, start: Array, *, steps: int | None = None
 ) -> tuple[Array, NormalEquations]:
     """Return what `nearest` does, near a state to begin with (states,), in integration steps between samples."""
-    own, record = reaches(sensing.twin), sensing.later(theta, record)
-    free = np.array([*sensing.twin.free, *own], dtype=int)
-    reach = np.array([np.inf] * len(sensing.twin.free) + [*own.values()])
+    twin, record = sensing.twin, sensing.later(theta, record)
+    sized, rest = reaches(twin), twin.rest(np.zeros(len(twin.model.coordinates)))
+    free = np.array(sorted({*twin.free, *sized}), dtype=int)
+    reach = np.array([sized.get(i, np.inf) for i in free])
     first, basis = start.copy(), sensing.basis(theta)
-    substeps, at = steps or sensing.twin.substeps(record.rate), len(theta) + free
+    substeps, at = steps or twin.substeps(record.rate), len(theta) + free
 
     def linearised(x: Array) -> Linearised[Dense, NormalEquations]:
         first[free] = x
         made = sensing.normal_equations(basis, first, record, weights, substeps)
-        equations = Dense(made.matrix[np.ix_(at, at)], made.gradient[at]).with_prior(-x, reach)
-        return Linearised(float(weights @ made.squares + ((x / reach) ** 2).sum()), equations, made)
+        equations = Dense(made.matrix[np.ix_(at, at)], made.gradient[at]).with_prior(rest[free] - x, reach)
+        off = (x - rest[free]) / reach
+        return Linearised(float(weights @ made.squares + off @ off), equations, made)
 
     found = minimise(linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost)
     first[free] = found.x
     return first, found.at.found
-
-
-def reaches(twin: Twin) -> dict[int, float]:
-    """Return how far from 0 the internal states of a plant's effects may begin, by their indices in y.
-
-    Those that soon forget how they began are left out: they begin at 0.
-    """
-    names = twin.state_names
-    found: dict[int, float] = {}
-    for effect in (e for e in twin.effects if e.enabled):
-        of = twin.model.value if effect.entry.where == "element" else twin.parameter_value
-        sizes = {f"{effect.label}_{key}": state.size for key, state in effect.entry.states.items() if state.size}
-        for name in sizes.keys() & {*names}:  # an effect that is given without its state has none
-            known = {key: of(f"{effect.label}_{key}") for key in effect.entry.parameters}
-            found[names.index(name)] = Expression(sizes[name]).evaluate(known)
-    return {index: reach for index, reach in found.items() if reach > 0.0}
 
 
 def first_start(sensing: Sensitivity, record: Data) -> Array:

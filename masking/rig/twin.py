@@ -377,9 +377,9 @@ class Twin:
 
     def rest(self, coordinates: Array) -> Array:
         """Return the state (states,) at rest in given coordinates (n,), with internal states as declared."""
-        internal = [state.initial for state in self.model.declaration.states.values()]
-        zeros = np.zeros(len(coordinates) + len(self.chain_states))
-        n = len(coordinates)
+        units, n = self.model.units.conversions, len(coordinates)
+        internal = [z.initial * units[z.unit].factor for z in self.model.declaration.states.values()]
+        zeros = np.zeros(n + len(self.chain_states))
         return np.concatenate([coordinates, zeros[:n], internal, zeros[n:]])
 
     def structure(self) -> dict[str, object]:
