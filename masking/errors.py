@@ -153,6 +153,10 @@ class SamplesLostError(PlantLostError):
     """Too many samples of a plant in a row did not arrive."""
 
 
+class EmergencyStopError(PlantError):
+    """The emergency stop of a plant is pressed."""
+
+
 class PlantOrderError(PlantError):
     """A plant was used out of the order configure, activate, read and write, deactivate."""
 

@@ -32,7 +32,6 @@ FLOORS: dict[str, set[str]] = {
         *("numerics", "declaration", "display", "effects", "codegen", "modelling", "records", "analysis", "rig"),
         *("control", "plants", "signals"),
     },
-    "faults": {"numerics", "declaration", "records", "rig", "control", "plants", "runs"},
     "estimation": {"numerics", "display", "codegen", "records", "rig"},
     "discovery": {
         *("numerics", "declaration", "display", "effects", "codegen", "records", "signals", "rig", "estimation"),
@@ -46,6 +45,7 @@ FLOORS: dict[str, set[str]] = {
         *("numerics", "declaration", "effects", "modelling", "records", "signals", "analysis", "rig", "control"),
         *("plants", "exports", "runs", "estimation", "discovery", "procedures", "reports"),
     },
+    "faults": {"numerics", "declaration", "records", "rig", "control", "plants", "exports", "runs", "workflows"},
     "cli": {"declaration", "records", "rig", "plants", "runs", "faults", "reports", "workflows"},
 }
 

@@ -9,7 +9,7 @@ from masking.faults.bench import Bench
 from masking.faults.rerun import FAULTS
 from masking.faults.table import Fault, examine
 
-MISSING = {20, 21, 27, 29}
+MISSING = {20, 27}
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def bench(tmp_path_factory):
 def test_the_table_is_whole():
     assert [fault.number for fault in FAULTS] == list(range(31))
     assert {fault.number for fault in FAULTS if fault.test is None} == MISSING
-    assert {fault.number for fault in FAULTS if fault.missing} == {17, 18}
+    assert not [fault.number for fault in FAULTS if fault.missing]
 
 
 @pytest.mark.parametrize("fault", [f for f in FAULTS if f.test is not None], ids=lambda fault: str(fault.number))
@@ -51,7 +51,7 @@ def test_the_command_line_prints_the_table_and_refuses_other_numbers(capsys):
     assert cli.main(["rig", "faults", "28", "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)["faults"]
     assert (found["number"], found["passes"], found["broken"]) == (28, True, [])
-    assert cli.main(["rig", "faults", "28", "20"]) == 1
+    assert cli.main(["rig", "faults", "28", "27"]) == 1
     said = capsys.readouterr().out
     assert "broken: not offered yet" in said
     assert said.endswith("1 of 2 pass\n")

@@ -2,5 +2,5 @@
 
 In: numbers of faults of the table.
 Out: for each what was expected, what was measured, and whether the criterion is met.
-Imports: numerics, declaration, records, rig, control, plants, runs.
+Imports: numerics, declaration, records, rig, control, plants, exports, runs, workflows.
 """

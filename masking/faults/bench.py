@@ -34,6 +34,7 @@ PLANT: Final = "tue_rig"
 RATE: Final = 1000.0  # Hz
 WATCHDOG: Final = 0.02  # s
 BUSY: Final = 3  # times that a fault in real time is tried: other programs may keep a process waiting for a watchdog
+_UDP: Final = "udp://127.0.0.1:0"
 _SAVED: Final = 20.0  # s at most until a server has saved a session
 
 
@@ -95,7 +96,7 @@ def small(tick: int, _: Array) -> Array:
 class Served:
     """A twin that is served in a process of its own, and the folder of its records."""
 
-    def __init__(self, folder: Path, plant: str, *, lockstep: bool, steps: bool = False) -> None:
+    def __init__(self, folder: Path, plant: str, *, lockstep: bool, line: str = _UDP, steps: bool = False) -> None:
         self.folder, self.plant, self.lockstep = folder, plant, lockstep
         folder.mkdir(parents=True)
         command = [
@@ -105,6 +106,7 @@ class Served:
             plant,
             "lockstep" if lockstep else "real",
             str(folder),
+            line,
             *["steps"] * steps,
         ]
         self.process = subprocess.Popen(  # noqa: S603  # this package's own module
@@ -173,9 +175,10 @@ class Bench:
         found.damage()
         return found
 
-    def anew(self, *, steps: bool = False) -> Served:
+    def anew(self, *, line: str = _UDP, steps: bool = False) -> Served:
         """Return a twin that is served in a process that only one fault uses; `steps` lets its wall clock step."""
-        found = self._served[str(self._number), False] = Served(self.place(), PLANT, lockstep=False, steps=steps)
+        found = Served(self.place(), PLANT, lockstep=False, line=line, steps=steps)
+        self._served[str(self._number), False] = found
         return found
 
     def run(
@@ -188,7 +191,7 @@ class Bench:
         plant: str = PLANT,
         made: Callable[[str], Plant] | None = None,
         damage: Mapping[str, Any] | None = None,
-        emergency: Callable[[], bool] | None = None,
+        **more: Any,  # noqa: ANN401
     ) -> Ended:
         """Run a controller in this process on a served twin.
 
@@ -200,7 +203,7 @@ class Bench:
             plant: a packaged plant.
             made: makes the plant of the address; by default an undamaged line.
             damage: of the plant, as `masking.faults.damage.Damaged` takes it.
-            emergency: the emergency stop.
+            more: what `run_rig` takes besides.
         """
         served = self.served(lockstep=lockstep, plant=plant)
         served.damage(**(damage or {}))
@@ -216,7 +219,7 @@ class Bench:
                 watchdog=WATCHDOG,
                 lockstep=lockstep,
                 acknowledge=True,
-                emergency=emergency,
+                **more,
                 on_end=ended.append,
             )
         except Exception as raised:  # whatever the fault is, its record is evaluated

@@ -18,10 +18,10 @@ from typing import Any
 from masking.faults import bench
 from masking.faults.damage import Damaged
 from masking.numerics.arrays import Array
+from masking.plants import adapters
 from masking.plants.interface import Settings
 from masking.plants.serve import serve
 from masking.plants.simulated import SimulatedPlant
-from masking.plants.udp import UdpPlant
 from masking.runs.realtime import RigRun, run_rig
 
 _RUNNING, _FAILING = 200, 300  # ticks
@@ -29,7 +29,7 @@ _STALL = 0.005  # s
 _HOUR = 3600.0
 
 
-def _serve(plant: str, clock: str, folder: str, *steps: str) -> None:
+def _serve(plant: str, clock: str, folder: str, line: str, *steps: str) -> None:
     if steps:
         _step_the_wall_clock()
     simulated = SimulatedPlant(bench.twin(plant))
@@ -37,7 +37,7 @@ def _serve(plant: str, clock: str, folder: str, *steps: str) -> None:
     simulated.deactivate()
     serve(
         Damaged(simulated, Path(folder) / "damage.json"),
-        "udp://127.0.0.1:0",
+        line,
         clock="lockstep" if clock == "lockstep" else "real",
         record=folder,
         ready=lambda address: print(address, flush=True),
@@ -75,13 +75,21 @@ def _control(address: str, chosen: dict[str, Any]) -> None:
         }
         gaps = (ran.index[1:] - ran.index[:-1]).tolist()
         made |= {"late": [i for i, late in enumerate(ran.late.tolist()) if late], "gaps": gaps}
-        print(json.dumps(made | {"now": time.monotonic(), "seen": seen[0]}), flush=True)
+        print(json.dumps(made | {"now": next(at for at in zeroed if at >= seen[0]), "seen": seen[0]}), flush=True)
 
+    plant = adapters.connect(address)
+    zeroed, deactivate = [0.0], plant.deactivate
+
+    def at_zero() -> None:
+        zeroed.append(time.monotonic())
+        deactivate()
+
+    vars(plant)["deactivate"] = at_zero
     run_rig(
         step,
-        UdpPlant(address, patience=20.0),
+        plant,
         rate=bench.RATE,
-        samples=chosen.get("samples", 10**6),
+        samples=chosen.get("samples", 10**5),
         limits=bench.rules(),
         watchdog=bench.WATCHDOG,
         lockstep=chosen.get("lockstep", False),

@@ -10,7 +10,7 @@ from typing import Any, final
 
 import numpy as np
 
-from masking.errors import PlantError
+from masking.errors import EmergencyStopError, PlantError
 from masking.numerics.arrays import Array
 from masking.plants import wire
 from masking.plants.authentication import Key
@@ -27,8 +27,8 @@ class Damaged:
     """A plant whose readings and commands are damaged on the way, as a file says that is read at each `configure`.
 
     The file holds a JSON object: `what` (`set`, `add`, `hold` or `scale` readings; `command`, which scales commands;
-    `stick`, which holds one at `value`; `fail`, where the plant raises an error), `channel`, `at` (the first tick of
-    it) and `value`, as text where that is no finite number.
+    `stick`, which holds one at `value`; `fail`, where the plant raises an error; `press`, where its emergency stop is
+    pressed), `channel`, `at` (the first tick of it) and `value`, as text where that is no finite number.
 
     Args:
         plant: any that reports its outputs.
@@ -60,10 +60,13 @@ class Damaged:
 
         Raises:
             PlantError: that is the damage.
+            EmergencyStopError: likewise.
         """
         sample = self.plant.read()
         values = sample.values.copy()
         channel, value = int(self._chosen.get("channel", 0)), float(self._chosen.get("value", 0.0))
+        if self._is_on(sample.index, "press"):
+            raise EmergencyStopError("the button at the bench")
         if self._is_on(sample.index, "fail"):
             raise PlantError("it failed in a step, as it was asked to")
         if self._is_on(sample.index, "hold"):

@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Callable
 from functools import partial
+from importlib.util import find_spec
 from typing import Any, Final
 
 import numpy as np
@@ -177,7 +178,15 @@ def _crashes(bench: Bench, judgement: Judgement) -> None:
 
 
 def _dies(bench: Bench, judgement: Judgement) -> None:
-    served = bench.anew()
+    _dies_on(bench, judgement, "udp://127.0.0.1:0")
+    judgement.need(find_spec("serial"), "pyserial is not installed: pip install 'masking[serial]'")
+    if find_spec("serial"):
+        _dies_on(bench, judgement, "serial:pty")
+
+
+def _dies_on(bench: Bench, judgement: Judgement, line: str) -> None:
+    """Kill a served plant, at the end of a line that goes with it."""
+    served = bench.anew(line=line)
     with bench.controller(served.address) as controller:
         if not _started(judgement, controller.said):
             return
@@ -187,7 +196,8 @@ def _dies(bench: Bench, judgement: Judgement) -> None:
     judgement.need(trip.get("cause") == "PLANT_LOST", f"ended as {trip.get('cause')}")
     judgement.need(seconds <= 2.0 * WATCHDOG, f"{seconds * 1e3:.1f} ms after the last sample")
     judgement.need(said["rows"] > 0, "nothing was kept")
-    judgement.say(f"{trip.get('cause')} {seconds * 1e3:.1f} ms after the last sample, {said['rows']} rows kept")
+    scheme, after = line.partition(":")[0], f"{seconds * 1e3:.1f} ms after the last sample"
+    judgement.say(f"{scheme}: {trip.get('cause')} {after}, {said['rows']} rows kept")
 
 
 def _rearmed(bench: Bench, judgement: Judgement) -> None:
@@ -275,7 +285,6 @@ FAULTS: Final = (
         "PLANT_LOST, record kept; <= 2 watchdogs",
         _dies,
         in_real_time=True,
-        missing="a serial line",
     ),
     Fault(22, "re-arm unacknowledged or faulty", "refused, cause named", _rearmed, in_real_time=True),
     Fault(25, "wall clock steps", "nothing", _clock_steps, in_real_time=True),

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import signal
+import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from masking.faults.bench import RATE, Bench
 from masking.faults.table import Fault, Judgement
+from masking.plants.udp import UdpPlant
 from masking.records import stream, stream_content
 from masking.records.recorder import Recorder
+from masking.runs import hardware
+from masking.runs.experiment import Experiment
 
 _COLUMNS: Final = {f"c{i}": {"unit": "V", "meaning": ""} for i in range(30)}
 _PAGE: Final = 20  # rows
 _ROWS: Final = 2000
+_STALLED: Final = 0.5  # s
+_UNITS: Final = 120.0  # of the experiment's time
 _FULL: Final = 200_000  # bytes that a file may have
 
 
@@ -67,8 +75,19 @@ def _recorded(bench: Bench, judgement: Judgement, act: Callable[[int], None]) ->
     judgement.need(exact and not found.damages, f"wrong rows: {found.damages}")
     extra = int(np.sum(puts[_ROWS // 3 :] > 1.0 / RATE))
     judgement.need(extra == 0, f"{extra} rows kept the loop for more than a period")
-    judgement.say(f"{_ROWS} rows put, {extra} of them late, {len(found.table)} on disk; {made.note}")
+    judgement.say(f"{_ROWS} rows put, {extra} of them late, {len(found.table)} on disk{made.note and '; '}{made.note}")
     return made, len(found.table)
+
+
+def _slow(bench: Bench, judgement: Judgement) -> None:
+    """Let the recorder wait for its disk for a while."""
+
+    def act(number: int) -> None:
+        os.kill(number, signal.SIGSTOP)
+        threading.Timer(_STALLED, os.kill, (number, signal.SIGCONT)).start()
+
+    made, there = _recorded(bench, judgement, act)
+    judgement.need(there == _ROWS and not made.ended, f"slow disk: {_ROWS - there} rows lost, {made.ended} ends")
 
 
 def _killed(bench: Bench, judgement: Judgement) -> None:
@@ -84,6 +103,45 @@ def _full(bench: Bench, judgement: Judgement) -> None:
     made, there = _recorded(bench, judgement, act)
     judgement.need(made.is_full, "the full disk is not reported")
     judgement.need(there < _ROWS, "the disk was not full")
+    _slow(bench, judgement)
+    _stopped(bench, judgement)
+
+
+def _stopped(bench: Bench, judgement: Judgement) -> None:
+    """Run an experiment whose disk becomes full: it stops in order, and what it lost is counted."""
+    served, is_full = bench.served(), False
+
+    def fill(part: float) -> None:
+        nonlocal is_full
+        if part > 0.75 and not is_full:
+            is_full = True
+            for number in _recorders():
+                resource.prlimit(number, resource.RLIMIT_FSIZE, (1, 1))
+
+    found = hardware.run(
+        Experiment.load("huygens_rig").changed(duration=_UNITS),
+        UdpPlant(served.address, patience=20.0),
+        lockstep=True,
+        acknowledge=True,
+        progress=fill,
+        stream=bench.place(),
+        spare=bench.place(),
+    )
+    end, own = found.manifest["rig"]["end"], served.record()
+    judgement.need(end == "disk full", f"the run ended as {end}")
+    judgement.need(own.manifest["end"] == "bye", f"the plant's session ended as {own.manifest['end']}")
+    judgement.say(f"a run: {end}, {found.manifest['rig']['recorder']['note']}")
+
+
+def _recorders() -> set[int]:
+    """Return the numbers of the recorders of this process."""
+    found = set()
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            name, _, rest = path.read_text().rpartition(")")
+            if int(rest.split()[1]) == os.getpid() and b"records.recorder" in (path.parent / "cmdline").read_bytes():
+                found.add(int(name.split()[0]))
+    return found
 
 
 FAULTS: Final = (
@@ -93,7 +151,6 @@ FAULTS: Final = (
         "loop untouched, orderly stop, loss counted; 0 extra overruns",
         _full,
         in_real_time=True,
-        missing="a slow disk, and the orderly stop of a run",
     ),
     Fault(19, "log writer killed", "loop goes on or stops by policy; counted", _killed, in_real_time=True),
     Fault(26, "power cut (truncate at random bytes)", "exact prefix; <= 1 s lost, never a wrong row", _cut),

@@ -8,19 +8,25 @@ from pathlib import Path
 from typing import Final
 
 from masking.errors import PlantMismatchError
-from masking.faults import files, processes, records, sensors
+from masking.faults import files, operators, processes, records, sensors, simulations
 from masking.faults.bench import Bench
 from masking.faults.table import Fault, Finding, examine
 
 _NOT_OFFERED: Final = (
     Fault(20, "operator page closed or stalled", "loop untouched; attended mode disarms after 2 s"),
-    Fault(21, "e-stop from page, command line, file, plant", "TRIPPED(ESTOP)"),
     Fault(27, "trip in run 17 of a batch of 100", "cool down, zero check, retry, go on; no silent skip"),
-    Fault(29, "FMU plant returns an error or NaN", "PLANT_ERROR"),
 )
 FAULTS: Final = tuple(
     sorted(
-        (*sensors.FAULTS, *processes.FAULTS, *records.FAULTS, *files.FAULTS, *_NOT_OFFERED),
+        (
+            *sensors.FAULTS,
+            *processes.FAULTS,
+            *records.FAULTS,
+            *files.FAULTS,
+            *operators.FAULTS,
+            *simulations.FAULTS,
+            *_NOT_OFFERED,
+        ),
         key=lambda fault: fault.number,
     )
 )

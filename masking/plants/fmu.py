@@ -13,7 +13,7 @@ import numpy as np
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 
-from masking.errors import PlantLostError, PlantMismatchError
+from masking.errors import PlantError, PlantMismatchError
 from masking.numerics.arrays import Array
 from masking.plants import address as addresses
 from masking.plants.interface import Settings
@@ -114,4 +114,4 @@ class FmuPlant(SteppedPlant):
         except Exception as error:
             reason = " ".join(str(error).split())
             mend = "a step of another length may do: change controller.rate"
-            raise PlantLostError(f"{self._path} {what} ({type(error).__name__}: {reason}); {mend}") from error
+            raise PlantError(f"{self._path} {what} ({type(error).__name__}: {reason}); {mend}") from error

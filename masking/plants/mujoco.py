@@ -8,7 +8,7 @@ from typing import Final, final
 import mujoco
 import numpy as np
 
-from masking.errors import PlantLostError, PlantMismatchError
+from masking.errors import PlantError, PlantMismatchError
 from masking.numerics.arrays import Array
 from masking.plants import address as addresses
 from masking.plants.interface import Settings
@@ -63,7 +63,7 @@ class MujocoPlant(SteppedPlant):
         mujoco.mj_step(self._model, self._data, self._steps)
         if any(self._data.warning[kind].number for kind in _UNSTABLE):  # upon which MuJoCo begins anew
             mend = "give it a shorter timestep"
-            raise PlantLostError(f"the simulation of {self._file} became unstable at {self._data.time:g} s; {mend}")
+            raise PlantError(f"the simulation of {self._file} became unstable at {self._data.time:g} s; {mend}")
 
     def readings(self) -> Array:
         """Return what the sensors show now: after a step, MuJoCo's are those of its beginning."""

@@ -8,7 +8,14 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from typing import NoReturn
 
-from masking.errors import PlantLostError, PlantMismatchError, PlantRefusedError, SamplesLostError, WireError
+from masking.errors import (
+    EmergencyStopError,
+    PlantLostError,
+    PlantMismatchError,
+    PlantRefusedError,
+    SamplesLostError,
+    WireError,
+)
 from masking.numerics.arrays import Array
 from masking.plants import wire
 from masking.plants.authentication import AuthenticatedLine, Key
@@ -116,6 +123,7 @@ class RemotePlant(ABC):
 
         Raises:
             PlantLostError: none came in time, too many are missing, or the plant ended the session; says why.
+            EmergencyStopError: that of the plant is pressed.
         """
         self._life.need_active("read")
         newest, began = None, time.monotonic()
@@ -127,7 +135,8 @@ class RemotePlant(ABC):
                     self.counters["lost"] += silent - 1
                     said = f"sent no sample for {silent} periods, more than {HELD}, and ended the session: {frame.text}"
                     self._lost(said, kind=SamplesLostError)
-                raise PlantLostError(f"the plant at {self._address} ended the session: {frame.text}")
+                kind = EmergencyStopError if frame.text.startswith(wire.EMERGENCY) else PlantLostError
+                raise kind(f"the plant at {self._address} ended the session: {frame.text}")
             if not self._is_next(frame):
                 continue
             self._need_successor(frame.index)

@@ -29,7 +29,14 @@ from functools import partial
 from pathlib import Path
 from typing import Final, Literal, final
 
-from masking.errors import MaskingError, PlantMismatchError, PlantRefusedError, RecordError, WireError
+from masking.errors import (
+    EmergencyStopError,
+    MaskingError,
+    PlantMismatchError,
+    PlantRefusedError,
+    RecordError,
+    WireError,
+)
 from masking.numerics.arrays import Array
 from masking.plants import adapters, wire
 from masking.plants.authentication import AuthenticatedHub, Key
@@ -161,7 +168,9 @@ class _Server:
                     self.tell_once(note)
                     self.hold(session)
             except Exception as error:  # whatever a plant raises ends its session, not the server
-                session.end = self.tripped = f"the plant failed: {type(error).__name__}: {error}"
+                is_pressed = isinstance(error, EmergencyStopError)
+                what = wire.EMERGENCY if is_pressed else f"the plant failed: {type(error).__name__}"
+                session.end = self.tripped = f"{what}: {error}"
             if session.latch is not None:
                 self.tripped = session.latch["cause"]
             self.remember(session.number, OVER)

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from masking.errors import PlantLostError
+from masking.errors import PlantError
 from masking.numerics.arrays import Array
 from masking.plants.interface import APPLIED, LifeCycle, Sample, Settings, check_answer
 
@@ -60,7 +60,7 @@ class SteppedPlant(ABC):
         """Return the sample after the last command, or the same again where no command came.
 
         Raises:
-            PlantLostError: a reading is not finite.
+            PlantError: a reading is not finite.
         """
         self._life.need_active("read")
         if self._tick < 0 or self._is_moved:
@@ -69,9 +69,7 @@ class SteppedPlant(ABC):
         values = self.readings()
         if not np.isfinite(values).all():
             name = self.sensors[int(np.argmin(np.isfinite(values)))]
-            raise PlantLostError(
-                f"sample {self._tick}: {name} is not finite; the simulation is unstable: step it faster"
-            )
+            raise PlantError(f"sample {self._tick}: {name} is not finite; the simulation is unstable: step it faster")
         return Sample(self._tick, values)
 
     def write(self, index: int, command: Array) -> None:

@@ -17,7 +17,14 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.errors import CommandError, PlantError, PlantLostError, PlantMismatchError, SamplesLostError
+from masking.errors import (
+    CommandError,
+    EmergencyStopError,
+    PlantError,
+    PlantLostError,
+    PlantMismatchError,
+    SamplesLostError,
+)
 from masking.numerics.arrays import Array
 from masking.plants.interface import APPLIED, Counting, Plant, Settings, Telling
 from masking.plants.machine import Deadlines, Stop, asked_to_stop, undisturbed
@@ -148,6 +155,8 @@ def _reason(error: BaseException, rows: Rows) -> str:
         cause = Cause.COMM_LOST if isinstance(error, SamplesLostError) else Cause.PLANT_LOST
         rows.chain.stop(cause, tick, detail=text)
         return LOST
+    if isinstance(error, EmergencyStopError):
+        rows.chain.stop(Cause.ESTOP, tick, "at the plant", detail=text)
     if rows.chain.trip is None and isinstance(error, PlantError):
         rows.chain.stop(Cause.PLANT_ERROR, tick, detail=text)
     return TRIPPED if rows.chain.trip is not None else FAILED
