@@ -1,7 +1,7 @@
 """One scenario, the rig as coupled Duffing oscillators from a fixed seed, wherever the rig is: one and the same motion.
 
-Offline the whole loop is one compiled function. In lockstep the controller is the one that drives rigs, and the rig is a
-twin in its own process over UDP or a serial line, or an FMU: source in C, compiled by gcc, that fmpy steps.
+Offline the whole loop is one compiled function. In lockstep the controller is the one that drives rigs, and the rig is
+a twin in its own process over UDP or a serial line, or an FMU: source in C, compiled by gcc, that fmpy steps.
 """
 
 import numpy as np

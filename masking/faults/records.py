@@ -15,6 +15,7 @@ from masking.faults.bench import RATE, Bench
 from masking.faults.table import Fault, Judgement
 from masking.records import stream, stream_content
 from masking.records.recorder import Recorder
+from masking.records.ring import cells
 
 _COLUMNS: Final = {f"c{i}": {"unit": "V", "meaning": ""} for i in range(30)}
 _PAGE: Final = 20  # rows
@@ -58,7 +59,7 @@ def _recorded(bench: Bench, judgement: Judgement, act: Callable[[int], None]) ->
             act(made.process or 0)
         row[:] = n
         before = time.perf_counter()
-        made.ring.put(row)
+        made.ring.put(cells(row))
         puts[n] = time.perf_counter() - before
         time.sleep(max(0.0, begin + (n + 1) / RATE - time.monotonic()))
     made.close()

@@ -8,23 +8,36 @@ refuse what is not finite, clamp to the limits, write. What is between reading a
 from __future__ import annotations
 
 import contextlib
+import itertools
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import CommandError, PlantError, PlantLostError, PlantMismatchError, SamplesLostError
 from masking.numerics.arrays import Array
-from masking.plants.interface import APPLIED, Counting, Plant, Settings, Telling
+from masking.plants.interface import APPLIED, Counting, Plant, Sample, Settings, Telling
 from masking.plants.machine import Deadlines, Stop, asked_to_stop, undisturbed
 from masking.plants.safety import Cause, Chain, Rules, Trip
+from masking.records.ring import cells
 from masking.runs.stopping import FAILED, FINISHED, INTERRUPTED, LOST, STOPPED, TRIPPED
 
 Step = Callable[[int, Array], Array]
+# The first columns of a row: unit and meaning of each, by its name.
+LOOP: Final = {
+    "tick": {"unit": "1", "meaning": "tick of the plant's clock"},
+    "wall": {"unit": "s", "meaning": "time since the first sample, measured"},
+    "answered": {"unit": "1", "meaning": "1 where the controller answered the sample"},
+    "index": {"unit": "1", "meaning": "sample, 0 at the release and negative in the homing"},
+    "late": {"unit": "1", "meaning": "1 where samples before were missed, or the tick began more than a period late"},
+    "lateness": {"unit": "s", "meaning": "how late the tick began"},
+    "duration": {"unit": "s", "meaning": "how long the controller took"},
+}
+TICK, WALL, ANSWERED, INDEX, LATE, LATENESS, DURATION = range(len(LOOP))
 _LOOKED_AFTER = 0.05  # s between looks at what a plant puts out
 _LARGEST = 2**53  # a tick that a float holds
 _IDLE = 2  # looks in a row at which it may put out nothing although it is commanded to
@@ -45,6 +58,7 @@ class RigRun:
         durations: (m,), seconds that the controller's step took.
         lateness: (m,), seconds that ticks began late; on a plant's own clock, after a period since the one before.
         work: (m,), seconds that the controller, the safety chain and the row of the record took together.
+        table: (m, columns), as `Rows` has it.
         reason: why it ended, one of `masking.runs.stopping.REASONS`.
         counters: ticks that were `late` and `clamped`, periods `missed`, and what the plant counted.
         note: what the machine did not permit, such as real-time priority; empty where there is nothing to say.
@@ -61,6 +75,7 @@ class RigRun:
     durations: Array
     lateness: Array
     work: Array
+    table: Array
     reason: str
     counters: Mapping[str, int]
     note: str = ""
@@ -84,6 +99,8 @@ def run_rig(
     emergency: Stop | None = None,
     look: Callable[[Chain, int], None] | None = None,
     estimate: Array | None = None,
+    known: Sequence[Array] = (),
+    before: int = 0,
     on_end: Callable[[RigRun], None] | None = None,
 ) -> RigRun:
     """Configure and activate a plant, run a controller on it, and deactivate it on every way out.
@@ -106,6 +123,8 @@ def run_rig(
         emergency: likewise; the run then trips.
         look: called with the safety chain, which it may stop, and the tick of each sample.
         estimate: what the controller knows of the rig's states, changed in place; for rules that need it.
+        known: what each row has of the controller besides: contiguous arrays of float64, likewise.
+        before: samples before the release.
         on_end: called with what was recorded once the plant is at zero, also before an error is raised.
 
     Raises:
@@ -123,7 +142,7 @@ def run_rig(
                 accept(plant)
             if not isinstance(limits, Rules):
                 limits = Rules.of_commands(limits, plant.sensors, plant.actuators, rate)
-            rows = Rows(samples, plant, Chain(limits, estimate), on_row)
+            rows = Rows(samples, plant, Chain(limits, estimate), on_row, known=known, before=before)
             note = way_out.enter_context(undisturbed(priority=not lockstep))
             way_out.callback(plant.deactivate)  # first of all on the way out
             plant.activate()
@@ -143,7 +162,7 @@ def run_rig(
 
 def _reason(error: BaseException, rows: Rows) -> str:
     """Return why a run ended in an error, and let the chain know."""
-    tick, text = int(rows.index[max(0, rows.count - 1)]), f"{type(error).__name__}: {error}"
+    tick, text = int(rows.table[max(0, rows.count - 1), TICK]), f"{type(error).__name__}: {error}"
     if isinstance(error, PlantLostError):
         cause = Cause.COMM_LOST if isinstance(error, SamplesLostError) else Cause.PLANT_LOST
         rows.chain.stop(cause, tick, detail=text)
@@ -212,7 +231,7 @@ def _loop(
         sample = plant.read()
         began = time.perf_counter()
         missed = rows.begin(sample.index, sample.values, began, deadlines.missed, lateness)
-        is_late, silence = bool(rows.late[row]) and not settings.lockstep, (began - ended) * settings.rate
+        is_late, silence = rows.is_late and not settings.lockstep, (began - ended) * settings.rate
         before, skipped = skipped, counters.get("skipped", 0)  # they came, and waited for this process
         chain.time(
             sample.index,
@@ -225,16 +244,16 @@ def _loop(
             chain.stop(Cause.ESTOP, sample.index)
         if look is not None:
             look(chain, sample.index)
-        if chain.watch(sample.index, rows.sensors[row], missed) is None:
-            _answer(step, plant, rows, sample.index, began)
-        command = rows.guarded(sample.index)
+        command = rows.applied[row]
+        if chain.watch(sample.index, sample.values, missed) is None:
+            _answer(step, plant, rows, sample, began)
         answered = time.perf_counter()
         plant.write(sample.index, command)
         ended = time.perf_counter()
         rows.tell()
         rows.work[row] = answered - began + (time.perf_counter() - ended)
         if taken is not None:
-            taken.look(sample.index, rows.applied[row])
+            taken.look(sample.index, command)
         if chain.trip is not None:
             return TRIPPED
         if on_tick is not None:
@@ -242,18 +261,16 @@ def _loop(
     return FINISHED
 
 
-def _answer(step: Step, plant: Plant, rows: Rows, tick: int, began: float) -> None:
-    """Let the controller answer a tick; what it raises comes through once zero was written.
+def _answer(step: Step, plant: Plant, rows: Rows, sample: Sample, began: float) -> None:
+    """Let the controller answer a sample; what it raises comes through once zero was written.
 
     Raises:
         CommandError: it returned something else than one number for each actuator.
         Exception: what the controller raised.
     """
-    row = rows.count - 1
+    tick = sample.index
     try:
-        demanded = step(tick, rows.sensors[row])
-        rows.durations[row] = time.perf_counter() - began
-        rows.demand(demanded)
+        rows.answer(tick, step(tick, sample.values), time.perf_counter() - began)
     except BaseException as error:
         cause = Cause.CONTROLLER_NONFINITE if isinstance(error, CommandError) else Cause.CONTROLLER_EXCEPTION
         rows.chain.stop(cause, tick, ", ".join(plant.actuators), value=np.nan, detail=traceback.format_exc())
@@ -296,32 +313,59 @@ class _Taken:
 class Rows:
     """The rows of a run, made ahead and filled tick by tick.
 
+    Attributes:
+        table: (samples, columns): `LOOP`, the sensors, the applied commands, and what the controller knows.
+        count: rows that were begun.
+        is_late: whether the last tick was.
+
     Args:
         samples: number of rows.
         plant: a configured plant.
         chain: of the run.
         on_row: called with this once for each row.
+        known: what the controller knows, contiguous arrays of float64.
+        before: samples before the release.
     """
 
-    def __init__(self, samples: int, plant: Plant, chain: Chain, on_row: Callable[[Rows], None] | None = None) -> None:
+    def __init__(
+        self,
+        samples: int,
+        plant: Plant,
+        chain: Chain,
+        on_row: Callable[[Rows], None] | None = None,
+        *,
+        known: Sequence[Array] = (),
+        before: int = 0,
+    ) -> None:
         if samples < 1:
             raise PlantMismatchError(f"samples is {samples}; give at least 1")
         self.samples, self.count, self.chain, self.rate = samples, 0, chain, chain.rules.rate
-        self.missed = self.gaps = self._told = 0
-        self._on_row = on_row
+        self.missed = self.gaps = self._told = self._at = 0
+        self.is_late, self._before, self._first, self._last, self._began = False, before, 0, 0, 0.0
+        self._wall, self._on_row = 0.0, on_row
+        sensors, actuators = len(plant.sensors), len(plant.actuators)
+        ends = list(itertools.accumulate([len(LOOP), sensors, actuators, *map(len, known)]))
+        self._width = ends[-1]
         # Filled, so that their pages are there before the first tick.
-        self.wall, self.durations = np.full(samples, 0.0), np.full(samples, 0.0)
-        self.lateness, self.work = np.full(samples, 0.0), np.full(samples, 0.0)
-        self.index, self.late = np.full(samples, 0, dtype=np.int64), np.full(samples, False)
-        self.sensors = np.full((samples, len(plant.sensors)), 0.0)
-        self.demanded = np.full((samples, len(plant.actuators)), 0.0)
-        self.applied = np.full((samples, len(plant.actuators)), 0.0)
+        self.table, self.work = np.full((samples, self._width), 0.0), np.full(samples, 0.0)
+        self.demanded = np.full((samples, actuators), 0.0)
+        self.sensors, self.applied = self.table[:, ends[0] : ends[1]], self.table[:, ends[1] : ends[2]]
+        self._cells = cells(self.table)
+        # Memory to memory; measured: a third of the time of arrays.
+        self._known = [
+            (end - len(part), end, part.data) for end, part in zip(ends[3:], known, strict=True) if len(part)
+        ]
 
-    def begin(self, index: int, values: Array, wall: float, missed: int, lateness: float | None = None) -> int:
+    @property
+    def last(self) -> memoryview[float]:
+        """The last row of the table."""
+        return self._cells[self._at : self._at + self._width]
+
+    def begin(self, tick: int, values: Array, wall: float, missed: int, lateness: float | None = None) -> int:
         """Begin the next row with a sample.
 
         Args:
-            index: tick of the plant's clock.
+            tick: of the plant's clock.
             values: (sensors,).
             wall: s of the wall clock.
             missed: periods missed so far.
@@ -330,62 +374,70 @@ class Rows:
         Returns:
             the samples that were missed before this one.
         """
-        row = self.count
+        row, cells, tick, gap = self.count, self._cells, min(tick, _LARGEST), 0
         self.count += 1
-        index = min(index, _LARGEST)
-        self.wall[row], self.index[row], self.sensors[row] = wall, index, values
-        gap = index - int(self.index[row - 1]) - 1 if row else 0
-        if lateness is not None:
-            self.lateness[row] = lateness
-        elif row:
-            self.lateness[row] = max(0.0, wall - self.wall[row - 1] - (gap + 1) / self.rate)
-        self.late[row] = gap > 0 or missed > self.missed
+        if row:
+            gap = tick - self._last - 1
+        else:
+            self._first, self._began, lateness = tick, wall, lateness or 0.0
+        if lateness is None:
+            lateness = max(0.0, wall - self._wall - (gap + 1) / self.rate)
+        self._at = at = row * self._width
+        self.is_late = gap > 0 or missed > self.missed
+        self._last, self._wall, self.missed = tick, wall, missed
+        cells[at], cells[at + WALL], cells[at + INDEX] = tick, wall - self._began, tick - self._first - self._before
+        cells[at + LATE], cells[at + LATENESS] = self.is_late, lateness
+        self.sensors[row] = values
         self.gaps += max(0, gap)
-        self.missed = missed
         return max(0, gap)
 
-    def demand(self, demanded: Array) -> None:
-        """Keep what the controller answered in the row that was begun.
+    def answer(self, tick: int, demanded: Array, duration: float) -> None:
+        """Keep what the controller answered in the row that was begun, and what of it may be written.
+
+        Args:
+            tick: of the plant's clock.
+            demanded: (actuators,).
+            duration: s that the controller took.
 
         Raises:
             CommandError: it is not one number for each actuator.
         """
-        row = self.count - 1
-        if np.shape(demanded) != self.chain.applied.shape:
-            message = f"tick {self.index[row]}: the controller returned shape {np.shape(demanded)}"
-            raise CommandError(f"{message}; return {self.chain.applied.shape}, one number for each actuator")
+        row, chain = self.count - 1, self.chain
+        self._cells[self._at + ANSWERED], self._cells[self._at + DURATION] = 1.0, duration
+        if np.shape(demanded) != chain.applied.shape:
+            message = f"tick {tick}: the controller returned shape {np.shape(demanded)}"
+            raise CommandError(f"{message}; return {chain.applied.shape}, one number for each actuator")
         self.demanded[row] = demanded
-
-    def guarded(self, tick: int) -> Array:
-        """Return what may be written in the row that was begun, and keep it there."""
-        row = self.count - 1
-        applied: Array = self.applied[row]
-        applied[:] = self.chain.guard(tick, self.demanded[row])
-        return applied
+        self.applied[row] = chain.guard(tick, demanded)
 
     def tell(self) -> None:
         """Let the last row be recorded, if it was not yet."""
         if self._told < self.count:
-            self._told = self.count
+            self._told, at = self.count, self._at
+            for begin, end, known in self._known:
+                self._cells[at + begin : at + end] = known
             if self._on_row is not None:
                 self._on_row(self)
 
     def run(self, rate: float, reason: str, plant: Plant, note: str) -> RigRun:
         """Return the rows that were begun; the applied command of one that was not completed is zero."""
         rows = slice(0, self.count)
+        table = self.table[rows]
         counted = dict(plant.counters) if isinstance(plant, Counting) else {}
-        own = {"late": int(np.count_nonzero(self.late[rows])), "missed": self.missed + self.gaps}
+        own = {"late": int(np.count_nonzero(table[:, LATE])), "missed": self.missed + self.gaps}
+        ticks = table[:, TICK].astype(np.int64)
         return RigRun(
-            times=self.index[rows] / rate,
-            wall=self.wall[rows] - self.wall[0],
-            index=self.index[rows],
+            times=ticks / rate,
+            wall=table[:, WALL],
+            index=ticks,
             sensors=self.sensors[rows],
             demanded=self.demanded[rows],
             applied=self.applied[rows],
-            late=self.late[rows],
-            durations=self.durations[rows],
-            lateness=self.lateness[rows],
+            late=table[:, LATE] > 0.0,
+            durations=table[:, DURATION],
+            lateness=table[:, LATENESS],
             work=self.work[rows],
+            table=table,
             reason=reason,
             counters={**counted, **own, "clamped": self.chain.clamped},
             note=note,
