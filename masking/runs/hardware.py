@@ -28,7 +28,7 @@ from masking.runs import protection
 from masking.runs.experiment import Experiment
 from masking.runs.loop_rows import RowLayout, StreamedRows, known, samples_after
 from masking.runs.operator import Operator
-from masking.runs.realtime import RigRun, Rows, check_channels, every, run_rig
+from masking.runs.realtime import RigRun, Row, check_channels, every, run_rig
 from masking.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED
 from masking.runs.timing import timing
 
@@ -242,15 +242,15 @@ def run(
     return made(ran)
 
 
-def _taking(streamed: StreamedRows | None, operator: Operator | None) -> Callable[[Rows], None] | None:
-    """Return what passes the last row of a loop on to who takes it, if anybody does."""
-    if streamed is None or operator is None:
-        taker = streamed or operator
-        return None if taker is None else taker.put
+def _taking(streamed: StreamedRows | None, operator: Operator | None) -> Callable[[Row], None] | None:
+    """Return what passes a row of the loop on to who takes it, if anybody does."""
+    record, show = None if streamed is None else streamed.put, None if operator is None else operator.put
+    if record is None or show is None:
+        return record or show
 
-    def take(rows: Rows) -> None:
-        streamed.put(rows)
-        operator.put(rows)
+    def take(row: Row) -> None:
+        record(row)
+        show(row)
 
     return take
 

@@ -19,7 +19,7 @@ from masking.records.recorder import Recorder
 from masking.runs import manifest
 from masking.runs.experiment import Experiment
 from masking.runs.offline import TwinRun
-from masking.runs.realtime import ANSWERED, INDEX, LOOP, Rows
+from masking.runs.realtime import ANSWERED, INDEX, LOOP
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,9 @@ def known(controller: SampledStep, lasting: Array) -> tuple[Array, ...]:
 class StreamedRows:
     """The rows of a run on their way to disk.
 
+    Attributes:
+        put: records a row.
+
     Args:
         experiment: that runs.
         folder: of the stream.
@@ -146,10 +149,7 @@ class StreamedRows:
         }
         content = {name: value for name, value in content.items() if name not in {"rate", "format"}}
         self.recorder = Recorder(folder, self.layout.columns, experiment.sampled.rate, spare, **content)
-
-    def put(self, rows: Rows) -> None:
-        """Record the last row of a loop."""
-        self.recorder.ring.put(rows.last)
+        self.put = self.recorder.ring.put
 
     def end(self, *, keep: bool) -> None:
         """Record the last rows; remove the stream where it is not kept, and its folder if nothing else is there."""

@@ -20,7 +20,7 @@ from masking.plants.safety import Cause, Chain, Rules, Trip
 from masking.records.ring import Ring, cells
 from masking.records.switch import Presser, Switch
 from masking.runs.experiment import Experiment
-from masking.runs.realtime import ANSWERED, INDEX, LOOP, Rows
+from masking.runs.realtime import ANSWERED, INDEX, LOOP, Row
 
 if TYPE_CHECKING:
     from masking.numerics import safety
@@ -110,10 +110,10 @@ class Operator:
         if self.is_attended and now - self.switch.seen > ABSENCE * 1e9:
             chain.stop(Cause.UNATTENDED, tick, value=self.switch.silence, limit=ABSENCE)
 
-    def put(self, rows: Rows) -> None:
-        """Show the last row of a loop."""
-        if self._shown is not None:
-            self._shown.put(rows)
+    @property
+    def put(self) -> Callable[[Row], None] | None:
+        """Return what shows a row of the loop; None where nobody looks at rows."""
+        return None if self._shown is None else self._shown.put
 
     def end(self, reason: str, trip: Trip | None) -> None:
         """Say why the run ended."""
@@ -166,9 +166,8 @@ class _Shown:
             bounds=list(_bounds(controller, rules)),
         )  # fmt: skip
 
-    def put(self, rows: Rows) -> None:
-        """Show the last row of a loop; measured: 0.9 us."""
-        row = rows.last
+    def put(self, row: Row) -> None:
+        """Show a row of the loop; measured: 0.6 us."""
         if row[ANSWERED]:
             self._time[0] = row[INDEX] / self._rate
             self._transform.call()

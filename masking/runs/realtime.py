@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import struct
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from masking.records.ring import cells
 from masking.runs.stopping import FAILED, FINISHED, INTERRUPTED, LOST, STOPPED, TRIPPED
 
 Step = Callable[[int, Array], Array]
+Row: TypeAlias = "memoryview[float]"
 # The first columns of a row: unit and meaning of each, by its name.
 LOOP: Final = {
     "tick": {"unit": "1", "meaning": "tick of the plant's clock"},
@@ -38,6 +40,7 @@ LOOP: Final = {
     "duration": {"unit": "s", "meaning": "how long the controller took"},
 }
 TICK, WALL, ANSWERED, INDEX, LATE, LATENESS, DURATION = range(len(LOOP))
+_pack = struct.Struct(f"{len(LOOP)}d").pack_into
 _LOOKED_AFTER = 0.05  # s between looks at what a plant puts out
 _LARGEST = 2**53  # a tick that a float holds
 _IDLE = 2  # looks in a row at which it may put out nothing although it is commanded to
@@ -94,7 +97,7 @@ def run_rig(
     acknowledge: bool = False,
     accept: Callable[[Plant], None] | None = None,
     on_tick: Callable[[int], None] | None = None,
-    on_row: Callable[[Rows], None] | None = None,
+    on_row: Callable[[Row], None] | None = None,
     stop: Stop | None = None,
     emergency: Stop | None = None,
     look: Callable[[Chain, int], None] | None = None,
@@ -118,7 +121,7 @@ def run_rig(
         acknowledge: why the plant tripped in the last run was looked at.
         accept: called with the configured plant before it is activated; raises what it refuses the plant with.
         on_tick: called with the row after each tick, within the tick's time.
-        on_row: called once for each row, with those that there are, as soon as its command was written.
+        on_row: called once with each row, as `Rows.table` has it, as soon as its command was written.
         stop: looked at before each tick.
         emergency: likewise; the run then trips.
         look: called with the safety chain, which it may stop, and the tick of each sample.
@@ -231,15 +234,15 @@ def _loop(
         sample = plant.read()
         began = time.perf_counter()
         missed = rows.begin(sample.index, sample.values, began, deadlines.missed, lateness)
-        is_late, silence = rows.is_late and not settings.lockstep, (began - ended) * settings.rate
-        before, skipped = skipped, counters.get("skipped", 0)  # they came, and waited for this process
-        chain.time(
-            sample.index,
-            is_late=is_late,
-            silence=0.0 if settings.lockstep else silence,
-            missed=missed,
-            lost=missed - (skipped - before),
-        )
+        if missed or rows.is_late:
+            before, skipped = skipped, counters.get("skipped", 0)  # they came, and waited for this process
+            chain.time(
+                sample.index,
+                is_late=rows.is_late and not settings.lockstep,
+                silence=0.0 if settings.lockstep else (began - ended) * settings.rate,
+                missed=missed,
+                lost=missed - (skipped - before),
+            )
         if emergency is not None and emergency():
             chain.stop(Cause.ESTOP, sample.index)
         if look is not None:
@@ -322,7 +325,7 @@ class Rows:
         samples: number of rows.
         plant: a configured plant.
         chain: of the run.
-        on_row: called with this once for each row.
+        on_row: called once with each row.
         known: what the controller knows, contiguous arrays of float64.
         before: samples before the release.
     """
@@ -332,7 +335,7 @@ class Rows:
         samples: int,
         plant: Plant,
         chain: Chain,
-        on_row: Callable[[Rows], None] | None = None,
+        on_row: Callable[[Row], None] | None = None,
         *,
         known: Sequence[Array] = (),
         before: int = 0,
@@ -342,7 +345,7 @@ class Rows:
         self.samples, self.count, self.chain, self.rate = samples, 0, chain, chain.rules.rate
         self.missed = self.gaps = self._told = self._at = 0
         self.is_late, self._before, self._first, self._last, self._began = False, before, 0, 0, 0.0
-        self._wall, self._on_row = 0.0, on_row
+        self._wall, self._on_row, self._shape = 0.0, on_row, chain.applied.shape
         sensors, actuators = len(plant.sensors), len(plant.actuators)
         ends = list(itertools.accumulate([len(LOOP), sensors, actuators, *map(len, known)]))
         self._width = ends[-1]
@@ -355,11 +358,6 @@ class Rows:
         self._known = [
             (end - len(part), end, part.data) for end, part in zip(ends[3:], known, strict=True) if len(part)
         ]
-
-    @property
-    def last(self) -> memoryview[float]:
-        """The last row of the table."""
-        return self._cells[self._at : self._at + self._width]
 
     def begin(self, tick: int, values: Array, wall: float, missed: int, lateness: float | None = None) -> int:
         """Begin the next row with a sample.
@@ -374,7 +372,7 @@ class Rows:
         Returns:
             the samples that were missed before this one.
         """
-        row, cells, tick, gap = self.count, self._cells, min(tick, _LARGEST), 0
+        row, tick, gap = self.count, min(tick, _LARGEST), 0
         self.count += 1
         if row:
             gap = tick - self._last - 1
@@ -385,8 +383,8 @@ class Rows:
         self._at = at = row * self._width
         self.is_late = gap > 0 or missed > self.missed
         self._last, self._wall, self.missed = tick, wall, missed
-        cells[at], cells[at + WALL], cells[at + INDEX] = tick, wall - self._began, tick - self._first - self._before
-        cells[at + LATE], cells[at + LATENESS] = self.is_late, lateness
+        index = tick - self._first - self._before
+        _pack(self._cells, 8 * at, tick, wall - self._began, 0.0, index, self.is_late, lateness, 0.0)  # as `LOOP`
         self.sensors[row] = values
         self.gaps += max(0, gap)
         return max(0, gap)
@@ -404,9 +402,10 @@ class Rows:
         """
         row, chain = self.count - 1, self.chain
         self._cells[self._at + ANSWERED], self._cells[self._at + DURATION] = 1.0, duration
-        if np.shape(demanded) != chain.applied.shape:
-            message = f"tick {tick}: the controller returned shape {np.shape(demanded)}"
-            raise CommandError(f"{message}; return {chain.applied.shape}, one number for each actuator")
+        shape = demanded.shape if type(demanded) is np.ndarray else np.shape(demanded)
+        if shape != self._shape:
+            message = f"tick {tick}: the controller returned shape {shape}"
+            raise CommandError(f"{message}; return {self._shape}, one number for each actuator")
         self.demanded[row] = demanded
         self.applied[row] = chain.guard(tick, demanded)
 
@@ -417,7 +416,7 @@ class Rows:
             for begin, end, known in self._known:
                 self._cells[at + begin : at + end] = known
             if self._on_row is not None:
-                self._on_row(self)
+                self._on_row(self._cells[at : at + self._width])
 
     def run(self, rate: float, reason: str, plant: Plant, note: str) -> RigRun:
         """Return the rows that were begun; the applied command of one that was not completed is zero."""

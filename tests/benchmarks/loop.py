@@ -1,8 +1,8 @@
 """What a tick of a rig takes: controller, safety chain and row, alone and with page, recording and key, in turns.
 
-`huygens_rig` runs on its twin in another process, in lockstep over UDP, so that nothing sleeps. `work` is the controller, the
-safety chain and the row of a tick, as `rig.timing` of a record has it; `tick` is the time from one sample to the next, with
-the twin, the socket and the tags of frames in it.
+`huygens_rig` runs on its twin in another process, in lockstep over UDP, so that nothing sleeps. `work` is the
+controller, the safety chain and the row of a tick, as `rig.timing` of a record has it; `tick` is the time from one
+sample to the next, with the twin, the socket and the tags of frames in it.
 """
 
 from __future__ import annotations
@@ -23,14 +23,13 @@ from masking.control.step import SampledStep
 from masking.numerics.arrays import Array
 from masking.plants.authentication import Key
 from masking.plants.interface import Sample, Settings
-from masking.plants.safety import Chain
 from masking.plants.simulated import SimulatedPlant
 from masking.plants.udp import UdpPlant
 from masking.runs import hardware, protection
 from masking.runs.experiment import Experiment
 from masking.runs.loop_rows import StreamedRows, known
 from masking.runs.operator import Operator
-from masking.runs.realtime import Rows
+from masking.runs.realtime import run_rig
 from tests import chromium
 from tests.benchmarks.authentication import BOUNDS
 from tests.benchmarks.operator_page import EXPERIMENT, Nobody, looked_at
@@ -40,7 +39,6 @@ TICKS, ROUNDS = 20_000, 5
 PLANT: Final = "tue_rig"
 AIMS: Final = {"p50": 10.0, "p99": 50.0}  # us
 ALONE, ALL = "alone", "with page, recording and key"
-PARTS: Final = ("controller", "safety chain", "row", "recording", "page")
 
 
 def rows() -> Iterator[Row]:
@@ -92,41 +90,42 @@ def bound(name: str) -> str:
 
 
 def parts() -> dict[str, Array]:
-    """Return what the parts of a tick take in us, in a loop of its own on a twin in this process (ticks,)."""
+    """Return what the parts of a tick take in us, in a loop on a twin in this process (ticks,)."""
     experiment = _experiment()
     sampled, twin = experiment.sampled, experiment.twin
-    controller, plant = SampledStep(sampled), SimulatedPlant(twin)
-    plant.configure(Settings(sampled.rate, lockstep=True))
-    plant.activate()
-    chain = Chain(
-        protection.rules(experiment.instruments, sampled.rate, twin, controller.estimate), controller.estimate
-    )
-    lasting = sampled.feed.lasting(controller.parameters)
-    table = Rows(TICKS, plant, chain, known=known(controller, lasting), before=sampled.before)
-    found = {part: np.zeros(TICKS) for part in PARTS}
+    controller = SampledStep(sampled)
+    rules = protection.rules(experiment.instruments, sampled.rate, twin, controller.estimate)
+    taken: dict[str, list[float]] = {"controller": [], "recording": [], "look for a stop": [], "page": []}
+
+    def timed(part: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def called(*given: Any) -> Any:
+            begin = time.perf_counter()
+            answer = call(*given)
+            taken[part].append(time.perf_counter() - begin)
+            return answer
+
+        return called
+
     with tempfile.TemporaryDirectory() as folder, Operator(lambda *_: Nobody()) as operator:
-        operator.begin(experiment, controller, chain.rules)
+        operator.begin(experiment, controller, rules)
         streamed = StreamedRows(experiment, Path(folder) / "run", Path(folder))
-        for tick in range(TICKS):
-            sample = plant.read()
-            began = time.perf_counter()
-
-            def took(part: str, call: Callable[[], object], tick: int = tick) -> None:
-                begin = time.perf_counter()
-                call()
-                found[part][tick] += time.perf_counter() - begin
-
-            took("row", lambda: table.begin(sample.index, sample.values, began, 0, 0.0))
-            took("safety chain", lambda: chain.time(sample.index, is_late=False, silence=0.0, missed=0, lost=0))
-            took("page", lambda: operator.look(chain, sample.index))
-            took("safety chain", lambda: chain.watch(sample.index, sample.values))
-            took("controller", lambda: controller(sample.values, tick - sampled.before))
-            took("safety chain", lambda: table.answer(sample.index, controller.applied, 0.0))
-            plant.write(sample.index, table.applied[tick])
-            took("row", table.tell)
-            took("recording", lambda: streamed.put(table))
-            took("page", lambda: operator.put(table))
+        record, show = timed("recording", streamed.put), timed("page", operator.put or print)
+        ran = run_rig(
+            timed("controller", lambda tick, readings: controller(readings, tick - sampled.before)),
+            SimulatedPlant(twin),
+            rate=sampled.rate,
+            samples=TICKS,
+            limits=rules,
+            lockstep=True,
+            look=timed("look for a stop", operator.look),
+            estimate=controller.estimate,
+            known=known(controller, sampled.feed.lasting(controller.parameters)),
+            before=sampled.before,
+            on_row=lambda row: (record(row), show(row))[0],
+        )
         streamed.end(keep=False)
+    found = {part: np.array(times) for part, times in taken.items()}
+    found["safety chain and row"] = ran.work - sum(found.values())
     return {part: 1e6 * times for part, times in found.items()}
 
 
