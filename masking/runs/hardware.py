@@ -28,7 +28,7 @@ from masking.runs import protection
 from masking.runs.experiment import Experiment
 from masking.runs.loop_rows import RowLayout, StreamedRows, known, samples_after
 from masking.runs.operator import Operator
-from masking.runs.realtime import RigRun, Row, check_channels, every, run_rig
+from masking.runs.realtime import RigRun, check_channels, every, run_rig
 from masking.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED
 from masking.runs.timing import timing
 
@@ -216,7 +216,7 @@ def run(
                 found, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND
             ),
             on_tick=None if progress is None else every(progress, before + after),
-            on_row=_taking(streamed, operator),
+            on_row=[one.put for one in (streamed, operator) if one is not None and one.put is not None],
             stop=is_over,
             emergency=emergency,
             look=None if operator is None else operator.look,
@@ -240,19 +240,6 @@ def run(
         what = streams.MEND.format(stream) if is_kept else "nothing was recorded"
         raise MaskingError(f"the run was {ran.reason} during homing, before the release{why}; {what}")
     return made(ran)
-
-
-def _taking(streamed: StreamedRows | None, operator: Operator | None) -> Callable[[Row], None] | None:
-    """Return what passes a row of the loop on to who takes it, if anybody does."""
-    record, show = None if streamed is None else streamed.put, None if operator is None else operator.put
-    if record is None or show is None:
-        return record or show
-
-    def take(row: Row) -> None:
-        record(row)
-        show(row)
-
-    return take
 
 
 def _check(experiment: Experiment) -> None:

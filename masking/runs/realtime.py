@@ -97,7 +97,7 @@ def run_rig(
     acknowledge: bool = False,
     accept: Callable[[Plant], None] | None = None,
     on_tick: Callable[[int], None] | None = None,
-    on_row: Callable[[Row], None] | None = None,
+    on_row: Sequence[Callable[[Row], None]] = (),
     stop: Stop | None = None,
     emergency: Stop | None = None,
     look: Callable[[Chain, int], None] | None = None,
@@ -121,7 +121,7 @@ def run_rig(
         acknowledge: why the plant tripped in the last run was looked at.
         accept: called with the configured plant before it is activated; raises what it refuses the plant with.
         on_tick: called with the row after each tick, within the tick's time.
-        on_row: called once with each row, as `Rows.table` has it, as soon as its command was written.
+        on_row: each called once with each row, as `Rows.table` has it, as soon as its command was written.
         stop: looked at before each tick.
         emergency: likewise; the run then trips.
         look: called with the safety chain, which it may stop, and the tick of each sample.
@@ -325,7 +325,7 @@ class Rows:
         samples: number of rows.
         plant: a configured plant.
         chain: of the run.
-        on_row: called once with each row.
+        on_row: each called once with each row.
         known: what the controller knows, contiguous arrays of float64.
         before: samples before the release.
     """
@@ -335,7 +335,7 @@ class Rows:
         samples: int,
         plant: Plant,
         chain: Chain,
-        on_row: Callable[[Row], None] | None = None,
+        on_row: Sequence[Callable[[Row], None]] = (),
         *,
         known: Sequence[Array] = (),
         before: int = 0,
@@ -415,8 +415,9 @@ class Rows:
             self._told, at = self.count, self._at
             for begin, end, known in self._known:
                 self._cells[at + begin : at + end] = known
-            if self._on_row is not None:
-                self._on_row(self._cells[at : at + self._width])
+            row = self._cells[at : at + self._width]
+            for take in self._on_row:
+                take(row)
 
     def run(self, rate: float, reason: str, plant: Plant, note: str) -> RigRun:
         """Return the rows that were begun; the applied command of one that was not completed is zero."""

@@ -31,7 +31,6 @@ from masking.runs.loop_rows import StreamedRows, known
 from masking.runs.operator import Operator
 from masking.runs.realtime import run_rig
 from tests import chromium
-from tests.benchmarks.authentication import BOUNDS
 from tests.benchmarks.operator_page import EXPERIMENT, Nobody, looked_at
 from tests.benchmarks.table import Row, limited, told
 
@@ -83,12 +82,6 @@ def measure(rounds: int = ROUNDS) -> dict[str, dict[str, list[float]]]:
     return found
 
 
-def bound(name: str) -> str:
-    """Return the next round number of us, which the median over turns of `work` with all of it keeps to."""
-    time = statistics.median(measure(3)[f"work {name}"][ALL])
-    return f"{next(most for most in BOUNDS if most > 1.2 * time)} us"
-
-
 def parts() -> dict[str, Array]:
     """Return what the parts of a tick take in us, in a loop on a twin in this process (ticks,)."""
     experiment = _experiment()
@@ -121,7 +114,7 @@ def parts() -> dict[str, Array]:
             estimate=controller.estimate,
             known=known(controller, sampled.feed.lasting(controller.parameters)),
             before=sampled.before,
-            on_row=lambda row: (record(row), show(row))[0],
+            on_row=[record, show],
         )
         streamed.end(keep=False)
     found = {part: np.array(times) for part, times in taken.items()}

@@ -47,7 +47,7 @@ def run(experiment: Experiment, operator: Operator | None, seconds: float) -> Ri
         look=None if operator is None else operator.look,
         known=known(controller, np.zeros((1, 0))),
         before=before,
-        on_row=None if operator is None else operator.put,
+        on_row=[] if operator is None or operator.put is None else [operator.put],
         on_end=None if operator is None else lambda ran: operator.end(ran.reason, ran.trip),
     )
 
