@@ -158,10 +158,10 @@ def test_a_folder_that_holds_a_stream_is_not_run_into(experiment, tmp_path, caps
 
 
 def test_full_disks_end_the_run_in_order(experiment, tmp_path, monkeypatch):
-    start = subprocess.Popen
+    start, size = subprocess.Popen, 3 * recorder.MOST  # a page is never larger than a third of it
 
     def popen(command, **more):
-        return start(command, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)), **more)
+        return start(command, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)), **more)
 
     monkeypatch.setattr(recorder.subprocess, "Popen", popen)
     made = experiment.changed(duration=10_000)
@@ -286,7 +286,7 @@ def test_overruns_are_counted_exactly_and_not_made_up_for(monkeypatch):
 
 
 def test_rows_go_to_a_stream_that_has_their_units(experiment, tmp_path):
-    made = StreamedRows(experiment, hardware._prepare(experiment.sampled), tmp_path / "run", tmp_path)
+    made = StreamedRows(experiment, tmp_path / "run", tmp_path)
     made.end(keep=True)
     content = json.loads((tmp_path / "run" / stream.MANIFEST).read_text())
     assert content["columns"]["sensor.s1"]["unit"] == experiment.assembly.plant.sensors["s1"].unit

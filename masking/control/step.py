@@ -12,6 +12,7 @@ from typing import Any, NoReturn, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from masking.codegen.native import BoundFunction
 from masking.control.blocks import INVERTIBLE
 from masking.control.closed_loop import ClosedLoop
 from masking.control.sampled import SampledController
@@ -76,6 +77,17 @@ class SampledStep:
         self._unseen, self._results = blind.call, seeing.results
         if not sampled.has_model:
             sampled.kernels.skip.prepare()
+
+    def virtual(self) -> tuple[Array, Array, BoundFunction]:
+        """Return what computes the virtual motion from the estimate.
+
+        Returns:
+            an array (1,) for the time in s, the virtual coordinates and velocities (2 k,), and what computes them.
+        """
+        time, n = np.zeros(1), self.sampled.sizes.coordinates
+        found = np.zeros(2 * len(self.sampled.controller.virtual.coordinates))
+        transform = self.sampled.kernels.transform
+        return time, found, transform.bind(time, self.estimate[:n], self.estimate[n:], self.parameters, found)
 
     def reset(self, readings: ArrayLike | None = None) -> None:
         """Begin again.

@@ -19,6 +19,7 @@ from masking.faults.table import Fault, Judgement
 from masking.plants.udp import UdpPlant
 from masking.records import stream, stream_content
 from masking.records.recorder import Recorder
+from masking.records.ring import cells
 from masking.runs import hardware
 from masking.runs.experiment import Experiment
 
@@ -66,7 +67,7 @@ def _recorded(bench: Bench, judgement: Judgement, act: Callable[[int], None]) ->
             act(made.process or 0)
         row[:] = n
         before = time.perf_counter()
-        made.ring.put(row)
+        made.ring.put(cells(row))
         puts[n] = time.perf_counter() - before
         time.sleep(max(0.0, begin + (n + 1) / RATE - time.monotonic()))
     made.close()

@@ -192,7 +192,8 @@ def respond(h, s, sensors, seen, model, past, sent, reaction, counts, settings, 
         pushed[j] = 0.0
     for k in range(1, 2 * n):
         part = h * h * (n - abs(n - k))
-        row, acting = (now - k) % rows, (now - k - settings[DELAY]) % rows
+        row, acting = now - k, now - k - settings[DELAY]
+        row, acting = row + rows * (row < 0), acting + rows * (acting < 0)
         for j in range(sensed):
             pulled[j] += part * (past[row, j] - sensors[j, ORIGIN])
         for j in range(channels):

@@ -7,6 +7,7 @@ every command is zero, until a new chain is made for the next run.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -234,7 +235,7 @@ class Chain:
         self._missed, self._found = np.zeros(1, dtype=np.int64), np.zeros(3)
         self._counts = np.zeros(safety.COUNTS, dtype=np.int64)
         self._late = self._late_in_a_row = 0
-        self._late_since = -1
+        self._late_since, self._late_at = -math.inf, -math.inf
         h, settings = np.array([1.0 / rate]), self._settings()
         spans = max([2 * rules.half, *rules.readings[:, safety.SPAN], *rules.limits[:, safety.OVER]])
         past = np.zeros((int(spans) + rules.delay + 4, sensed))
@@ -271,8 +272,8 @@ class Chain:
             self._values[:] = values
             self._missed[0] = missed
             self._watch.call()
-            if self._watch.results[0]:
-                self._found_by(int(self._watch.results[0]), tick)
+            if found := self._watch.results[0]:
+                self._found_by(int(found), tick)
         return self.trip
 
     def guard(self, tick: int, demanded: Array) -> Array:
@@ -280,8 +281,8 @@ class Chain:
         if self.trip is None:
             self._demanded[:] = demanded
             self._guard.call()
-            if self._guard.results[0]:
-                self._found_by(int(self._guard.results[0]), tick)
+            if found := self._guard.results[0]:
+                self._found_by(int(found), tick)
         return self.applied
 
     def stop(self, cause: Cause, tick: int, channel: str = "", *, value: float = 0.0, limit: float = 0.0,
@@ -292,21 +293,30 @@ class Chain:
         return made
 
     def time(self, tick: int, *, is_late: bool, silence: float, missed: int, lost: int) -> None:
-        """Look at the time of a tick: whether it is late, periods waited for it, samples missed, those that never came.
+        """Look at the time of a tick that is late, or before which samples were missed; others need no look.
 
         Trips where five ticks in a row are late, where too many of a second are, and where the plant was silent.
+
+        Args:
+            tick: of the plant's clock.
+            is_late: whether it is late.
+            silence: periods waited for it.
+            missed: samples before it that were missed.
+            lost: those of them that never came.
         """
         if silence > _LOST + 1.5 and lost > _LOST:
             self.stop(Cause.COMM_LOST, tick, value=silence, limit=_LOST)
-        self._late_in_a_row = self._late_in_a_row + 1 if is_late else 0
+        if is_late:
+            self._late_in_a_row = self._late_in_a_row + 1 if tick - missed - 1 == self._late_at else 1
+            self._late_at = tick
         if self._late_in_a_row >= _LATE_IN_A_ROW:
             self.stop(Cause.OVERRUN, tick, value=self._late_in_a_row, limit=_LATE_IN_A_ROW - 1)
+        if tick - self._late_since >= self.rules.rate:
+            self._late, self._late_since = 0, tick
         self._late += max(missed, int(is_late))
         most = self.rules.missed * self.rules.rate
         if self._late > most:
             self.stop(Cause.OVERRUN, tick, value=self._late, limit=most)
-        if self._late_since < 0 or tick - self._late_since >= self.rules.rate:
-            self._late, self._late_since = 0, tick
 
     def _found_by(self, number: int, tick: int) -> None:
         cause, at = Cause(number), int(self._found[0])

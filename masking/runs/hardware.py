@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import final
-
-import numpy as np
 
 from masking.analysis.synchronisation import Watch
 from masking.control.sampled import SampledController
@@ -29,10 +26,9 @@ from masking.records.recording import Recording
 from masking.rig.twin import Twin
 from masking.runs import protection
 from masking.runs.experiment import Experiment
-from masking.runs.loop_rows import StreamedRows, samples_after
-from masking.runs.offline import TwinRun
+from masking.runs.loop_rows import RowLayout, StreamedRows, known, samples_after
 from masking.runs.operator import Operator
-from masking.runs.realtime import RigRun, Rows, check_channels, every, run_rig
+from masking.runs.realtime import RigRun, check_channels, every, run_rig
 from masking.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED
 from masking.runs.timing import timing
 
@@ -177,7 +173,7 @@ def run(
     streamed = None
     if stream is not None:
         second = Path(tempfile.gettempdir() if spare is None else spare)
-        streamed = StreamedRows(experiment, controller, Path(stream), second, lockstep=lockstep, before=before)
+        streamed = StreamedRows(experiment, Path(stream), second, lockstep=lockstep, before=before)
 
     def is_full() -> bool:
         return streamed is not None and streamed.recorder.is_full
@@ -196,7 +192,7 @@ def run(
         outcome |= {"timing": timing(ran, lockstep=lockstep)}
         if streamed is not None and streamed.recorder.note:
             outcome |= {"recorder": {"ended": streamed.recorder.ended, "note": streamed.recorder.note}}
-        return experiment.record_rig(keeper.rows(ran, experiment.every), lockstep=lockstep, outcome=outcome)
+        return experiment.record_rig(RowLayout(experiment).run(ran.table, after), lockstep=lockstep, outcome=outcome)
 
     def on_end(ran: RigRun) -> None:
         ended.append(ran)
@@ -220,11 +216,13 @@ def run(
                 found, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND
             ),
             on_tick=None if progress is None else every(progress, before + after),
-            on_row=_taking(keeper, streamed, operator),
+            on_row=[one.put for one in (streamed, operator) if one is not None and one.put is not None],
             stop=is_over,
             emergency=emergency,
             look=None if operator is None else operator.look,
             estimate=controller.estimate,
+            known=known(controller, keeper.lasting),
+            before=before,
             on_end=on_end,
         )
     except BaseException:
@@ -242,19 +240,6 @@ def run(
         what = streams.MEND.format(stream) if is_kept else "nothing was recorded"
         raise MaskingError(f"the run was {ran.reason} during homing, before the release{why}; {what}")
     return made(ran)
-
-
-def _taking(keeper: _Keeper, streamed: StreamedRows | None, operator: Operator | None) -> Callable[[Rows], None]:
-    """Return what passes the last row of a loop on to who takes it."""
-
-    def take(rows: Rows) -> None:
-        release = keeper.first + keeper.before
-        if streamed is not None:
-            streamed.put(rows, release, keeper.lasting)
-        if operator is not None:
-            operator.put(rows, release)
-
-    return take
 
 
 def _check(experiment: Experiment) -> None:
@@ -279,7 +264,7 @@ def _prepare(sampled: SampledController) -> SampledStep:
     return SampledStep(sampled)
 
 
-@dataclass
+@final
 class _Watched:
     """What watches a run for synchronisation.
 
@@ -290,30 +275,27 @@ class _Watched:
         controller: that is watched.
     """
 
-    watch: Watch
-    columns: tuple[int, int]
-    every: int
-    controller: SampledStep
-
-    def __post_init__(self) -> None:
-        estimate, sampled = self.controller.estimate, self.controller.sampled
-        n = sampled.sizes.coordinates
-        self._transform, self._p = sampled.kernels.transform, self.controller.parameters
-        self._q, self._v = estimate[:n], estimate[n:]
-        self._virtual = np.empty(2 * len(sampled.controller.virtual.coordinates))
+    def __init__(self, watch: Watch, columns: tuple[int, int], every: int, controller: SampledStep) -> None:
+        self.watch, self._columns, self._every = watch, columns, every
+        self._time, self._virtual, self._transform = controller.virtual()
 
     def step(self, index: int, t: float) -> None:
         """Look at a sample at time t, which the controller has answered."""
-        if index < 0 or index % self.every:
+        if index < 0 or index % self._every:
             return
-        self._transform(t, self._q, self._v, self._p, self._virtual)
-        first, second = self.columns
-        self.watch.step(float(self._virtual[first]), float(self._virtual[second]))
+        self._time[0] = t
+        self._transform.call()
+        first, second = self._columns
+        self.watch.step(self._virtual.item(first), self._virtual.item(second))
 
 
 @final
 class _Keeper:
-    """A sampled controller with a row for each of its steps.
+    """A sampled controller on the ticks of a plant, and where it is in its run.
+
+    Attributes:
+        last: the last sample that was answered; 0 is the release.
+        lasting: what lasted of pushes at the release (1, pushes).
 
     Args:
         controller: the controller, which begins with the first sample.
@@ -324,20 +306,8 @@ class _Keeper:
 
     def __init__(self, controller: SampledStep, before: int, after: int, watched: _Watched | None) -> None:
         self.controller, self.before, self.after, self.watched = controller, before, after, watched
-        self.first, self.row = 0, 0
-        sizes, samples = controller.sampled.sizes, before + after
-        self._disturbances = slice(sizes.states, sizes.states + (sizes.coordinates if sizes.order else 0))
-        self.estimates = np.zeros((samples, sizes.states))
-        self.demanded = np.zeros((samples, sizes.actuators))
-        self.power = np.zeros((samples, sizes.actuators))
-        self.disturbances = np.zeros((samples, sizes.coordinates if sizes.order else 0))
-        self.index = np.zeros(samples, dtype=np.int64)
+        self.first, self.last = -1, -before - 1
         self.lasting = controller.sampled.feed.lasting(controller.parameters)
-
-    @property
-    def last(self) -> int:
-        """The last sample that was answered; 0 is the release."""
-        return int(self.index[self.row - 1]) if self.row else -self.before - 1
 
     @property
     def is_released(self) -> bool:
@@ -365,35 +335,14 @@ class _Keeper:
 
     def step(self, tick: int, readings: Array) -> Array:
         """Return the commands (actuators,) that answer the readings (sensors,) of a tick of the plant."""
-        controller, row = self.controller, self.row
-        if row == 0:
+        controller = self.controller
+        if self.first < 0:
             self.first = tick
         index = tick - self.first - self.before
-        if index >= 0 and not self.is_released:
-            self.lasting = controller.sampled.feed.lasting(controller.parameters)
+        if index >= 0 > self.last:
+            self.lasting[:] = controller.sampled.feed.lasting(controller.parameters)
         applied = controller(readings, index)
-        self.row += 1
-        self.index[row] = index
-        self.estimates[row] = controller.estimate
-        self.disturbances[row] = controller.state[self._disturbances]
-        self.demanded[row] = controller.demanded
-        self.power[row] = controller.power
+        self.last = index
         if self.watched is not None:
             self.watched.step(index, index / controller.rate)
         return applied
-
-    def rows(self, ran: RigRun, every: int) -> TwinRun:
-        """Return what happened from the release to the planned end, one sample of each `every`."""
-        index = self.index[: self.row]
-        kept = np.flatnonzero((index >= 0) & (index < self.after) & (index % every == 0))
-        return TwinRun(
-            index[kept] / self.controller.rate,
-            self.estimates[kept],
-            self.estimates[kept],
-            ran.sensors[kept],
-            self.demanded[kept],
-            ran.applied[kept],
-            self.power[kept],
-            self.disturbances[kept] if self.disturbances.shape[1] else None,
-            self.lasting,
-        )

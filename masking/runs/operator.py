@@ -5,7 +5,6 @@ Nothing here waits for anybody: rows go to a `Ring`, and the `Switch` is a numbe
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,10 +17,10 @@ from masking.control.step import SampledStep
 from masking.errors import OperatorError
 from masking.numerics.sizes import LARGEST, POWER
 from masking.plants.safety import Cause, Chain, Rules, Trip
-from masking.records.ring import Ring
+from masking.records.ring import Ring, cells
 from masking.records.switch import Presser, Switch
 from masking.runs.experiment import Experiment
-from masking.runs.realtime import Rows
+from masking.runs.realtime import ANSWERED, INDEX, LOOP, Row
 
 if TYPE_CHECKING:
     from masking.numerics import safety
@@ -111,10 +110,10 @@ class Operator:
         if self.is_attended and now - self.switch.seen > ABSENCE * 1e9:
             chain.stop(Cause.UNATTENDED, tick, value=self.switch.silence, limit=ABSENCE)
 
-    def put(self, rows: Rows, release: int) -> None:
-        """Show the last row of a loop, whose release is at a tick."""
-        if self._shown is not None:
-            self._shown.put(rows, release)
+    @property
+    def put(self) -> Callable[[Row], None] | None:
+        """Return what shows a row of the loop; None where nobody looks at rows."""
+        return None if self._shown is None else self._shown.put
 
     def end(self, reason: str, trip: Trip | None) -> None:
         """Say why the run ended."""
@@ -143,26 +142,22 @@ class _Shown:
     def __init__(self, experiment: Experiment, controller: SampledStep, rules: Rules, *, is_attended: bool) -> None:
         sampled = controller.sampled
         rig, virtual = sampled.instruments.model, sampled.controller.virtual
-        n, self._rate = len(rig.coordinates), controller.rate
-        self._states, self._power = controller.estimate[: 2 * n], controller.power
+        self._rate = controller.rate
         actuators = {name: sampled.instruments.unit(name) for name in sampled.instruments.actuators}
         sensors = {name: sensor.unit for name, sensor in sampled.instruments.plant.sensors.items()}
+        # The virtual motion, then what lies side by side in a row of the loop.
         groups = [
-            {"index": "1", "late": "1", "lateness": "s", "duration": "s"},
             {f"virtual.{name}": unit for name, unit in _motion(virtual)},
-            {f"rig.{name}": unit for name, unit in _motion(rig)},
+            {name: entry["unit"] for name, entry in list(LOOP.items())[INDEX:]},
             {f"sensor.{name}": unit for name, unit in sensors.items()},
             {f"applied.{name}": unit for name, unit in actuators.items()},
             {f"power.{name}": "W" for name in actuators},
+            {f"rig.{name}": unit for name, unit in _motion(rig)},
         ]
         units = {name: unit for group in groups for name, unit in group.items()}
-        self._row = np.zeros(len(units))
-        ends = [0, *itertools.accumulate(map(len, groups))]
-        self._parts = [self._row[a:b] for a, b in itertools.pairwise(ends)]
-        self._time = np.zeros(1)
-        q, v = controller.estimate[:n], controller.estimate[n:]
-        self._mapped = sampled.kernels.transform.bind(self._time, q, v, controller.parameters, self._parts[1])
-        self._transform = self._mapped.call
+        instant, motion, bound = controller.virtual()
+        self._time, self._virtual, self._bound, self._transform = cells(instant), cells(motion), bound, bound.call
+        self._stop = INDEX + len(units) - len(motion)
         condition = experiment.stop_condition
         pair = condition.names if condition else virtual.oscillators[:2]
         declaration, plant = experiment.declaration, experiment.assembly.plant
@@ -172,18 +167,12 @@ class _Shown:
             bounds=list(_bounds(controller, rules)),
         )  # fmt: skip
 
-    def put(self, rows: Rows, release: int) -> None:
-        """Show the last row of a loop, whose release is at a tick; measured: 5 us."""
-        k = rows.count - 1
-        index = int(rows.index[k]) - release
-        loop, _, rig, sensors, applied, power = self._parts
-        loop[:] = index, rows.late[k], rows.lateness[k], rows.durations[k]
-        if loop[3] > 0.0:  # the controller answered
-            self._time[0] = index / self._rate
+    def put(self, row: Row) -> None:
+        """Show a row of the loop; measured: 0.6 us."""
+        if row[ANSWERED]:
+            self._time[0] = row[INDEX] / self._rate
             self._transform()
-            rig[:], power[:] = self._states, self._power
-        sensors[:], applied[:] = rows.sensors[k], rows.applied[k]
-        self.ring.put(self._row)
+        self.ring.put(self._virtual, row[INDEX : self._stop])
 
 
 def _motion(model: Any) -> Iterator[tuple[str, str]]:  # noqa: ANN401

@@ -8,11 +8,13 @@ refuse what is not finite, clamp to the limits, write. What is between reading a
 from __future__ import annotations
 
 import contextlib
+import itertools
+import struct
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Final, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +28,26 @@ from masking.errors import (
     SamplesLostError,
 )
 from masking.numerics.arrays import Array
-from masking.plants.interface import APPLIED, Counting, Plant, Settings, Telling
+from masking.plants.interface import APPLIED, Counting, Plant, Sample, Settings, Telling
 from masking.plants.machine import Deadlines, Stop, asked_to_stop, undisturbed
 from masking.plants.safety import Cause, Chain, Rules, Trip
+from masking.records.ring import cells
 from masking.runs.stopping import FAILED, FINISHED, INTERRUPTED, LOST, STOPPED, TRIPPED
 
 Step = Callable[[int, Array], Array]
+Row: TypeAlias = "memoryview[float]"
+# The first columns of a row: unit and meaning of each, by its name.
+LOOP: Final = {
+    "tick": {"unit": "1", "meaning": "tick of the plant's clock"},
+    "wall": {"unit": "s", "meaning": "time since the first sample, measured"},
+    "answered": {"unit": "1", "meaning": "1 where the controller answered the sample"},
+    "index": {"unit": "1", "meaning": "sample, 0 at the release and negative in the homing"},
+    "late": {"unit": "1", "meaning": "1 where samples before were missed, or the tick began more than a period late"},
+    "lateness": {"unit": "s", "meaning": "how late the tick began"},
+    "duration": {"unit": "s", "meaning": "how long the controller took"},
+}
+TICK, WALL, ANSWERED, INDEX, LATE, LATENESS, DURATION = range(len(LOOP))
+_pack = struct.Struct(f"{len(LOOP)}d").pack_into
 _LOOKED_AFTER = 0.05  # s between looks at what a plant puts out
 _LARGEST = 2**53  # a tick that a float holds
 _IDLE = 2  # looks in a row at which it may put out nothing although it is commanded to
@@ -52,6 +68,7 @@ class RigRun:
         durations: (m,), seconds that the controller's step took.
         lateness: (m,), seconds that ticks began late; on a plant's own clock, after a period since the one before.
         work: (m,), seconds that the controller, the safety chain and the row of the record took together.
+        table: (m, columns), as `Rows` has it.
         reason: why it ended, one of `masking.runs.stopping.REASONS`.
         counters: ticks that were `late` and `clamped`, periods `missed`, and what the plant counted.
         note: what the machine did not permit, such as real-time priority; empty where there is nothing to say.
@@ -68,6 +85,7 @@ class RigRun:
     durations: Array
     lateness: Array
     work: Array
+    table: Array
     reason: str
     counters: Mapping[str, int]
     note: str = ""
@@ -86,11 +104,13 @@ def run_rig(
     acknowledge: bool = False,
     accept: Callable[[Plant], None] | None = None,
     on_tick: Callable[[int], None] | None = None,
-    on_row: Callable[[Rows], None] | None = None,
+    on_row: Sequence[Callable[[Row], None]] = (),
     stop: Stop | None = None,
     emergency: Stop | None = None,
     look: Callable[[Chain, int], None] | None = None,
     estimate: Array | None = None,
+    known: Sequence[Array] = (),
+    before: int = 0,
     on_end: Callable[[RigRun], None] | None = None,
 ) -> RigRun:
     """Configure and activate a plant, run a controller on it, and deactivate it on every way out.
@@ -108,11 +128,13 @@ def run_rig(
         acknowledge: why the plant tripped in the last run was looked at.
         accept: called with the configured plant before it is activated; raises what it refuses the plant with.
         on_tick: called with the row after each tick, within the tick's time.
-        on_row: called once for each row, with those that there are, as soon as its command was written.
+        on_row: each called once with each row, as `Rows.table` has it, as soon as its command was written.
         stop: looked at before each tick.
         emergency: likewise; the run then trips.
         look: called with the safety chain, which it may stop, and the tick of each sample.
         estimate: what the controller knows of the rig's states, changed in place; for rules that need it.
+        known: what each row has of the controller besides: contiguous arrays of float64, likewise.
+        before: samples before the release.
         on_end: called with what was recorded once the plant is at zero, also before an error is raised.
 
     Raises:
@@ -130,7 +152,7 @@ def run_rig(
                 accept(plant)
             if not isinstance(limits, Rules):
                 limits = Rules.of_commands(limits, plant.sensors, plant.actuators, rate)
-            rows = Rows(samples, plant, Chain(limits, estimate), on_row)
+            rows = Rows(samples, plant, Chain(limits, estimate), on_row, known=known, before=before)
             note = way_out.enter_context(undisturbed(priority=not lockstep))
             way_out.callback(plant.deactivate)  # first of all on the way out
             plant.activate()
@@ -150,7 +172,7 @@ def run_rig(
 
 def _reason(error: BaseException, rows: Rows) -> str:
     """Return why a run ended in an error, and let the chain know."""
-    tick, text = int(rows.index[max(0, rows.count - 1)]), f"{type(error).__name__}: {error}"
+    tick, text = int(rows.table[max(0, rows.count - 1), TICK]), f"{type(error).__name__}: {error}"
     if isinstance(error, PlantLostError):
         cause = Cause.COMM_LOST if isinstance(error, SamplesLostError) else Cause.PLANT_LOST
         rows.chain.stop(cause, tick, detail=text)
@@ -221,29 +243,29 @@ def _loop(
         sample = plant.read()
         began = time.perf_counter()
         missed = rows.begin(sample.index, sample.values, began, deadlines.missed, lateness)
-        is_late, silence = bool(rows.late[row]) and not settings.lockstep, (began - ended) * settings.rate
-        before, skipped = skipped, counters.get("skipped", 0)  # they came, and waited for this process
-        chain.time(
-            sample.index,
-            is_late=is_late,
-            silence=0.0 if settings.lockstep else silence,
-            missed=missed,
-            lost=missed - (skipped - before),
-        )
+        if missed or rows.is_late:
+            before, skipped = skipped, counters.get("skipped", 0)  # they came, and waited for this process
+            chain.time(
+                sample.index,
+                is_late=rows.is_late and not settings.lockstep,
+                silence=0.0 if settings.lockstep else (began - ended) * settings.rate,
+                missed=missed,
+                lost=missed - (skipped - before),
+            )
         if emergency is not None and emergency():
             chain.stop(Cause.ESTOP, sample.index)
         if look is not None:
             look(chain, sample.index)
-        if chain.watch(sample.index, rows.sensors[row], missed) is None:
-            _answer(step, plant, rows, sample.index, began)
-        command = rows.guarded(sample.index)
+        command = rows.applied[row]
+        if chain.watch(sample.index, sample.values, missed) is None:
+            _answer(step, plant, rows, sample, began)
         answered = time.perf_counter()
         plant.write(sample.index, command)
         ended = time.perf_counter()
         rows.tell()
         rows.work[row] = answered - began + (time.perf_counter() - ended)
         if taken is not None:
-            taken.look(sample.index, rows.applied[row])
+            taken.look(sample.index, command)
         if chain.trip is not None:
             return TRIPPED
         if on_tick is not None:
@@ -251,18 +273,16 @@ def _loop(
     return FINISHED
 
 
-def _answer(step: Step, plant: Plant, rows: Rows, tick: int, began: float) -> None:
-    """Let the controller answer a tick; what it raises comes through once zero was written.
+def _answer(step: Step, plant: Plant, rows: Rows, sample: Sample, began: float) -> None:
+    """Let the controller answer a sample; what it raises comes through once zero was written.
 
     Raises:
         CommandError: it returned something else than one number for each actuator.
         Exception: what the controller raised.
     """
-    row = rows.count - 1
+    tick = sample.index
     try:
-        demanded = step(tick, rows.sensors[row])
-        rows.durations[row] = time.perf_counter() - began
-        rows.demand(demanded)
+        rows.answer(tick, step(tick, sample.values), time.perf_counter() - began)
     except BaseException as error:
         cause = Cause.CONTROLLER_NONFINITE if isinstance(error, CommandError) else Cause.CONTROLLER_EXCEPTION
         rows.chain.stop(cause, tick, ", ".join(plant.actuators), value=np.nan, detail=traceback.format_exc())
@@ -305,32 +325,54 @@ class _Taken:
 class Rows:
     """The rows of a run, made ahead and filled tick by tick.
 
+    Attributes:
+        table: (samples, columns): `LOOP`, the sensors, the applied commands, and what the controller knows.
+        count: rows that were begun.
+        is_late: whether the last tick was.
+
     Args:
         samples: number of rows.
         plant: a configured plant.
         chain: of the run.
-        on_row: called with this once for each row.
+        on_row: each called once with each row.
+        known: what the controller knows, contiguous arrays of float64.
+        before: samples before the release.
     """
 
-    def __init__(self, samples: int, plant: Plant, chain: Chain, on_row: Callable[[Rows], None] | None = None) -> None:
+    def __init__(
+        self,
+        samples: int,
+        plant: Plant,
+        chain: Chain,
+        on_row: Sequence[Callable[[Row], None]] = (),
+        *,
+        known: Sequence[Array] = (),
+        before: int = 0,
+    ) -> None:
         if samples < 1:
             raise PlantMismatchError(f"samples is {samples}; give at least 1")
         self.samples, self.count, self.chain, self.rate = samples, 0, chain, chain.rules.rate
-        self.missed = self.gaps = self._told = 0
-        self._on_row = on_row
+        self.missed = self.gaps = self._told = self._at = 0
+        self.is_late, self._before, self._first, self._last, self._began = False, before, 0, 0, 0.0
+        self._wall, self._on_row, self._shape = 0.0, on_row, chain.applied.shape
+        sensors, actuators = len(plant.sensors), len(plant.actuators)
+        ends = list(itertools.accumulate([len(LOOP), sensors, actuators, *map(len, known)]))
+        self._width = ends[-1]
         # Filled, so that their pages are there before the first tick.
-        self.wall, self.durations = np.full(samples, 0.0), np.full(samples, 0.0)
-        self.lateness, self.work = np.full(samples, 0.0), np.full(samples, 0.0)
-        self.index, self.late = np.full(samples, 0, dtype=np.int64), np.full(samples, False)
-        self.sensors = np.full((samples, len(plant.sensors)), 0.0)
-        self.demanded = np.full((samples, len(plant.actuators)), 0.0)
-        self.applied = np.full((samples, len(plant.actuators)), 0.0)
+        self.table, self.work = np.full((samples, self._width), 0.0), np.full(samples, 0.0)
+        self.demanded = np.full((samples, actuators), 0.0)
+        self.sensors, self.applied = self.table[:, ends[0] : ends[1]], self.table[:, ends[1] : ends[2]]
+        self._cells = cells(self.table)
+        # Memory to memory; measured: a third of the time of arrays.
+        self._known = [
+            (end - len(part), end, part.data) for end, part in zip(ends[3:], known, strict=True) if len(part)
+        ]
 
-    def begin(self, index: int, values: Array, wall: float, missed: int, lateness: float | None = None) -> int:
+    def begin(self, tick: int, values: Array, wall: float, missed: int, lateness: float | None = None) -> int:
         """Begin the next row with a sample.
 
         Args:
-            index: tick of the plant's clock.
+            tick: of the plant's clock.
             values: (sensors,).
             wall: s of the wall clock.
             missed: periods missed so far.
@@ -339,62 +381,72 @@ class Rows:
         Returns:
             the samples that were missed before this one.
         """
-        row = self.count
+        row, tick, gap = self.count, min(tick, _LARGEST), 0
         self.count += 1
-        index = min(index, _LARGEST)
-        self.wall[row], self.index[row], self.sensors[row] = wall, index, values
-        gap = index - int(self.index[row - 1]) - 1 if row else 0
-        if lateness is not None:
-            self.lateness[row] = lateness
-        elif row:
-            self.lateness[row] = max(0.0, wall - self.wall[row - 1] - (gap + 1) / self.rate)
-        self.late[row] = gap > 0 or missed > self.missed
+        if row:
+            gap = tick - self._last - 1
+        else:
+            self._first, self._began, lateness = tick, wall, lateness or 0.0
+        if lateness is None:
+            lateness = max(0.0, wall - self._wall - (gap + 1) / self.rate)
+        self._at = at = row * self._width
+        self.is_late = gap > 0 or missed > self.missed
+        self._last, self._wall, self.missed = tick, wall, missed
+        index = tick - self._first - self._before
+        _pack(self._cells, 8 * at, tick, wall - self._began, 0.0, index, self.is_late, lateness, 0.0)  # as `LOOP`
+        self.sensors[row] = values
         self.gaps += max(0, gap)
-        self.missed = missed
         return max(0, gap)
 
-    def demand(self, demanded: Array) -> None:
-        """Keep what the controller answered in the row that was begun.
+    def answer(self, tick: int, demanded: Array, duration: float) -> None:
+        """Keep what the controller answered in the row that was begun, and what of it may be written.
+
+        Args:
+            tick: of the plant's clock.
+            demanded: (actuators,).
+            duration: s that the controller took.
 
         Raises:
             CommandError: it is not one number for each actuator.
         """
-        row = self.count - 1
-        if np.shape(demanded) != self.chain.applied.shape:
-            message = f"tick {self.index[row]}: the controller returned shape {np.shape(demanded)}"
-            raise CommandError(f"{message}; return {self.chain.applied.shape}, one number for each actuator")
+        row, chain = self.count - 1, self.chain
+        self._cells[self._at + ANSWERED], self._cells[self._at + DURATION] = 1.0, duration
+        shape = demanded.shape if type(demanded) is np.ndarray else np.shape(demanded)
+        if shape != self._shape:
+            message = f"tick {tick}: the controller returned shape {shape}"
+            raise CommandError(f"{message}; return {self._shape}, one number for each actuator")
         self.demanded[row] = demanded
-
-    def guarded(self, tick: int) -> Array:
-        """Return what may be written in the row that was begun, and keep it there."""
-        row = self.count - 1
-        applied: Array = self.applied[row]
-        applied[:] = self.chain.guard(tick, self.demanded[row])
-        return applied
+        self.applied[row] = chain.guard(tick, demanded)
 
     def tell(self) -> None:
         """Let the last row be recorded, if it was not yet."""
         if self._told < self.count:
-            self._told = self.count
-            if self._on_row is not None:
-                self._on_row(self)
+            self._told, at = self.count, self._at
+            for begin, end, known in self._known:
+                self._cells[at + begin : at + end] = known
+            row = self._cells[at : at + self._width]
+            for take in self._on_row:
+                take(row)
 
     def run(self, rate: float, reason: str, plant: Plant, note: str) -> RigRun:
         """Return the rows that were begun; the applied command of one that was not completed is zero."""
         rows = slice(0, self.count)
+        table = self.table[rows]
         counted = dict(plant.counters) if isinstance(plant, Counting) else {}
-        own = {"late": int(np.count_nonzero(self.late[rows])), "missed": self.missed + self.gaps}
+        own = {"late": int(np.count_nonzero(table[:, LATE])), "missed": self.missed + self.gaps}
+        ticks = table[:, TICK].astype(np.int64)
         return RigRun(
-            times=self.index[rows] / rate,
-            wall=self.wall[rows] - self.wall[0],
-            index=self.index[rows],
+            times=ticks / rate,
+            wall=table[:, WALL],
+            index=ticks,
             sensors=self.sensors[rows],
             demanded=self.demanded[rows],
             applied=self.applied[rows],
-            late=self.late[rows],
-            durations=self.durations[rows],
-            lateness=self.lateness[rows],
+            late=table[:, LATE] > 0.0,
+            durations=table[:, DURATION],
+            lateness=table[:, LATENESS],
             work=self.work[rows],
+            table=table,
             reason=reason,
             counters={**counted, **own, "clamped": self.chain.clamped},
             note=note,

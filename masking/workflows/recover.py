@@ -180,7 +180,7 @@ def _run(
         if json.loads(json_text(content["declarations"])) != found.manifest["declarations"]:
             return None, f"{read_from['experiment']} or what it names has changed since the run; {mend}"
         layout = RowLayout(experiment)
-        if layout.columns != found.manifest["columns"]:
+        if [*layout.columns.items()] != [*found.manifest["columns"].items()]:
             return None, "another version of this program has written it; recover it with that version"
         run = layout.run(table, samples_after(experiment, experiment.sampled))
         counters = {"late": int(np.count_nonzero(column["late"])), "missed": int(np.sum(np.diff(column["tick"]) - 1.0))}

@@ -21,6 +21,7 @@ from masking.control.step import SampledStep
 from masking.plants.simulated import SimulatedPlant
 from masking.runs import protection
 from masking.runs.experiment import Experiment
+from masking.runs.loop_rows import known
 from masking.runs.operator import Operator
 from masking.runs.realtime import RigRun, run_rig
 from masking.workflows.operator import Attendant, attend
@@ -44,18 +45,22 @@ def run(experiment: Experiment, operator: Operator | None, seconds: float) -> Ri
         limits=rules,
         estimate=controller.estimate,
         look=None if operator is None else operator.look,
-        on_row=None if operator is None else lambda rows: operator.put(rows, before),
+        known=known(controller, np.zeros((1, 0))),
+        before=before,
+        on_row=[] if operator is None or operator.put is None else [operator.put],
         on_end=None if operator is None else lambda ran: operator.end(ran.reason, ran.trip),
     )
 
 
-class _Nobody:
+class Nobody:
+    """Who looks at no page."""
+
     def wait(self) -> None:
         """Nobody looks."""
 
 
 @contextlib.contextmanager
-def _looked_at(tab: Any) -> Iterator[Operator]:
+def looked_at(tab: Any) -> Iterator[Operator]:
     """Give an operator, with the page in a browser if there is one."""
     attendants: list[Attendant] = []
 
@@ -65,7 +70,7 @@ def _looked_at(tab: Any) -> Iterator[Operator]:
         tab.wait_for("view.answers > 3")
         return attendants[0]
 
-    with Operator((lambda *_: _Nobody()) if tab is None else begin) as operator:
+    with Operator((lambda *_: Nobody()) if tab is None else begin) as operator:
         yield operator
     for one in attendants:
         tab.call("Page.navigate", url="about:blank")
@@ -84,7 +89,7 @@ def measure(seconds: float, blocks: int) -> dict[str, dict[str, float]]:
                 with contextlib.ExitStack() as way_out:
                     operator = None
                     if way != "alone":
-                        operator = way_out.enter_context(_looked_at(tab if way == "page in a browser" else None))
+                        operator = way_out.enter_context(looked_at(tab if way == "page in a browser" else None))
                     ran = run(experiment, operator, seconds)
                 parts = (ran.work[skip:], ran.lateness[skip:])
                 rows.append([1e6 * float(np.quantile(part, q)) for part in parts for q in (0.5, 0.99)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import runpy
+import statistics
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,7 +23,17 @@ from masking.records.recording import Recording
 from masking.rig.twin import Twin
 from masking.runs.experiment import Experiment
 from tests import test_components, test_discovery, test_measure
-from tests.benchmarks import authentication, clocks, components, exported, hidden, masking_error_table, official, wishes
+from tests.benchmarks import (
+    authentication,
+    clocks,
+    components,
+    exported,
+    hidden,
+    loop,
+    masking_error_table,
+    official,
+    wishes,
+)
 
 ROOT: Final = Path(__file__).parents[2]
 SEEDS: Final = range(5)
@@ -120,6 +131,18 @@ def observer_error(kind: str, order: str = "2") -> str:
 def authentication_cost(which: str) -> str:
     """Return the time that a tag takes, rounded up: `ours`, or `theirs` with HMAC-SHA256."""
     return authentication.bound(authentication.microseconds()[("ours", "theirs").index(which)])
+
+
+@slow_value
+def loop_time(way: str, figure: str) -> str:
+    """Return what controller, safety chain and row take, rounded up: `alone`, or with `all` beside; `p50` or `p99`."""
+    ways = {"alone": loop.ALONE, "all": loop.ALL}
+    return authentication.bound(statistics.median(_loop_times()[f"work {figure}"][ways[way]]))
+
+
+@cache
+def _loop_times() -> dict[str, dict[str, list[float]]]:
+    return loop.measure(3)
 
 
 @slow_value
