@@ -9,7 +9,7 @@ from masking.faults.bench import Bench
 from masking.faults.rerun import FAULTS
 from masking.faults.table import Fault, examine
 
-MISSING = {20, 27}
+MISSING = {27}
 
 
 @pytest.fixture(scope="module")

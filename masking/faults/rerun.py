@@ -13,7 +13,6 @@ from masking.faults.bench import Bench
 from masking.faults.table import Fault, Finding, examine
 
 _NOT_OFFERED: Final = (
-    Fault(20, "operator page closed or stalled", "loop untouched; attended mode disarms after 2 s"),
     Fault(27, "trip in run 17 of a batch of 100", "cool down, zero check, retry, go on; no silent skip"),
 )
 FAULTS: Final = tuple(
