@@ -1,4 +1,4 @@
-"""Verbs of `masking rig`: check, serve, run, stop, calibrate, faults."""
+"""Verbs of `masking rig`: check, serve, run, batch, stop, calibrate, faults."""
 
 from __future__ import annotations
 
@@ -113,6 +113,16 @@ def _add_operator(sub: argparse.ArgumentParser) -> None:
     text = "with --page: the run waits until the page is open, and trips where it is not heard of for 2 s"
     sub.add_argument("--attended", action="store_true", help=text)
     sub.add_argument("--stop-file", metavar="FILE", help="the run trips as soon as there is this file")
+
+
+def _add_batch(sub: argparse.ArgumentParser) -> None:
+    add_json(sub)
+    _add_key(sub, "that the server has, too")
+    sub.add_argument("plan", metavar="PLAN", help="a batch file, or the name of a packaged one")
+    sub.add_argument("--plant", metavar="ADDRESS", help=f"{SUCH} (default: that of the plan, or the twin)")
+    sub.add_argument(
+        "--out", metavar="DIR", help="folder of the results; a batch that it holds goes on (default: results/PLAN)"
+    )
 
 
 def _add_stop(sub: argparse.ArgumentParser) -> None:
@@ -245,6 +255,22 @@ def _run(chosen: argparse.Namespace) -> int:
     return int(not is_planned)
 
 
+def _batch(chosen: argparse.Namespace) -> int:
+    """Make the runs of a plan unattended; started again, go on with it. Exit status 1 if one did not end as planned."""
+    from masking.workflows import batch
+
+    out = Path(chosen.out or f"results/{Path(chosen.plan).stem}")
+    prepare(chosen.json, out)
+    try:
+        with Bar("running") as bar:
+            found = batch.run(chosen.plan, out, plant=chosen.plant, key=chosen.key, say=bar.say, progress=bar)
+    except KeyboardInterrupt:
+        print(f"masking: interrupted; start the same again to go on with {out}", file=sys.stderr)
+        return INTERRUPTED
+    answer(chosen.json, found.as_dict(), f"{found}\npage: {out / 'batch.html'}")
+    return int(found.done < len(found.runs))
+
+
 def _operator(chosen: argparse.Namespace, bar: Bar) -> Operator:
     """Return who looks at the run."""
     from masking.runs.operator import Operator
@@ -321,6 +347,7 @@ _OF_RIG = (
     Verb("check", _add_check, _check),
     Verb("serve", _add_serve, _serve),
     Verb("run", _add_run, _run),
+    Verb("batch", _add_batch, _batch),
     Verb("stop", _add_stop, _stop),
     Verb("calibrate", _add_calibrate, _calibrate),
     Verb("faults", _add_faults, _faults),

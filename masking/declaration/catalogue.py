@@ -15,6 +15,7 @@ from masking.errors import DeclarationError, Place, Problem, nearest
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _FOLDERS = {"model": "models", "plant": "plants", "experiment": "examples", "dictionary": "dictionaries"}
+_FOLDERS |= {"batch": "examples/batches"}
 KINDS = tuple(_FOLDERS)
 _ENDINGS = (".yaml", ".yml")
 _ARTICLE = {
@@ -22,6 +23,7 @@ _ARTICLE = {
     "plant": "a plant",
     "experiment": "an experiment",
     "dictionary": "a dictionary of effects",
+    "batch": "a batch of runs",
     None: "a declaration",
 }
 OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
@@ -33,6 +35,7 @@ OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
         "model": "extends coordinates states definitions equations lagrangian dissipation forces terms outputs "
         "energy scales oscillators elements events drawing",
         "dictionary": "dictionary",
+        "batch": "experiment lockstep vary repeats retries cool drift patience budget",
     }.items()
 }
 _NAMED_BY = {("plant", "experiment"): "plant", ("model", "experiment"): "virtual", ("model", "plant"): "model"}
@@ -60,7 +63,7 @@ class Entry:
 
 
 def catalogue() -> tuple[Entry, ...]:
-    """Return the packaged models, plants, experiments and dictionaries of effects."""
+    """Return the packaged declarations of each kind."""
     entries = []
     for kind in KINDS:
         for name in names(kind):
@@ -77,7 +80,7 @@ def folder(kind: str) -> Path:
 
 
 def names(kind: str) -> list[str]:
-    """List the names of the packaged files of a kind ("model", "plant", "experiment" or "dictionary")."""
+    """List the names of the packaged files of a kind, one of `KINDS`."""
     return sorted(path.stem for path in folder(kind).glob("*.yaml"))
 
 

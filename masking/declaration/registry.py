@@ -19,6 +19,7 @@ from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.fields import Real, Text
 from masking.declaration.plant_units import check_plant_units
 from masking.declaration.schema import (
+    BatchDeclaration,
     Declaration,
     DictionaryDeclaration,
     ExperimentDeclaration,
@@ -133,6 +134,11 @@ def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
 def load_experiment(name_or_path: str | Path, reference: Reference = NOWHERE) -> ExperimentDeclaration:
     """Load an experiment; its plant and its virtual system are files of their own."""
     return _load(ExperimentDeclaration, name_or_path, reference, _check_plants)
+
+
+def load_batch(name_or_path: str | Path) -> BatchDeclaration:
+    """Load a batch of runs; its experiment is a file of its own."""
+    return _load(BatchDeclaration, name_or_path, NOWHERE)
 
 
 def _check_plants(experiment: ExperimentDeclaration, is_whole: bool, lost: Collection[str]) -> list[Problem]:

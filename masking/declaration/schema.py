@@ -444,9 +444,41 @@ class ExperimentDeclaration(Declaration):
     seed: Natural = Field(default=0)
 
 
+class BatchBudget(Block):
+    """What the runs of a batch may use together: `time` in s, `trips`, and `energy` of all actuators in J."""
+
+    time: Positive | None = None
+    trips: Natural | None = None
+    energy: Positive | None = None
+
+
+class BatchDeclaration(Declaration):
+    """Runs of an experiment, one after the other: every combination of what `vary` lists, each `repeats` times.
+
+    `vary` names values of the experiment, such as `parameters.k`, `initial.x` or `seed`. Without a `plant`, an address,
+    they run on the twin. Between two runs the rig cools for `cool` s; its sensors must be at rest, and within `drift`
+    of a limit of where they were before the first run. A run that did not end as planned is tried `retries` more times;
+    a plant that does not answer is waited for, `patience` s at most.
+    """
+
+    kind_name = "batch"
+
+    experiment: TextField
+    plant: TextField | None = None
+    lockstep: Truth = False
+    vary: dict[TextField, tuple[Number, ...]] = {}
+    repeats: Natural = 1
+    retries: Natural = 1
+    cool: Number = 0.0
+    drift: Positive = 0.05
+    patience: Positive = 60.0
+    budget: BatchBudget = BatchBudget()
+
+
 KINDS: dict[str, type[Declaration]] = {
     "model": ModelDeclaration,
     "plant": PlantDeclaration,
     "experiment": ExperimentDeclaration,
     "dictionary": DictionaryDeclaration,
+    "batch": BatchDeclaration,
 }

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import itertools
 import json
+import signal
 import sys
 import time
 from pathlib import Path
@@ -20,6 +21,7 @@ from masking.faults.damage import Damaged
 from masking.numerics.arrays import Array
 from masking.plants import adapters
 from masking.plants.interface import Settings
+from masking.plants.machine import STOPPING
 from masking.plants.serve import serve
 from masking.plants.simulated import SimulatedPlant
 from masking.runs.realtime import RigRun, run_rig
@@ -106,7 +108,9 @@ def _step_the_wall_clock() -> None:
 
 
 def main() -> None:
-    """Do as the first argument says."""
+    """Do as the first argument says; signals that whoever started this ignores are not ignored here."""
+    for number in STOPPING:
+        signal.signal(number, signal.SIG_DFL)
     if sys.argv[1] == "serve":
         _serve(*sys.argv[2:])
     else:

@@ -137,7 +137,7 @@ def self_test(
     answers = list[Answer]()
     for j in range(len(twin.actuators)):
         seconds, predicted = _PULSE, _predicted(ideal, held, j, _PULSE)
-        while seconds * rate > 2.0 and _moved(held, predicted) > _MOVED:
+        while seconds * rate > 2.0 and part_moved(held, predicted) > _MOVED:
             seconds *= 0.5
             predicted = _predicted(ideal, held, j, seconds)
         read, trip = _Pulse(held, j, seconds).run(plant, twin, lockstep=lockstep, acknowledge=acknowledge)
@@ -154,7 +154,7 @@ def _held(rules: Rules, size: float) -> Rules:
     return replace(protection.without_model(rules), commands=commands)
 
 
-def _moved(rules: Rules, read: Array) -> float:
+def part_moved(rules: Rules, read: Array) -> float:
     """Return the largest part of a limited coordinate over which readings (samples, sensors) went."""
     far = np.ptp(read @ rules.weights.T, axis=0) if len(rules.weights) else np.zeros(0)
     is_position = rules.limits[:, safety.OVER] == 0.0

@@ -11,6 +11,7 @@ from masking.declaration import catalogue, registry
 from masking.errors import DeclarationError, MaskingError, ModelError, Place, Problem
 from masking.modelling.model import load_model
 from masking.rig.twin import Twin
+from masking.runs import batch
 from masking.runs.experiment import Experiment
 from masking.runs.feasibility import Feasibility, Motion, feasibility
 
@@ -71,6 +72,8 @@ def _check(file: str | Path, kind: str, compiling: Callable[[], None] | None) ->
             Twin.load(file).validate()
         elif kind == "dictionary":
             effects.load(file)
+        elif kind == "batch":
+            batch.load(file)
         else:
             wanted = Experiment.load(file)
             wanted.validate()

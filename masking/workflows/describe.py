@@ -14,6 +14,7 @@ from masking.declaration import catalogue, registry, schema
 from masking.effects import EFFECTS, Effect, EffectParameter, own
 from masking.modelling.model import Model, load_model
 from masking.reports.text import aligned
+from masking.runs import batch
 from masking.runs.experiment import Experiment
 
 if TYPE_CHECKING:
@@ -61,6 +62,8 @@ def show(name_or_path: str | Path, kind: str | None = None) -> Description:
         return plant(registry.load_plant(name_or_path))
     if kind == "dictionary":
         return dictionary(registry.load_dictionary(name_or_path))
+    if kind == "batch":
+        return batch_of(name_or_path)
     return experiment(Experiment.load(name_or_path))
 
 
@@ -124,6 +127,14 @@ def dictionary(declaration: schema.DictionaryDeclaration) -> Description:
     """Describe a dictionary of own effects: each of them as `effect` does."""
     texts = [effect(one).text for one in own(declaration).values()]
     return Description("\n\n".join(["\n".join(_head(declaration)).rstrip(), *texts]), declaration.canonical())
+
+
+def batch_of(name_or_path: str | Path) -> Description:
+    """Describe a batch: its runs, with the values of the experiment that each has."""
+    declaration, _, runs = batch.load(name_or_path)
+    lines = [*_head(declaration), f"{len(runs)} runs of {declaration.experiment}", ""]
+    lines += _table("runs", [(str(run.number), *(f"{n} = {x:g}" for n, x in run.settings.items())) for run in runs])
+    return Description("\n".join(lines).rstrip(), declaration.canonical())
 
 
 def _range(parameter: EffectParameter) -> str:

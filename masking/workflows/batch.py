@@ -1,0 +1,218 @@
+"""The verb rig batch: the runs of a plan, one after the other, whatever ends one of them.
+
+All that is known is in `batch.journal`, in the folder of the results; started again, it goes on from there. Each try
+has a folder `runs/NUMBER-TRY` of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+from masking.declaration.schema import BatchDeclaration
+from masking.errors import MaskingError, RecordError
+from masking.records import stream
+from masking.records.journal import Journal
+from masking.records.recording import Recording
+from masking.reports import batch_page
+from masking.runs import batch
+from masking.runs.batch import Progress
+from masking.runs.stopping import FAILED, INTERRUPTED
+from masking.workflows.batch_run import told
+from masking.workflows.recover import recover
+
+JOURNAL: Final = "batch.journal"
+RUNS: Final = "runs"
+_OTHERS: Final = 30.0  # s that the last run of a batch that was killed may take to end
+_AGAIN: Final = 1.0  # s between tries to reach a plant
+_ENDS: Final = 20.0  # s at most until a run that is asked to stop has
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What became of a batch.
+
+    Args:
+        folder: of its results.
+        name: of the plan.
+        runs: all of them, in order.
+        why: it ended before its runs did; empty where all were made.
+    """
+
+    folder: Path
+    name: str
+    runs: tuple[Progress, ...]
+    why: str
+
+    @property
+    def done(self) -> int:
+        """Return how many runs ended as planned."""
+        return sum(one.is_done for one in self.runs)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as JSON can hold it."""
+        return {"name": self.name, "why": self.why, "runs": batch_page.rows(self.runs), "used": batch.used(self.runs)}
+
+    def __str__(self) -> str:
+        return batch_page.text(self.name, self.runs, self.why)
+
+
+def run(
+    plan: str | Path,
+    out: str | Path,
+    *,
+    plant: str | None = None,
+    key: str | None = None,
+    say: Callable[[str], None] = lambda _: None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Batch:
+    """Make all runs of a plan that are not made yet.
+
+    Args:
+        plan: a batch file.
+        out: folder of the results; one that holds a batch of the same plan is gone on with.
+        plant: address in place of that of the plan.
+        key: file with the key of the plant's server.
+        say: called with a sentence for each run.
+        progress: called with the part done.
+
+    Raises:
+        DeclarationError: the plan or its experiment is wrong.
+        RecordError: the folder cannot be written, is that of another plan, or another process works on it.
+    """
+    declared, experiment, runs = batch.load(plan)
+    folder = Path(out)
+    with Journal(folder / JOURNAL, _OTHERS) as journal:
+        wanted = batch.identity(declared, experiment, runs)
+        if not batch.begin(journal.entries, wanted, folder):
+            journal.add(event="batch", plan=wanted, name=declared.name, runs=len(runs))
+        found = batch.progress(runs, journal.entries)
+        worker = _Worker(plan, declared, folder, journal, found, plant=plant, key=key, say=say)
+        why = worker.work(progress)
+    made = Batch(folder, declared.name, tuple(found), why)
+    batch_page.save(declared.name, made.runs, why, made.as_dict(), folder)
+    return made
+
+
+@final
+class _Worker:
+    """Makes the runs of a batch.
+
+    Args:
+        plan: its file.
+        declared: its content.
+        folder: of the results.
+        journal: of the batch.
+        found: what is known of each run, which is kept up to date.
+        plant, key: as `run` takes them.
+        say: called with a sentence for each run.
+    """
+
+    def __init__(
+        self,
+        plan: str | Path,
+        declared: BatchDeclaration,
+        folder: Path,
+        journal: Journal,
+        found: Sequence[Progress],
+        *,
+        plant: str | None,
+        key: str | None,
+        say: Callable[[str], None],
+    ) -> None:
+        self.plan, self.declared, self.folder, self.journal, self.found = plan, declared, folder, journal, found
+        self.options = [*(["--plant", plant] if plant else []), *(["--key", key] if key else [])]
+        self.say, self.has_run = say, False
+        self.waited, self.last = 0.0, ""  # s since the plant was reached, and what was said
+
+    def work(self, progress: Callable[[float], None]) -> str:
+        """Make what is not made yet; return why not all of it could be."""
+        for one in self.found:
+            if one.open:
+                self._end(one, self._left(self._place(one)))
+        for number, one in enumerate(self.found):
+            while not one.is_done and one.counted <= self.declared.retries:
+                if why := self._over():
+                    for other in self.found[number:]:
+                        other.left_out = "" if other.is_done or other.counted > self.declared.retries else why
+                    return why
+                self._try(one)
+            progress((number + 1) / len(self.found))
+        return ""
+
+    def _over(self) -> str:
+        """Say why no other run may begin; empty where it may."""
+        spent, budget = batch.used(self.found), self.declared.budget
+        for name, unit in (("time", " s"), ("trips", ""), ("energy", " J")):
+            most = getattr(budget, name)
+            if most is not None and spent[name] >= most:
+                return f"the budget of {name}, {most:g}{unit}, is used up"
+        if self.waited > self.declared.patience:
+            return f"the plant was not reached for {self.waited:.0f} s: {self.last}"
+        return ""
+
+    def _place(self, one: Progress) -> Path:
+        return self.folder / RUNS / f"{one.run.number:0{len(str(len(self.found)))}}-{one.tries}"
+
+    def _try(self, one: Progress) -> None:
+        """Make a try of a run in a process of its own."""
+        if self.has_run:
+            time.sleep(self.declared.cool)
+        one.tries += 1
+        place = self._place(one)
+        self.journal.add(event="begin", run=one.run.number, **{"try": one.tries}, settings=dict(one.run.settings))
+        one.open, self.has_run = one.tries, True
+        zeros = [end["zero"] for other in self.found for end in other.ends if end.get("zero")]
+        command = [sys.executable, "-m", "masking.workflows.batch_run", str(self.plan), str(one.run.number), str(place)]
+        command += [*self.options, "--zero", json.dumps(zeros[0] if zeros else {})]
+        begun = time.monotonic()
+        # The lock of the journal is the child's, too: who goes on after a crash waits for its end.
+        with subprocess.Popen(  # noqa: S603  # this package's own module
+            command, stdout=subprocess.PIPE, text=True, pass_fds=[self.journal.handle]
+        ) as process:
+            try:
+                said = process.communicate()[0]
+            except BaseException:
+                process.send_signal(signal.SIGTERM)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.communicate(timeout=_ENDS)
+                process.kill()
+                self._end(one, self._left(place) | {"end": INTERRUPTED})
+                raise
+        lines = [line for line in said.splitlines() if line.startswith("{")]
+        if lines:
+            outcome = json.loads(lines[-1])
+        else:
+            why = f"its process ended with status {process.returncode}"
+            outcome = self._left(place) | {"end": FAILED, "why": why, "seconds": time.monotonic() - begun}
+        self._end(one, outcome)
+        is_there = outcome["end"] != batch.UNREACHABLE
+        self.waited, self.last = 0.0 if is_there else self.waited + outcome["seconds"], outcome.get("why", "")
+        if not is_there:
+            time.sleep(_AGAIN)
+
+    def _left(self, place: Path) -> dict[str, Any]:
+        """Return what is known of a try that did not say how it ended, by what it left."""
+        with contextlib.suppress(RecordError, KeyError):
+            return told(Recording.load(place)) | {"seconds": 0.0}
+        if stream.is_in(place):
+            with contextlib.suppress(MaskingError):
+                return {"end": batch.CUT_OFF, "why": str(recover(place)), "seconds": 0.0}
+        return {"end": batch.CUT_OFF, "why": "nothing of it was recorded", "seconds": 0.0}
+
+    def _end(self, one: Progress, outcome: Mapping[str, Any]) -> None:
+        """Write down how a try ended."""
+        entry = {"event": "end", "run": one.run.number, "try": one.open, **outcome}
+        self.journal.add(**entry)
+        one.ends.append(entry)
+        one.open = 0
+        why = f": {outcome['why']}" if outcome.get("why") else ""
+        self.say(f"run {one.run.number} of {len(self.found)}, try {entry['try']}: {outcome['end']}{why}")
