@@ -116,7 +116,7 @@ def _stopped(bench: Bench, judgement: Judgement) -> None:
 
     def fill(part: float) -> None:
         nonlocal is_full
-        if part > 0.75 and not is_full:
+        if part > 0.4 and not is_full:
             is_full = True
             for number in _recorders():
                 resource.prlimit(number, resource.RLIMIT_FSIZE, (1, 1))

@@ -40,17 +40,17 @@ class Fault:
         number: of the table.
         injected: what is done.
         expected: what must follow, and the criterion.
-        test: injects it, measures, and evaluates; None where what it tests is not offered yet.
+        test: injects it, measures, and evaluates.
         in_real_time: other programs may spoil a try, so that it has three.
-        missing: what of the row the test does not inject or look at; the fault counts as not survived then.
+        is_long: it begins first, beside others.
     """
 
     number: int
     injected: str
     expected: str
-    test: Test | None = None
+    test: Test
     in_real_time: bool = False
-    missing: str = ""
+    is_long: bool = False
 
 
 @dataclass(frozen=True)
@@ -88,19 +88,15 @@ class Finding:
 def examine(fault: Fault, bench: Bench) -> Finding:
     """Inject a fault, and evaluate what follows."""
     began, tries, judgement = time.monotonic(), 0, Judgement()
-    if fault.test is None:
-        judgement.need(holds=False, broken="not offered yet")
-    else:
-        most = BUSY if fault.in_real_time else 1
-        while tries < most:
-            tries, judgement = tries + 1, Judgement()
-            try:
-                fault.test(bench, judgement)
-            except (MaskingError, OSError, ValueError, LookupError) as error:
-                judgement.need(holds=False, broken=f"{type(error).__name__}: {error}")
-            if not judgement.broken:
-                break
-    judgement.need(not fault.missing, f"not tested: {fault.missing}")
+    most = BUSY if fault.in_real_time else 1
+    while tries < most:
+        tries, judgement = tries + 1, Judgement()
+        try:
+            fault.test(bench, judgement)
+        except (MaskingError, OSError, ValueError, LookupError) as error:
+            judgement.need(holds=False, broken=f"{type(error).__name__}: {error}")
+        if not judgement.broken:
+            break
     return Finding(
         fault.number,
         fault.injected,
