@@ -29,8 +29,7 @@ _ARTICLE = {
 OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
     kind: frozenset(keys.split())
     for kind, keys in {
-        "experiment": "plant plants virtual transform controller initial duration time_scale record stop tolerance "
-        "seed",
+        "experiment": "plants virtual transform controller initial duration time_scale record stop tolerance seed",
         "plant": "kind model sensors actuators limits allocation own_effects",
         "model": "extends coordinates states definitions equations lagrangian dissipation forces terms outputs "
         "energy scales oscillators elements events drawing",

@@ -166,6 +166,24 @@ def name_from(declaration: Declaration, start: Path | None = None) -> str:
     return str(file) if start is None else os.path.relpath(file, start.resolve())
 
 
+def content_from(assembly: Assembly, start: Path) -> dict[str, Any]:
+    """Return the content of an experiment's file for a folder, from which it names other files."""
+    declared = assembly.experiment
+    made = declared.canonical()
+    made["virtual"] = name_from(assembly.virtual_model, start)
+    if declared.plants:
+        made["plants"] = {part.name: name_from(part.plant, start) for part in parts(declared)}
+    else:
+        made["plant"] = name_from(assembly.plant, start)
+    if declared.controller.model is not None:
+        made["controller"]["model"] = name_from(assembly.believed_model, start)
+    for name, source in declared.inputs.items():
+        if source.file is not None:
+            folder = refer(declared, f"inputs.{name}").folder
+            made["inputs"][name]["file"] = str(((folder or Path()) / source.file).resolve())
+    return made
+
+
 def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str, object]) -> ExperimentDeclaration:
     """Return an experiment with some sections of its file replaced, checked as if the file said so."""
     data, places = {**experiment.canonical(), **sections}, experiment._places.without(sections)

@@ -2,7 +2,7 @@
 
     {"event": ..., ...}<tab>CRC-32 of that, 8 hexadecimal digits
 
-A line that a crash cut off is left out, and written over by the next.
+A line that a crash cut off has no end; it is left out, and written over by the next.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Journal:
         patience: s that another process is waited for.
 
     Raises:
-        RecordError: the file cannot be written, another process has it, or a line that is not the last was changed.
+        RecordError: the file cannot be written, another process has it, or a line was changed.
     """
 
     def __init__(self, path: Path, patience: float = 0.0) -> None:
@@ -68,9 +68,10 @@ class Journal:
         found, good = list[dict[str, Any]](), 0
         lines = self.path.read_bytes().splitlines(keepends=True)
         for number, line in enumerate(lines, 1):
-            text, _, check = line.rstrip(b"\n").rpartition(b"\t")
-            if not line.endswith(b"\n") or check != _check(text):
-                if number < len(lines):
+            text, _, check = line[:-1].rpartition(b"\t")
+            is_whole = check == _check(text)
+            if not (line.endswith(b"\n") and is_whole):
+                if number < len(lines) or line.endswith(b"\n") or is_whole:  # one that was cut off has no end
                     raise RecordError(f"{self.path}: line {number} was changed; begin anew in another folder")
                 break
             found.append(json.loads(text))

@@ -10,15 +10,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from masking.declaration import registry
 from masking.declaration.schema import BatchDeclaration
 from masking.errors import DeclarationError, Problem, RecordError
+from masking.numerics.arrays import Array
+from masking.numerics.sizes import HEATING
+from masking.runs import manifest
 from masking.runs.experiment import Experiment
 from masking.runs.stopping import FINISHED, INTERRUPTED, SYNCHRONISED, TRIPPED
 
 PLANNED: Final = (FINISHED, SYNCHRONISED)
+EXPERIMENT: Final = "experiment.yaml"
 UNREACHABLE: Final = "unreachable"
 CUT_OFF: Final = "cut off"
+PEOPLE: Final = ("ESTOP", "UNATTENDED")  # causes after which nobody but a person goes on
 FREE: Final = (INTERRUPTED, UNREACHABLE, CUT_OFF)  # ends of tries that are no fault of the run
 MOST: Final = 1_000_000  # runs
 
@@ -48,6 +55,13 @@ def load(plan: str | Path) -> tuple[BatchDeclaration, Experiment, tuple[Run, ...
         raise DeclarationError(problems)
     reference = registry.refer(declared, "experiment")
     experiment = Experiment(registry.assemble(registry.load_experiment(declared.experiment, reference)))
+    power = experiment.assembly.plant.limits.power
+    if declared.budget.energy is not None and (power is None or power.heating is None):
+        message, mend = (
+            f"{experiment.assembly.plant.name} does not say how its commands heat",
+            "give limits.power.heating",
+        )
+        raise DeclarationError(Problem(declared.key_place("budget.energy"), "budget.energy", message, mend))
     values = list(itertools.product(*declared.vary.values()))
     settings = [dict(zip(declared.vary, one, strict=True)) for _ in range(declared.repeats) for one in values]
     runs = tuple(Run(number, one) for number, one in enumerate(settings, 1))
@@ -66,6 +80,9 @@ def _problems(plan: BatchDeclaration) -> Iterator[Problem]:
     """Yield what is wrong with the numbers of a plan."""
     if plan.repeats < 1:
         yield Problem(plan.place("repeats"), "repeats", "must be at least 1, not 0")
+    if plan.budget.trips == 0:
+        mend = "leave it out for any number; a run that tripped is made again only as 'retries' says"
+        yield Problem(plan.place("budget.trips"), "budget.trips", "must be at least 1, not 0", mend)
     if plan.cool < 0.0:
         yield Problem(plan.place("cool"), "cool", f"must be at least 0, not {plan.cool:g}", "give seconds")
     many = plan.repeats
@@ -93,9 +110,37 @@ def changed(experiment: Experiment, settings: Mapping[str, float]) -> Experiment
     return experiment.changed(**sections) if sections else experiment
 
 
+def write(experiment: Experiment, folder: Path) -> Path:
+    """Write the file of an experiment with replaced values into a folder, made if need be; return its path.
+
+    A run of that file can be recovered by itself, as one of any other file.
+
+    Raises:
+        RecordError: it cannot be written.
+    """
+    path = folder / EXPERIMENT
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(registry.content_from(experiment.assembly, folder)), encoding="utf-8")
+    except OSError as error:
+        raise RecordError(f"{folder} cannot be written ({error}); make room, or name another folder") from error
+    return path
+
+
+def energy(experiment: Experiment, inputs: Array, rate: float) -> float:
+    """Return the heat in J that commands turn into: the sum of `heating c^2 h`, 0 where the heating is not known.
+
+    Args:
+        experiment: whose plant is driven.
+        inputs: commands in force (samples, actuators), in the actuators' units.
+        rate: samples per second.
+    """
+    return float(np.sum(experiment.instruments.limits()[:, HEATING] * inputs**2)) / rate
+
+
 @dataclass
 class Progress:
-    """What a journal tells of a run.
+    """What a journal has of a run.
 
     Args:
         run: the run.
@@ -122,14 +167,18 @@ class Progress:
         return sum(end["end"] not in {*FREE, *PLANNED} for end in self.ends)
 
 
-def identity(plan: BatchDeclaration, experiment: Experiment, runs: Sequence[Run]) -> str:
-    """Return a hash of all that makes the runs what they are."""
-    content = [plan.canonical(), experiment.declaration.canonical(), [dict(run.settings) for run in runs]]
+def identity(experiment: Experiment, runs: Sequence[Run]) -> str:
+    """Return a hash of all that makes the runs what they are: the experiment with its files, and the settings.
+
+    What a plan says of retries, cooling and budgets may be changed before it is gone on with.
+    """
+    declared = manifest.content(experiment.assembly, experiment.virtual, {})["declarations"]
+    content = [declared, [dict(run.settings) for run in runs]]
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def progress(runs: Sequence[Run], entries: Sequence[Mapping[str, Any]]) -> list[Progress]:
-    """Return what the entries of a journal tell of each run."""
+    """Return what the entries of a journal have of each run."""
     found = [Progress(run) for run in runs]
     for entry in entries:
         if entry["event"] == "begin":
@@ -152,7 +201,8 @@ def begin(entries: Sequence[Mapping[str, Any]], wanted: str, folder: Path) -> bo
         return False
     if entries[0].get("plan") != wanted:
         raise RecordError(
-            f"{folder} holds a batch of another plan, or its experiment has changed; name another folder with --out"
+            f"{folder} holds a batch of other runs: what is varied, or the experiment, has changed; "
+            "name another folder with --out"
         )
     return True
 

@@ -47,6 +47,9 @@ Attend = Callable[[Path, Path], Attendant]
 class Operator:
     """Whoever looks at a run, as a context: `masking rig stop` finds its switch while inside.
 
+    Attributes:
+        trip: why the run tripped, the homing included; None where it did not.
+
     Args:
         attend: called with the files of the ring and the switch once both are there; starts the process that shows the
             rows. None where nobody does.
@@ -62,7 +65,8 @@ class Operator:
     ) -> None:
         self.switch, self.is_attended = Switch.make(), is_attended
         self._attend, self._file = attend, None if stop_file is None else Path(stop_file)
-        self._looked, self._has_tripped = 0, False
+        self._looked = 0
+        self.trip: Trip | None = None
         self._shown: _Shown | None = None
         self._attendant: Attendant | None = None
         if self._file is not None and self._file.exists():
@@ -117,14 +121,14 @@ class Operator:
 
     def end(self, reason: str, trip: Trip | None) -> None:
         """Say why the run ended."""
-        self._has_tripped = trip is not None
+        self.trip = trip
         self.switch.tell(end=reason, **({} if trip is None else {"trip": trip.as_dict()}))
         if self._shown is not None:
             self._shown.ring.close()
 
     def wait(self) -> None:
         """Wait until the operator has acknowledged why the run tripped, if it did, or nobody looks at the page."""
-        if self._has_tripped and self._attendant is not None:
+        if self.trip is not None and self._attendant is not None:
             self._attendant.wait()
 
 

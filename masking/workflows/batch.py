@@ -25,13 +25,16 @@ from masking.records.recording import Recording
 from masking.reports import batch_page
 from masking.runs import batch
 from masking.runs.batch import Progress
+from masking.runs.experiment import Experiment
 from masking.runs.stopping import FAILED, INTERRUPTED
-from masking.workflows.batch_run import told
-from masking.workflows.recover import recover
+from masking.workflows.batch_run import facts
+from masking.workflows.recover import TICKS, recover
 
 JOURNAL: Final = "batch.journal"
 RUNS: Final = "runs"
 _OTHERS: Final = 30.0  # s that the last run of a batch that was killed may take to end
+_WRITTEN: Final = 5.0  # s that the recorder of a run that was killed may take to end
+_LOOK: Final = 0.1  # s
 _AGAIN: Final = 1.0  # s between tries to reach a plant
 _ENDS: Final = 20.0  # s at most until a run that is asked to stop has
 
@@ -59,10 +62,34 @@ class Batch:
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as JSON can hold it."""
-        return {"name": self.name, "why": self.why, "runs": batch_page.rows(self.runs), "used": batch.used(self.runs)}
+        return {"name": self.name, "why": self.why, "runs": self.rows, "used": batch.used(self.runs)}
+
+    @property
+    def sentence(self) -> str:
+        """Say how many runs ended as planned, and why others did not."""
+        more = sum(one.tries > 1 for one in self.runs)
+        said = f"{self.name}: {self.done} of {len(self.runs)} runs ended as planned, {more} after more than one try"
+        failed = len(self.runs) - self.done - sum(bool(one.left_out) for one in self.runs)
+        said += f"; {failed} failed" if failed else ""
+        return f"{said}; the others were not made: {self.why}." if self.why else f"{said}."
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """Return for each run its settings, how it ended, after how many tries, and what it took."""
+        found = []
+        for one in self.runs:
+            last = one.ends[-1] if one.ends else {}
+            trips = [end["cause"] for end in one.ends if "cause" in end]
+            row: dict[str, Any] = {"run": one.run.number, **one.run.settings}
+            row |= {"end": (one.left_out and "not made") or last.get("end", "not made"), "tries": one.tries}
+            row |= {"trips": " ".join(trips), "chi": max(last.get("chi", {}).values(), default=None)}
+            row |= {"seconds": sum(end.get("seconds", 0.0) for end in one.ends)}
+            row |= {"energy": sum(end.get("energy", 0.0) for end in one.ends)}
+            found.append(row | {"why": one.left_out or ("" if one.is_done else last.get("why", ""))})
+        return found
 
     def __str__(self) -> str:
-        return batch_page.text(self.name, self.runs, self.why)
+        return batch_page.text(self.sentence, self.rows)
 
 
 def run(
@@ -91,14 +118,14 @@ def run(
     declared, experiment, runs = batch.load(plan)
     folder = Path(out)
     with Journal(folder / JOURNAL, _OTHERS) as journal:
-        wanted = batch.identity(declared, experiment, runs)
+        wanted = batch.identity(experiment, runs)
         if not batch.begin(journal.entries, wanted, folder):
             journal.add(event="batch", plan=wanted, name=declared.name, runs=len(runs))
         found = batch.progress(runs, journal.entries)
-        worker = _Worker(plan, declared, folder, journal, found, plant=plant, key=key, say=say)
+        worker = _Worker(plan, declared, folder, journal, found, experiment=experiment, plant=plant, key=key, say=say)
         why = worker.work(progress)
     made = Batch(folder, declared.name, tuple(found), why)
-    batch_page.save(declared.name, made.runs, why, made.as_dict(), folder)
+    batch_page.save(declared.name, made.sentence, made.rows, made.as_dict(), folder)
     return made
 
 
@@ -112,6 +139,7 @@ class _Worker:
         folder: of the results.
         journal: of the batch.
         found: what is known of each run, which is kept up to date.
+        experiment: that it runs.
         plant, key: as `run` takes them.
         say: called with a sentence for each run.
     """
@@ -124,13 +152,16 @@ class _Worker:
         journal: Journal,
         found: Sequence[Progress],
         *,
+        experiment: Experiment,
         plant: str | None,
         key: str | None,
         say: Callable[[str], None],
     ) -> None:
-        self.plan, self.declared, self.folder, self.journal, self.found = plan, declared, folder, journal, found
+        self.plan, self.declared, self.experiment = plan, declared, experiment
+        self.folder, self.journal, self.found = folder, journal, found
         self.options = [*(["--plant", plant] if plant else []), *(["--key", key] if key else [])]
         self.say, self.has_run = say, False
+        self.outcome: Mapping[str, Any] = {}  # of the last try
         self.waited, self.last = 0.0, ""  # s since the plant was reached, and what was said
 
     def work(self, progress: Callable[[float], None]) -> str:
@@ -140,7 +171,7 @@ class _Worker:
                 self._end(one, self._left(self._place(one)))
         for number, one in enumerate(self.found):
             while not one.is_done and one.counted <= self.declared.retries:
-                if why := self._over():
+                if why := self._over() or self._stopped():
                     for other in self.found[number:]:
                         other.left_out = "" if other.is_done or other.counted > self.declared.retries else why
                     return why
@@ -158,6 +189,13 @@ class _Worker:
         if self.waited > self.declared.patience:
             return f"the plant was not reached for {self.waited:.0f} s: {self.last}"
         return ""
+
+    def _stopped(self) -> str:
+        """Say that somebody stopped the rig, which nobody but a person may arm again; empty where nobody did."""
+        cause = self.outcome.get("cause", "")
+        if cause not in batch.PEOPLE:
+            return ""
+        return f"the run was stopped by a person ({cause}); look at the rig, then start the same again"
 
     def _place(self, one: Progress) -> Path:
         return self.folder / RUNS / f"{one.run.number:0{len(str(len(self.found)))}}-{one.tries}"
@@ -185,28 +223,48 @@ class _Worker:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.communicate(timeout=_ENDS)
                 process.kill()
-                self._end(one, self._left(place) | {"end": INTERRUPTED})
+                self._end(one, self._left(place, {"end": INTERRUPTED}))
                 raise
         lines = [line for line in said.splitlines() if line.startswith("{")]
-        if lines:
-            outcome = json.loads(lines[-1])
-        else:
-            why = f"its process ended with status {process.returncode}"
-            outcome = self._left(place) | {"end": FAILED, "why": why, "seconds": time.monotonic() - begun}
+        outcome: dict[str, Any] = {"end": FAILED, "why": f"its process ended with status {process.returncode}"}
+        outcome = json.loads(lines[-1]) if lines else {**outcome, "seconds": time.monotonic() - begun}
+        if not lines or stream.is_in(place):
+            outcome = self._left(place, outcome)
         self._end(one, outcome)
         is_there = outcome["end"] != batch.UNREACHABLE
         self.waited, self.last = 0.0 if is_there else self.waited + outcome["seconds"], outcome.get("why", "")
         if not is_there:
             time.sleep(_AGAIN)
 
-    def _left(self, place: Path) -> dict[str, Any]:
-        """Return what is known of a try that did not say how it ended, by what it left."""
+    def _left(self, place: Path, end: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return what is known of a try by what it left, which is recovered.
+
+        Args:
+            place: its folder.
+            end: how it ended, unless it had ended as planned and was saved before.
+        """
+        found = self._kept(place)
+        return found if end is None or found["end"] in batch.PLANNED else {**found, **end}
+
+    def _kept(self, place: Path) -> dict[str, Any]:
+        """Return what the folder of a try holds: the recording that it saved, or what is recovered of its stream."""
+        why, until = "nothing of it was recorded", time.monotonic() + _WRITTEN
+        while stream.is_in(place):
+            try:
+                found = recover(place)
+            except MaskingError as error:
+                if time.monotonic() < until:  # its recorder may still write
+                    time.sleep(_LOOK)
+                    continue
+                why = f"what it streamed is not recovered: {error}"
+                break
+            inputs = Recording.load(place / TICKS).array("input")
+            spent = batch.energy(self.experiment, inputs, self.experiment.sampled.rate)
+            kept = f"{found.rows} ticks of it are in {place}"
+            return {"end": batch.CUT_OFF, "why": kept, "seconds": found.seconds, "energy": spent}
         with contextlib.suppress(RecordError, KeyError):
-            return told(Recording.load(place)) | {"seconds": 0.0}
-        if stream.is_in(place):
-            with contextlib.suppress(MaskingError):
-                return {"end": batch.CUT_OFF, "why": str(recover(place)), "seconds": 0.0}
-        return {"end": batch.CUT_OFF, "why": "nothing of it was recorded", "seconds": 0.0}
+            return facts(self.experiment, Recording.load(place)) | {"seconds": 0.0}
+        return {"end": batch.CUT_OFF, "why": why, "seconds": 0.0}
 
     def _end(self, one: Progress, outcome: Mapping[str, Any]) -> None:
         """Write down how a try ended."""
@@ -214,5 +272,6 @@ class _Worker:
         self.journal.add(**entry)
         one.ends.append(entry)
         one.open = 0
+        self.outcome = outcome if self.has_run else {}  # what ended a former batch was looked at before this one began
         why = f": {outcome['why']}" if outcome.get("why") else ""
         self.say(f"run {one.run.number} of {len(self.found)}, try {entry['try']}: {outcome['end']}{why}")

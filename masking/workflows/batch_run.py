@@ -9,6 +9,7 @@ prints what became of it as a line of JSON. It ends in order when the process th
 from __future__ import annotations
 
 import argparse
+import contextlib
 import ctypes
 import json
 import os
@@ -21,20 +22,23 @@ from typing import Any, Final
 
 import numpy as np
 
-from masking.errors import MaskingError, PlantError, PlantLostError, PlantRefusedError
+from masking.errors import MaskingError, PlantError, PlantLostError, PlantRefusedError, RecordError
 from masking.numerics.arrays import Array
 from masking.plants import adapters
 from masking.plants.authentication import Key
 from masking.plants.interface import Plant
+from masking.plants.safety import Cause
 from masking.plants.simulated import SimulatedPlant
-from masking.records import stream
+from masking.records import stream, stream_content
 from masking.records.recording import Recording
 from masking.runs import batch, hardware, protection
 from masking.runs.experiment import Experiment
+from masking.runs.operator import Operator
 from masking.runs.realtime import run_rig
 from masking.runs.self_test import part_moved
-from masking.runs.stopping import FAILED, INTERRUPTED
+from masking.runs.stopping import FAILED, INTERRUPTED, TRIPPED
 
+_LOST: Final = (Cause.PLANT_LOST, Cause.COMM_LOST)
 _DIES_WITH_PARENT: Final = 1  # PR_SET_PDEATHSIG
 _LOOKED: Final = 0.25  # s that sensors are looked at
 _STILL: Final = 0.01  # of a limit, within which a rig that is at rest may move
@@ -60,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
         outcome = {"end": FAILED if is_there else batch.UNREACHABLE, "why": str(error)}
     except PlantRefusedError as error:
         outcome = {"end": batch.UNREACHABLE, "why": str(error)}
-    except MaskingError as error:
+    except (MaskingError, OSError) as error:  # the latter where a disk or the memory is full
         outcome = {"end": FAILED, "why": str(error)}
     print(json.dumps(outcome | {"seconds": round(time.monotonic() - began, 3)}), flush=True)
     return 0
@@ -77,7 +81,8 @@ def _end_with_parent() -> None:
 
 def _outcome(chosen: argparse.Namespace) -> dict[str, Any]:
     plan, experiment, runs = batch.load(chosen.plan)
-    made = batch.changed(experiment, runs[chosen.number - 1].settings)
+    varied = batch.changed(experiment, runs[chosen.number - 1].settings)
+    made = Experiment.load(batch.write(varied, chosen.folder))
     address = chosen.plant or plan.plant
     lockstep = plan.lockstep or address is None
 
@@ -85,37 +90,57 @@ def _outcome(chosen: argparse.Namespace) -> dict[str, Any]:
         key = Key.read(chosen.key) if chosen.key is not None else None
         return adapters.connect(address, key) if address else SimulatedPlant(made.twin, made.declaration.seed)
 
-    zero = _at_rest(made, plant(), chosen.zero, plan.drift, plan.patience, lockstep=lockstep)
     kept: list[Recording] = []
-    try:
-        kept.append(
-            hardware.run(made, plant(), lockstep=lockstep, acknowledge=True, keep=kept.append, stream=chosen.folder)
-        )
-    except PlantError as error:
-        if not kept:
-            raise
-        return _saved(kept[0], chosen.folder) | {"why": str(error), "zero": zero}
-    return _saved(kept[0], chosen.folder) | {"zero": zero}
+    with Operator() as operator:
+        try:
+            zero = _at_rest(made, plant(), chosen.zero, plan.drift, plan.patience, lockstep=lockstep, operator=operator)
+            kept.append(
+                hardware.run(
+                    made, plant(), lockstep=lockstep, acknowledge=True, keep=kept.append, stream=chosen.folder,
+                    operator=operator,
+                )
+            )  # fmt: skip
+        except MaskingError as error:
+            if kept and isinstance(error, PlantError):
+                return _saved(made, kept[0], chosen.folder) | {"why": str(error), "zero": zero}
+            if kept or operator.trip is None or operator.trip.cause in _LOST:
+                raise
+            return {"end": TRIPPED, "why": str(operator.trip), "cause": operator.trip.cause.name}  # before the release
+    return _saved(made, kept[0], chosen.folder) | {"zero": zero}
 
 
-def _saved(recording: Recording, folder: Path) -> dict[str, Any]:
-    """Save a recording; return what it tells."""
+def _saved(experiment: Experiment, recording: Recording, folder: Path) -> dict[str, Any]:
+    """Save a recording; return the facts of it, with the energy of all ticks, the homing included."""
     recording.save(folder, overwrite=True)
-    stream.remove(folder)
-    return told(recording)
+    with contextlib.suppress(RecordError):
+        found = stream_content.read(folder)
+        table, columns = found.table, list(found.manifest["columns"])
+        inputs = table[:, [columns.index(f"input.{name}") for name in experiment.instruments.actuators]]
+        spent = {"energy": batch.energy(experiment, inputs, experiment.sampled.rate)}
+        stream.remove(folder)
+        return facts(experiment, recording) | spent
+    return facts(experiment, recording)
 
 
-def told(recording: Recording) -> dict[str, Any]:
-    """Return how a recording ended, its masking errors, and the energy in J of all actuators."""
-    rig, dt = recording.manifest["rig"], float(np.mean(np.diff(recording.t))) if len(recording.t) > 1 else 0.0
-    power = [recording[name] for name in recording.columns if name.startswith("power.")]
+def facts(experiment: Experiment, recording: Recording) -> dict[str, Any]:
+    """Return how a recording ended, its masking errors, and the energy of its rows, in J."""
+    rig, times = recording.manifest["rig"], recording.t
+    rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else experiment.sampled.rate
+    spent = batch.energy(experiment, recording.array("input"), rate)
     trip = rig.get("trip")
-    found = {"end": rig["end"], "chi": recording.manifest["masking_error"], "energy": float(np.sum(power) * dt)}
+    found = {"end": rig["end"], "chi": recording.manifest["masking_error"], "energy": spent}
     return found | ({} if trip is None else {"why": trip["sentence"], "cause": trip["cause"]})
 
 
 def _at_rest(
-    made: Experiment, plant: Plant, first: Mapping[str, float], drift: float, patience: float, *, lockstep: bool
+    made: Experiment,
+    plant: Plant,
+    first: Mapping[str, float],
+    drift: float,
+    patience: float,
+    *,
+    lockstep: bool,
+    operator: Operator,
 ) -> dict[str, float]:
     """Wait until a rig is at rest; return the readings there by sensor.
 
@@ -140,9 +165,10 @@ def _at_rest(
 
     ran = run_rig(
         step, plant, rate=rate, samples=many + round(patience * rate), limits=held, lockstep=lockstep,
-        acknowledge=True, stop=is_still,
+        acknowledge=True, stop=is_still, look=operator.look,
     )  # fmt: skip
     if ran.trip is not None:
+        operator.trip = ran.trip
         raise PlantError(f"before the run: {ran.trip}")
     if ran.reason == INTERRUPTED:
         raise MaskingError("the run was interrupted before it began")

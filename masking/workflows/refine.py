@@ -277,13 +277,9 @@ def _write(result: Refinement, made: Path, folder: Path) -> None:
 def _experiment(result: Refinement, folder: Path) -> dict[str, Any]:
     """Return the content of the refined experiment's file, which names other files by their paths from its folder."""
     assembly = result.experiment.assembly
-    made, settings = assembly.experiment.canonical(), assembly.experiment.controller
-    made["plant"] = registry.name_from(assembly.plant, folder)
-    made["virtual"] = registry.name_from(assembly.virtual_model, folder)
+    made = registry.content_from(assembly, folder)
     if result.files is not None and result.files.model is not None:
         made["controller"]["model"] = result.files.model.relative_to(folder).as_posix()
-    elif settings.model is not None:
-        made["controller"]["model"] = registry.name_from(assembly.believed_model, folder)
     source = filter(None, (made.get("source"), result.origin.source(result.discovery).replace("discover", "refine", 1)))
     return {"name": made.pop("name"), "source": "; ".join(source), **made}
 
