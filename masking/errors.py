@@ -7,6 +7,7 @@ declaration or the call is at fault and running again cannot help, 1 where a run
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
 from typing import ClassVar
@@ -20,6 +21,7 @@ RENAMED = {
     "horizon": "shooting_interval",
     "fidelity": "masking_error",
 }
+NO_PLACE = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS})  # where a disk takes no more
 
 
 @dataclass(frozen=True, slots=True)

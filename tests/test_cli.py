@@ -330,3 +330,14 @@ def test_export_says_what_was_written_and_what_is_wrong(capsys, short, tmp_path)
     status, _, error = run(capsys, "export", "duffing", "--kind", "model", "--to", "python", "--rate", "0")
     assert status == 2
     assert "--rate: 0 is no positive number; give one, such as 1000" in error
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that takes nothing, /dev/full")
+def test_a_full_disk_behind_standard_output_is_said_in_a_line():
+    command = [sys.executable, "-m", "masking", "show", "huygens_rig"]
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        ran = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+        assert (ran.returncode, ran.stderr.count("\n")) == (1, 1)
+        assert "make room" in ran.stderr
+        ran = subprocess.run(command, stdout=subprocess.PIPE, stderr=full, text=True, check=False)
+        assert (ran.returncode, ran.stdout[:1] != "") == (0, True)

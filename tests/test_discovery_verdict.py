@@ -227,6 +227,7 @@ def test_steps_shrink_the_validation_residual():
     assert needed(step(1.0, 100.1)) == 0
     assert needed(step(1.0, np.inf)) == 0
     assert needed(step(50.0, 50.0), step(1.0, 50.1), step(0.9, 1.0)) == 1  # nothing is looked at behind it
+    assert needed(step(50.0, 101.0, base)) == 0  # none of the causes is preferred
 
 
 def test_a_parameter_may_enlarge_the_validation_residual_a_little():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import signal
@@ -12,7 +13,7 @@ from collections.abc import Sequence
 from masking.cli import declarations, discovery, export, identification, rig, runs, stability
 from masking.cli.options import add_verb
 from masking.cli.progress import INTERRUPTED, NOTHING_SAVED
-from masking.errors import RENAMED, DeclarationError, MaskingError
+from masking.errors import NO_PLACE, RENAMED, DeclarationError, MaskingError
 
 VERBS = tuple(
     one for module in (declarations, runs, identification, discovery, stability, export, rig) for one in module.VERBS
@@ -41,6 +42,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader, such as head, has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno not in NO_PLACE:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        with contextlib.suppress(OSError):
+            print(f"masking: what it says cannot be written ({error.strerror}); make room", file=sys.stderr)
+        return MaskingError.exit_status
     return status
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -27,7 +28,10 @@ _FORM = "{desc} {percentage:3.0f}% {bar}"
 
 
 class Bar:
-    """A bar with a word for what is done; called with the part done."""
+    """A bar with a word for what is done; called with the part done.
+
+    Where standard error cannot be written, such as to a full disk, nothing is shown, and what it shows goes on.
+    """
 
     def __init__(self, text: str) -> None:
         self._written = time.monotonic()
@@ -46,14 +50,15 @@ class Bar:
             now = time.monotonic()
             if now - self._written > APART:
                 self._written = now
-                print(f"{part:4.0%}  {text}", file=sys.stderr, flush=True)
+                with contextlib.suppress(OSError):
+                    print(f"{part:4.0%}  {text}", file=sys.stderr, flush=True)
             return
         self._bar.set_description(text, refresh=False)
         self(max(part, self._bar.n))
 
     def say(self, text: str) -> None:
         """Print a line above the bar."""
-        with self._bar.external_write_mode(file=sys.stderr):
+        with contextlib.suppress(OSError), self._bar.external_write_mode(file=sys.stderr):
             print(text, file=sys.stderr, flush=True)
 
     def close(self) -> None:

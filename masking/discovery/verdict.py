@@ -317,6 +317,8 @@ def steps_needed(base: Scored, steps: Iterable[Scored], last: float, readings: i
     chosen, count, start = base, 0, excess_cost(base.cost, readings)
     trace = 0.0 if reaches_noise(last, readings, rules) else rules.trace_fraction * start
     for best in steps:
+        if not best.names:  # parsimony prefers none of the causes
+            break
         before, after = excess_cost(chosen.cost, readings), excess_cost(best.cost, readings)
         is_late = chosen.kind != "none" and _is_explained(start, before, trace, readings, rules)
         is_enough = after <= (1.0 - rules.late_gain_fraction) * before or reaches_noise(best.cost, readings, rules)

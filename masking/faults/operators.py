@@ -98,7 +98,7 @@ def _looked_at(bench: Bench, number: signal.Signals, *, is_attended: bool) -> tu
 
     def begin(ring: Path, switch: Path) -> Attendant:
         attendants.append(attend(ring, switch, page=0))
-        threading.Thread(target=_browse, args=(attendants[0], gone, number), daemon=True).start()
+        threading.Thread(target=_browse, args=(attendants[0], began, gone, number), daemon=True).start()
         return attendants[0]
 
     def step(tick: int, readings: Array) -> Array:
@@ -126,11 +126,11 @@ def _looked_at(bench: Bench, number: signal.Signals, *, is_attended: bool) -> tu
     return ended, gone[0] - began[0] if gone else 0.0
 
 
-def _browse(attendant: Attendant, gone: list[float], number: signal.Signals) -> None:
-    """Look at a page for a while, then close or stall the process that serves it."""
-    at, until = urllib.parse.urlsplit(attendant.page), time.monotonic() + _LOOKED
+def _browse(attendant: Attendant, began: list[float], gone: list[float], number: signal.Signals) -> None:
+    """Look at a page until a while after the run began, then close or stall the process that serves it."""
+    at = urllib.parse.urlsplit(attendant.page)
     connection = http.client.HTTPConnection(at.hostname or "", at.port, timeout=5)
-    while time.monotonic() < until:
+    while not began[0] or time.perf_counter() < began[0] + _LOOKED:
         connection.request("GET", f"{at.path}data?since=0")
         connection.getresponse().read()
         time.sleep(0.05)

@@ -29,6 +29,7 @@ _ROWS: Final = 2000
 _STALLED: Final = 0.5  # s
 _UNITS: Final = 120.0  # of the experiment's time
 _FULL: Final = 200_000  # bytes that a file may have
+_WRITTEN: Final = 20.0  # s at most until a recorder has written rows
 
 
 def _cut(bench: Bench, judgement: Judgement) -> None:
@@ -112,12 +113,15 @@ def _full(bench: Bench, judgement: Judgement) -> None:
 
 def _stopped(bench: Bench, judgement: Judgement) -> None:
     """Run an experiment whose disk becomes full: it stops in order, and what it lost is counted."""
-    served, is_full = bench.served(), False
+    served, folder, is_full = bench.served(), bench.place(), False
 
     def fill(part: float) -> None:
         nonlocal is_full
         if part > 0.4 and not is_full:
             is_full = True
+            until = time.monotonic() + _WRITTEN
+            while not (folder / stream.ROWS).stat().st_size and time.monotonic() < until:
+                time.sleep(0.01)  # the recorder may still start
             for number in _recorders():
                 resource.prlimit(number, resource.RLIMIT_FSIZE, (1, 1))
 
@@ -127,7 +131,7 @@ def _stopped(bench: Bench, judgement: Judgement) -> None:
         lockstep=True,
         acknowledge=True,
         progress=fill,
-        stream=bench.place(),
+        stream=folder,
         spare=bench.place(),
     )
     end, own = found.manifest["rig"]["end"], served.record()

@@ -62,6 +62,8 @@ def rerun(
             if say is not None:
                 say(findings[fault.number])
 
+        if apart:
+            found(apart.pop(0))  # what is loaded at first use is loaded here: it must not be by two threads at once
         # In lockstep, two at a time do not disturb one another; in real time they would.
         with ThreadPoolExecutor(2) as pool:
             for one in [pool.submit(found, fault) for fault in sorted(apart, key=lambda fault: not fault.is_long)]:

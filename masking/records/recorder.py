@@ -43,12 +43,18 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         _record(RingReader(ring), folder)
     except stream.NoSpaceError as error:
-        print(f"masking: {error}", file=sys.stderr)
+        _say(error)
         return FULL
     except RecordError as error:
-        print(f"masking: {error}", file=sys.stderr)
+        _say(error)
         return error.exit_status
     return 0
+
+
+def _say(error: RecordError) -> None:
+    """Say why the record ends; a full disk may hold what is said, too."""
+    with contextlib.suppress(OSError):
+        print(f"masking: {error}", file=sys.stderr, flush=True)
 
 
 def _record(reader: RingReader, folder: str) -> None:

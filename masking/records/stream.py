@@ -9,7 +9,6 @@ Where the disk is full, the rest is a second part, in the folder `spare` of the 
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import mmap
 import os
@@ -20,7 +19,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from masking.errors import RecordError
+from masking.errors import NO_PLACE, RecordError
 from masking.numerics.arrays import Array
 from masking.records.json_text import json_text
 from masking.records.pages import CHAIN, CONTENT, DATA, END, PART_HEAD, hash_of, page_bytes, pages_of, part_head
@@ -32,7 +31,6 @@ FORMAT: Final = "masking stream 1"
 MANIFEST: Final = "stream.json"
 ROWS: Final = "stream.rows"
 _TAIL: Final = 1 << 23  # bytes from the end in which the last whole page is looked for
-_FULL: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
 MEND: Final = "make a recording of it by 'masking recover {}'"
 
 
@@ -164,7 +162,7 @@ class StreamWriter:
         try:
             os.fdatasync(self._file)
         except OSError as error:
-            if error.errno not in _FULL:
+            if error.errno not in NO_PLACE:
                 raise
             self.moved += 1
             self._open()
@@ -192,7 +190,7 @@ class StreamWriter:
             while rest:
                 rest = rest[os.write(file, rest) :]
         except OSError as error:
-            if error.errno not in _FULL:
+            if error.errno not in NO_PLACE:
                 raise
             with contextlib.suppress(OSError):
                 os.ftruncate(file, self._end)
@@ -214,7 +212,7 @@ class StreamWriter:
                     _sync_folder(path.parent)
                     return
             except OSError as error:
-                if error.errno not in _FULL and number + 1 == len(self._paths):
+                if error.errno not in NO_PLACE and number + 1 == len(self._paths):
                     raise NoSpaceError(f"{self._paths[number]} cannot be written: {error.strerror or error}") from error
             self.close()
         places = " and ".join(str(path.parent) for path in self._paths)

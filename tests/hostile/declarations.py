@@ -13,6 +13,7 @@ from masking.declaration import catalogue, registry
 from masking.declaration.expression import Expression
 from masking.declaration.strict_yaml import loads
 from masking.errors import DeclarationError, MaskingError, Place, Problem
+from masking.runs import batch
 from tests.hostile.cases import SECRET
 from tests.hostile.corpus import EXECUTE, MODELS, NUMBERS, SYNTAX, YAML
 
@@ -21,6 +22,7 @@ LOADERS = {
     "plant": registry.load_plant,
     "experiment": registry.load_experiment,
     "dictionary": registry.load_dictionary,
+    "batch": batch.load,
 }
 SCALARS = [
     "1_000", "0x10", "010", "0b11", "1e400", "-1e999", ".inf", "-.inf", ".nan", "nan", "1:30", "yes", "off",
