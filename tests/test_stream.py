@@ -208,12 +208,10 @@ def test_after_too_many_deaths_it_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, "STARTS", 2)
     made = Recorder(tmp_path, COLUMNS, 1000.0, tmp_path)
     for _ in range(2):
-        os.kill(made.process, signal.SIGKILL)
-        until = time.monotonic() + 5.0
-        ended = made.ended
-        while made.ended == ended and time.monotonic() < until:
+        killed, until = made.process, time.monotonic() + 5.0
+        os.kill(killed, signal.SIGKILL)
+        while made.process == killed and time.monotonic() < until:
             time.sleep(0.01)
-    time.sleep(0.05)
     assert made.is_lost
     fed(5, made)
     made.close()

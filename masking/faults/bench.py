@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
-import subprocess
-import sys
+import multiprocessing
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -93,30 +94,53 @@ def small(tick: int, _: Array) -> Array:
 
 
 @final
+class Child:
+    """A process that runs a function of `masking.faults.children`, and says things on a pipe.
+
+    It is forked off one in which all is loaded and compiled, so that it begins at once.
+
+    Args:
+        name: of the function.
+        given, named: its arguments, behind the pipe on which it sends.
+    """
+
+    def __init__(self, name: str, *given: object, **named: object) -> None:
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(["masking.faults.children"])
+        self._ours, theirs = context.Pipe(duplex=False)
+        call = partial(getattr(importlib.import_module("masking.faults.children"), name), theirs, *given, **named)
+        self.process = context.Process(target=call, daemon=True)
+        self.process.start()
+        theirs.close()
+
+    def hear(self) -> object:
+        """Wait for what it says next; None where it has ended."""
+        try:
+            return self._ours.recv()
+        except (EOFError, ConnectionResetError):
+            return None
+
+    def close(self) -> None:
+        """End the process."""
+        self.process.kill()
+        self.process.join()
+        self._ours.close()
+
+
+@final
 class Served:
     """A twin that is served in a process of its own, and the folder of its records."""
 
     def __init__(self, folder: Path, plant: str, *, lockstep: bool, line: str = _UDP, steps: bool = False) -> None:
         self.folder, self.plant, self.lockstep = folder, plant, lockstep
         folder.mkdir(parents=True)
-        command = [
-            "-m",
-            "masking.faults.children",
-            "serve",
-            plant,
-            "lockstep" if lockstep else "real",
-            str(folder),
-            line,
-            *["steps"] * steps,
-        ]
-        self.process = subprocess.Popen(  # noqa: S603  # this package's own module
-            [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-        )
-        said = self.process.stdout.readline() if self.process.stdout is not None else ""
+        self._child = Child("serve", plant, str(folder), line, lockstep=lockstep, steps=steps)
+        self.process = self._child.process
+        said = self._child.hear()
         if not said:
             self.close()
             raise MaskingError(f"the twin of {plant} cannot be served in a process of its own")
-        self.address = said.strip()
+        self.address = str(said)
         self._count = 0
 
     def damage(self, **chosen: Chosen) -> None:
@@ -142,10 +166,7 @@ class Served:
 
     def close(self) -> None:
         """End the process."""
-        self.process.kill()
-        self.process.wait()
-        if self.process.stdout is not None:
-            self.process.stdout.close()
+        self._child.close()
 
 
 @final
@@ -170,7 +191,7 @@ class Bench:
     def served(self, *, lockstep: bool = True, plant: str = PLANT) -> Served:
         """Return a twin that is served, sound, and the same as before if its process still runs."""
         found = self._served.get((plant, lockstep))
-        if found is None or found.process.poll() is not None:
+        if found is None or not found.process.is_alive():
             found = self._served[plant, lockstep] = Served(self.place(), plant, lockstep=lockstep)
         found.damage()
         return found
@@ -248,24 +269,20 @@ class Controller:
     """A controller in a process of its own, which says `running` after 200 ticks, and at its end how it went."""
 
     def __init__(self, address: str, chosen: Mapping[str, Any]) -> None:
-        command = ["-m", "masking.faults.children", "control", address, json.dumps(dict(chosen))]
-        self.process = subprocess.Popen(  # noqa: S603  # this package's own module
-            [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-        )
-        self.said = self._line()
-
-    def _line(self) -> str:
-        return self.process.stdout.readline().strip() if self.process.stdout is not None else ""
+        self._child = Child("control", address, dict(chosen))
+        self.process = self._child.process
+        self.said = self._child.hear()
 
     def end(self) -> dict[str, Any]:
         """Wait for what it says at its end; nothing where it was killed."""
-        said = self.said if self.said.startswith("{") else self._line()
-        self.process.wait(20.0)
-        return dict(json.loads(said)) if said else {}
+        said = self.said if isinstance(self.said, dict) else self._child.hear()
+        self.process.join(20.0)
+        return said if isinstance(said, dict) else {}
+
+    def send(self, number: int) -> None:
+        """Send it a signal."""
+        os.kill(self.process.pid or 0, number)
 
     def close(self) -> None:
         """End the process."""
-        self.process.kill()
-        self.process.wait()
-        if self.process.stdout is not None:
-            self.process.stdout.close()
+        self._child.close()

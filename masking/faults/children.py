@@ -1,28 +1,26 @@
 """Processes of a fault: the server of a twin that can be damaged, and a controller that can fail.
 
-`python -m masking.faults.children serve PLANT real|lockstep FOLDER [steps]` prints its address,
-and records in the folder.
-`python -m masking.faults.children control ADDRESS JSON` prints `running` after 200 ticks, and at its end a JSON object.
+What they share is loaded and compiled as this module is: they are forked off a process that has imported it.
 """
 
 from __future__ import annotations
 
 import ctypes
 import itertools
-import json
+import os
 import signal
-import sys
 import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from masking.faults import bench
 from masking.faults.damage import Damaged
 from masking.numerics.arrays import Array
-from masking.plants import adapters
+from masking.plants import adapters, safety
+from masking.plants import serve as plants
 from masking.plants.interface import Settings
 from masking.plants.machine import STOPPING
-from masking.plants.serve import serve
 from masking.plants.simulated import SimulatedPlant
 from masking.runs.realtime import RigRun, run_rig
 
@@ -31,23 +29,42 @@ _STALL = 0.005  # s
 _HOUR = 3600.0
 
 
-def _serve(plant: str, clock: str, folder: str, line: str, *steps: str) -> None:
+def serve(said: Connection, plant: str, folder: str, line: str, *, lockstep: bool, steps: bool) -> None:
+    """Serve a twin, whose sessions are recorded in a folder; say its address.
+
+    Args:
+        said: where.
+        plant: a packaged one.
+        folder: of the records, and of the damage.
+        line: an address, as `rig serve` takes it.
+        lockstep: whether controller and plant wait for each other.
+        steps: whether the wall clock steps.
+    """
+    _begin()
     if steps:
         _step_the_wall_clock()
     simulated = SimulatedPlant(bench.twin(plant))
     simulated.configure(Settings(bench.RATE))  # compiles what a controller would not wait for
     simulated.deactivate()
-    serve(
+    plants.serve(
         Damaged(simulated, Path(folder) / "damage.json"),
         line,
-        clock="lockstep" if clock == "lockstep" else "real",
+        clock="lockstep" if lockstep else "real",
         record=folder,
-        ready=lambda address: print(address, flush=True),
+        ready=said.send,
         after_latch=0.1,
     )
 
 
-def _control(address: str, chosen: dict[str, Any]) -> None:
+def control(said: Connection, address: str, chosen: dict[str, Any]) -> None:
+    """Run a controller on a plant; say `running` after 200 ticks, and how it ended.
+
+    Args:
+        said: where.
+        address: of the plant.
+        chosen: `fault`, `samples`, `lockstep` and `acknowledge`, each by default as a sound one has it.
+    """
+    _begin()
     fault, seen, row_of = chosen.get("fault", ""), [0.0], itertools.count()
     if fault == "clock":
         _step_the_wall_clock()
@@ -65,7 +82,7 @@ def _control(address: str, chosen: dict[str, Any]) -> None:
 
     def on_tick(row: int) -> None:
         if row == _RUNNING:
-            print("running", flush=True)
+            said.send("running")
 
     def on_end(ran: RigRun) -> None:
         trip = ran.trip.as_dict() if ran.trip is not None else None
@@ -77,7 +94,7 @@ def _control(address: str, chosen: dict[str, Any]) -> None:
         }
         gaps = (ran.index[1:] - ran.index[:-1]).tolist()
         made |= {"late": [i for i, late in enumerate(ran.late.tolist()) if late], "gaps": gaps}
-        print(json.dumps(made | {"now": next(at for at in zeroed if at >= seen[0]), "seen": seen[0]}), flush=True)
+        said.send(made | {"now": next(at for at in zeroed if at >= seen[0]), "seen": seen[0]})
 
     plant = adapters.connect(address)
     zeroed, deactivate = [0.0], plant.deactivate
@@ -107,15 +124,12 @@ def _step_the_wall_clock() -> None:
     time.time = lambda: sound() + next(steps)
 
 
-def main() -> None:
-    """Do as the first argument says; signals that whoever started this ignores are not ignored here."""
+def _begin() -> None:
+    """Let signals do what they do by default, and say nothing on standard error."""
     for number in STOPPING:
         signal.signal(number, signal.SIG_DFL)
-    if sys.argv[1] == "serve":
-        _serve(*sys.argv[2:])
-    else:
-        _control(sys.argv[2], json.loads(sys.argv[3]))
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
-if __name__ == "__main__":
-    main()
+bench.rules()
+safety.kernels()

@@ -19,7 +19,7 @@ from masking.plants.remote import RemotePlant
 from masking.plants.udp import UdpLine
 from masking.plants.wire import Kind
 
-Damage = Callable[[int, Array], None]
+Spoil = Callable[[bytes], list[bytes]]
 
 
 @final
@@ -106,27 +106,29 @@ class DamagedPlant(RemotePlant):
     Args:
         address: `udp://host:port`.
         lost: indices of samples that never arrive.
-        spoils: each sample and each command comes with a copy, an older one, a broken one, and one of another session,
-            all with other values.
+        spoil: gives frames that a receiver must not use beside a sound one; each sample and each command comes with
+            those, and with a copy that has other values.
         key: of the server.
     """
 
-    def __init__(self, address: str, *, lost: range = range(0), spoils: bool = False, key: Key | None = None) -> None:
+    def __init__(
+        self, address: str, *, lost: range = range(0), spoil: Spoil | None = None, key: Key | None = None
+    ) -> None:
         super().__init__(address, timeout=None, patience=10.0, key=key)
         self._target = wire.parse_address(address)
-        self.lost, self.spoils = lost, spoils
+        self.lost, self.spoil = lost, spoil
 
     def open_line(self) -> DamagedLine:
         """Return a line to the plant."""
-        return DamagedLine(UdpLine(self._target), self.lost, spoils=self.spoils)
+        return DamagedLine(UdpLine(self._target), self.lost, self.spoil)
 
 
 @final
 class DamagedLine:
     """The controller's end of a line that loses or spoils frames."""
 
-    def __init__(self, line: UdpLine, lost: range, *, spoils: bool) -> None:
-        self.line, self.lost, self.spoils = line, lost, spoils
+    def __init__(self, line: UdpLine, lost: range, spoil: Spoil | None) -> None:
+        self.line, self.lost, self.spoil = line, lost, spoil
         self._waiting: deque[bytes] = deque()
 
     def waits(self, seconds: float) -> bool:
@@ -141,15 +143,15 @@ class DamagedLine:
         frame = wire.decode(received)
         if frame.kind is Kind.SENSORS and frame.index in self.lost:
             raise BlockingIOError
-        if self.spoils and frame.kind is Kind.SENSORS:
-            self._waiting.extend([*spoiled(received), received, doubled(received)])
+        if self.spoil and frame.kind is Kind.SENSORS:
+            self._waiting.extend([*self.spoil(received), received, doubled(received)])
             return self._waiting.popleft()
         return received
 
     def send(self, frame: bytes) -> None:
         """Send a frame, after those that are spoiled."""
-        if self.spoils and wire.decode(frame).kind is Kind.COMMAND:
-            for each in (frame, doubled(frame), *spoiled(frame)):
+        if self.spoil and wire.decode(frame).kind is Kind.COMMAND:
+            for each in (frame, doubled(frame), *self.spoil(frame)):
                 self.line.send(each)
         else:
             self.line.send(frame)

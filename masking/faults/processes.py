@@ -14,20 +14,28 @@ import numpy as np
 
 from masking.errors import PlantRefusedError
 from masking.faults.bench import RATE, WATCHDOG, Bench, Chosen, Controller, Served, small
-from masking.faults.damage import DamagedPlant
+from masking.faults.damage import DamagedPlant, spoiled
 from masking.faults.table import Fault, Judgement
 from masking.plants.interface import Settings
 from masking.plants.udp import UdpPlant
 from masking.records.recording import Recording
 
-_TICKS: Final = round(WATCHDOG * RATE)  # of the watchdog
+LATEST: Final = round(WATCHDOG * RATE) + 2  # ticks after the last command at which a plant is at zero
 _HELD: Final = 4  # lost samples that are borne
 _LOST_AT: Final = 300  # first sample that is lost
 
 
-def _started(judgement: Judgement, said: str) -> bool:
+def _started(judgement: Judgement, said: object) -> bool:
     judgement.need(said == "running", "the controller did not come to run")
     return said == "running"
+
+
+def zero_after(own: Recording) -> int:
+    """Return the ticks from the last command that reached a plant until its commands were zero."""
+    last = int(np.flatnonzero(own["fresh"])[-1])
+    moving = np.flatnonzero(own.array("input").any(axis=1))
+    ticks = own["tick"]
+    return int(ticks[min(moving[-1] + 1, len(ticks) - 1)] - ticks[last])
 
 
 def _latched(own: Recording, judgement: Judgement) -> None:
@@ -36,13 +44,9 @@ def _latched(own: Recording, judgement: Judgement) -> None:
     judgement.need(latch is not None, f"the plant did not trip: {own.manifest['end']}")
     if latch is None:
         return
-    fresh, inputs = own["fresh"], own.array("input")
-    last = int(np.flatnonzero(fresh)[-1])
-    moving = np.flatnonzero(inputs.any(axis=1))
-    ticks = own["tick"]
-    later = int(ticks[min(moving[-1] + 1, len(ticks) - 1)] - ticks[last])
-    judgement.need(later <= _TICKS + 2, f"zero {later} ticks after the last command, more than {_TICKS + 2}")
-    judgement.need(not inputs[ticks >= latch["tick"]].any(), "a command was in force after the trip")
+    later = zero_after(own)
+    judgement.need(later <= LATEST, f"zero {later} ticks after the last command, more than {LATEST}")
+    judgement.need(not own.array("input")[own["tick"] >= latch["tick"]].any(), "a command was in force after the trip")
     judgement.say(f"zero {later} ticks after the last command, latched: {latch['cause']}")
 
 
@@ -64,7 +68,7 @@ def _raises(bench: Bench, judgement: Judgement) -> None:
     served = bench.served()
     with bench.controller(served.address, fault="raise", lockstep=True) as controller:
         _started(judgement, controller.said)
-        said, status = controller.end(), controller.process.returncode
+        said, status = controller.end(), controller.process.exitcode
     own, trip = served.record(), said.get("trip") or {}
     judgement.need(trip.get("cause") == "CONTROLLER_EXCEPTION", f"ended as {trip.get('cause')}")
     judgement.need("Traceback" in trip.get("detail", ""), "no traceback in the record")
@@ -110,7 +114,7 @@ def _loses(bench: Bench, judgement: Judgement) -> None:
 
 
 def _spoils(bench: Bench, judgement: Judgement) -> None:
-    ended = bench.run(made=partial(DamagedPlant, spoils=True))
+    ended = bench.run(made=partial(DamagedPlant, spoil=spoiled))
     judgement.need(ended.run.reason == "finished", f"ended as {ended.cause or ended.run.reason}")
     rows = len(ended.run.applied) - 1  # the last one acts no more: the controller says good-bye
     judgement.need(np.array_equal(ended.own.array("input")[:rows], ended.run.applied[:rows]), "a wrong command acted")
@@ -128,7 +132,7 @@ def _spoils(bench: Bench, judgement: Judgement) -> None:
 
 def _killed(bench: Bench, judgement: Judgement) -> None:
     def act(controller: Controller, _: Served) -> None:
-        controller.process.kill()
+        controller.send(signal.SIGKILL)
 
     if _in_two(bench, act, judgement) or not judgement.broken:
         _latched(bench.served(lockstep=False).record(), judgement)
@@ -136,9 +140,9 @@ def _killed(bench: Bench, judgement: Judgement) -> None:
 
 def _frozen(bench: Bench, judgement: Judgement) -> None:
     def act(controller: Controller, _: Served) -> None:
-        controller.process.send_signal(signal.SIGSTOP)
+        controller.send(signal.SIGSTOP)
         time.sleep(0.2)
-        controller.process.send_signal(signal.SIGCONT)
+        controller.send(signal.SIGCONT)
 
     said = _in_two(bench, act, judgement)
     if not said:
@@ -158,7 +162,7 @@ def _signalled(bench: Bench, judgement: Judgement) -> None:
 
         def act(controller: Controller, _: Served, number: int = number, sent: list[float] = sent) -> None:
             sent.append(time.monotonic())
-            controller.process.send_signal(number)
+            controller.send(number)
 
         said = _in_two(bench, act, judgement)
         if not said:
@@ -202,7 +206,7 @@ def _dies_on(bench: Bench, judgement: Judgement, line: str) -> None:
 
 def _rearmed(bench: Bench, judgement: Judgement) -> None:
     def act(controller: Controller, _: Served) -> None:
-        controller.process.kill()
+        controller.send(signal.SIGKILL)
 
     _in_two(bench, act, judgement)
     if judgement.broken:
@@ -248,7 +252,7 @@ def _second(bench: Bench, judgement: Judgement) -> None:
             refusals.append(str(error))
         second.deactivate()
         time.sleep(0.1)
-        controller.process.send_signal(signal.SIGTERM)
+        controller.send(signal.SIGTERM)
 
     said = _in_two(bench, act, judgement)
     if not said:

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from masking.errors import RecordError
-from masking.faults.bench import PLANT
+from masking.faults.bench import PLANT, Child
 from masking.records import stream
 from masking.records.journal import Journal
 from masking.records.recording import Recording
@@ -68,17 +68,14 @@ class Twin:
         self.start()
 
     def start(self) -> None:
-        command = [sys.executable, "-m", "masking.faults.children", "serve", PLANT, "lockstep", str(self.folder)]
-        self.process = subprocess.Popen([*command, self.address], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-        assert self.process.stdout is not None
-        assert self.process.stdout.readline()
+        self.process = Child("serve", PLANT, str(self.folder), self.address, lockstep=True, steps=False)
+        assert self.process.hear() == self.address
 
     def damage(self, chosen: dict[str, Any] | None) -> None:
         (self.folder / "damage.json").write_text(json.dumps(chosen or {}))
 
     def kill(self) -> None:
-        self.process.kill()
-        self.process.wait()
+        self.process.close()
 
 
 def entries(path: Path) -> list[dict[str, Any]]:
