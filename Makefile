@@ -5,6 +5,7 @@
 # make docs   build the documentation and the reference of the package into site/
 # make dist   build a wheel and an sdist into dist/
 # make searches  tests that are whole discoveries, beyond one for each verdict and kind of system
+# make soak   all faults of a rig, a thousand killed controllers, a million mutated frames, a night of 40 runs: half an hour
 # make bench  speed against other tools, side by side
 # make bench-discovery  identify hidden effects in more than a thousand records, some made by MuJoCo, with PySINDy beside:
 #             hours; an interrupted run resumes where it stopped; OPTIONS=--quick is about 30 records
@@ -20,7 +21,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constr
 
 QUICK := architecture vocabulary documentation declaration expression model scales linear effects
 
-.PHONY: demo test quick searches docs docs-check dist bench bench-discovery clean
+.PHONY: demo test quick searches soak docs docs-check dist bench bench-discovery clean
 
 # Machine code is kept between runs of the tests: its names are hashes of all that it is made of.
 export MASKING_CACHE ?= $(CURDIR)/.venv/kernels
@@ -42,6 +43,12 @@ quick: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pytest -n 2 --dist loadfile $(QUICK:%=tests/test_%.py)
+
+soak: $(READY)
+	$(BIN)/masking rig faults
+	$(BIN)/python -m tests.benchmarks.soak
+	$(BIN)/python -m tests.benchmarks.crashes --kills 100
+	$(BIN)/python -m tests.benchmarks.overnight
 
 docs-check: $(READY)
 	$(BIN)/python -m tests.documented $(OPTIONS)

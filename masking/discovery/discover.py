@@ -155,7 +155,7 @@ def _loses_phase(found: Discovery) -> bool:
 
 
 def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) -> Discovery:
-    """Return what explains a record, simulated in steps that are fine enough for the law that is found."""
+    """Return what explains a record, simulated in steps that are fine enough for what is found."""
     found = _found(problem, unseen, noise, say)
     known = _near(found)
     if known is None or problem.work.ends():
@@ -165,7 +165,8 @@ def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell
     if steps == found.problem.substeps:
         return found
     say(f"again, with {steps} steps between samples", 0.0)
-    return _found(replace(found.problem, substeps=problem.substeps), unseen, noise, say, steps)
+    alone = problem.substeps if known.instances else steps
+    return _found(replace(found.problem, substeps=alone), unseen, noise, say, steps)
 
 
 def _near(found: Discovery) -> Hypothesis | None:

@@ -87,18 +87,16 @@ def _moved(problem: EstimationProblem, start: Array) -> int:
 
 
 def finer(problem: EstimationProblem, found: Hypothesis, least: int) -> int:
-    """Return how many steps simulate a law that was found: friction that turns round fast, a stop, a gap.
+    """Return how many steps simulate what was found: friction that turns round fast, a stop, a gap, a fast vibration.
 
     Steps are enough where four times as many change the readings by no more than `law_error` of their noise, or of what
     the law leaves where that is more: costs are compared in parts of it.
 
     Args:
         problem: the record and the rig, in the steps that are tried first.
-        found: the law, fitted in these.
+        found: the law, or the model alone, fitted in these.
         least: steps of the model alone.
     """
-    if not found.instances:
-        return problem.substeps
 
     def residuals(number: int) -> Array:
         fine = replace(problem, substeps=number)

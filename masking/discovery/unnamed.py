@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import calibration, closed_form, fitting, free_law, verdict
+from masking.discovery import calibration, closed_form, fitting, free_law, shooting, verdict
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.closed_form import ClosedForm
 from masking.discovery.explanation import Explanation
@@ -143,6 +143,19 @@ def law_of(found: Explained, validation: EstimationProblem, substeps: int) -> Un
         substeps: integration steps between samples of the model alone.
     """
     steps = min(found.problem.substeps, MOST_FINER * substeps)
+    law = _law_of(found, validation, steps)
+    if law is None or found.problem.work.ends():
+        return law
+    with threadpool_limits(1):
+        needed = shooting.finer(law.free.problem, law.free.hypothesis, substeps)
+    if needed <= steps:
+        return law
+    again = _law_of(found, validation, needed)
+    return law if again is None else again
+
+
+def _law_of(found: Explained, validation: EstimationProblem, steps: int) -> UnnamedLaw | None:
+    """Return the law in a number of integration steps between samples."""
     problem, validation = (replace(one, substeps=steps) for one in (found.problem, validation))
     found = replace(found, problem=problem)
     with threadpool_limits(1):

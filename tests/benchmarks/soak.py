@@ -3,8 +3,8 @@
     python -m tests.benchmarks.soak --kills 1000 --frames 1000000
 
 Controllers run on a served twin at 1 kHz and are killed at random instants; the plant's own record says when its
-commands were zero. Then, in lockstep, each frame of a sound run comes with mutated ones on both ways: bytes changed, cut
-off, added or all random, and sound frames of any kind from other sessions. Only the sound ones may act.
+commands were zero. Then, in lockstep, each frame of a sound run comes with mutated ones on both ways: bytes changed,
+cut off, added or all random, and sound frames of any kind from other sessions. Only the sound ones may act.
 """
 
 from __future__ import annotations
