@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -123,17 +123,21 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
     theta, basis, steps = sensing.start(), sensing.basis(sensing.start()), twin.substeps(record.rate)
     state, found = nearest(sensing, theta, beginning, weights)
 
-    def simulated(number: int) -> Array:
+    def simulated(first: Array, number: int) -> Array:
         try:
-            return sensing.normal_equations(basis, state, beginning, weights, number).simulated
+            return sensing.normal_equations(basis, first, beginning, weights, number).simulated
         except IntegrationError:
             return np.full_like(beginning.readings, np.nan)
 
-    allowed = STEP_ERROR * np.maximum(record.noise, np.sqrt(found.squares / len(beginning)))
-    enough = refined(simulated, steps, MOST_REFINEMENT * steps, allowed, ahead=4)
+    allowed, enough = STEP_ERROR * np.maximum(record.noise, np.sqrt(found.squares / len(beginning))), steps
+    for begun in (state, first_start(sensing, beginning)):  # where larger steps have led, less may move
+        enough = refined(partial(simulated, begun), enough, MOST_REFINEMENT * steps, allowed, ahead=4)
     if enough > steps:
-        with suppress(IntegrationError):
-            state, found = _nearest(sensing, theta, beginning, weights, state, steps=enough)
+        tried = list[tuple[Array, NormalEquations]]()
+        for first in (state, None):  # larger steps may have led to another minimum
+            with suppress(IntegrationError):
+                tried.append(nearest(sensing, theta, beginning, weights, first, steps=enough))
+        state, found = min(tried, key=lambda one: float(one[1].squares @ weights), default=(state, found))
     if initial is not None:
         try:
             found = sensing.normal_equations(basis, state, record, weights, enough)
@@ -144,7 +148,15 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
     return Simulated(record, twin.sensors, units, found.simulated)
 
 
-def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) -> tuple[Array, NormalEquations]:
+def nearest(
+    sensing: Sensitivity,
+    theta: Array,
+    record: Data,
+    weights: Array,
+    start: Array | None = None,
+    *,
+    steps: int | None = None,
+) -> tuple[Array, NormalEquations]:
     """Return the initial state (states,) from which a record is reproduced best, and what is simulated from there.
 
     Internal states begin about as far from where they are declared as their size says.
@@ -154,17 +166,20 @@ def nearest(sensing: Sensitivity, theta: Array, record: Data, weights: Array) ->
         theta: values of its parameters (k,), in declared units.
         record: commands and readings.
         weights: of squared residuals of each sensor (sensors,).
+        start: a state near it (states,); by default it is guessed, and found in longer and longer parts of the record.
+        steps: of integration between samples; by default as many as the twin needs.
 
     Raises:
         IntegrationError: the motion is not finite.
     """
-    first = first_start(sensing, record)
-    for part in PARTS:
+    first = first_start(sensing, record) if start is None else start
+    for part in PARTS if start is None else ():
         if part * len(record) >= FIRST_READINGS:
+            beginning = record.first(part * len(record) / record.rate)
             with suppress(IntegrationError):
-                first, _ = _nearest(sensing, theta, record.first(part * len(record) / record.rate), weights, first)
+                first, _ = _nearest(sensing, theta, beginning, weights, first, steps=steps)
     try:
-        return _nearest(sensing, theta, record, weights, first)
+        return _nearest(sensing, theta, record, weights, first, steps=steps)
     except IntegrationError:
         raise IntegrationError(f"the simulated motion is no longer finite in {record.name}") from None
 

@@ -1,8 +1,8 @@
 """What a tick of a rig takes: controller, safety chain and row, alone and with page, recording and key, in turns.
 
-`huygens_rig` runs on its twin in another process, in lockstep over UDP, so that nothing sleeps. `work` is the
-controller, the safety chain and the row of a tick, as `rig.timing` of a record has it; `tick` is the time from one
-sample to the next, with the twin, the socket and the tags of frames in it.
+`huygens_rig` runs on its twin in another process over UDP: in lockstep, where nothing sleeps, and in real time at
+1 kHz. `work` is the controller, the safety chain and the row of a tick, as `rig.timing` of a record has it; `tick` is
+the time from one sample to the next, in lockstep with the twin, the socket and the tags of frames in it.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ TICKS, ROUNDS = 20_000, 5
 PLANT: Final = "tue_rig"
 AIMS: Final = {"p50": 10.0, "p99": 50.0}  # us
 ALONE, ALL = "alone", "with page, recording and key"
+REAL_TURNS: Final = 3
 
 
 def rows() -> Iterator[Row]:
@@ -52,20 +53,25 @@ def rows() -> Iterator[Row]:
         ours, theirs = (statistics.median(found[name][way]) for way in (ALL, ALONE))
         note = f"medians of {ROUNDS} turns of {TICKS} ticks; p99 of single turns {spread}" if name == "work p99" else ""
         yield told(f"{name}: {ALL} / {ALONE}", f"{ours:.1f} us", f"{theirs:.1f} us", ours / theirs, note)
+    real = measure(REAL_TURNS, lockstep=False)
+    for name, each in real.items():
+        ours, theirs = (statistics.median(each[way]) for way in (ALL, ALONE))
+        spread = ", ".join(f"{way}: {min(turns):.1f} to {max(turns):.1f} us" for way, turns in each.items())
+        yield told(f"at 1 kHz, {name}: {ALL} / {ALONE}", f"{ours:.1f} us", f"{theirs:.1f} us", ours / theirs, spread)
     for part, times in parts().items():
         p50, p99 = np.quantile(times, [0.5, 0.99])
         yield told(f"{part} in a tick, p50", f"{p50:.2f} us", note=f"p99 {p99:.2f} us, worst {times.max():.0f} us")
 
 
-def measure(rounds: int = ROUNDS) -> dict[str, dict[str, list[float]]]:
-    """Return each figure in us, by the way, of each turn."""
-    experiment, found = _experiment(), {}
+def measure(rounds: int = ROUNDS, *, lockstep: bool = True) -> dict[str, dict[str, list[float]]]:
+    """Return each figure in us, by the way, of each turn, in lockstep or in real time."""
+    experiment, found, clock = _experiment(), {}, ["--lockstep"] * lockstep
     with contextlib.ExitStack() as way_out:
         folder = Path(way_out.enter_context(tempfile.TemporaryDirectory()))
         (folder / "key").write_bytes(b"a key for the benchmark, of 32 bytes or more")
         (folder / "key").chmod(0o600)
         key, tab = Key.read(folder / "key"), way_out.enter_context(chromium.browsing())
-        plain, keyed = (way_out.enter_context(_serving(*more)) for more in ((), ("--key", folder / "key")))
+        plain, keyed = (way_out.enter_context(_serving(*clock, *more)) for more in ((), ("--key", folder / "key")))
         for turn in range(-1, rounds):
             for way, plant in ((ALONE, UdpPlant(plain)), (ALL, UdpPlant(keyed, key=key))):
                 with contextlib.ExitStack() as inner:
@@ -73,7 +79,7 @@ def measure(rounds: int = ROUNDS) -> dict[str, dict[str, list[float]]]:
                     if way == ALL:
                         more = {"operator": inner.enter_context(looked_at(tab)), "stream": folder / f"run {turn}"}
                     noted = _Noting(plant)
-                    record = hardware.run(experiment, noted, lockstep=True, **more)
+                    record = hardware.run(experiment, noted, lockstep=lockstep, acknowledge=True, **more)
                 work, ticks = record.manifest["rig"]["timing"]["work"], np.diff(noted.instants)
                 each = {"work p50": work["median"], "work p99": work["p99"]}
                 each |= {f"tick p{n}": float(np.quantile(ticks, n / 100)) for n in (50, 99)}
@@ -131,7 +137,7 @@ def _experiment() -> Experiment:
 @contextlib.contextmanager
 def _serving(*options: object) -> Iterator[str]:
     """Serve the twin in a process of its own, and give its address."""
-    command = [sys.executable, "-m", "masking", "rig", "serve", PLANT, "--lockstep", "--address", "udp://127.0.0.1:0"]
+    command = [sys.executable, "-m", "masking", "rig", "serve", PLANT, "--address", "udp://127.0.0.1:0"]
     with subprocess.Popen([*command, *map(str, options)], stderr=subprocess.PIPE, text=True) as process:
         try:
             said = process.stderr.readline() if process.stderr is not None else ""

@@ -200,9 +200,9 @@ class Night:
         self.start()
 
     def close(self) -> None:
-        for process in (self.batch, self.twin.process):
-            process.kill()
-            process.wait()
+        self.batch.kill()
+        self.batch.wait()
+        self.twin.kill()
 
 
 def commands(recording: Recording) -> bytes:
