@@ -17,7 +17,8 @@ import pytest
 from masking import cli
 from masking.declaration import catalogue
 from masking.errors import DeclarationError, RecordError
-from masking.faults.bench import PLANT, Bench
+from masking.faults.bench import Bench
+from masking.faults.twins import PLANT
 from masking.records import stream
 from masking.records.journal import Journal
 from masking.records.recording import Recording

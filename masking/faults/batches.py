@@ -7,8 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from masking.faults.bench import PLANT, Bench
+from masking.faults.bench import Bench
 from masking.faults.table import Fault, Judgement
+from masking.faults.twins import PLANT
 from masking.records.recording import Recording
 from masking.runs.stopping import TRIPPED
 from masking.workflows import batch

@@ -3,37 +3,27 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import json
 import multiprocessing
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final, final
 
-import numpy as np
-
-from masking.control.instruments import Instruments
-from masking.declaration.instruments import Limit
 from masking.errors import MaskingError, RecordError
-from masking.numerics.arrays import Array
+from masking.faults import children
+from masking.faults.twins import PLANT, RATE, WATCHDOG, rules, small
 from masking.plants.interface import Plant
 from masking.plants.safety import Rules
 from masking.plants.udp import UdpPlant
 from masking.records.recording import Recording
-from masking.rig.twin import Twin
-from masking.runs import protection
 from masking.runs.realtime import RigRun, Step, run_rig
 
 Chosen = str | int | float | bool
 """What is chosen of a fault, as JSON can hold it."""
 
-PLANT: Final = "tue_rig"
-RATE: Final = 1000.0  # Hz
-WATCHDOG: Final = 0.02  # s
 BUSY: Final = 3  # times that a fault in real time is tried: other programs may keep a process waiting for a watchdog
 _UDP: Final = "udp://127.0.0.1:0"
 _SAVED: Final = 20.0  # s at most until a server has saved a session
@@ -58,41 +48,6 @@ class Ended:
         return self.run.trip.tick if self.run.trip is not None else -1
 
 
-@cache
-def twin(plant: str = PLANT) -> Twin:
-    """Return the twin of a packaged plant."""
-    return Twin.load(plant)
-
-
-@cache
-def rules(plant: str = PLANT, rate: float = RATE, speed: float = 0.0, largest: float = 0.0) -> Rules:
-    """Return what the safety chain holds the twin to.
-
-    Args:
-        plant: a packaged plant.
-        rate: samples per second.
-        speed: limit of the rate of the limited expressions, m/s; 0 for none.
-        largest: command in place of the declared one, in its unit; 0 for the declared one.
-    """
-    found = twin(plant)
-    declared = found.declaration
-    limits = declared.limits
-    if speed:
-        velocities = {text: Limit(max=speed, unit="m/s") for text in limits.coordinates}
-        limits = limits.model_copy(update={"velocities": velocities})
-    if largest:
-        inputs = {name: limit.model_copy(update={"max": largest}) for name, limit in limits.inputs.items()}
-        limits = limits.model_copy(update={"inputs": inputs})
-    declared = declared.model_copy(update={"limits": limits})
-    factors = found.kernels.meta["factors"] | {"m/s": 1.0}
-    return protection.rules(Instruments(declared, found.model, factors, found.noise(), found.delay), rate, found)
-
-
-def small(tick: int, _: Array) -> Array:
-    """Answer a tick as a sound controller does that moves the rig a little."""
-    return np.full(3, 0.02 * np.sin(2.0 * np.pi * 4.0 * tick / RATE))
-
-
 @final
 class Child:
     """A process that runs a function of `masking.faults.children`, and says things on a pipe.
@@ -100,16 +55,15 @@ class Child:
     It is forked off one in which all is loaded and compiled, so that it begins at once.
 
     Args:
-        name: of the function.
+        function: of that module.
         given, named: its arguments, behind the pipe on which it sends.
     """
 
-    def __init__(self, name: str, *given: object, **named: object) -> None:
+    def __init__(self, function: Callable[..., None], *given: object, **named: object) -> None:
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(["masking.faults.children"])
+        context.set_forkserver_preload([children.__name__])
         self._ours, theirs = context.Pipe(duplex=False)
-        call = partial(getattr(importlib.import_module("masking.faults.children"), name), theirs, *given, **named)
-        self.process = context.Process(target=call, daemon=True)
+        self.process = context.Process(target=function, args=(theirs, *given), kwargs=named, daemon=True)
         self.process.start()
         theirs.close()
 
@@ -134,7 +88,7 @@ class Served:
     def __init__(self, folder: Path, plant: str, *, lockstep: bool, line: str = _UDP, steps: bool = False) -> None:
         self.folder, self.plant, self.lockstep = folder, plant, lockstep
         folder.mkdir(parents=True)
-        self._child = Child("serve", plant, str(folder), line, lockstep=lockstep, steps=steps)
+        self._child = Child(children.serve, plant, str(folder), line, lockstep=lockstep, steps=steps)
         self.process = self._child.process
         said = self._child.hear()
         if not said:
@@ -269,7 +223,7 @@ class Controller:
     """A controller in a process of its own, which says `running` after 200 ticks, and at its end how it went."""
 
     def __init__(self, address: str, chosen: Mapping[str, Any]) -> None:
-        self._child = Child("control", address, dict(chosen))
+        self._child = Child(children.control, address, dict(chosen))
         self.process = self._child.process
         self.said = self._child.hear()
 

@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from masking.faults import bench
+from masking.faults import twins
 from masking.faults.damage import Damaged
 from masking.numerics.arrays import Array
 from masking.plants import adapters, safety
@@ -43,8 +43,8 @@ def serve(said: Connection, plant: str, folder: str, line: str, *, lockstep: boo
     _begin()
     if steps:
         _step_the_wall_clock()
-    simulated = SimulatedPlant(bench.twin(plant))
-    simulated.configure(Settings(bench.RATE))  # compiles what a controller would not wait for
+    simulated = SimulatedPlant(twins.twin(plant))
+    simulated.configure(Settings(twins.RATE))  # compiles what a controller would not wait for
     simulated.deactivate()
     plants.serve(
         Damaged(simulated, Path(folder) / "damage.json"),
@@ -78,7 +78,7 @@ def control(said: Connection, address: str, chosen: dict[str, Any]) -> None:
             raise ZeroDivisionError("the controller was asked to raise")
         if (fault == "stalls" and row >= _FAILING) or (fault == "stall" and row == _FAILING):
             time.sleep(_STALL)
-        return bench.small(tick, readings)
+        return twins.small(tick, readings)
 
     def on_tick(row: int) -> None:
         if row == _RUNNING:
@@ -107,10 +107,10 @@ def control(said: Connection, address: str, chosen: dict[str, Any]) -> None:
     run_rig(
         step,
         plant,
-        rate=bench.RATE,
+        rate=twins.RATE,
         samples=chosen.get("samples", 10**5),
-        limits=bench.rules(),
-        watchdog=bench.WATCHDOG,
+        limits=twins.rules(),
+        watchdog=twins.WATCHDOG,
         lockstep=chosen.get("lockstep", False),
         acknowledge=chosen.get("acknowledge", True),
         on_tick=on_tick,
@@ -131,5 +131,5 @@ def _begin() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
-bench.rules()
+twins.rules()
 safety.kernels()

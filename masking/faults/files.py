@@ -9,8 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from masking.errors import MaskingError
-from masking.faults.bench import Bench, twin
+from masking.faults.bench import Bench
 from masking.faults.table import Fault, Judgement
+from masking.faults.twins import twin
 from masking.plants.udp import UdpPlant
 from masking.runs.experiment import Experiment
 from masking.runs.self_test import SIZE, self_test

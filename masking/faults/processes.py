@@ -13,9 +13,10 @@ from typing import Any, Final
 import numpy as np
 
 from masking.errors import PlantRefusedError
-from masking.faults.bench import RATE, WATCHDOG, Bench, Chosen, Controller, Served, small
+from masking.faults.bench import Bench, Chosen, Controller, Served
 from masking.faults.damage import DamagedPlant, spoiled
 from masking.faults.table import Fault, Judgement
+from masking.faults.twins import RATE, WATCHDOG, small
 from masking.plants.interface import Settings
 from masking.plants.udp import UdpPlant
 from masking.records.recording import Recording

@@ -14,8 +14,9 @@ from typing import Final
 
 import numpy as np
 
-from masking.faults.bench import RATE, Bench
+from masking.faults.bench import Bench
 from masking.faults.table import Fault, Judgement
+from masking.faults.twins import RATE
 from masking.plants.udp import UdpPlant
 from masking.records import stream, stream_content
 from masking.records.recorder import Recorder

@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from masking.faults.bench import RATE, Bench, Ended, rules, small
+from masking.faults.bench import Bench, Ended
 from masking.faults.table import Fault, Judgement
+from masking.faults.twins import RATE, rules, small
 from masking.numerics.arrays import Array
 from masking.plants.safety import Chain
 

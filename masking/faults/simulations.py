@@ -11,8 +11,9 @@ import numpy as np
 
 from masking.errors import PlantError
 from masking.exports.fmu import has_binary
-from masking.faults.bench import RATE, Bench
+from masking.faults.bench import Bench
 from masking.faults.table import Fault, Judgement
+from masking.faults.twins import RATE
 from masking.numerics.arrays import Array
 from masking.plants import adapters
 from masking.runs.realtime import RigRun, run_rig

@@ -30,7 +30,9 @@ from typing import Any
 import numpy as np
 
 from masking.errors import RecordError
-from masking.faults.bench import PLANT, Child
+from masking.faults import children
+from masking.faults.bench import Child
+from masking.faults.twins import PLANT
 from masking.records import stream
 from masking.records.journal import Journal
 from masking.records.recording import Recording
@@ -68,7 +70,7 @@ class Twin:
         self.start()
 
     def start(self) -> None:
-        self.process = Child("serve", PLANT, str(self.folder), self.address, lockstep=True, steps=False)
+        self.process = Child(children.serve, PLANT, str(self.folder), self.address, lockstep=True, steps=False)
         assert self.process.hear() == self.address
 
     def damage(self, chosen: dict[str, Any] | None) -> None:
