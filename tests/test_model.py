@@ -1,5 +1,7 @@
 """Models: the equations that the program finds are those that others printed, and its energies do what they must."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import scipy.integrate
@@ -8,6 +10,9 @@ import sympy as sp
 from masking.declaration import catalogue, registry
 from masking.errors import ModelError
 from masking.modelling.model import Model
+
+
+MAPS = Path("/proc/self/maps")
 
 
 def load(name):
@@ -272,3 +277,17 @@ class TestErrors:
     def test_a_missing_initial_value(self):
         with pytest.raises(ModelError, match=r"^no initial value of x1: give one, such as 'initial: \{x1: 0\}'$"):
             load("setup").initial_state({})
+
+
+@pytest.mark.skipif(not MAPS.exists(), reason="needs /proc/self/maps")
+def test_many_runs_with_other_values_load_nothing_anew():
+    model, times = load("huygens"), np.linspace(0.0, 1.0, 3)
+
+    def run(number):
+        for i in range(number):
+            model.with_parameters(w1=1.0 + 1e-6 * i).simulate(times, {"th1": 0.1})
+        return len(MAPS.read_text(encoding="ascii").splitlines())
+
+    assert model.with_parameters(w1=2.0).kernels is model.kernels
+    before = run(100)
+    assert run(10_000) <= before + 5  # one of each run would be 10 000

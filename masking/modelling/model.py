@@ -193,6 +193,7 @@ class Model:
     def with_parameters(self, **values: float) -> Model:
         """Return the model with other parameter values, in the declared units; nothing is recompiled."""
         changed = replace(self, overrides={**self.overrides, **values})
+        vars(changed).update(kernels=self.kernels, units=self.units)  # neither depends on values
         changed.values()
         return changed
 
