@@ -11,7 +11,6 @@ from masking.declaration import catalogue, registry
 from masking.errors import ModelError
 from masking.modelling.model import Model
 
-
 MAPS = Path("/proc/self/maps")
 
 
