@@ -97,6 +97,14 @@ def test_a_board_refuses_another_rate(board):
         adapters.connect(board).configure(Settings(1000.0))
 
 
+def test_a_board_keeps_that_its_controller_tripped(board):
+    run = {"rate": 500.0, "samples": 5, "limits": np.ones(1), "lockstep": True}
+    assert run_rig(lambda *_: np.full(1, np.nan), adapters.connect(board), **run).reason == "tripped"
+    with pytest.raises(PlantRefusedError, match="refuses: it has tripped: the controller stopped; look at the rig"):
+        run_rig(lambda *_: np.zeros(1), adapters.connect(board), **run)
+    assert run_rig(lambda *_: np.zeros(1), adapters.connect(board), **run, acknowledge=True).reason == "finished"
+
+
 def test_a_board_that_has_tripped_waits_for_an_acknowledgement(board):
     plant = adapters.connect(board)
     plant.configure(Settings(500.0, 0.1))

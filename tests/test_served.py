@@ -4,6 +4,7 @@ The controller writes the instant at which it computed a command, on the clock t
 own record shows how old each command was when it was written.
 """
 
+import contextlib
 import signal
 import threading
 import time
@@ -15,7 +16,7 @@ from test_rig import serving
 
 from masking import cli
 from masking.declaration import catalogue
-from masking.errors import PlantLostError, PlantRefusedError
+from masking.errors import CommandError, PlantLostError, PlantRefusedError
 from masking.plants import adapters, wire
 from masking.plants.authentication import Key
 from masking.plants.guard import PlantLimits, Reach
@@ -269,8 +270,10 @@ def test_a_good_bye_is_heard_within_a_long_tick(tmp_path, kind):
         bare.send(wire.encode(kind, 5, text="enough"))
         said = wire.decode(bare.recv(65535))
     assert time.monotonic() - began < 1.0
-    assert said.text == ("bye" if kind is Kind.BYE else "stopped: enough")
-    assert Recording.load(folders[0]).manifest["latch"] is None
+    stopped = "the controller stopped: enough"
+    assert said.text == ("bye" if kind is Kind.BYE else stopped)
+    latch = Recording.load(folders[0]).manifest["latch"]
+    assert latch == (None if kind is Kind.BYE else {"cause": stopped, "tick": 0})
 
 
 # --- what a plant allows ----------------------------------------------------------------------------------------------
@@ -487,6 +490,27 @@ def test_a_plant_that_has_tripped_refuses_until_the_cause_is_acknowledged(tmp_pa
         remote.read()
         remote.deactivate()
     assert Recording.load(folders[1]).manifest["acknowledged"] == cause
+
+
+@pytest.mark.parametrize(
+    ("step", "limits", "cause"),
+    [
+        (lambda *_: np.full(2, np.nan), np.ones(2), r"tick 0: CONTROLLER_NONFINITE: the controller's command for u2"),
+        (lambda *_: 1 / 0, np.ones(2), "tick 0: CONTROLLER_EXCEPTION: the controller raised an error"),
+        (lambda *_: np.zeros(3), np.ones(2), "tick 0: CONTROLLER_NONFINITE: "),
+    ],
+)
+def test_a_run_that_trips_latches_its_plant(tmp_path, step, limits, cause):
+    with served(MassSpring(), clock="lockstep", sessions=2, record=tmp_path) as (address, folders):
+        remote = UdpPlant(address, patience=20.0)
+        run = {"rate": 1000.0, "samples": 5, "limits": limits, "lockstep": True}
+        with contextlib.suppress(CommandError, ZeroDivisionError):
+            run_rig(step, remote, **run)
+        with pytest.raises(PlantRefusedError, match=f"it has tripped: the controller stopped: {cause}"):
+            run_rig(lambda *_: np.zeros(2), remote, **run)
+        assert run_rig(lambda *_: np.zeros(2), remote, **run, acknowledge=True).reason == "finished"
+    first, second = (Recording.load(folder).manifest for folder in folders)
+    assert second["acknowledged"] == first["latch"]["cause"] == first["end"]
 
 
 def test_a_good_bye_is_no_trip():

@@ -12,7 +12,7 @@ from masking.errors import PlantMismatchError
 from masking.numerics.arrays import Array
 from masking.plants import adapters
 from masking.plants.authentication import Key
-from masking.plants.interface import APPLIED, Counting, LifeCycle, Plant, Sample, Settings, Telling, check_command
+from masking.plants.interface import APPLIED, Counting, Latching, LifeCycle, Plant, Sample, Settings, Telling, check_command
 
 
 @final
@@ -73,6 +73,12 @@ class PlantGroup:
             last = first + len(plant.actuators)
             plant.write(self._read.get(name, index), command[first:last])
             first = last
+
+    def trip(self, cause: str) -> None:
+        """Let each plant that keeps it know why the run tripped."""
+        for plant in self.plants.values():
+            if isinstance(plant, Latching):
+                plant.trip(cause)
 
     def deactivate(self) -> None:
         """Set the outputs of all to zero."""

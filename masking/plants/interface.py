@@ -118,6 +118,14 @@ class Counting(Protocol):
     counters: Mapping[str, int]
 
 
+@runtime_checkable
+class Latching(Protocol):
+    """A plant that refuses to start after a run that tripped, until somebody acknowledges why."""
+
+    def trip(self, cause: str) -> None:
+        """Keep why the run tripped; legal in every state, and never raises. `deactivate` follows."""
+
+
 class State(StrEnum):
     """States of a plant."""
 

@@ -154,13 +154,13 @@ class RemotePlant(ABC):
         check_command(command, self.actuators)
         self._send(Kind.COMMAND, index, command)
 
+    def trip(self, cause: str) -> None:
+        """Let the plant know that the run tripped, upon which its outputs go to zero until that is acknowledged."""
+        self._part(Kind.STOP, cause)
+
     def deactivate(self) -> None:
         """Say good-bye, upon which the plant's outputs go to zero."""
-        if self._line is not None:
-            try:
-                self._line.send(wire.encode(Kind.BYE, self._session))
-            except OSError:
-                self.counters["unsent"] += 1  # the plant's own watchdog does it
+        self._part(Kind.BYE)
         self._close()
         self._life.deactivate()
 
@@ -249,6 +249,14 @@ class RemotePlant(ABC):
             self.counters["unsent"] += 1
         except BlockingIOError:  # the line is full; the next command is fresher
             self.counters["unsent"] += 1
+
+    def _part(self, kind: Kind, text: str = "") -> None:
+        """Send the last frame of a session, if there is one."""
+        if self._line is not None:
+            try:
+                self._line.send(wire.encode(kind, self._session, text=text[: wire.LONGEST_TEXT]))
+            except OSError:
+                self.counters["unsent"] += 1  # the plant's own watchdog does it
 
     @property
     def _open(self) -> Line:

@@ -6,6 +6,7 @@ else the last one holds; what the guard makes of it is written, the plant advanc
 outputs go to zero and stay there until a controller opens a new session when the controller says so, when the server is
 stopped, and when the plant trips:
 
+* the controller says that its own safety chain tripped;
 * from the first command on, no sample was answered for the time of the watchdog, on the wall's clock, also within a
   tick; in lockstep, no command came for `patience` seconds;
 * the server itself was held up for that time, so that nobody watched what the outputs held;
@@ -52,7 +53,6 @@ Clock = Literal["real", "lockstep"]
 RESERVED: Final = 10.0  # seconds that a controller may take from configure to activate
 MOST: Final = 1000  # frames that are looked at in one tick
 LOOK: Final = 0.005  # seconds between looks at the line and the watchdog in a tick that is longer
-LONGEST_TEXT: Final = 2000  # characters
 OVER: Final = "this session is over; open a new one"
 REMEMBERED: Final = 100_000  # sessions whose numbers are not taken again
 
@@ -368,7 +368,9 @@ class _Server:
                 if session.fresh and self.clock == "lockstep":
                     return  # what follows belongs to the next sample
             elif frame.kind in (Kind.BYE, Kind.STOP):
-                session.end = "bye" if frame.kind is Kind.BYE else f"stopped: {frame.text}"
+                if frame.kind is Kind.STOP:
+                    session.trip(tick, f"the controller stopped: {frame.text}")
+                session.end = "bye" if session.latch is None else session.latch["cause"]
                 return  # what follows belongs to the next session
             elif frame.kind is not Kind.START:  # which was sent twice
                 session.counters["unexpected"] += 1
@@ -406,7 +408,7 @@ class _Server:
         text: str = "",
     ) -> None:
         """Send a frame; one that cannot go out is dropped, as the net might, and a text that quotes too much is cut."""
-        frame = wire.encode(kind, number, index, values=values, text=text[:LONGEST_TEXT])
+        frame = wire.encode(kind, number, index, values=values, text=text[: wire.LONGEST_TEXT])
         with contextlib.suppress(OSError):
             self.line.send(frame, address)
 

@@ -45,6 +45,7 @@ _RUN: Final = 254  # bytes other than zero that one byte of a stream can count
 _HEADER: Final = struct.Struct("<4sBBHQQQI")
 _CHECK: Final = struct.Struct("<I")
 SMALLEST: Final = _HEADER.size + _CHECK.size  # bytes of a frame
+LONGEST_TEXT: Final = 2000  # characters of a reason
 EMERGENCY: Final = "the emergency stop of the plant is pressed"  # so begins the reason of such a STOP
 NO_VALUES: Final[Array] = np.empty(0)
 _U64: Final = 2**64

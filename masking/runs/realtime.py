@@ -14,6 +14,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, TypeAlias, final
 
 import numpy as np
@@ -28,7 +29,7 @@ from masking.errors import (
     SamplesLostError,
 )
 from masking.numerics.arrays import Array
-from masking.plants.interface import APPLIED, Counting, Plant, Sample, Settings, Telling
+from masking.plants.interface import APPLIED, Counting, Latching, Plant, Sample, Settings, Telling
 from masking.plants.machine import Deadlines, Stop, asked_to_stop, undisturbed
 from masking.plants.safety import Cause, Chain, Rules, Trip
 from masking.records.ring import cells
@@ -154,7 +155,7 @@ def run_rig(
                 limits = Rules.of_commands(limits, plant.sensors, plant.actuators, rate)
             rows = Rows(samples, plant, Chain(limits, estimate), on_row, known=known, before=before)
             note = way_out.enter_context(undisturbed(priority=not lockstep))
-            way_out.callback(plant.deactivate)  # first of all on the way out
+            way_out.push(partial(_leave, plant, rows))  # first of all on the way out
             plant.activate()
             reason = _loop(step, plant, rows, settings, on_tick=on_tick, stop=stop, emergency=emergency, look=look,
                            asked=asked)  # fmt: skip
@@ -168,6 +169,16 @@ def run_rig(
     if on_end is not None:
         on_end(run)
     return run
+
+
+def _leave(plant: Plant, rows: Rows, _kind: object, error: BaseException | None, _trace: object) -> None:
+    """Leave a plant at zero, and let it know why the chain tripped, if it did."""
+    if error is not None:
+        _reason(error, rows)
+    if rows.chain.trip is not None and isinstance(plant, Latching):
+        with contextlib.suppress(Exception):  # whatever an adapter does, the plant is left
+            plant.trip(str(rows.chain.trip))
+    plant.deactivate()
 
 
 def _reason(error: BaseException, rows: Rows) -> str:

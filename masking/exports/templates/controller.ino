@@ -23,6 +23,7 @@ extern "C" {
 #define ACKNOWLEDGE "false" /* "true" once it is known why the plant has tripped, which refuses to start without */
 #endif
 #define SETTINGS "{\"rate\": @RATE@, \"watchdog\": 0.02, \"lockstep\": " LOCKSTEP ", \"acknowledge\": " ACKNOWLEDGE "}"
+#define FAILED "a command was not finite, or a matrix singular"
 #define AGAIN 250u /* ms until a request is sent again */
 
 static @NAME@_state unit;
@@ -73,7 +74,7 @@ static void answer(void)
     }
     tell(FRAMES_COMMAND, reader.index, sent, @OUTPUTS@);
     if (status != 0) {
-        tell(FRAMES_BYE, 0, 0, 0);
+        tell(FRAMES_STOP, 0, FAILED, sizeof(FAILED) - 1u);
         state = CLOSED;
     }
 }

@@ -22,7 +22,8 @@ extern "C" {
 #define REFUSED "this plant has @RATE@ samples per second: give that rate"
 #define TAKEN "a controller has this plant; stop that one first"
 #define SILENT "no valid command in the time of the watchdog"
-#define TRIPPED "it has tripped: " SILENT "; look at the rig, then start once with --acknowledge"
+#define STOPPED "the controller stopped"
+#define TRIPPED(cause) "it has tripped: " cause "; look at the rig, then start once with --acknowledge"
 
 static @NAME@_state unit;
 static frames_reader reader;
@@ -30,7 +31,8 @@ static uint8_t line[FRAMES_STREAM];
 static uint64_t session, now, answered;
 static uint32_t before, silent, patience;
 static double commands[@ACTUATORS@];
-static int lockstep, has_answer, is_fresh, has_tripped;
+static int lockstep, has_answer, is_fresh;
+static const char *tripped; /* why the last session was stopped, until a controller acknowledges it */
 static enum { CLOSED, OPENED, RUNNING } state = CLOSED;
 
 static void begin(void)
@@ -90,8 +92,8 @@ static void open_session(void)
         tell(FRAMES_REFUSE, reader.session, 0, TAKEN, sizeof(TAKEN) - 1u);
     } else if (!(rate * @PERIOD@ > 1.0 - 1e-6 && rate * @PERIOD@ < 1.0 + 1e-6)) {
         tell(FRAMES_REFUSE, reader.session, 0, REFUSED, sizeof(REFUSED) - 1u);
-    } else if (has_tripped && strstr((const char *)reader.bytes + FRAMES_HEAD, "\"acknowledge\": true") == 0) {
-        tell(FRAMES_REFUSE, reader.session, 0, TRIPPED, sizeof(TRIPPED) - 1u);
+    } else if (tripped != 0 && strstr((const char *)reader.bytes + FRAMES_HEAD, "\"acknowledge\": true") == 0) {
+        tell(FRAMES_REFUSE, reader.session, 0, tripped, (uint32_t)strlen(tripped));
     } else {
         if (state != RUNNING) {
             session = reader.session;
@@ -107,7 +109,8 @@ static void start(void)
 {
     memset(commands, 0, sizeof(commands));
     now = answered = 0;
-    has_answer = is_fresh = has_tripped = 0;
+    has_answer = is_fresh = 0;
+    tripped = 0;
     silent = 0;
     begin();
     state = RUNNING;
@@ -121,7 +124,7 @@ static void advance(void)
     is_fresh = 0;
     if (has_answer && silent >= patience) {
         close_session();
-        has_tripped = 1;
+        tripped = TRIPPED(SILENT);
         tell(FRAMES_STOP, session, 0, SILENT, sizeof(SILENT) - 1u);
         return;
     }
@@ -168,6 +171,9 @@ void loop()
             continue;
         } else if (reader.kind == FRAMES_BYE) {
             close_session();
+        } else if (reader.kind == FRAMES_STOP) {
+            close_session();
+            tripped = TRIPPED(STOPPED);
         } else if (reader.kind == FRAMES_START && state == OPENED) {
             start();
         } else if (reader.kind == FRAMES_COMMAND && state == RUNNING) {
