@@ -5,9 +5,11 @@ own record shows how old each command was when it was written.
 """
 
 import contextlib
+import dataclasses
 import signal
 import threading
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,9 +21,11 @@ from masking.declaration import catalogue
 from masking.errors import CommandError, PlantLostError, PlantRefusedError
 from masking.plants import adapters, wire
 from masking.plants.authentication import Key
-from masking.plants.guard import PlantLimits, Reach
+from masking.plants.guard import PlantLimits
 from masking.plants.interface import Sample, Settings
+from masking.plants.safety import Rules
 from masking.plants.session import Allowed
+from masking.plants.simulated import SimulatedPlant
 from masking.plants.udp import UdpPlant
 from masking.plants.wire import Kind
 from masking.records.recording import Recording
@@ -340,7 +344,7 @@ def test_a_range_of_rates_is_written_with_a_colon(capsys):
 
 def test_every_command_is_clamped_on_the_side_of_the_plant(tmp_path):
     run = {"rate": 1000.0, "samples": 50, "limits": np.full(2, 1e300), "lockstep": True}
-    guard = PlantLimits({"u1": 0.25})
+    guard = PlantLimits(partial(Rules.of_commands, np.array([0.25, 5.0]), MassSpring.sensors, ("u1", "u2")))
     with served(MassSpring(), clock="lockstep", record=tmp_path, guard=guard) as (address, folders):
         run_rig(lambda tick, _: np.array([1e200 * (-1) ** tick, 3.0]), UdpPlant(address, patience=20.0), **run)
     own = Recording.load(folders[0])
@@ -354,13 +358,18 @@ def test_the_limits_are_those_of_the_plant_file_in_the_units_of_its_commands(tmp
     weak = tmp_path / "weak.yaml"
     text = catalogue.find("plant", "tue_rig").read_text(encoding="utf-8")
     weak.write_text(text.replace("{max: 0.42, unit: V}", "{max: 20, unit: mV}", 1), encoding="utf-8")
-    guard = hardware._guard(Twin.load(weak))
-    assert guard.inputs == pytest.approx({"V1": 0.02, "V2": 0.42, "V3": 0.42}, rel=1e-14)
-    assert hardware._guard(Twin.load("ideal")).inputs == {"u1": 0.42, "u2": 0.42, "u3": 0.42}
+    for plant, largest in ((weak, [0.02, 0.42, 0.42]), ("ideal", [0.42, 0.42, 0.42])):
+        served, command = SimulatedPlant(Twin.load(plant)), np.full(3, 9.0)
+        served.configure(LOCKSTEP)
+        guard = hardware._guard(Twin.load(plant))
+        guard.begin(served, LOCKSTEP)
+        assert guard.check(Sample(0, np.zeros(3)), command) == ""
+        assert command.tolist() == pytest.approx(largest, rel=1e-14)
+        assert guard.counters == {"clamped": 1}
 
 
 def test_limits_of_another_plant_are_refused():
-    guard = PlantLimits({"V1": 0.25})
+    guard = PlantLimits(partial(Rules.of_commands, np.ones(1), ("x1",), ("V1",)))
     with (
         served(MassSpring(), sessions=None, guard=guard) as (address, _),
         pytest.raises(
@@ -389,7 +398,7 @@ def test_a_twin_stops_where_a_sensor_shows_its_limit(tmp_path):
             return command
 
         with pytest.raises(
-            PlantLostError, match=r"ended the session: x[12] - x3 is -?5\.\d+ mm as s[12] reads it, its limit"
+            PlantLostError, match=r"tick \d+: POSITION_LIMIT: x[12] - x3 is -?0\.005\d*, beyond its limit of 0\.005"
         ):
             run_rig(driven, UdpPlant(found[0], patience=60.0), **{**RUN, "samples": 20000, "limits": np.full(3, 9.0)})
     finally:
@@ -404,20 +413,68 @@ def test_a_twin_stops_where_a_sensor_shows_its_limit(tmp_path):
     assert not own.array("input")[-1].any()
 
 
-def test_noise_at_a_limit_is_no_motion_beyond_it():
-    reach = Reach("x", 5.0, "mm", 0.2, 1e-4)  # V/mm and V
-    assert reach.passed("s", -1.0 - 7.9e-4) == ""
-    assert reach.passed("s", -1.0 - 8.1e-4) == "x is -5.004 mm as s reads it, its limit is 5 mm"
-    assert reach.passed("s", float("nan")).startswith("x is nan mm")
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_noise_at_a_limit_is_no_motion_beyond_it(tmp_path, noise):
+    """A sensor of 0.2 V/mm at 5 mm reads 1 V; eight standard deviations of its noise are no motion."""
+    (tmp_path / "plant.yaml").write_text(f"""
+name: limited
+model: cart
+sensors:
+  s: {{measures: x, gain: {{value: 0.2, unit: V/mm}}, unit: V}}
+limits: {{inputs: {{u: {{max: 1, unit: A}}}}, coordinates: {{x: {{max: 5, unit: mm}}}}}}
+effects: {{noise: {{effect: noise, at: s, parameters: {{sigma: {noise}}}}}}}
+""")
+    twin = Twin.load(tmp_path / "plant.yaml")
+    for reading, is_beyond in ((1.0 + 7.9 * noise - 1e-9, False), (1.0 + 8.1 * noise + 1e-9, True)):
+        guard = hardware._guard(twin)
+        plant = SimulatedPlant(twin)
+        plant.configure(LOCKSTEP)
+        guard.begin(plant, LOCKSTEP)
+        for sign in (1.0, -1.0):
+            found = guard.check(Sample(0, np.array([sign * reading])), np.zeros(1))
+            assert found.startswith("tick 0: POSITION_LIMIT: x is ") if is_beyond else found == ""
 
 
-@pytest.mark.parametrize("reading", [np.nan, np.inf, -np.inf, 5.1, -5.1])
-def test_a_reading_that_shows_no_place_within_the_limit_trips(reading):
-    guard = PlantLimits({}, {"x2": Reach("x", 5.0, "mm", 1.0)})
-    guard.begin(MassSpring(), LOCKSTEP)
-    assert guard.check(Sample(0, np.array([99.0, 5.0])), np.zeros(2)) == ""
-    found = guard.check(Sample(0, np.array([0.0, reading])), np.zeros(2))
-    assert found == f"x is {reading:g} mm as x2 reads it, its limit is 5 mm"
+@pytest.mark.parametrize(
+    ("reading", "cause"), [(np.nan, "SENSOR_NONFINITE"), (np.inf, "SENSOR_NONFINITE"), (5.1, "POSITION_LIMIT")]
+)
+def test_a_reading_that_shows_no_place_within_the_limit_trips(reading, cause):
+    rules = Rules.of_commands(np.ones(1), ("x2",), ("u2",), 1000.0)
+    limit = np.zeros((1, 4))
+    limit[0, 0] = 5.0
+    rules = dataclasses.replace(rules, limited=("x",), limits=limit, weights=np.ones((1, 1)))
+    guard = PlantLimits(lambda _: rules)
+    plant = MassSpring()
+    guard.begin(plant, LOCKSTEP)
+    assert guard.check(Sample(0, np.array([99.0, 5.0])), np.zeros(2)) == ""  # the first is not limited
+    assert guard.check(Sample(1, np.array([0.0, reading])), np.zeros(2)).startswith(f"tick 1: {cause}: ")
+
+
+def test_the_plant_limits_speed_and_mean_power_whoever_drives_it(tmp_path):
+    text = catalogue.find("plant", "tue_rig").read_text(encoding="utf-8").replace("max: 0.42", "max: 0.6")
+    velocities = "limits:\n  velocities: {x1 - x3: {max: 100, unit: mm/s}}"
+    (tmp_path / "slow.yaml").write_text(text.replace("limits:", velocities, 1))
+    twin = Twin.load(tmp_path / "slow.yaml")
+    gain = 200.0  # V/m
+    plant = SimulatedPlant(twin)
+    plant.configure(LOCKSTEP)
+    for speed, cause in ((0.09, ""), (0.11, "VELOCITY_LIMIT: the rate of x1 - x3 is ")):  # m/s
+        guard = hardware._guard(twin)
+        guard.begin(plant, LOCKSTEP)
+        found = [
+            guard.check(Sample(k, gain * np.array([speed * k / 1000.0, 0.0, 0.0])), np.zeros(3)) for k in range(30)
+        ]
+        assert cause in found[-1] if cause else not any(found)
+    guard.begin(plant, LOCKSTEP)
+    spent, found = 0.0, ""
+    for k in range(12_000):
+        command = np.array([0.6, 0.0, 0.0])
+        found = guard.check(Sample(k, np.zeros(3)), command)
+        if found:
+            break
+        spent += 45.35 * command[0] ** 2 / 1000.0  # J, of 16.3 W while it may
+    assert ": THERMAL: " in found
+    assert 0.9 * 80.0 < spent <= 1.02 * 80.0  # of 8 W over 10 s
 
 
 class Careful:

@@ -17,6 +17,7 @@ from masking.numerics.arrays import Array
 from masking.numerics.equilibrium import equilibrium
 from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME
 from masking.rig.allocation import allocation
+from masking.rig.twin import Twin
 
 # Step of a difference quotient, relative to the size of what varies.
 _STEP = 1e-5
@@ -41,6 +42,11 @@ class Instruments:
     noise: Mapping[str, float]
     delay: int
     driven: Array | None = None
+
+    @classmethod
+    def of(cls, twin: Twin) -> Instruments:
+        """Return those of a twin, whose model the controller has."""
+        return cls(twin.declaration, twin.model, twin.kernels.meta["factors"], twin.noise(), twin.delay)
 
     @property
     def actuators(self) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Final
 
@@ -44,9 +45,9 @@ def rules(plant: str = PLANT, rate: float = RATE, speed: float = 0.0, largest: f
     if largest:
         inputs = {name: limit.model_copy(update={"max": largest}) for name, limit in limits.inputs.items()}
         limits = limits.model_copy(update={"inputs": inputs})
-    declared = declared.model_copy(update={"limits": limits})
-    factors = found.kernels.meta["factors"] | {"m/s": 1.0}
-    return protection.rules(Instruments(declared, found.model, factors, found.noise(), found.delay), rate, found)
+    known = Instruments.of(found)
+    plant, factors = declared.model_copy(update={"limits": limits}), {**known.factors, "m/s": 1.0}
+    return protection.rules(replace(known, plant=plant, factors=factors), rate, found)
 
 
 def small(tick: int, _: Array) -> Array:

@@ -12,7 +12,17 @@ from masking.errors import PlantMismatchError
 from masking.numerics.arrays import Array
 from masking.plants import adapters
 from masking.plants.authentication import Key
-from masking.plants.interface import APPLIED, Counting, Latching, LifeCycle, Plant, Sample, Settings, Telling, check_command
+from masking.plants.interface import (
+    APPLIED,
+    Counting,
+    Latching,
+    LifeCycle,
+    Plant,
+    Sample,
+    Settings,
+    Telling,
+    check_command,
+)
 
 
 @final

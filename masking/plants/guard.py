@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final, Protocol, final
+from collections.abc import Callable, Mapping
+from typing import Protocol, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from masking.errors import PlantMismatchError, nearest
 from masking.numerics.arrays import Array
 from masking.plants.interface import Plant, Sample, Settings
+from masking.plants.safety import Chain, Rules
 
 
 class Guard(Protocol):
@@ -34,81 +35,51 @@ class Guard(Protocol):
         ...
 
 
-OFF: Final = 8.0  # standard deviations of its noise that a reading may be off
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Reach:
-    """How far a coordinate may go, as a sensor of its own shows it.
-
-    Args:
-        what: the coordinate, or the expression of coordinates, that the sensor measures.
-        largest: magnitude that it may have, in `unit`.
-        unit: of that.
-        gain: of the sensor, its unit per `unit`.
-        noise: standard deviation of a reading, in the sensor's unit; 8 of them are no motion.
-    """
-
-    what: str
-    largest: float
-    unit: str
-    gain: float
-    noise: float = 0.0
-
-    def passed(self, sensor: str, reading: float) -> str:
-        """Say that a reading is beyond, as also where it is not a number; empty where it is not."""
-        value = reading / self.gain
-        if abs(value) <= self.largest + OFF * self.noise / abs(self.gain):
-            return ""
-        return f"{self.what} is {value:.4g} {self.unit} as {sensor} reads it, its limit is {self.largest:g} {self.unit}"
-
-
 @final
 class PlantLimits:
-    """Clamps each command to the largest that its actuator bears, and trips where a reading shows a coordinate beyond.
+    """Holds a plant to the limits of a plant file by a safety chain of its own.
 
     Args:
-        inputs: magnitude of the command of each actuator, in its unit; one that is not named has no limit.
-        reaches: by sensor, how far what it measures may go.
+        rules: what the plant is held to, at a number of samples per second; of channels that it has, in any order.
     """
 
-    def __init__(self, inputs: Mapping[str, float], reaches: Mapping[str, Reach] | None = None) -> None:
-        self.inputs, self.reaches = dict(inputs), dict(reaches or {})
-        self.counters: Mapping[str, int] = {}
-        self._clamped = 0
-        self._above, self._below = np.empty(0), np.empty(0)
-        self._watched: list[tuple[int, str, Reach]] = []
+    def __init__(self, rules: Callable[[float], Rules]) -> None:
+        self._rules = rules
+        self._chain: Chain | None = None
+        self._last = -1
+        self._sensors, self._actuators = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Return how many commands were `clamped`, if any."""
+        clamped = self._chain.clamped if self._chain is not None else 0
+        return {"clamped": clamped} if clamped else {}
 
     def begin(self, plant: Plant, settings: Settings) -> None:
-        """Put the limits into the order of the plant's channels.
+        """Begin a chain for the plant's channels.
 
         Raises:
-            PlantMismatchError: the plant does not have one of them.
+            PlantMismatchError: the plant does not have one of those that are limited.
         """
-        del settings
-        for kind, names, there in (
-            ("actuator", self.inputs, plant.actuators),
-            ("sensor", self.reaches, plant.sensors),
-        ):
-            for name in names:
-                if name not in there:
-                    message = f"the limits are those of a plant with the {kind} {name}, which this one does not have"
-                    raise PlantMismatchError(f"{message}; {nearest(name, there)}")
-        self._above = np.array([self.inputs.get(name, np.inf) for name in plant.actuators])
-        self._below = -self._above
-        self._watched = [(plant.sensors.index(name), name, reach) for name, reach in self.reaches.items()]
-        self.counters = {}
-        self._clamped = 0
+        rules = self._rules(settings.rate)
+        self._sensors = _places("sensor", rules.sensors, plant.sensors)
+        self._actuators = _places("actuator", rules.actuators, plant.actuators)
+        self._chain, self._last = Chain(rules), -1
 
     def check(self, sample: Sample, command: Array) -> str:
-        """Clamp a command (actuators,), which is finite; say which coordinate is beyond its limit."""
-        for i, name, reach in self._watched:
-            cause = reach.passed(name, float(sample.values[i]))
-            if cause:
-                return cause
-        if (command > self._above).any() or (command < self._below).any():
-            np.clip(command, self._below, self._above, out=command)
-            self._clamped += 1
-            self.counters = {"clamped": self._clamped}
-        return ""
+        """Look at the readings, and make a command (actuators,) what the chain leaves of it; say why it tripped."""
+        chain, missed = self._chain, max(0, sample.index - self._last - 1) if self._last >= 0 else 0
+        assert chain is not None  # noqa: S101  # a session begins before its commands are checked
+        self._last = sample.index
+        if chain.watch(sample.index, sample.values[self._sensors], missed) is None:
+            command[self._actuators] = chain.guard(sample.index, command[self._actuators])
+        return str(chain.trip) if chain.trip is not None else ""
+
+
+def _places(kind: str, wanted: tuple[str, ...], there: tuple[str, ...]) -> NDArray[np.intp]:
+    """Return where channels are among those of a plant."""
+    for name in wanted:
+        if name not in there:
+            message = f"the limits are those of a plant with the {kind} {name}, which this one does not have"
+            raise PlantMismatchError(f"{message}; {nearest(name, there)}")
+    return np.array([there.index(name) for name in wanted], dtype=np.intp)

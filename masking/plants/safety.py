@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 else:
     safety = lazy.load("masking.numerics.safety", suppress_warning=True)
 
+OFF: Final = 8.0  # standard deviations of its noise that a reading may be off
 BUCKETS: Final = 200  # of the time over which a power is a mean: it may exceed its limit by a part of 1/200
 _LATE_IN_A_ROW: Final = 5
 _HELD: Final = 0.045  # s that a reading may stay the same while it would change

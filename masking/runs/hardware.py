@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import final
 
 from masking.analysis.synchronisation import Watch
+from masking.control.instruments import Instruments
 from masking.control.sampled import SampledController
 from masking.control.step import SampledStep
 from masking.errors import MaskingError, ModelError
@@ -16,7 +18,7 @@ from masking.plants import adapters
 from masking.plants import serve as serving
 from masking.plants.address import scheme_of
 from masking.plants.authentication import Key
-from masking.plants.guard import Guard, PlantLimits, Reach
+from masking.plants.guard import Guard, PlantLimits
 from masking.plants.interface import Plant, Settings
 from masking.plants.machine import Stop
 from masking.plants.session import LONGEST_WATCHDOG, RATES, Allowed
@@ -99,17 +101,8 @@ def serve(
 
 
 def _guard(twin: Twin) -> Guard:
-    """Return what keeps a served plant within the limits of a plant file, as far as its sensors measure them."""
-    plant, size = twin.declaration, twin.size
-    units = {name: given.unit for name, given in (plant.actuators or twin.base.inputs).items()}
-    inputs = {name: limit.max * size(limit.unit) / size(units[name]) for name, limit in plant.limits.inputs.items()}
-    reaches, noise = {}, twin.noise()
-    for name, sensor in plant.sensors.items():
-        for expression, limit in plant.limits.coordinates.items():
-            if sensor.measures.text == expression.text:
-                gain = sensor.gain.value * size(sensor.gain.unit) / size(sensor.unit) * size(limit.unit)
-                reaches[name] = Reach(expression.text, limit.max, limit.unit, gain, noise.get(name, 0.0))
-    return PlantLimits(inputs, reaches)
+    """Return what keeps a served plant within the limits of a plant file, as far as its sensors show them."""
+    return PlantLimits(partial(protection.limits, Instruments.of(twin)))
 
 
 def run(

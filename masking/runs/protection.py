@@ -20,8 +20,7 @@ from masking.declaration.expression import Expression
 from masking.declaration.instruments import Limit
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import LARGEST
-from masking.plants.guard import OFF
-from masking.plants.safety import Rules, unknown
+from masking.plants.safety import OFF, Rules, unknown
 from masking.rig.twin import Twin
 
 if TYPE_CHECKING:
@@ -59,6 +58,19 @@ def rules(instruments: Instruments, rate: float, twin: Twin | None = None, estim
         ModelError: an actuator has no largest command.
     """
     return _Builder(instruments, rate, twin, 0 if estimate is None else len(estimate)).rules()
+
+
+def limits(instruments: Instruments, rate: float) -> Rules:
+    """Return what a plant is held to whoever drives it: its limits, as far as its sensors show them.
+
+    Args:
+        instruments: of the plant file.
+        rate: samples per second.
+
+    Raises:
+        ModelError: an actuator has no largest command.
+    """
+    return _Builder(instruments, rate, None, 0).limits()
 
 
 def without_model(rules: Rules) -> Rules:
@@ -101,23 +113,38 @@ class _Builder:
 
     def rules(self) -> Rules:
         """Return the rules."""
-        declared = self.instruments.plant.limits
-        places = [(e, x, self._linear(e)) for e, x in declared.coordinates.items()]
+        places = [(e, x, self._linear(e)) for e, x in self.instruments.plant.limits.coordinates.items()]
         self._declared()
         motion, pushed = self._motion()
         self._jumps(places, pushed)
         self._sticking()
+        return replace(
+            self._within(),
+            motion=motion,
+            half=self._half(motion),
+            delay=self.instruments.delay,
+            notes=tuple(self.notes),
+        )
+
+    def limits(self) -> Rules:
+        """Return the rules of what is limited alone: readings are finite and within their range."""
+        self._declared()
+        self.table[:, safety.STEP], self.table[:, safety.NOISE] = np.inf, 0.0
+        return self._within()
+
+    def _within(self) -> Rules:
+        """Return the rules of what is limited, with the table of sensors as it is."""
+        declared = self.instruments.plant.limits
         rows = [*self._limited(declared.coordinates, is_rate=False), *self._limited(declared.velocities, is_rate=True)]
         names, limits, weights, estimated = zip(*rows, strict=True) if rows else ((), (), (), ())
         sensors, states = len(self.table), max(1, self.states)
         return Rules(
-            self.rate, self.instruments.sensors, self.instruments.actuators, self.commands, self.table, motion,
+            self.rate, self.instruments.sensors, self.instruments.actuators, self.commands, self.table,
+            np.zeros((sensors, sensors + len(self.commands))),
             limited=tuple(names),
             limits=np.array(limits).reshape(len(names), safety.LIMIT_COLUMNS),
             weights=np.array(weights).reshape(len(names), sensors),
             estimated=np.array(estimated).reshape(len(names), states),
-            half=self._half(motion),
-            delay=self.instruments.delay,
             missed=1.0 if declared.missed is None else declared.missed,
             notes=tuple(self.notes),
         )  # fmt: skip

@@ -130,7 +130,7 @@ def self_test(
     """
     if not 0.0 < size <= 1.0:
         raise PlantMismatchError(f"the size of a pulse is {size:g} of the largest command; give a part up to 1")
-    instruments = Instruments(twin.declaration, twin.model, twin.kernels.meta["factors"], twin.noise(), twin.delay)
+    instruments = Instruments.of(twin)
     held = _held(protection.rules(instruments, rate, twin), size)
     quiet = {e.path.removeprefix("effects.") for e in twin.effects if e.entry.where == "sensor" and e.entry.deviation}
     ideal = twin.changed({**twin.changes, **dict.fromkeys(quiet, EffectChange(enabled=False))})

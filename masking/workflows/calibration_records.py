@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -73,7 +74,7 @@ def make(
         MaskingError: a recording was interrupted.
         RecordError: the rig does not move, or a record in the folder cannot be read or was made with other settings.
     """
-    instruments = Instruments(twin.declaration, twin.model, twin.kernels.meta["factors"], {}, twin.delay)
+    instruments = replace(Instruments.of(twin), noise={})
     limits, size = instruments.limits()[:, LARGEST], SMALL
     rules = protection.without_model(protection.rules(instruments, RATE, twin))
     made: list[Data] = []
