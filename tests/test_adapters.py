@@ -331,6 +331,12 @@ def test_a_plant_is_served_only_where_frames_can_go(folder):
         hardware.serve(folder / "rig.yaml", f"mujoco:{folder / 'cart.xml'}")
 
 
+def test_the_amplitude_of_a_check_is_within_the_limits(capsys):
+    check = ["rig", "check", "udp://127.0.0.1:9", "--plant", "tue_rig"]
+    assert cli.main([*check, "--amplitude", "0.43"]) == 2
+    assert "the amplitude is 0.43, where the plant file allows 0.42; give less" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("amplitude", ["0", "-1", "nan", "inf"])
 def test_the_amplitude_of_a_check_is_a_positive_number(amplitude, capsys):
     assert cli.main(["rig", "check", "udp://127.0.0.1:9", "--amplitude", amplitude]) == 2

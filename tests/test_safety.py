@@ -339,6 +339,14 @@ def test_a_self_test_names_what_is_wrong():
     assert [f.split(":")[0] for f in findings(command=turned).findings] == ["V3 has the wrong sign"]
     assert [f.split(":")[0] for f in findings(reading=turned).findings] == ["s3 has the wrong sign"]
     assert [f.split(":")[0] for f in findings(reading=weak).findings[:1]] == ["s1 answers V1 wrongly"]
+    rng, declared = np.random.default_rng(2), twin.noise()["s2"]
+
+    def rough(_, values):
+        values[1] += 9.0 * declared * rng.standard_normal()
+
+    said = [f for f in findings(reading=rough).findings if f.startswith("s2 reads ")]
+    assert len(said) == 1
+    assert "of noise at rest, 9 times what is declared" in said[0]
     with pytest.raises(PlantError, match="the self-test refuses to arm: V2 is dead"):
         findings(command=dead).check()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 import sys
 from functools import partial
 from pathlib import Path
@@ -160,18 +161,19 @@ def _check(chosen: argparse.Namespace) -> int:
     from masking.plants import adapters, conformance
     from masking.plants.interface import Settings
     from masking.rig.twin import Twin
-    from masking.runs.self_test import self_test
+    from masking.runs.self_test import allowed, self_test
 
     settings = Settings(chosen.rate, conformance.WATCHDOG, chosen.lockstep, chosen.acknowledge)
     make_plant = partial(adapters.connect, chosen.address, _key(chosen))
-    conformance.reach(make_plant, settings, chosen.amplitude)
+    twin = Twin.load(chosen.plant) if chosen.plant else None
+    conformance.reach(make_plant, settings, chosen.amplitude, math.inf if twin is None else allowed(twin))
     found = conformance.verdicts(make_plant, settings, amplitude=chosen.amplitude)
     broken = sum(len(verdict.broken) for verdict in found)
     content = {"address": chosen.address, "rules": [dataclasses.asdict(verdict) for verdict in found]}
     text = "\n".join([*map(str, found), f"{chosen.address} {'does not conform' if broken else 'conforms'}"])
-    if chosen.plant and not broken:
+    if twin is not None and not broken:
         tested = self_test(
-            Twin.load(chosen.plant),
+            twin,
             make_plant(),
             size=chosen.pulse,
             rate=chosen.rate,

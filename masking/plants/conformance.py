@@ -55,15 +55,23 @@ def check(make_plant: MakePlant, settings: Settings = STANDARD, *, amplitude: fl
     return list(dict.fromkeys(found))
 
 
-def reach(make_plant: MakePlant, settings: Settings, amplitude: float) -> None:
-    """See that there is a plant to check, before every rule fails since there is none.
+def reach(make_plant: MakePlant, settings: Settings, amplitude: float, largest: float = np.inf) -> None:
+    """See that there is a plant to check, before every rule fails since there is none, and what its actuators bear.
+
+    Args:
+        make_plant: makes an unconfigured plant.
+        settings: what it is configured with.
+        amplitude: magnitude of the commands that are tried.
+        largest: magnitude that every actuator bears.
 
     Raises:
         PlantError: it cannot be configured.
-        PlantMismatchError: the amplitude is no positive number.
+        PlantMismatchError: the amplitude is no positive number, or larger than an actuator bears.
     """
     if not 0.0 < amplitude < float("inf"):
         raise PlantMismatchError(f"the amplitude is {amplitude:g}; give a positive number in the actuators' units")
+    if amplitude > largest:
+        raise PlantMismatchError(f"the amplitude is {amplitude:g}, where the plant file allows {largest:g}; give less")
     plant = make_plant()
     try:
         plant.configure(settings)

@@ -84,8 +84,7 @@ def undisturbed(*, priority: bool) -> Iterator[str]:
     Gives a sentence about what was not permitted; empty where all was.
     """
     collected = gc.isenabled()
-    gc.collect()
-    gc.disable()
+    gc.disable()  # without a collection before, which takes seconds in a large process
     try:
         with _prioritised(wanted=priority) as missing:
             yield f"not permitted here: {', '.join(missing)}; ticks may be late" if missing else ""

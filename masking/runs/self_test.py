@@ -41,6 +41,7 @@ _REST: Final = 20.0  # s at most until the rig is at rest again
 _CLEAR: Final = 6.0  # times the noise that an answer must be
 _DEAD: Final = 0.2  # of the predicted answer
 _GAIN: Final = (0.5, 2.0)  # of the predicted answer
+_NOISY: Final = 5.0  # times the declared noise
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ class Answer:
         actuator: which was moved.
         sensor: which is looked at.
         predicted: the largest change that the twin reads, in the sensor's unit.
-        noise: of the sensor at rest, standard deviation.
+        noise: of the sensor, standard deviation: that at rest, or what is declared where that is more.
+        at_rest: standard deviation of what was read before the pulse.
         gain: what was read per what was predicted, least squares.
     """
 
@@ -59,6 +61,7 @@ class Answer:
     sensor: str
     predicted: float
     noise: float
+    at_rest: float
     gain: float
 
     @property
@@ -98,7 +101,7 @@ class SelfTest:
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as JSON can hold it."""
-        keys = ("actuator", "sensor", "predicted", "noise", "gain")
+        keys = ("actuator", "sensor", "predicted", "noise", "at_rest", "gain")
         answers = [{key: getattr(answer, key) for key in keys} for answer in self.answers]
         return {"answers": answers, "findings": list(self.findings)}
 
@@ -145,6 +148,15 @@ def self_test(
             return SelfTest(tuple(answers), (f"{twin.actuators[j]}: {trip}",))
         answers += _answers(twin, j, predicted, read)
     return SelfTest(tuple(answers), tuple(_findings(twin, tuple(answers), size)))
+
+
+def allowed(twin: Twin) -> float:
+    """Return the command that every actuator of a plant file may be given.
+
+    Raises:
+        ModelError: an actuator has no largest command.
+    """
+    return float(Instruments.of(twin).limits()[:, LARGEST].min())
 
 
 def _held(rules: Rules, size: float) -> Rules:
@@ -239,13 +251,18 @@ def _answers(twin: Twin, at: int, predicted: Array, read: Array) -> Iterator[Ans
         found = read[begin:, i] - np.mean(read[:begin, i])
         power = float(wanted @ wanted)
         yield Answer(
-            twin.actuators[at], sensor, float(np.abs(wanted).max()), max(noise, twin.noise().get(sensor, 0.0)),
+            twin.actuators[at], sensor, float(np.abs(wanted).max()), max(noise, twin.noise().get(sensor, 0.0)), noise,
             float(wanted @ found) / power if power > 0.0 else 0.0,
         )  # fmt: skip
 
 
 def _findings(twin: Twin, answers: tuple[Answer, ...], size: float) -> Iterator[str]:
     """Give why the rig must not be armed: first what is wrong with a sensor, then with an actuator."""
+    for sensor, declared in twin.noise().items():
+        at_rest = min((x.at_rest for x in answers if x.sensor == sensor), default=0.0)
+        if at_rest > _NOISY * declared > 0.0:
+            ratio = f"{at_rest / declared:.0f} times what is declared"
+            yield f"{sensor} reads {at_rest:.2g} of noise at rest, {ratio}: look at its cable, and what shakes the rig"
     clear = [answer for answer in answers if answer.is_clear]
     told = {a.sensor: [x for x in clear if x.sensor == a.sensor] for a in answers}
     reversed_sensors = {
