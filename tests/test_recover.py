@@ -20,10 +20,10 @@ from masking.plants.interface import Sample
 from masking.plants.simulated import SimulatedPlant
 from masking.records import recorder, stream
 from masking.records.recording import Recording
+from masking.records.timing import histogram
 from masking.runs import hardware, loop_rows
 from masking.runs.experiment import Experiment
 from masking.runs.loop_rows import StreamedRows
-from masking.runs.timing import histogram
 from masking.workflows.recover import recover
 from masking.workflows.run import report
 
@@ -226,6 +226,9 @@ def test_of_a_run_that_is_killed_nothing_is_lost(tmp_path, both):
     assert ticks["tick"].tolist() == list(range(found.rows))
     assert found.end.startswith("it is cut off" if both else "the process of the controller was killed")
     assert len(found.recording) == found.rows - found.homing > 100
+    timed = found.recording.manifest["rig"]["timing"]
+    assert {name: sum(part["counts"]) for name, part in timed.items()} == dict.fromkeys(timed, found.rows)
+    assert timed.keys() >= {"controller"}
 
 
 # --- timing -----------------------------------------------------------------------------------------------------------

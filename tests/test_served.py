@@ -256,6 +256,8 @@ def test_the_watchdog_counts_seconds_where_a_tick_is_longer(tmp_path):
     assert zeros[0] - began <= WATCHDOG + 2.0 / rate  # the rule; what follows is that it is within the tick
     assert zeros[0] - began <= 0.5 / rate
     own = Recording.load(folders[0])
+    assert sum(own.manifest["timing"]["lateness"]["counts"]) == len(own)
+    assert own.manifest["timing"]["lateness"]["max"] == own["late"].max()
     assert own.manifest["latch"] == {"cause": "no valid command for 20 ms", "tick": 2}
     assert own["input.u1"].tolist()[:3] == [1.0, 1.0, 0.0]
     assert np.array_equal(own["tick"], np.arange(len(own)))

@@ -11,6 +11,7 @@ import numpy as np
 from masking.numerics.arrays import Array
 from masking.plants.interface import Plant, Sample, Telling
 from masking.records.recording import Recording
+from masking.records.timing import timing
 
 CHUNK: Final = 4096  # rows
 _FIXED: Final = ("t", "tick", "wall", "late", "fresh", "latched")
@@ -85,4 +86,5 @@ class SessionRows:
             "name": "a plant's own record",
             "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         }
-        return Recording(columns, {**head, **manifest})
+        clock = {"lateness": columns["late"]} if manifest["clock"] == "real" else {}
+        return Recording(columns, {**head, **manifest, "timing": timing(columns["tick"].astype(np.int64), **clock)})

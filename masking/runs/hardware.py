@@ -25,6 +25,7 @@ from masking.plants.session import LONGEST_WATCHDOG, RATES, Allowed
 from masking.plants.simulated import SimulatedPlant
 from masking.records import stream as streams
 from masking.records.recording import Recording
+from masking.records.timing import timing
 from masking.rig.twin import Twin
 from masking.runs import protection
 from masking.runs.experiment import Experiment
@@ -32,7 +33,6 @@ from masking.runs.loop_rows import RowLayout, StreamedRows, known, samples_after
 from masking.runs.operator import Operator
 from masking.runs.realtime import RigRun, check_channels, every, run_rig
 from masking.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED
-from masking.runs.timing import timing
 
 WATCHDOG = 0.02
 _MEND = "run it on that plant, or write the plant that is there into it"
@@ -178,11 +178,12 @@ def run(
         outcome = {
             "end": keeper.end(ran.reason, is_full=is_full()),
             "counters": dict(ran.counters),
+            "timing": timing(ran.index, **times),
             **({"note": ran.note} if ran.note else {}),
         }
         outcome |= {"unwatched": list(rules.notes)} if rules.notes else {}
         outcome |= {} if ran.trip is None else {"trip": ran.trip.as_dict()}
-        outcome |= {"timing": timing(ran, lockstep=lockstep)}
+        times = {"controller": ran.durations, "work": ran.work} | ({} if lockstep else {"lateness": ran.lateness})
         if streamed is not None and streamed.recorder.note:
             outcome |= {"recorder": {"ended": streamed.recorder.ended, "note": streamed.recorder.note}}
         return experiment.record_rig(RowLayout(experiment).run(ran.table, after), lockstep=lockstep, outcome=outcome)

@@ -19,6 +19,7 @@ from masking.records.recorder import CLOSED
 from masking.records.recording import Recording
 from masking.records.ring import RingReader
 from masking.records.stream_content import Stream
+from masking.records.timing import timing
 from masking.reports import run_report
 from masking.runs import manifest
 from masking.runs.experiment import Experiment
@@ -184,7 +185,10 @@ def _run(
             return None, "another version of this program has written it; recover it with that version"
         run = layout.run(table, samples_after(experiment, experiment.sampled))
         counters = {"late": int(np.count_nonzero(column["late"])), "missed": int(np.sum(np.diff(column["tick"]) - 1.0))}
-        outcome = {"end": KILLED, "counters": counters, "recovered": dict(lost)}
-        return experiment.record_rig(run, lockstep=bool(found.manifest["lockstep"]), outcome=outcome), ""
+        is_lockstep = bool(found.manifest["lockstep"])
+        clock = {} if is_lockstep else {"lateness": column["lateness"]}
+        times = timing(column["tick"].astype(np.int64), **clock, controller=column["duration"])
+        outcome = {"end": KILLED, "counters": counters, "recovered": dict(lost), "timing": times}
+        return experiment.record_rig(run, lockstep=is_lockstep, outcome=outcome), ""
     except MaskingError as error:
         return None, f"the run since the release could not be made: {error}"

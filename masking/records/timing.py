@@ -1,4 +1,4 @@
-"""Timing of a run: histograms, quantiles and the worst tick of how late ticks began and how long they took."""
+"""Timing of the ticks of a run: histograms, quantiles and the worst of how late they began and how long they took."""
 
 from __future__ import annotations
 
@@ -8,25 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.numerics.arrays import Array
-from masking.runs.realtime import RigRun
 
 _PER_DECADE: Final = 5
 _DECADES: Final = (-6, 1)  # 1 us to 10 s
 
 
-def timing(run: RigRun, *, lockstep: bool) -> dict[str, Any]:
-    """Return the timing of a run, for its manifest.
-
-    `lateness` of ticks, where there is a clock; `controller`, what its step took; `work`, what the controller, the
-    safety chain and the row of the record took together.
+def timing(index: NDArray[np.int64], **parts: Array) -> dict[str, Any]:
+    """Return the timing of the ticks of a run, for its manifest.
 
     Args:
-        run: that has ended.
-        lockstep: whether there was no clock.
+        index: of each tick (m,).
+        parts: times by name, s (m,): how late ticks began, `lateness`, where there was a clock; what the step of the
+            controller took, `controller`; what it, the safety chain and the row of the record took together, `work`.
     """
-    parts = {} if lockstep else {"lateness": run.lateness}
-    parts |= {"controller": run.durations, "work": run.work}
-    return {name: histogram(values, run.index) for name, values in parts.items() if len(values)}
+    return {name: histogram(values, index) for name, values in parts.items() if len(values)}
 
 
 def histogram(values: Array, index: NDArray[np.int64]) -> dict[str, Any]:
