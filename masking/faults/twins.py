@@ -45,9 +45,8 @@ def rules(plant: str = PLANT, rate: float = RATE, speed: float = 0.0, largest: f
     if largest:
         inputs = {name: limit.model_copy(update={"max": largest}) for name, limit in limits.inputs.items()}
         limits = limits.model_copy(update={"inputs": inputs})
-    known = Instruments.of(found)
-    plant, factors = declared.model_copy(update={"limits": limits}), {**known.factors, "m/s": 1.0}
-    return protection.rules(replace(known, plant=plant, factors=factors), rate, found)
+    known, changed = Instruments.of(found), declared.model_copy(update={"limits": limits})
+    return protection.rules(replace(known, plant=changed, factors={**known.factors, "m/s": 1.0}), rate, found)
 
 
 def small(tick: int, _: Array) -> Array:

@@ -15,13 +15,12 @@ from masking.plants.safety import Chain, Rules
 
 
 class Guard(Protocol):
-    """Looks at each sample and at the command that is about to be written; nothing goes to the plant past it.
+    """Looks at each sample and at the command that is about to be written; nothing goes to the plant past it."""
 
-    Attributes:
-        counters: what it did, by name, since `begin`.
-    """
-
-    counters: Mapping[str, int]
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Return what it did, by name, since `begin`."""
+        ...
 
     def begin(self, plant: Plant, settings: Settings) -> None:
         """Begin a session with a plant that is configured; a `PlantError` where it does not fit the plant."""

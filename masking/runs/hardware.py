@@ -175,6 +175,7 @@ def run(
         return keeper.is_over or is_full() or (stop is not None and stop())
 
     def made(ran: RigRun) -> Recording:
+        times = {"controller": ran.durations, "work": ran.work} | ({} if lockstep else {"lateness": ran.lateness})
         outcome = {
             "end": keeper.end(ran.reason, is_full=is_full()),
             "counters": dict(ran.counters),
@@ -182,8 +183,7 @@ def run(
             **({"note": ran.note} if ran.note else {}),
         }
         outcome |= {"unwatched": list(rules.notes)} if rules.notes else {}
-        outcome |= {} if ran.trip is None else {"trip": ran.trip.as_dict()}
-        times = {"controller": ran.durations, "work": ran.work} | ({} if lockstep else {"lateness": ran.lateness})
+        outcome |= {"trip": ran.trip.as_dict()} if ran.trip is not None else {}
         if streamed is not None and streamed.recorder.note:
             outcome |= {"recorder": {"ended": streamed.recorder.ended, "note": streamed.recorder.note}}
         return experiment.record_rig(RowLayout(experiment).run(ran.table, after), lockstep=lockstep, outcome=outcome)
