@@ -21,7 +21,7 @@ from masking.discovery.search import SearchResult
 from masking.discovery.smoothing import smooth
 from masking.estimation.data import Data
 from masking.estimation.whiteness import autocorrelation, evenness, ljung_box, whiteness
-from masking.reports import discovery_page, discovery_text
+from masking.reports import discovery_page, discovery_text, place_text
 from masking.reports.discovery_files import Origin
 from masking.rig.twin import Twin
 from tests.test_discovery import PLANT
@@ -283,7 +283,7 @@ def test_what_is_not_white_is_told_with_its_frequency(frequency, slow):
     assert found.slow is slow
     assert found.beyond == pytest.approx(size**2 / (2.0 if frequency else 1.0), abs=0.02)
     assert found.as_dict().keys() == {"p", "white", "beyond", "frequency", "slow"}
-    assert discovery_text.white(found).startswith("not white (")
+    assert place_text.white(found).startswith("not white (")
 
 
 def test_residuals_that_are_zero_are_white():
@@ -397,7 +397,7 @@ def test_a_quadratic_spring_is_even(discoveries):
     assert best.decomposition.parts.displacement > 0.9
     assert best.decomposition.parts.odd < 0.05
     assert best.harmonics.even > 0.95
-    assert "the same way on both sides" in discovery_text.portrayed(best)
+    assert "the same way on both sides" in place_text.portrayed(best)
 
 
 def test_a_gap_on_the_side_of_actuators_follows_a_command(discoveries):

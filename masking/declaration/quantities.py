@@ -17,7 +17,7 @@ else:
     uncertainties = lazy.load("uncertainties")
 
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
-_PREFIXED = frozenset({"V", "m", "N", "W", "W/kg"})
+_PREFIXED = frozenset({"V", "m", "N", "W", "W/kg", "J", "J/kg"})
 _PLAIN = 7  # digits before the point up to which a number is written without a power of ten
 
 
@@ -60,9 +60,23 @@ def power(value: float, units: Sequence[str]) -> str:
         value: of it, in the units of the force and the rate.
         units: of the force, of the displacement and of its rate.
     """
-    unit = combined("F*V", {"F": units[0] or "1", "V": units[2] or "1"})
-    shown = next((watt for watt in ("W", "W/kg") if dimension_of(unit) == dimension_of(watt)), "")
-    return quantity(value * factor_of(unit), shown) if shown else ""
+    return _as_one_of(("W", "W/kg"), value, combined("F*V", {"F": units[0] or "1", "V": units[2] or "1"}))
+
+
+def work(value: float, units: Sequence[str]) -> str:
+    """Write an energy in J, or in J/kg of a force per mass; '' where force times rate and seconds is neither.
+
+    Args:
+        value: of it, in the units of the force and the rate, times s.
+        units: of the force, of the displacement and of its rate.
+    """
+    return _as_one_of(("J", "J/kg"), value, combined("F*V*s", {"F": units[0] or "1", "V": units[2] or "1", "s": "s"}))
+
+
+def _as_one_of(shown: Sequence[str], value: float, unit: str) -> str:
+    """Write a value in the first of some units that has its dimension; '' where none has."""
+    found = next((one for one in shown if dimension_of(unit) == dimension_of(one)), "")
+    return quantity(value * factor_of(unit), found) if found else ""
 
 
 def with_deviation(value: float, std: float, unit: str) -> str:

@@ -297,8 +297,8 @@ class ClosedForm:
             IntegrationError: the motion is not finite on the validation record.
         """
         instances = self.hypothesis.instances
-        found = fitting.tempered(_with(problem, instances), self.hypothesis)
-        return replace(self, hypothesis=found, validated=fitting.validated(_with(validation, instances), found))
+        found = fitting.tempered(knowing(problem, instances), self.hypothesis)
+        return replace(self, hypothesis=found, validated=fitting.validated(knowing(validation, instances), found))
 
     @property
     def instance(self) -> EffectInstance:
@@ -364,8 +364,8 @@ def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProbl
             one = instance(form, law)
             every_one = (*others, one)
             with suppress(IntegrationError):
-                made = fitting.fit(_with(problem, every_one), every_one, theta=known.theta, start=known.start)
-                checked = fitting.validated(_with(validation, every_one), made)
+                made = fitting.fit(knowing(problem, every_one), every_one, theta=known.theta, start=known.start)
+                checked = fitting.validated(knowing(validation, every_one), made)
                 score = made.cost + float(checked.squares @ validation.weights) + both * form.size + evidence * many
                 if best is None or score < best.score:
                     best = ClosedForm(form, made, checked, score)
@@ -374,6 +374,6 @@ def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProbl
     return best
 
 
-def _with(problem: EstimationProblem, instances: Sequence[EffectInstance]) -> EstimationProblem:
+def knowing(problem: EstimationProblem, instances: Sequence[EffectInstance]) -> EstimationProblem:
     """Return a problem whose rig knows the effects of instances."""
     return replace(problem, rig=replace(problem.rig, tried=tuple(one.entry for one in instances)))

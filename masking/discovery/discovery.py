@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -182,6 +182,20 @@ class Discovery(Explained):
         return self.explanation if self.law is None else self.law.explanation
 
     @property
+    def unseen(self) -> Hypothesis:
+        """Return what is written on the validation record: the law without a name where there is one."""
+        return self.after if self.law is None else self.law.validated
+
+    @cached_property
+    def as_written(self) -> Discovery:
+        """Return the discovery with what is written as its explanation: the law without a name where there is one."""
+        law = self.law
+        if law is None:
+            return self
+        explanation = replace(law.explanation, hypothesis=law.simulated)
+        return replace(self, problem=law.known, explanation=explanation, validation=law.problem, after=law.validated)
+
+    @property
     def dictionary(self) -> Mapping[str, Effect]:
         """Return the effects that are known here, the law without a name among them."""
         known = self.twin.dictionary
@@ -212,9 +226,11 @@ class Discovery(Explained):
     @cached_property
     def localisation(self) -> Localisation:
         """Return where the model error is: its coordinates, places, displacements, rates, times and sides."""
-        before, after = whiteness_of(self.validation, self.adjusted.residuals), self.whiteness
-        pairs = {name: (before[name], after[name] if self.effects else None) for name in self.twin.sensors}
-        return localise(self, pairs)
+        before = whiteness_of(self.validation, self.adjusted.residuals)
+        after = whiteness_of(self.validation, self.unseen.residuals)
+        has_finding = self.effects or self.law
+        pairs = {name: (before[name], after[name] if has_finding else None) for name in self.twin.sensors}
+        return localise(self.as_written, pairs)
 
     @property
     def is_at_noise_floor(self) -> bool:

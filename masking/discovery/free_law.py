@@ -80,6 +80,12 @@ class FreeLaw:
         return f"a force that is {' plus '.join(KINDS[term.kind] for term in self.terms)}"
 
     @property
+    def follows(self) -> set[str]:
+        """Return what it is of: displacement `d`, rate `v`."""
+        kinds = {term.kind for term in self.terms}
+        return {side for side, other in (("d", OF_RATE), ("v", OF_DISPLACEMENT)) if kinds - other}
+
+    @property
     def factors(self) -> Array:
         """Return the factors (f,)."""
         return fitting.estimated(self.instances)
@@ -101,10 +107,22 @@ class FreeLaw:
         """Return the force at displacements and rates (m,)."""
         return np.asarray(self.rows(x, rate) @ self.factors)
 
-    def deviation(self, x: Array, rate: Array) -> Array:
-        """Return the standard deviation of the force (m,)."""
-        at = self.rows(x, rate)
-        return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", at, self.covariance, at), 0.0)))
+    def given(self, theta: Array) -> tuple[Array, Array]:
+        """Return the factors (f,) and their covariance (f, f) where the parameters of the rig are known.
+
+        A spring of the law and one of the model cannot be told apart, and together are known well.
+
+        Args:
+            theta: parameters of the rig (k,).
+
+        Source: Gelman et al. (2013), Bayesian Data Analysis, appendix A, for conditional normal distributions.
+        """
+        every, k = self.hypothesis.covariance, len(theta)
+        size = np.sqrt(np.maximum(np.diag(every)[:k], 1e-300))
+        inverse = np.linalg.pinv(every[:k, :k] / np.outer(size, size), rcond=COLLINEAR, hermitian=True)
+        gain = every[-self.size :, :k] @ (inverse / np.outer(size, size))
+        factors = self.factors + gain @ (theta - self.hypothesis.theta)
+        return factors, np.asarray(self.covariance - gain @ every[:k, -self.size :])
 
 
 KINDS = {
@@ -115,6 +133,7 @@ KINDS = {
     "free_rub": "a dry friction that changes with the displacement",
     "free_surface": "a surface over displacement and rate",
 }
+OF_DISPLACEMENT, OF_RATE = {"free_spring"}, {"free_damping", "free_friction"}  # alone
 
 
 def rows(terms: Sequence[Term], x: Array, rate: Array) -> Array:

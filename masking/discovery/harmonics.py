@@ -21,6 +21,9 @@ ALIKE = 1e-6  # of twice the variance: commands that differ by less a period lat
 APART = 0.1  # of it: commands have changed since
 EXCITED = 0.01  # of the largest amplitude of a command, from which a line counts as excited
 LEAST = 3  # periods: one to settle, and two to estimate the noise
+FEWEST_CYCLES = 3  # in a record, of a motion that has a frequency
+NEAR, WINDOW = 0.1, 2  # part of a frequency, and lines of Hann's window, that are near one
+ONE = 0.7  # of the energy of a rate: a motion with more near one frequency has that
 LONGEST = 0.75  # of a record: a longer period repeats too little to be found
 
 
@@ -92,6 +95,23 @@ class Periods:
             return None
         only_odd = not self.excited[::2].any()
         return Harmonics(self.rate / self.length, many, only_odd, *(float(part / whole) for part in parts))
+
+
+def cycle(rate: Array, sampling: float) -> float | None:
+    """Return the frequency of a motion in Hz, where most of the energy of its rate is near one; None of others.
+
+    Args:
+        rate: of a displacement (m,).
+        sampling: samples per second.
+    """
+    power = np.abs(np.fft.rfft((rate - rate.mean()) * np.hanning(len(rate)))) ** 2
+    power[0] = 0.0
+    at, lines = int(np.argmax(power)), np.arange(len(power))
+    near = np.abs(lines - at) <= max(NEAR * at, WINDOW)
+    whole = float(power.sum())
+    if at < FEWEST_CYCLES or not float(power[near].sum()) > ONE * whole > 0.0:
+        return None
+    return float((lines * power)[near].sum() / power[near].sum() * sampling / len(rate))
 
 
 def period(commands: Array) -> int | None:

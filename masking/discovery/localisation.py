@@ -16,7 +16,7 @@ import numpy as np
 
 from masking.discovery import latent_force
 from masking.discovery.force_decomposition import SEEN, ForceDecomposition, decompose, followed
-from masking.discovery.harmonics import Harmonics, Periods
+from masking.discovery.harmonics import Harmonics, Periods, cycle
 from masking.discovery.latent_force import Explained
 from masking.discovery.smoothing import Motion
 from masking.estimation.whiteness import Whiteness
@@ -35,6 +35,7 @@ class LocatedForce:
         decomposition: of that force, in the place's units.
         harmonics: of it; None if the commands are not periodic, or there is no such force.
         units: of force, displacement and rate.
+        frequency: of the motion in Hz; None if it has not one alone.
     """
 
     name: str
@@ -42,6 +43,7 @@ class LocatedForce:
     decomposition: ForceDecomposition
     harmonics: Harmonics | None
     units: tuple[str, str, str]
+    frequency: float | None = None
 
     @property
     def explained(self) -> float:
@@ -61,6 +63,8 @@ class LocatedForce:
             "explained": self.explained,
             **self.decomposition.as_dict(),
             "harmonics": self.harmonics and self.harmonics.as_dict(),
+            "frequency": self.frequency,
+            "loss_per_cycle": self.frequency and self.decomposition.loss / self.frequency,
             "units": dict(zip(("force", "displacement", "rate"), self.units, strict=True)),
         }
 
@@ -140,7 +144,7 @@ def localise(found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whitenes
 
 def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Periods | None) -> LatentForces:
     """Return the latent forces along a motion whose readings differ by an error (m, sensors) from the simulation."""
-    rig, cycle = found.rig, None if periods is None else periods.length
+    rig, repeats = found.rig, None if periods is None else periods.length
     ratios = (motion.forces**2).mean(axis=0) / np.maximum(motion.deviation, 1e-150) ** 2
     energies = np.where(ratios > SEEN, ratios - 1.0, 0.0)
     whole = float(energies.sum())
@@ -151,15 +155,16 @@ def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Peri
     at = [latent_force.projected(motion, latent_force.directions(found, column)) for column in rig.columns[1]]
     places = []
     for place, x, rate, (force, deviation) in zip(rig.places, motion.displacement.T, motion.rate.T, at, strict=True):
-        drawn = decompose(x, rate, force, deviation, cycle)
+        drawn = decompose(x, rate, force, deviation, repeats)
         harmonics = None if periods is None or drawn.parts is None else periods.harmonics(force)
         units = latent_force.element_units(found, place.name)
-        places.append(LocatedForce(place.name, share(force, deviation), drawn, harmonics, units))
+        frequency = cycle(rate, found.record.rate)
+        places.append(LocatedForce(place.name, share(force, deviation), drawn, harmonics, units, frequency))
     actuators = {}
     for name, command, column in zip(found.twin.actuators, found.record.acting.T, rig.columns[2], strict=True):
         force, deviation = latent_force.projected(motion, latent_force.directions(found, column))
         energy = float((force**2).mean()) - deviation**2
-        part = min(followed(command, force, cycle) / energy, 1.0) if energy > 0.0 else 0.0
+        part = min(followed(command, force, repeats) / energy, 1.0) if energy > 0.0 else 0.0
         actuators[name] = share(force, deviation) * part
     sensors = {}
     for name, reading, residual, sigma in zip(
@@ -167,6 +172,8 @@ def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Peri
     ):
         square = float((residual**2).mean())
         is_seen = square > BEYOND * sigma**2
-        sensors[name] = min(followed(reading, residual, cycle) / (square - float(sigma) ** 2), 1.0) if is_seen else 0.0
+        sensors[name] = (
+            min(followed(reading, residual, repeats) / (square - float(sigma) ** 2), 1.0) if is_seen else 0.0
+        )
     shares = (float(energy / whole) if whole else 0.0 for energy in energies)
     return LatentForces(dict(zip(rig.degrees, shares, strict=True)), tuple(places), actuators, sensors)

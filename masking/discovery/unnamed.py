@@ -5,22 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import calibration, closed_form, fitting, free_law, shooting, verdict
+from masking.discovery import calibration, closed_form, fitting, free_law, latent_force, shooting, verdict
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.closed_form import ClosedForm
+from masking.discovery.coverage import Coverage
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.free_law import ALIKE, KINDS, PARTS, FreeLaw
+from masking.discovery.grammar import evaluated
 from masking.discovery.latent_force import Explained
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.tabulated import tabulated
 from masking.errors import IntegrationError
 from masking.estimation.simulation import relative
+from masking.numerics.arrays import Array
 
 MOST_FINER = 4  # times the integration steps of the model alone: curves are smooth, and have many factors
 LITTLE = 0.1  # of what the names leave beyond noise, which a form must take to be their rival
@@ -61,6 +65,61 @@ class UnnamedLaw:
         return self.explanation.hypothesis
 
     @property
+    def simulated(self) -> Hypothesis:
+        """Return the model with the law as a fit has it, a formula or curves, which equations can be made of."""
+        return self.fitted if self.is_formula else self.free.hypothesis
+
+    @property
+    def known(self) -> EstimationProblem:
+        """Return the record in the shooting intervals of the fit, and the rig that knows the law."""
+        known = self.free.problem
+        return closed_form.knowing(known, self.simulated.instances) if self.is_formula else known
+
+    def force(self, x: Array, rate: Array) -> Array:
+        """Return the force of the law as it is written at displacements and rates (m,)."""
+        if not self.is_formula:
+            return self.free.force(x, rate)
+        one = self.instance
+        values = dict(zip(one.entry.parameters, one.values, strict=True))
+        return np.broadcast_to(evaluated(one.entry.expression, {**values, "d": x, "d_rate": rate}), np.shape(x))
+
+    @cached_property
+    def curves(self) -> tuple[Array, Array]:
+        """Return the factors of the curves (f,) and their covariance (f, f), beside the parameters that are written.
+
+        The covariance is larger where more than white noise is left.
+        """
+        factors, covariance = self.free.given(self.fitted.theta)
+        return factors, self.free.problem.tempering(self.free.hypothesis.residuals) * covariance
+
+    def deviation(self, x: Array, rate: Array) -> Array:
+        """Return the standard deviation of the curves at displacements and rates (m,)."""
+        return _deviation(self.free.rows(x, rate), self.curves[1])
+
+    def band(self, x: Array, rate: Array, along: Array) -> tuple[Array, Array, Array]:
+        """Return the band of the curves along a motion: two standard deviations about their means over bins.
+
+        Args:
+            x: displacement (m,).
+            rate: of it (m,).
+            along: what is binned: one of them (m,).
+
+        Returns:
+            centres of the bins, and the ends of the band there (b,).
+        """
+        columns = [latent_force.binned(along, column) for column in self.free.rows(x, rate).T]
+        means, (factors, covariance) = np.column_stack([mean for _, mean, _ in columns]), self.curves
+        middle, half = means @ factors, 2.0 * _deviation(means, covariance)
+        return columns[0][0], middle - half, middle + half
+
+    @cached_property
+    def coverage(self) -> Coverage:
+        """Return where the record moves the place of the law, and how well the law is known there."""
+        sides = self.form.form.of if self.form is not None and self.is_formula else self.free.follows
+        x, rate = self.free.x, self.free.rate
+        return Coverage.of(x, rate, self.force(x, rate), self.deviation(x, rate), sides)
+
+    @property
     def place(self) -> str:
         """Return the name of the place where it sits."""
         return self.free.place.name
@@ -99,9 +158,15 @@ class UnnamedLaw:
             "parameters": known,
             "closed_form": self.form and self.form.as_dict(self.is_formula),
             "closed": self.closed,
+            "coverage": self.coverage.as_dict(),
             "shooting_interval": self.problem.interval / self.problem.record.rate or None,
             "simulation_error": {"estimation": estimation, "validation": validation},
         }
+
+
+def _deviation(rows: Array, covariance: Array) -> Array:
+    """Return the standard deviations of sums with rows of factors (m, f)."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, covariance, rows), 0.0)))
 
 
 def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone: bool = False) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.patches import Patch
@@ -14,7 +15,8 @@ from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
 from masking.discovery.screening import Score
 from masking.discovery.verdict import noise_threshold
-from masking.reports import discovery_text, force_map, style
+from masking.estimation.simulation import Simulated
+from masking.reports import discovery_text, fit_figures, force_map, place_text, style
 from masking.reports import figure_parts as parts
 from masking.reports.force_map import AFTER, BEFORE, CLOUD, MISSING, POINTS
 from masking.reports.style import COLOURS, DASHED, GRID, INK, MUTED, SIZE, WIDTH, CaptionedFigure
@@ -31,11 +33,35 @@ FAINT = 1e-3  # of the strongest line: weaker ones are rounded off by the smooth
 
 def figures(found: Discovery) -> list[CaptionedFigure]:
     """Draw the figures of a discovery."""
-    latent = latent_force.force_at(found, discovery_text.rest(found).best.name)
+    most = discovery_text.rest(found).best.name if found.law is None else found.law.place
+    latent = latent_force.force_at(found.as_written, most)
     of_force = [force_map.figure(found, latent)] if np.isfinite(latent.deviations[0]) else []  # seen by a sensor
     if of_force and latent.where != "sensor" and found.twin.actuators:
         of_force.append(_course(found, latent))
-    return [_gap(found), *of_force, _residual(found), _candidates(found)]
+    return [_comparison(found), _gap(found), *of_force, _residual(found), _candidates(found)]
+
+
+def _comparison(found: Discovery) -> CaptionedFigure:
+    """Draw the validation record beside what the model makes of it as declared, and with what was found."""
+    record, sensors = found.validation_record, found.twin.declaration.sensors
+    units = tuple("" if sensors[name].unit == "1" else sensors[name].unit for name in found.twin.sensors)
+    before, after = (
+        Simulated(record, found.twin.sensors, units, record.readings - one.residuals)
+        for one in (found.before, found.unseen)
+    )
+    has_finding = found.effects or found.law
+    labels = "as declared", "with the finding" if has_finding else "with adjusted parameters"
+    name = discovery_text.worst(found)
+    first, last = (percent(one.chi[name]) for one in (before, after))
+    said = f"On data that were not used, the error of {name} falls from {first} {labels[0]} to {last} {labels[1]}"
+    if not after.chi[name] < before.chi[name]:
+        said = f"On data that were not used, the error of {name} is {first} {labels[0]} and {last} {labels[1]}"
+    made = fit_figures.comparison(before, after, labels, said)
+    every = {part.interval for part in (found.validation, found.as_written.validation)} - {0}
+    if not every:
+        return made
+    seconds = listed([f"{samples / record.rate:.3g} s" for samples in sorted(every, reverse=True)])
+    return replace(made, caption=f"{made.caption} Simulations begin anew every {seconds}.")
 
 
 def _gap(found: Discovery) -> CaptionedFigure:
@@ -89,7 +115,7 @@ def _course(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigu
     by, unit = parts.shown(latent.units[0], latent.before)
     figure, ((over, time, spectrum),) = style.panels(1, 1.75, (2.05, 2.7, 1.6), heading=said)
     t, step = np.arange(len(latent.before)) / found.record.rate, max(1, len(latent.before) // POINTS)
-    pairs = [(latent.before, BEFORE), *([(latent.after, AFTER)] if found.effects else [])]
+    pairs = [(latent.before, BEFORE), *([(latent.after, AFTER)] if found.effects or found.law else [])]
     drawn = [(values, colour) for values, colour in pairs if values is not None]
     times, name = parts.shown(latent_force.command_unit(found, command), column)
     for values, colour in drawn:
@@ -134,7 +160,7 @@ def _coursed(found: Discovery, latent: latent_force.LatentForce, command: str) -
     seen = discovery_text.subject(found)
     if not any(seen.coordinates.values()):
         return f"The model error at {latent.place} is not beyond its deviation"
-    sentence = capital(discovery_text.follows_command(seen, command))
+    sentence = capital(place_text.follows_command(seen, command))
     place = next((place for place in seen.places if place.name == latent.place), None)
     if place is None or not place.decomposition.regions:
         return sentence
@@ -146,11 +172,9 @@ def _coursed(found: Discovery, latent: latent_force.LatentForce, command: str) -
 def _residual(found: Discovery) -> CaptionedFigure:
     """Draw the residuals of the validation record, over time and frequency, before and after."""
     names = found.twin.sensors[:MOST_SENSORS]
-    sigma, record = found.validation.sigma, found.validation_record
+    sigma, record, after = found.validation.sigma, found.validation_record, found.unseen
     most = noise_threshold(len(record), found.problem.rules)
-    more = [
-        n for i, n in enumerate(found.twin.sensors) if found.after.squares[i] > most**2 * len(record) * sigma[i] ** 2
-    ]
+    more = [n for i, n in enumerate(found.twin.sensors) if after.squares[i] > most**2 * len(record) * sigma[i] ** 2]
     said = (
         f"On the validation record, the residual of {listed(found.twin.sensors)} is noise"
         if not more
@@ -158,7 +182,7 @@ def _residual(found: Discovery) -> CaptionedFigure:
     )
     figure, rows = style.panels(len(names), 1.35, (4.55, 2.55), heading=said)
     t = np.arange(len(record)) / record.rate
-    pairs = [(found.adjusted, BEFORE, 0.9), *([(found.after, AFTER, 1.0)] if found.effects else [])]
+    pairs = [(found.adjusted, BEFORE, 0.9), *([(after, AFTER, 1.0)] if found.effects or found.law else [])]
     for i, (name, (time, spectrum)) in enumerate(zip(names, rows, strict=True)):
         unit = found.twin.declaration.sensors[name].unit
         by, y_unit = parts.shown("" if unit == "1" else unit, *(h.residuals[:, i] for h, _, _ in pairs))

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from masking.declaration.quantities import number, percent, power, with_deviation
+from masking.declaration.quantities import number, percent, with_deviation
 from masking.declaration.units import pretty
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
 from masking.discovery.localisation import LatentForces
 from masking.discovery.verdict import noise_threshold, probabilities
 from masking.estimation.whiteness import DOUBTED
-from masking.reports import discovery_figures, discovery_files, discovery_text, html
+from masking.reports import discovery_figures, discovery_files, discovery_text, html, place_text
 from masking.reports.discovery_files import Files, Origin
 from masking.reports.html import Tile
 from masking.reports.style import CaptionedFigure
@@ -93,12 +93,13 @@ def _tiles(found: Discovery) -> Iterator[Tile]:
         probability = percent(sure) if sure > LEAST_SURE else f"< {percent(LEAST_SURE)}"
         yield Tile(discovery_text.labelled(found, one.name, one.on), probability, "probability")
     errors, worst = found.simulation_error, discovery_text.worst(found)
-    floor, after = errors.validation_noise_floor, errors.validation[1]
-    if found.effects:
+    floor = errors.validation_noise_floor
+    after = errors.validation[1] if found.law is None else found.law.error[1]
+    if found.effects or found.law:
         before, how = discovery_text.without(found)
         label = f"error in {worst} {'as declared' if how == 'as declared' else 'without it'}"
         yield Tile(label, percent(before[worst]), "validation")
-    label = f"error in {worst}" + " with it" * bool(found.effects)
+    label = f"error in {worst}" + " with it" * bool(found.effects or found.law)
     most = noise_threshold(len(found.validation_record), found.problem.rules)
     yield Tile(label, percent(after[worst]), f"noise {percent(floor[worst])}", after[worst] > most * floor[worst])
 
@@ -135,10 +136,10 @@ def _places(latent: LatentForces) -> Iterator[tuple[str, ...]]:
         if parts is not None:
             energy = [percent(part) for part in (parts.displacement, parts.rate, parts.both, parts.neither)]
             odd = "" if parts.odd is None else percent(parts.odd)
-            regions = discovery_text.regions(place)
+            regions = place_text.regions(place)
             at = listed(regions) if regions else ""
-        watts = power(abs(force.loss), place.units) or f"{percent(abs(force.taken))} of the most"
-        loss = f"{'-' if force.loss < 0.0 else ''}{watts}" if abs(force.taken) > LITTLE else "little"
+        size = place_text.loss(place) or f"{percent(abs(force.taken))} of the most"
+        loss = f"{'-' if force.loss < 0.0 else ''}{size}" if abs(force.taken) > LITTLE else "little"
         yield place.name, percent(place.share), *energy, odd, loss, at
 
 
@@ -167,7 +168,7 @@ def _whiteness(found: Discovery) -> Iterator[tuple[str, ...]]:
     for name, pair in found.localisation.whiteness.items():
         for what, one in zip(("adjusted", "with the finding"), pair, strict=True):
             if one is not None:
-                yield name, what, discovery_text.white(one), _probability(one.p), percent(one.beyond)
+                yield name, what, place_text.white(one), _probability(one.p), percent(one.beyond)
 
 
 def _probability(p: float) -> str:

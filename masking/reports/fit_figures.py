@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from masking.declaration.quantities import percent
 from masking.errors import IntegrationError
@@ -13,6 +15,7 @@ from masking.estimation.data import Data
 from masking.estimation.fit import Fit
 from masking.estimation.innovations import KalmanFit
 from masking.estimation.simulation import Simulated, simulate
+from masking.numerics.arrays import Array
 from masking.reports import figure_parts as parts
 from masking.reports import style
 from masking.reports.style import BAND, COLOURS, DASHED, INK, LIMIT, MUTED, SIZE, CaptionedFigure
@@ -20,6 +23,8 @@ from masking.reports.text import aligned
 
 _WIDTHS: Final = (3.1, 1.75, 1.75)  # inches: readings, what is left of them, its spectrum
 _WHOLE: Final = (7.1,)  # inches
+_HALVES: Final = (4.1, 3.2)  # inches: the whole record, and a part of it
+_BEYOND = 2.5  # times half the range of what is measured: from there on, what is simulated is cut off
 _PERIODS = 8  # of the strongest line that are shown
 _LEAST_SHOWN = 1.0  # s
 _MORE = 1.2  # times the noise: from here on a residual is more than that
@@ -34,6 +39,17 @@ _FIGURES: Final[dict[Which, tuple[str, str]]] = {
     "validation": ("validation", "The fit on the validation record"),
     "": ("simulation", "The record and its simulation, enlarged"),
 }
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line over time: its label, values of each sensor (m, sensors), colour and width in points."""
+
+    label: str
+    values: Array
+    colour: str
+    width: float = 0.8
+    is_dashed: bool = False
 
 
 def figures(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]) -> tuple[list[CaptionedFigure], str]:
@@ -60,22 +76,71 @@ def figures(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data
 
 def overview(made: Simulated) -> CaptionedFigure:
     """Draw a whole record, its simulation and the residual."""
-    names = made.sensors[:_MOST_SENSORS]
-    figure, rows = style.panels(len(names), 1.35, _WHOLE, heading=verdict(made, ""))
-    for i, (name, (axes,)) in enumerate(zip(names, rows, strict=True)):
-        by, unit = parts.shown(made.units[i], made.record.readings[:, i])
-        series = ((made.record.readings, COLOURS[0]), (made.readings, INK), (made.residual, COLOURS[1]))
-        for values, colour in series:
-            axes.plot(*style.thin(made.times, by * values[:, i]), color=colour, lw=0.8)
-        axes.set_ylabel(style.with_unit(style.symbol(name), unit))
-        axes.set_xlim(0.0, made.times[-1])
-        parts.ticks(axes, 4)
-    rows[-1][0].set_xlabel("time (s)")
-    keys = (("measured", COLOURS[0]), ("simulated", INK), ("residual", COLOURS[1]))
-    parts.legend(figure, rows[0][0], [parts.line_key(label, colour) for label, colour in keys])
-    more = parts.first_of(len(names), len(made.sensors), "sensors")
+    lines = [
+        Line("measured", made.record.readings, COLOURS[0]),
+        Line("simulated", made.readings, INK),
+        Line("residual", made.residual, COLOURS[1]),
+    ]
+    figure = _over_time(made, lines, [(0.0, made.times[-1])], verdict(made, ""))
+    more = parts.first_of(len(made.sensors[:_MOST_SENSORS]), len(made.sensors), "sensors")
     caption = f"{made.record.name}: measured, simulated from the initial state that fits best, and the residual.{more}"
     return CaptionedFigure("overview", "The whole record", caption, figure)
+
+
+def comparison(before: Simulated, after: Simulated, labels: tuple[str, str], heading: str) -> CaptionedFigure:
+    """Draw a record beside two simulations of it: the whole, and enlarged where the first is furthest off.
+
+    Args:
+        before: the record and a simulation of it.
+        after: another simulation.
+        labels: of these.
+        heading: what is to be seen.
+    """
+    lines = [
+        Line("measured", after.record.readings, COLOURS[0], 2.2),
+        Line(labels[0], before.readings, COLOURS[1], 1.0),
+        Line(labels[1], after.readings, INK, 1.0, is_dashed=True),
+    ]
+    seconds, whole = _span(after), float(after.times[-1])
+    error = ((before.residual / np.maximum(after.record.noise, 1e-300)) ** 2).sum(axis=1)
+    sums = np.concatenate([[0.0], np.cumsum(error)])
+    count = min(max(1, round(seconds * after.record.rate)), len(error))
+    start = float(np.argmax(sums[count:] - sums[:-count])) / after.record.rate
+    figure = _over_time(after, lines, [(0.0, whole), (start, min(start + seconds, whole))], heading)
+    more = parts.first_of(len(after.sensors[:_MOST_SENSORS]), len(after.sensors), "sensors")
+    caption = (
+        f"{after.record.name}: measured, and simulated from the initial state that fits best, {labels[0]} and "
+        f"{labels[1]}; right, {seconds:.3g} s of it, where the first is furthest off. What is far beyond the measured "
+        f"motion is cut off.{more}"
+    )
+    return CaptionedFigure("comparison", "Measured, before and after", caption, figure)
+
+
+def _over_time(made: Simulated, lines: Sequence[Line], spans: Sequence[tuple[float, float]], heading: str) -> Figure:
+    """Draw lines of each sensor over spans of time in s, the readings and the last line without a part cut off."""
+    names = made.sensors[:_MOST_SENSORS]
+    widths = _WHOLE if len(spans) == 1 else _HALVES
+    figure, rows = style.panels(len(names), 1.35, widths, heading=heading)
+    for i, (name, row) in enumerate(zip(names, rows, strict=True)):
+        by, unit = parts.shown(made.units[i], made.record.readings[:, i])
+        for axes, (first, last) in zip(row, spans, strict=True):
+            part = (made.times >= first) & (made.times <= last)
+            for line in lines:
+                values = by * line.values[part, i]
+                axes.plot(*style.thin(made.times[part], values), color=line.colour, lw=line.width,
+                          ls=DASHED if line.is_dashed else "-")  # fmt: skip
+            axes.set_xlim(first, last)
+            kept = by * np.concatenate([lines[0].values[part, i], lines[-1].values[part, i]])
+            middle, reach = 0.5 * (kept.max() + kept.min()), _BEYOND * 0.5 * float(np.ptp(kept)) or 1.0
+            low, high = axes.get_ylim()
+            axes.set_ylim(max(low, middle - reach), min(high, middle + reach))
+            parts.ticks(axes, 4)
+        row[0].set_ylabel(style.with_unit(style.symbol(name), unit))
+    for axes in rows[-1]:
+        axes.set_xlabel("time (s)")
+    keys = [parts.line_key(line.label, line.colour, line.width + 0.4, dashed=line.is_dashed) for line in lines]
+    parts.legend(figure, rows[0][-1], keys)
+    return figure
 
 
 def fit(made: Simulated, which: Which) -> CaptionedFigure:

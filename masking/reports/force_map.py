@@ -25,6 +25,8 @@ from masking.reports.text import capital, listed
 BEFORE: Final = COLOURS[1]
 AFTER: Final = COLOURS[0]
 MISSING: Final = {"element": "latent force", "actuator": "command error", "sensor": "reading error"}
+KNOWN: Final = COLOURS[2]  # of a band
+KNOWN_OPACITY: Final = 0.35
 CLOUD: Final = 0.4  # opacity
 POINTS = 5000  # of a cloud
 ALSO = 0.02  # part that all takes beyond what the laws at the place take, from which that is stated
@@ -32,10 +34,12 @@ ALSO = 0.02  # part that all takes beyond what the laws at the place take, from 
 
 def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigure:
     """Draw the latent force over displacement and rate, before and after, with the laws that were found there."""
-    has_after = latent.after is not None and bool(found.explanation.hypothesis.instances)
+    has_after = latent.after is not None and bool(found.written.hypothesis.instances)
     what = MISSING[latent.where]
-    instances = laws_at(found, latent)
+    instances, unnamed = laws_at(found, latent), found.law
     law = along(found, latent, instances) if instances else None
+    if unnamed is not None:
+        law = unnamed.force(latent.x, latent.rate)
     said = _seen(found, latent, what, law)
     values = [latent.before, *([law] if law is not None else [])]
     by, unit = parts.shown(latent.units[0], *values)
@@ -43,11 +47,11 @@ def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigur
     rows_of = [(latent.before, BEFORE, "before"), *([(latent.after, AFTER, "after")] if has_after else [])]
     seen = latent.seen
     figure, rows = style.panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), heading=said)
-    low = np.array([np.quantile(x, [0.0005, 0.9995]) for x, _ in seen])
+    ranges = np.array([np.quantile(x, [0.0005, 0.9995]) for x, _ in seen])
     step = max(1, len(latent.x) // POINTS)
     for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
         assert values_of is not None  # noqa: S101  # those that are None have no row
-        for axes, (x, x_unit), (left, right) in zip(row, seen, low, strict=True):
+        for axes, (x, x_unit), (left, right) in zip(row, seen, ranges, strict=True):
             times, name = parts.shown(x_unit, x)
             axes.plot(times * x[::step], by * values_of[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
             centres, means, _ = latent_force.binned(x, values_of)
@@ -56,6 +60,7 @@ def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigur
             axes.plot(times * centres, by * means, color=colour, lw=1.8)
             if kind == "before" and law is not None:
                 _law(axes, times * x, by * law)
+                _band(axes, unnamed and unnamed.band(latent.x, latent.rate, x), times, by)
             pad = 0.03 * (right - left)
             axes.set(xlim=(times * (left - pad), times * (right + pad)), ylim=(-reach, reach))
             axes.axhline(0.0, color=MUTED, lw=0.7)
@@ -67,10 +72,12 @@ def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigur
         for axes in row[1:]:
             axes.tick_params(labelleft=False)
             axes.yaxis.get_offset_text().set_visible(False)
-    handles: list[Line2D | Patch] = [parts.line_key(f"{what}, its mean and ± 2 deviations", BEFORE)]
+    handles: list[Line2D | Patch] = [parts.line_key(f"{what}, mean ± 2 deviations", BEFORE)]
     if law is not None:
-        label = "law that was fitted" if len(instances) == 1 else f"sum of the {len(instances)} laws that were fitted"
-        handles.append(parts.line_key(label, INK, 1.6))
+        label = "law that was fitted" if len(instances) < 2 else f"sum of the {len(instances)} laws that were fitted"
+        handles.append(parts.line_key("law without a name" if unnamed else label, INK, 1.6))
+    if unnamed is not None:
+        handles.append(Patch(color=KNOWN, alpha=KNOWN_OPACITY, label="its band, ± 2 deviations"))
     if has_after:
         handles.append(parts.line_key(f"remaining {what}", AFTER))
     parts.legend(figure, rows[0][-1], handles)
@@ -85,7 +92,9 @@ def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigur
 
 
 def laws_at(found: Discovery, latent: latent_force.LatentForce) -> list[EffectInstance]:
-    """Return the causes at the place in view that are reported."""
+    """Return the causes at the place in view that are reported; none beside a law without a name."""
+    if found.law is not None:
+        return []
     offered = {(one.name, one.on) for one in discovery_text.offered(found)}
     return [
         instance
@@ -133,6 +142,10 @@ def _seen(found: Discovery, latent: latent_force.LatentForce, what: str, law: Ar
     if found.verdict == "none" or (found.verdict == "parameter" and is_small):
         beside = "With the parameters that were found, the" if found.verdict == "parameter" else "The"
         return f"{beside} record shows no {what} at {latent.place} beyond its deviation that follows the motion"
+    if found.law is not None and law is not None:
+        part, band = percent(share(latent, law), 3), found.law.coverage.band
+        of = f"of the mean square of the {what} at {latent.place}"
+        return f"The law without a name explains {part} {of}, and is known to ± {percent(band)} of its rms"
     if found.verdict == "unknown" or latent.after is None or not found.effects:
         return discovery_text.look(found)
     whole = share(latent, None)
@@ -148,6 +161,13 @@ def _seen(found: Discovery, latent: latent_force.LatentForce, what: str, law: Ar
     alone = share(latent, law)
     sentence = f"{capital(name)} {explains} {percent(alone, 3)} {of}"
     return f"{sentence}; the whole finding explains {percent(whole, 3)}" if whole > alone + ALSO else sentence
+
+
+def _band(axes: Axes, band: tuple[Array, Array, Array] | None, times: float, by: float) -> None:
+    """Draw the band of a law without a name, in factors of what is drawn; of others, which have none, nothing."""
+    if band is not None:
+        centres, low, high = band
+        axes.fill_between(times * centres, by * low, by * high, color=KNOWN, alpha=KNOWN_OPACITY, lw=0.8, zorder=4)
 
 
 def _law(axes: Axes, x: Array, law: Array) -> None:

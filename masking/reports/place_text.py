@@ -1,0 +1,108 @@
+"""Words: what a force at a place looks like, in plain sentences."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from masking.declaration.quantities import number, power, quantity, work
+from masking.discovery.localisation import LatentForces, LocatedForce
+from masking.estimation.whiteness import Whiteness
+from masking.reports.text import listed, much
+
+NOTABLE = 0.15  # part of a force's energy from which a dependence is stated
+ALIKE = 0.9  # part of it that turns round with the motion, or does not, from which it is called so
+CONSTANT = 0.9  # part of its mean square that is its mean's, from which it hardly changes
+MOST = 0.5  # part of the energy of a force, from which a region is stated
+MUCH = 1.5  # times the part of the time: a part of the energy from which a region is stated
+TAKEN = 0.2  # of the power that a force could take out of the motion, from which that is stated
+
+
+def follows_command(latent: LatentForces, name: str) -> str:
+    """Say how much of the model error follows a command."""
+    return f"{much(latent.actuators[name])} of the model error follows the command of {name}"
+
+
+def portrayed(place: LocatedForce) -> str:
+    """Say what a force at a place follows, how alike it is in both directions, where it sits and what it takes."""
+    parts = place.decomposition.parts
+    if parts is None:
+        return "it is hardly beyond its deviation"
+    if place.decomposition.mean**2 > CONSTANT * place.decomposition.size**2:
+        return "it hardly changes"
+    follows = [
+        (much(part), what)
+        for part, what in (
+            (parts.displacement, "the displacement"),
+            (parts.rate, "the rate"),
+            (parts.both, "displacement and rate together"),
+        )
+        if part > NOTABLE
+    ]
+    sentences = []
+    if follows:
+        (first, what), *others = follows
+        said = listed([f"{first} of its energy follows {what}", *(f"{part} {what}" for part, what in others)])
+        sentences.append(said if parts.odd is None else f"{said}, {symmetry(parts.odd)}")
+    if parts.neither > NOTABLE:
+        sentences.append(
+            f"{much(parts.neither)} follows neither displacement nor rate: time, memory or another place matters"
+        )
+    sentences.extend(regions(place))
+    if abs(place.decomposition.taken) > TAKEN:
+        way = ("takes", "out of") if place.decomposition.loss > 0.0 else ("puts", "into")
+        sentences.append(f"it {way[0]} {loss(place) or 'energy'} {way[1]} the motion")
+    return "; ".join(sentences)
+
+
+def loss(place: LocatedForce) -> str:
+    """Say which power a force takes out of the motion or puts into it, and which energy in a cycle; '' without units.
+
+    A cycle is one of the motion's frequency, where it has one.
+    """
+    size, cycle = abs(place.decomposition.loss), place.frequency
+    watts = power(size, place.units)
+    if not watts or not cycle:
+        return watts
+    return f"{watts} ({work(size / cycle, place.units)} per cycle of {quantity(cycle, 'Hz', 2)})"
+
+
+def symmetry(odd: float) -> str:
+    """Say how alike a force is in both directions, by the part of it that turns round with the motion."""
+    if odd > ALIKE:
+        return "alike in both directions"
+    return "the same way on both sides" if odd < 1.0 - ALIKE else "different in the two directions"
+
+
+def regions(place: LocatedForce) -> list[str]:
+    """Say in which part of travel, speed and record a force has much more of its energy than there is time."""
+    sentences, of = [], place.decomposition.regions
+    ends = [of["displacement"][name] for name in ("low", "high")]
+    (energy, time), parts = np.sum(ends, axis=0), place.decomposition.parts
+    if energy > MUCH * time and energy > MOST and min(part / max(spent, 1e-9) for part, spent in ends) > 1.0:
+        sentences.append("most of it is at the ends of the travel")
+    else:
+        sentences.extend(
+            f"{much(part)} of it is where the displacement is {name if name != 'middle' else 'in the middle'}"
+            for name, (part, spent) in of["displacement"].items()
+            if part > max(MUCH * spent, MOST)
+        )
+    if parts is not None and parts.rate < MOST:  # what follows the rate is larger where that is
+        sentences.extend(
+            f"{much(part)} of it is where the motion is {name}"
+            for name, (part, spent) in of["speed"].items()
+            if part > MUCH * spent
+        )
+    sentences.extend(
+        f"{much(part)} of it is in the {name} third of the record"
+        for name, (part, spent) in of["record"].items()
+        if part > MUCH * spent
+    )
+    return sentences
+
+
+def white(one: Whiteness) -> str:
+    """Say whether residuals are white, and if not, at which frequency they are not."""
+    if one.white:
+        return "white"
+    at = "an offset" if not one.frequency else f"{number(one.frequency, 2)} Hz"
+    return f"not white ({'slow, ' if one.slow and one.frequency else ''}{at})"
