@@ -4,6 +4,7 @@ Records are those of the benchmark: integrated by scipy from laws typed there.
 """
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +13,13 @@ from scipy.interpolate import CubicSpline
 
 import masking
 from masking.declaration.expression import Expression
-from masking.discovery import calibration, closed_form, grammar, rival
+from masking.declaration.quantities import quantity
+from masking.discovery import calibration, closed_form, grammar, harmonics, latent_force, rival
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.bases import Curve, pieces
+from masking.discovery.coverage import Coverage
 from masking.discovery.tabulated import tabulated
-from masking.reports import discovery_text
+from masking.reports import discovery_figures, discovery_text, experiment_text, fit_figures, place_text
 from tests.benchmarks.laws import records, scoring
 
 CASE = records.Case("fluid 1.7", 1)
@@ -84,6 +87,96 @@ def test_the_written_model_reproduces_what_is_promised(found):
     said = "A law without a name in spring1 explains the record: a force that grows with the 1.7th power of the rate"
     assert said in discovery_text.sentence(discovery)
     assert "law without a name" in (folder / "found" / "discovery.html").read_text()
+
+
+def test_the_page_begins_with_measured_before_and_after_the_law(found, monkeypatch):
+    discovery, _, folder = found
+    drawn = {}
+
+    def compared(before, after, labels, heading):
+        drawn.update(before=before, after=after, labels=labels, heading=heading)
+        return comparison(before, after, labels, heading)
+
+    comparison = fit_figures.comparison
+    monkeypatch.setattr(fit_figures, "comparison", compared)
+    first = discovery_figures.figures(discovery)[0]
+    page = (folder / "found" / "discovery.html").read_text()
+    assert page.index(first.title) < page.index("Simulation error") < page.index("Residuals")
+    assert (folder / "found" / "comparison.png").read_bytes()[:4] == b"\x89PNG"
+    again = masking.simulate(folder / "found" / "plant.yaml", folder / "unseen.csv", hold="first-order")
+    scale = np.abs(again.record.readings).max()
+    np.testing.assert_allclose(drawn["after"].readings, again.readings, atol=2e-4 * scale)
+    assert drawn["before"].chi["q1"] == pytest.approx(discovery.simulation_error.validation[0]["q1"])
+    assert drawn["labels"] == ("as declared", "with the finding")
+    whole, zoomed = first.figure.axes[:2]
+    assert [len(axes.lines) for axes in (whole, zoomed)] == [3, 3]
+    assert np.ptp(zoomed.get_xlim()) < 0.3 * np.ptp(whole.get_xlim())
+
+
+def test_the_residual_with_the_finding_is_that_of_the_law(found):
+    discovery, _, _ = found
+    before, after = discovery.localisation.whiteness["q1"]
+    assert (before.white, after.white) == (False, True)
+    rms = float(np.sqrt((discovery.unseen.residuals**2).mean()))
+    assert rms == pytest.approx(float(discovery.validation.sigma[0]), rel=0.05)
+    assert rms < 0.5 * float(np.sqrt((discovery.after.residuals**2).mean()))  # the name leaves more
+    latent = latent_force.force_at(discovery.as_written, discovery.law.place)
+    assert float((latent.after**2).mean()) < 1e-3 * float((latent.before**2).mean())
+
+
+def test_the_band_of_a_law_holds_the_truth(found):
+    discovery, rig, _ = found
+    law = discovery.law
+    x, rate = law.free.x[::20], law.free.rate[::20]
+    truth = np.array([rig.hidden(d, v) for d, v in zip(x, rate, strict=True)])
+    middle, half = law.free.rows(x, rate) @ law.curves[0], 2.0 * law.deviation(x, rate)
+    # Curves of few pieces hold a power within `closed_form.EXACT` of its size, beside what the record leaves open.
+    assert np.mean(np.abs(middle - truth) < half + closed_form.EXACT * truth.std()) > 0.9
+    assert half.max() < 0.05 * np.abs(truth).max()
+    told = law.as_dict()["coverage"]
+    assert told["band"] == pytest.approx(np.sqrt((half**2).mean()) / np.sqrt((truth**2).mean()), rel=0.1)
+    assert told["widest"]["band"] >= told["band"]
+    assert told["rate"] == pytest.approx((law.free.rate.min(), law.free.rate.max()))
+
+
+def test_a_law_without_a_name_says_which_experiment_tells_more(found):
+    discovery, _, _ = found
+    (said,) = experiment_text.further(discovery)
+    fastest = quantity(float(np.abs(discovery.law.free.rate).max()), "m/s", 2)
+    assert said.startswith("Along the motion the law is known to ± ")
+    assert said.endswith(f"a motion beyond speeds of {fastest} would tell how it goes on there")
+    assert said in discovery_text.sentence(discovery)
+
+
+def test_energy_of_a_cycle_is_that_of_the_law(found):
+    discovery, rig, _ = found
+    law = discovery.law
+    place = discovery.localisation.latent.best
+    truth = np.mean([rig.hidden(d, v) * v for d, v in zip(law.free.x, law.free.rate, strict=True)])
+    assert place.decomposition.loss == pytest.approx(truth, rel=0.1)
+    said = place_text.loss(place)
+    assert re.fullmatch(r"\S+ [nµm]?W \(\S+ [nµm]?J per cycle of \S+ Hz\)", said)
+    assert place.as_dict()["loss_per_cycle"] == pytest.approx(place.decomposition.loss / place.frequency)
+
+
+def test_a_motion_has_a_frequency_where_most_of_it_is_near_one():
+    t, noise = np.arange(20_000) / 1000.0, np.random.default_rng(1)
+    sine = np.sin(2.0 * np.pi * 7.3 * t)
+    assert harmonics.cycle(sine + 0.1 * noise.standard_normal(len(t)), 1000.0) == pytest.approx(7.3, rel=0.01)
+    assert harmonics.cycle(np.exp(-t / 5.0) * sine, 1000.0) == pytest.approx(7.3, rel=0.01)
+    assert harmonics.cycle(np.sign(sine), 1000.0) == pytest.approx(7.3, rel=0.01)  # of a triangle
+    assert harmonics.cycle(noise.standard_normal(len(t)), 1000.0) is None
+    assert harmonics.cycle(sine + np.sin(2.0 * np.pi * 31.0 * t), 1000.0) is None
+
+
+@pytest.mark.parametrize(("sides", "visited"), [(("v",), 1.0), (("d", "v"), 0.3)])
+def test_one_sine_visits_an_ellipse(sides, visited):
+    t = np.linspace(0.0, 2.0 * np.pi, 5000)
+    x, rate = np.cos(t), -np.sin(t)
+    known = Coverage.of(x, rate, rate, 0.01 + 0.1 * np.abs(rate) ** 8, sides)
+    assert known.visited == pytest.approx(visited, abs=0.06)  # 44 of 144 cells touch a circle
+    assert (known.widest.of, known.widest.high) == ("speed", pytest.approx(1.0))
+    assert known.size == pytest.approx(np.sqrt(0.5), rel=1e-3)
 
 
 def test_every_shape_of_the_grammar_is_a_safe_expression_of_zero_and_one():

@@ -41,8 +41,8 @@ def _of_law(found: Discovery, known: Coverage, place: str) -> str:
     unit = length if of_length else speed
     where = f"{'displacements' if of_length else 'speeds'} of {_between(least.low, least.high, unit)}"
     said = (
-        f"along the motion the law is known to ± {percent(known.band)} of its rms (two standard deviations), and least, "
-        f"to ± {percent(least.band)}, at {where}"
+        f"along the motion the law is known to ± {percent(known.band)} of its rms (two standard deviations), and "
+        f"least, to ± {percent(least.band)}, at {where}"
     )
     if least.band > NARROW:
         more = "a record with more of its motion there would tell most"
