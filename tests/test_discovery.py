@@ -168,7 +168,7 @@ def test_page_says_what_helps(discovered, folder):
         "SHA-256",
     ):
         assert words in page
-    for name in ("gap", "map", "course", "residual", "candidates"):
+    for name in ("comparison", "gap", "map", "course", "residual", "candidates"):
         assert (out / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
     assert not list(out.parent.glob(".friction*"))
 

@@ -110,7 +110,7 @@ class FreeLaw:
     def given(self, theta: Array) -> tuple[Array, Array]:
         """Return the factors (f,) and their covariance (f, f) where the parameters of the rig are known.
 
-        A spring of the law and one of the model cannot be told apart, and together are known well.
+        The record does not separate a spring of the law from one of the model, but knows their sum well.
 
         Args:
             theta: parameters of the rig (k,).
@@ -118,6 +118,8 @@ class FreeLaw:
         Source: Gelman et al. (2013), Bayesian Data Analysis, appendix A, for conditional normal distributions.
         """
         every, k = self.hypothesis.covariance, len(theta)
+        if not np.isfinite(every).all():  # a law that ran away
+            return self.factors, np.full((self.size, self.size), np.inf)
         size = np.sqrt(np.maximum(np.diag(every)[:k], 1e-300))
         inverse = np.linalg.pinv(every[:k, :k] / np.outer(size, size), rcond=COLLINEAR, hermitian=True)
         gain = every[-self.size :, :k] @ (inverse / np.outer(size, size))

@@ -22,7 +22,7 @@ APART = 0.1  # of it: commands have changed since
 EXCITED = 0.01  # of the largest amplitude of a command, from which a line counts as excited
 LEAST = 3  # periods: one to settle, and two to estimate the noise
 FEWEST_CYCLES = 3  # in a record, of a motion that has a frequency
-NEAR, WINDOW = 0.1, 2  # part of a frequency, and lines of Hann's window, that are near one
+NEAR, LEAKAGE = 0.1, 2  # part of a frequency, and lines on either side by leakage, that are near it
 ONE = 0.7  # of the energy of a rate: a motion with more near one frequency has that
 LONGEST = 0.75  # of a record: a longer period repeats too little to be found
 
@@ -107,7 +107,7 @@ def cycle(rate: Array, sampling: float) -> float | None:
     power = np.abs(np.fft.rfft((rate - rate.mean()) * np.hanning(len(rate)))) ** 2
     power[0] = 0.0
     at, lines = int(np.argmax(power)), np.arange(len(power))
-    near = np.abs(lines - at) <= max(NEAR * at, WINDOW)
+    near = np.abs(lines - at) <= max(NEAR * at, LEAKAGE)
     whole = float(power.sum())
     if at < FEWEST_CYCLES or not float(power[near].sum()) > ONE * whole > 0.0:
         return None

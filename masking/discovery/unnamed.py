@@ -115,7 +115,8 @@ class UnnamedLaw:
     @cached_property
     def coverage(self) -> Coverage:
         """Return where the record moves the place of the law, and how well the law is known there."""
-        sides = self.form.form.of if self.form is not None and self.is_formula else self.free.follows
+        of_form = self.form.form.of if self.form is not None and self.is_formula else set[str]()
+        sides = of_form or self.free.follows  # a constant is of neither
         x, rate = self.free.x, self.free.rate
         return Coverage.of(x, rate, self.force(x, rate), self.deviation(x, rate), sides)
 
@@ -166,6 +167,8 @@ class UnnamedLaw:
 
 def _deviation(rows: Array, covariance: Array) -> Array:
     """Return the standard deviations of sums with rows of factors (m, f)."""
+    if not np.isfinite(covariance).all():
+        return np.full(len(rows), np.inf)
     return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, covariance, rows), 0.0)))
 
 

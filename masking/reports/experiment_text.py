@@ -16,21 +16,21 @@ from masking.reports.place_text import MOST, MUCH
 from masking.reports.text import capital, listed, much
 
 NARROW = 0.05  # of the rms of a law: a band above this anywhere is to be made narrower first
-THIN = 0.5  # part of the displacements and rates within a range: a motion that visits less tells memory from none badly
-EQUAL = 0.95  # of what the best place explains: others that explain as much are not told from it
+THIN = 0.5  # part of the displacements and rates within a range: a motion that visits less hardly shows a memory
+EQUAL = 0.95  # of what the best place explains: others that explain as much may be it
 ONE = 0.999  # correlation of displacements from which they are the same motion
 
 
 def further(found: Discovery) -> list[str]:
     """Return sentences that say which experiment would tell more of what no name explains."""
     seen = found.localisation
-    left = seen.residual if found.law is not None and seen.residual is not None else seen.latent
-    place = left.best
-    if found.law is not None:
-        place = next(one for one in left.places if one.name == found.law.place)
-    closed = found.law is not None and found.law.closed
-    made = [] if found.law is None else [_of_law(found, found.law.coverage, found.law.place)]
-    made += [] if closed else [*_of_rest(found, place), *_of_places(found, seen.latent)]
+    left, law = seen.residual or seen.latent, found.law
+    place = left.best if law is None else next(one for one in left.places if one.name == law.place)
+    rest = "the model error" if seen.residual is None else "the residual"
+    is_known = law is not None and np.isfinite(law.coverage.band)
+    made = [_of_law(found, law.coverage, law.place)] if law is not None and is_known else []
+    if law is None or not law.closed:
+        made += [*_of_rest(found, place, rest), *_of_places(found, seen.latent)]
     return [capital(text) for text in made or [_of_range(found, place.name)]]
 
 
@@ -70,20 +70,20 @@ def _between(low: float, high: float, unit: str) -> str:
     return f"{quantity(low, unit, 2)} to {quantity(high, unit, 2)}"
 
 
-def _of_rest(found: Discovery, place: LocatedForce) -> Iterator[str]:
+def _of_rest(found: Discovery, place: LocatedForce, rest: str) -> Iterator[str]:
     """Say what would tell a memory, another place or a change with time from each other, where the rest shows one."""
     parts, thirds = place.decomposition.parts, place.decomposition.regions.get("record", {})
     late = next((name for name, (part, time) in thirds.items() if part > max(MUCH * time, MOST)), None)
     if late is not None:
         yield (
-            f"{much(thirds[late][0])} of what is left is in the {late} third of the record: the same record once more "
+            f"{much(thirds[late][0])} of {rest} is in the {late} third of the record: the same record once more "
             "would tell whether it changes with time"
         )
     if parts is not None and parts.neither > MOST:
         few = len(found.twin.sensors) < len(found.twin.model.coordinates)
         other = ", and a further sensor whether it is elsewhere" if few else ""
         yield (
-            f"{much(parts.neither)} of what is left at {place.name} follows neither displacement nor rate: two "
+            f"{much(parts.neither)} of {rest} at {place.name} follows neither displacement nor rate: two "
             f"amplitudes at one frequency, and two frequencies at one amplitude, would tell whether it has a "
             f"memory{other}"
         )

@@ -102,7 +102,8 @@ def comparison(before: Simulated, after: Simulated, labels: tuple[str, str], hea
         Line(labels[1], after.readings, INK, 1.0, is_dashed=True),
     ]
     seconds, whole = _span(after), float(after.times[-1])
-    error = ((before.residual / np.maximum(after.record.noise, 1e-300)) ** 2).sum(axis=1)
+    scale = np.maximum(np.abs(before.residual).max(axis=0), 1e-300)
+    error = ((before.residual / scale) ** 2).sum(axis=1)
     sums = np.concatenate([[0.0], np.cumsum(error)])
     count = min(max(1, round(seconds * after.record.rate)), len(error))
     start = float(np.argmax(sums[count:] - sums[:-count])) / after.record.rate
