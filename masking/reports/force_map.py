@@ -60,7 +60,7 @@ def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigur
             axes.plot(times * centres, by * means, color=colour, lw=1.8)
             if kind == "before" and law is not None:
                 _law(axes, times * x, by * law)
-                _band(axes, unnamed and unnamed.band(latent.x, latent.rate, x), times, by)
+                _band(axes, None if unnamed is None else unnamed.band(latent.x, latent.rate, x), times, by)
             pad = 0.03 * (right - left)
             axes.set(xlim=(times * (left - pad), times * (right + pad)), ylim=(-reach, reach))
             axes.axhline(0.0, color=MUTED, lw=0.7)
