@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.latent_force import Explained
@@ -171,7 +172,8 @@ class Discovery(Explained):
     @property
     def imperfections(self) -> list[Named]:
         """Return the small errors of sensors and actuators that were adjusted with the parameters of the model."""
-        first, known = len(self.rig.names), self.rig.imperfect(self.written.hypothesis.theta)
+        rig = self.written_rig
+        first, known = len(rig.names), rig.imperfect(self.written.hypothesis.theta)
         stds = map(float, self.written_deviations[first:])
         pairs = zip(known, stds, strict=False)
         return [Named(one.effect, one.at, {one.names[0]: (one.estimated[0], std)}, 1.0) for one, std in pairs]
@@ -194,6 +196,11 @@ class Discovery(Explained):
             return self
         explanation = replace(law.explanation, hypothesis=law.simulated)
         return replace(self, problem=law.known, explanation=explanation, validation=law.problem, after=law.validated)
+
+    @property
+    def written_rig(self) -> AugmentedModel:
+        """Return the rig that this is for: with a further place where the law without a name sits in one."""
+        return self.rig if self.law is None else self.law.rig
 
     @property
     def dictionary(self) -> Mapping[str, Effect]:

@@ -448,7 +448,7 @@ class _LeastSquares:
         if self.penalty is not None:
             found.matrix[k:first, k:first] += self.penalty
             found.gradient[k:first] -= self.penalty @ added
-            rough = float(added @ self.penalty @ added)
+            rough = max(float(added @ self.penalty @ added), 0.0)  # of factors that run away, rounding may be negative
         off, deviation, fixed = np.zeros(len(x)), np.full(len(x), np.inf), np.zeros(len(x), dtype=bool)
         off[:k], deviation[:k], fixed[:first] = prior.mean - theta, prior.deviation, self.frozen
         known = self.begins == 0.0

@@ -7,7 +7,7 @@ Source: as `bases`; Masri and Caughey (1979), J. Appl. Mech. 46, 433-447, for fo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -18,11 +18,13 @@ from masking.discovery import fitting
 from masking.discovery.augmented_model import MOST_COLUMNS, EffectInstance
 from masking.discovery.bases import FEW, Curve, Term, pieces
 from masking.discovery.fitting import Hypothesis
+from masking.discovery.further_places import NOUNS, FurtherPlaces
 from masking.discovery.latent_force import Explained, directions, projected
 from masking.discovery.places import Place
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import COLLINEAR, Screen
 from masking.discovery.smoothing import Motion, smooth
+from masking.discovery.work import Work
 from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
@@ -33,6 +35,7 @@ SIDE = 5  # pieces of each side of a surface
 MOST_FORMS = 3  # forms that are fitted
 ROUNDS = 25  # of a fit
 PARTS, FEWEST = (60, 12), 20  # of a record in a shooting interval to begin with, and samples in it
+NEARER = (2.0, 1.4, 1.2, 1.1, 1.05, 1.025)  # times the best relaxation time: those that are tried next
 FAR = 3.0  # deviations of the prior
 LOST = 1.5  # times the cost of shorter shooting intervals, from which the motion has lost the record
 ALIKE = 1.1  # cost over that of noise from which no richer form is fitted
@@ -49,6 +52,7 @@ class FreeLaw:
         x, rate: displacement and rate along the record (m,).
         penalty: on the free parameters of all effects (f, f), as in `fitting.fit`.
         problem: the record in the shooting intervals of the fit.
+        further: the further places that it sits in one of; None where it sits in a place of the rig itself.
     """
 
     place: Place
@@ -58,11 +62,17 @@ class FreeLaw:
     rate: Array
     penalty: Array
     problem: EstimationProblem
+    further: FurtherPlaces | None = None
 
     @property
     def score(self) -> float:
         """Return the cost with Schwarz's penalty for each factor."""
-        return self.hypothesis.cost + self.size * float(np.log(self.hypothesis.residuals.size))
+        return self.hypothesis.cost + self.numbers * float(np.log(self.hypothesis.residuals.size))
+
+    @property
+    def numbers(self) -> int:
+        """Return the number of factors, and of a relaxation time."""
+        return self.size + bool(self.further and self.further.time)
 
     @property
     def size(self) -> int:
@@ -77,7 +87,21 @@ class FreeLaw:
     @property
     def words(self) -> str:
         """Say what the law is made of."""
-        return f"a force that is {' plus '.join(KINDS[term.kind] for term in self.terms)}"
+        return f"a force that is {' plus '.join(KINDS[term.kind].format(**self.nouns) for term in self.terms)}"
+
+    @property
+    def nouns(self) -> Mapping[str, str]:
+        """Return what it calls its displacement `d` and its rate `v`."""
+        return NOUNS if self.further is None else self.further.nouns[self.place.name]
+
+    @property
+    def on(self) -> str:
+        """Return the name of the place of the rig whose force it is."""
+        return self.place.name if self.further is None else self.further.on[self.place.name]
+
+    def of(self, problem: EstimationProblem) -> EstimationProblem:
+        """Return a problem of another record for the rig of this law."""
+        return replace(problem, rig=self.problem.rig, prior=self.problem.prior)
 
     @property
     def follows(self) -> set[str]:
@@ -128,12 +152,12 @@ class FreeLaw:
 
 
 KINDS = {
-    "free_spring": "a curve over the displacement",
-    "free_damping": "a curve over the rate",
+    "free_spring": "a curve over the {d}",
+    "free_damping": "a curve over the {v}",
     "free_friction": "a dry friction",
-    "free_resistance": "a damping that changes with the displacement",
-    "free_rub": "a dry friction that changes with the displacement",
-    "free_surface": "a surface over displacement and rate",
+    "free_resistance": "the {v} times a curve over the {d}",
+    "free_rub": "a dry friction that changes with the {d}",
+    "free_surface": "a surface over {d} and {v}",
 }
 OF_DISPLACEMENT, OF_RATE = {"free_spring"}, {"free_damping", "free_friction"}  # alone
 
@@ -143,53 +167,104 @@ def rows(terms: Sequence[Term], x: Array, rate: Array) -> Array:
     return np.hstack([term.values(x, rate) for term in terms])
 
 
-def fit(found: Explained, known: Sequence[EffectInstance] = ()) -> FreeLaw | None:
+def fit(
+    found: Explained, known: Sequence[EffectInstance] = (), further: Sequence[FurtherPlaces] = ()
+) -> FreeLaw | None:
     """Return the law that leaves least, at the place where it does; None where none can be fitted.
 
     Args:
         found: the record with its explanation.
         known: effects elsewhere that are fitted beside it, with values to begin from.
+        further: places that are tried, in the place of those of the rig.
     """
-    problem = found.problem.uncounted()
-    room = MOST_COLUMNS - len(found.rig.start) - len(fitting.estimated(known)) - 2 * len(found.twin.state_names)
-    starts, many = list[_Start](), 0
-    for ground in _grounds(found):
-        screen = Screen(problem, ground.base, ground.motion, known)
-        many = len(screen.left)
-        for at, place in enumerate(found.rig.places):
-            if place.is_open and (place.declared or place.coordinate):
-                force, deviation = projected(ground.motion, directions(found, found.rig.columns[1][at]))
-                high = float(np.abs(force).max())
-                if high > NEGLIGIBLE * deviation:
-                    starts += _starts(screen, ground, at, high, room)
+    work = found.problem.uncounted().work
+    if further:
+        starts = [start for one in further for start in _further(found, work, one, known)]
+    else:
+        theta = found.explanation.hypothesis.theta
+        starts = [start for ground in _grounds(found, work) for start in _at(ground, theta, known)]
     best: FreeLaw | None = None
-    noise = float(problem.record.readings.size)
-    for one in _ranked(starts, many)[:MOST_FORMS]:
-        law = _fitted(problem, one, known)
+    noise = float(found.record.readings.size)
+    for one in _ranked(starts)[:MOST_FORMS]:
+        law = _fitted(one, known)
         if law is not None and (best is None or law.score < best.score):
             best = law
-        if problem.work.ends() or (best is not None and best.hypothesis.cost < ALIKE * noise):
+        if work.ends() or (best is not None and best.hypothesis.cost < ALIKE * noise):
             break
     return best
 
 
 @dataclass(frozen=True)
 class _Ground:
-    """The model without a law: a fit of it, and the motion that is smoothed with its parameters."""
+    """The model without a law: a fit of it, and the motion that is smoothed with its parameters.
 
+    Args:
+        problem: the record and the rig.
+        base: the fit.
+        motion: smoothed.
+        places: names of those where a law may sit.
+        further: the further places that these are.
+    """
+
+    problem: EstimationProblem
     base: Hypothesis
     motion: Motion
+    places: Collection[str]
+    further: FurtherPlaces | None = None
 
 
-def _grounds(found: Explained) -> list[_Ground]:
-    """Return the model as it was fitted, and as it is declared where the fit went far from that."""
-    problem, base = found.problem, found.search.base.hypothesis
-    grounds = [_Ground(base, found.search.motion)]
+def _grounds(found: Explained, work: Work) -> Iterator[_Ground]:
+    """Give the model as it was fitted, and as it is declared where the fit went far from that."""
+    problem, base = replace(found.problem, work=work), found.search.base.hypothesis
+    places = [one.name for one in found.rig.places if one.is_open and (one.declared or one.coordinate)]
+    yield _Ground(problem, base, found.search.motion, places)
     if (np.abs(base.theta - problem.prior.mean) > FAR * problem.prior.deviation).any():
         with suppress(IntegrationError):
             declared = fitting.fit(problem, theta=problem.prior.mean, frozen=True)
-            grounds.append(_Ground(declared, smooth(problem, declared.theta, declared.start)))
-    return grounds
+            yield _Ground(problem, declared, smooth(problem, declared.theta, declared.start), places)
+
+
+def _further(found: Explained, work: Work, further: FurtherPlaces, known: Sequence[EffectInstance]) -> Sequence[_Start]:
+    """Return the forms of a law at further places, with the relaxation time that leaves least to first order."""
+
+    def at(seconds: float) -> list[_Start]:
+        problem = replace(further.problem(found.problem, seconds), work=work)
+        base = further.hypothesis(found.search.base.hypothesis, found.rig, seconds)
+        try:
+            motion = smooth(problem, base.theta, base.start)
+        except IntegrationError:
+            return []
+        return _at(_Ground(problem, base, motion, further.nouns, further), base.theta, known)
+
+    made = {seconds: at(seconds) for seconds in further.tried or (0.0,)}
+
+    def best() -> float:
+        return min(made, key=lambda seconds: min((one.score for one in made[seconds]), default=np.inf))
+
+    for factor in NEARER if further.time else ():
+        near = best()
+        made |= {seconds: at(seconds) for seconds in (near / factor, near * factor)}
+    return made[best()]
+
+
+def _at(ground: _Ground, theta: Array, known: Sequence[EffectInstance]) -> list[_Start]:
+    """Return the forms of a law at each place where one may sit, fitted to first order.
+
+    Args:
+        ground: the model without a law.
+        theta: its parameters with which latent forces are brought to a place (k,).
+        known: effects elsewhere.
+    """
+    rig, screen = ground.problem.rig, Screen(ground.problem, ground.base, ground.motion, known)
+    room = MOST_COLUMNS - len(rig.start) - len(fitting.estimated(known)) - 2 * len(rig.twin.state_names)
+    starts = list[_Start]()
+    for at, place in enumerate(rig.places):
+        if place.name in ground.places:
+            force, deviation = projected(ground.motion, directions(rig, theta, rig.columns[1][at]))
+            high = float(np.abs(force).max())
+            if high > NEGLIGIBLE * deviation:
+                starts += _starts(screen, ground, at, high, room)
+    return starts
 
 
 @dataclass(frozen=True)
@@ -198,6 +273,7 @@ class _Start:
 
     Args:
         ground: the model without a law.
+        screen: of the record along it.
         place: where it sits.
         form: its terms.
         x, rate: displacement and rate there (m,).
@@ -208,6 +284,7 @@ class _Start:
     """
 
     ground: _Ground
+    screen: Screen
     place: Place
     form: tuple[Term, ...]
     x: Array
@@ -216,6 +293,16 @@ class _Start:
     penalty: Array
     cost: float
     used: float
+
+    @property
+    def rows(self) -> int:
+        """Return the rows of the screen."""
+        return len(self.screen.left)
+
+    @property
+    def score(self) -> float:
+        """Return the cost with Schwarz's penalty for each factor."""
+        return self.cost + self.used * float(np.log(self.rows))
 
 
 def _forms(place: Place, x: Array, rate: Array) -> list[tuple[Term, ...]]:
@@ -253,6 +340,8 @@ def _starts(screen: Screen, ground: _Ground, at: int, high: float, room: int) ->
     """
     place, x, rate = screen.rig.places[at], ground.motion.displacement[:, at], ground.motion.rate[:, at]
     forms = [form for form in _forms(place, x, rate) if sum(term.size for term in form) <= room]
+    if ground.further is not None:  # friction is of the rate of its own place
+        forms = [form for form in forms if not any(term.sharp for term in form)]
     terms = {term.kind: term for form in forms for term in form}
     columns = {kind: screen.responses(_instances([term], place.name)) for kind, term in terms.items()}
     found = []
@@ -268,17 +357,17 @@ def _starts(screen: Screen, ground: _Ground, at: int, high: float, room: int) ->
         factors = inverse @ (right / size) / size
         used = float(np.einsum("ij,ji->", inverse, gram / np.outer(size, size)))
         left = screen.total - 2.0 * float(factors @ right) + float(factors @ (gram + penalty) @ factors)
-        found.append(_Start(ground, place, form, x, rate, factors, penalty, left, used))
+        found.append(_Start(ground, screen, place, form, x, rate, factors, penalty, left, used))
     return found
 
 
-def _ranked(starts: Sequence[_Start], many: int) -> list[_Start]:
+def _ranked(starts: Sequence[_Start]) -> list[_Start]:
     """Return forms by what they leave of rows, with a penalty for each factor.
 
     Costs are divided by what the best form leaves, if that is more than noise.
     """
-    tempering = max(1.0, min((one.cost / max(many - one.used, 1.0) for one in starts), default=1.0))
-    return sorted(starts, key=lambda one: one.cost / tempering + one.used * np.log(many))
+    tempering = max(1.0, min((one.cost / max(one.rows - one.used, 1.0) for one in starts), default=1.0))
+    return sorted(starts, key=lambda one: one.cost / tempering + one.used * np.log(one.rows))
 
 
 def _instances(form: Sequence[Term], at: str, factors: Array | None = None) -> tuple[EffectInstance, ...]:
@@ -289,17 +378,20 @@ def _instances(form: Sequence[Term], at: str, factors: Array | None = None) -> t
     return tuple(one for term, part in zip(form, parts, strict=True) for one in term.instances(at, part))
 
 
-def _fitted(problem: EstimationProblem, one: _Start, known: Sequence[EffectInstance]) -> FreeLaw | None:
+def _fitted(one: _Start, known: Sequence[EffectInstance]) -> FreeLaw | None:
     """Return a form with effects elsewhere, fitted to the record from where the smoothed motion is.
 
     Shooting intervals grow from a fraction of the record to those of the problem: with the first factors the simulated
     motion would lose the record. If it loses it with the last ones, too, as chaotic motions do, shorter ones are kept.
     """
+    problem = one.ground.problem
     instances: tuple[EffectInstance, ...] = (*known, *_instances(one.form, one.place.name, one.factors))
     many = len(fitting.estimated(instances))
     whole = np.zeros((many, many))
     whole[-len(one.penalty) :, -len(one.penalty) :] = one.penalty
     theta, best = one.ground.base.theta, None
+    if one.ground.further is not None:  # the parameters that go with it, which the fit without it has led away
+        theta, _ = one.screen.around(instances)
     most, noise = problem.interval_samples, float(problem.record.readings.size)
     for samples in (*(n for part in PARTS if FEWEST < (n := len(problem.record) // part) < most), most):
         stage = replace(problem, interval=0 if samples == len(problem.record) else samples)
@@ -311,5 +403,5 @@ def _fitted(problem: EstimationProblem, one: _Start, known: Sequence[EffectInsta
         if best is not None and fitted.cost > LOST * max(best.hypothesis.cost, noise):
             break
         instances, theta = fitted.instances, fitted.theta
-        best = FreeLaw(one.place, one.form, fitted, one.x, one.rate, whole, stage)
+        best = FreeLaw(one.place, one.form, fitted, one.x, one.rate, whole, stage, one.ground.further)
     return best

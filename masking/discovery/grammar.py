@@ -123,13 +123,18 @@ class Atom:
             parts.append(shape.text.format(u=f"({_BASES[of]})", **known))
         return "*".join(parts)
 
-    def words(self, values: Sequence[float]) -> str:
-        """Say what the force of the term does, with the values of its numbers."""
+    def words(self, values: Sequence[float], nouns: Mapping[str, str]) -> str:
+        """Say what the force of the term does, with the values of its numbers.
+
+        Args:
+            values: of the numbers.
+            nouns: what its displacement `d` and its rate `v` are called.
+        """
         left, said = [*values], []
         for of, shape in reversed(self.shapes):
             numbers = [left.pop() for _ in shape.tried][::-1]
             known = {key: _ordinal(value) for key, value in zip(shape.tried, numbers, strict=True)}
-            said.append(shape.noun.format(x={"d": "displacement", "v": "rate"}[of], **known))
+            said.append(shape.noun.format(x=nouns[of], **known))
         first = self.shapes[-1][1]
         return f"{'grows with' if first.grows else 'follows'} {', times '.join(said)}"
 

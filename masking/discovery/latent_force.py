@@ -172,8 +172,8 @@ def _force(found: Explained, where: str, name: str) -> LatentForce:
         known = place.element.displacement is not None, place.has_rate
         x, rate = motion.displacement[:, at], motion.rate[:, at]
         column = rig.columns[1][at]
-        units = element_units(found, name)
-    by = directions(found, column)
+        units = element_units(rig, name)
+    by = directions(rig, found.explanation.hypothesis.theta, column)
     before, deviation = projected(motion, by)
     after, afterwards = (None, deviation) if left is None else projected(left, by)
     return LatentForce(name, where, x, rate, before, after, (deviation, afterwards), units, known)
@@ -235,7 +235,7 @@ def _without(found: Explained, motion: Motion) -> Motion:
                 law, column = along(found, instance, x, np.zeros_like(x)) - x, found.rig.columns[2][i]
             else:
                 law, column = along(found, instance, *motion.acted_on(instance.entry, i)), found.rig.columns[1][i]
-            forces -= np.outer(law, directions(found, column))
+            forces -= np.outer(law, directions(found.rig, found.explanation.hypothesis.theta, column))
     return replace(motion, forces=forces)
 
 
@@ -253,9 +253,8 @@ def projected(motion: Motion, by: Array) -> tuple[Array, float]:
     return (motion.forces @ weight / norm, norm**-0.5) if norm > 0.0 else (np.zeros(len(motion.forces)), np.inf)
 
 
-def directions(found: Explained, column: int) -> Array:
+def directions(rig: AugmentedModel, theta: Array, column: int) -> Array:
     """Return what a unit in a column of the equations is as forces on each degree (degrees,)."""
-    rig, theta = found.rig, found.explanation.hypothesis.theta
     moved = slopes(rig, theta)[1][len(rig.coordinates) :]
     moved = np.vstack([moved, rig.direct(theta)]) if rig.twin.is_fed else moved
     ports = moved[:, [rig.columns[1][i] for i in rig.degree_places]]
@@ -273,10 +272,10 @@ def command_unit(found: Explained, name: str) -> str:
     return actuators[name].unit
 
 
-def element_units(found: Explained, name: str) -> tuple[str, str, str]:
+def element_units(rig: AugmentedModel, name: str) -> tuple[str, str, str]:
     """Return the units of force, displacement and rate of a place; '' in a model without units."""
-    base = found.twin.base
-    element = next(place.element for place in found.rig.places if place.name == name)
+    base = rig.twin.base
+    element = next(place.element for place in rig.places if place.name == name)
     symbols = symbol_dimensions(base)
     if is_plain(base) or symbols is None:
         return "", "", ""

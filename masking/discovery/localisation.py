@@ -144,7 +144,7 @@ def localise(found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whitenes
 
 def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Periods | None) -> LatentForces:
     """Return the latent forces along a motion whose readings differ by an error (m, sensors) from the simulation."""
-    rig, repeats = found.rig, None if periods is None else periods.length
+    rig, theta, repeats = found.rig, found.explanation.hypothesis.theta, None if periods is None else periods.length
     ratios = (motion.forces**2).mean(axis=0) / np.maximum(motion.deviation, 1e-150) ** 2
     energies = np.where(ratios > SEEN, ratios - 1.0, 0.0)
     whole = float(energies.sum())
@@ -152,17 +152,17 @@ def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Peri
     def share(force: Array, deviation: float) -> float:
         return min(max(float((force**2).mean()) / deviation**2 - 1.0, 0.0) / whole, 1.0) if whole else 0.0
 
-    at = [latent_force.projected(motion, latent_force.directions(found, column)) for column in rig.columns[1]]
+    at = [latent_force.projected(motion, latent_force.directions(rig, theta, column)) for column in rig.columns[1]]
     places = []
     for place, x, rate, (force, deviation) in zip(rig.places, motion.displacement.T, motion.rate.T, at, strict=True):
         drawn = decompose(x, rate, force, deviation, repeats)
         harmonics = None if periods is None or drawn.parts is None else periods.harmonics(force)
-        units = latent_force.element_units(found, place.name)
+        units = latent_force.element_units(rig, place.name)
         frequency = cycle(rate, found.record.rate)
         places.append(LocatedForce(place.name, share(force, deviation), drawn, harmonics, units, frequency))
     actuators = {}
     for name, command, column in zip(found.twin.actuators, found.record.acting.T, rig.columns[2], strict=True):
-        force, deviation = latent_force.projected(motion, latent_force.directions(found, column))
+        force, deviation = latent_force.projected(motion, latent_force.directions(rig, theta, column))
         energy = float((force**2).mean()) - deviation**2
         part = min(followed(command, force, repeats) / energy, 1.0) if energy > 0.0 else 0.0
         actuators[name] = share(force, deviation) * part

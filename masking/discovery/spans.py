@@ -24,10 +24,10 @@ def spans(problem: EstimationProblem, motion: Motion) -> dict[tuple[str, str], S
         motion: the smoothed record.
     """
     rig, record = problem.rig, problem.record
-    found, tones, time = dict[tuple[str, str], Span](), _tones(problem, motion), _time(motion)
+    found, tones, of_motion = dict[tuple[str, str], Span](), _tones(problem, motion), time(motion)
     for place, x, rate in zip(rig.places, motion.displacement.T, motion.rate.T, strict=True):
         moved = x if place.element.displacement is not None else _moved(rate, problem.dt)
-        span = _span(moved, time, float(np.sqrt((rate**2).mean())) or 1.0, tones)
+        span = _span(moved, of_motion, float(np.sqrt((rate**2).mean())) or 1.0, tones)
         stiffness = rig.stiffnesses.get(place.name, 0.0)
         stiffnesses = tuple(part * (stiffness or 1.0) for part in REPLACED)
         found["element", place.name] = replace(span, stiffnesses=stiffnesses)
@@ -36,7 +36,7 @@ def spans(problem: EstimationProblem, motion: Motion) -> dict[tuple[str, str], S
         ("actuator", rig.twin.actuators, record.commands),
     ):
         for name, x in zip(names, table.T, strict=True):
-            found[where, name] = _span(x, time)
+            found[where, name] = _span(x, of_motion)
     return found
 
 
@@ -82,11 +82,11 @@ def _decays(moved: Array) -> bool:
     return bool((last.std(axis=0) <= 0.5 * first.std(axis=0)).all())
 
 
-def _span(x: Array, time: float, rate: float = 0.0, tones: tuple[float, ...] = ()) -> Span:
-    return Span(float(x.min()), float(x.max()), float(np.abs(x).max()), rate, time, tones)
+def _span(x: Array, seconds: float, rate: float = 0.0, tones: tuple[float, ...] = ()) -> Span:
+    return Span(float(x.min()), float(x.max()), float(np.abs(x).max()), rate, seconds, tones)
 
 
-def _time(motion: Motion) -> float:
+def time(motion: Motion) -> float:
     """Return the time of the motion of the rig in s, of a sine over 2 pi its period: the median of all places."""
     moved, rates = motion.displacement.std(axis=0), np.sqrt((motion.rate**2).mean(axis=0))
     moves = (moved > 0.0) & (rates > 0.0)

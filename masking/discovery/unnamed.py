@@ -11,8 +11,18 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import calibration, closed_form, fitting, free_law, latent_force, shooting, verdict
-from masking.discovery.augmented_model import EffectInstance
+from masking.discovery import (
+    calibration,
+    closed_form,
+    fitting,
+    free_law,
+    further_places,
+    latent_force,
+    shooting,
+    spans,
+    verdict,
+)
+from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.closed_form import ClosedForm
 from masking.discovery.coverage import Coverage
 from masking.discovery.explanation import Explanation
@@ -122,8 +132,13 @@ class UnnamedLaw:
 
     @property
     def place(self) -> str:
-        """Return the name of the place where it sits."""
-        return self.free.place.name
+        """Return the name of the place whose force it is."""
+        return self.free.on
+
+    @property
+    def rig(self) -> AugmentedModel:
+        """Return the rig whose model it is written into: with a further place where it sits in one."""
+        return self.free.problem.rig
 
     def unexplained(self, found: Explained) -> float:
         """Return what the names leave and this law explains in both records, as part of the rms of the model error."""
@@ -133,7 +148,8 @@ class UnnamedLaw:
             for part, law in ((self.free.problem, self.fitted), (self.problem, self.validated)):
                 noise = part.record.readings.size
                 costs[2] += max(float(law.squares @ part.weights) - noise, 0.0)
-                fine = replace(part, substeps=found.problem.substeps)
+                plain = found.problem
+                fine = replace(part, substeps=plain.substeps, rig=plain.rig, prior=plain.prior)
                 for i, known in enumerate(every):
                     try:
                         left = float(fitting.validated(fine, known).squares @ part.weights) - noise
@@ -155,6 +171,7 @@ class UnnamedLaw:
         estimation, validation = self.error
         return {
             "on": self.place,
+            "follows": {"d": self.free.nouns["d"], "d_rate": self.free.nouns["v"]},
             "expression": self.instance.entry.expression,
             "parameters": known,
             "closed_form": self.form and self.form.as_dict(self.is_formula),
@@ -188,7 +205,7 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone:
     named, form = found.explanation.hypothesis, law.form
     if form is None or law.free.problem.interval != found.problem.interval:
         return -np.inf
-    numbers = [len(fitting.estimated(one.instances)) for one in (named, form.hypothesis)]
+    numbers = [len(one.theta) + len(fitting.estimated(one.instances)) for one in (named, form.hypothesis)]
     if (numbers[1] > numbers[0] and not alone) or form.validated.squares.shape != validated.squares.shape:
         return -np.inf
     penalty = float(np.log(named.residuals.size + validated.residuals.size))
@@ -235,12 +252,17 @@ def _law_of(found: Explained, validation: EstimationProblem, steps: int) -> Unna
             others = [problem.rig.at_step(one, problem.dt / steps) for one in known if one.at != law.place.name]
             again = free_law.fit(found, others) if others else None
             law = again if again is not None and again.score < law.score else law
-        validation = _followed(validation, law)
+        if law.hypothesis.cost > ALIKE * problem.record.readings.size:
+            further = further_places.of(problem.rig, law.place.name, spans.time(found.search.motion))
+            again = free_law.fit(found, [one for one in law.hypothesis.instances if one.effect not in KINDS], further)
+            law = again if again is not None and again.score < law.score else law
+        validation = _followed(law.of(validation), law)
         try:
             validated = fitting.validated(validation, law.hypothesis)
             base = found.search.base.hypothesis
             declared = replace(base, theta=problem.prior.mean)
-            without = [fitting.validated(validation, one) for one in (base, declared)]
+            plain = replace(validation, rig=problem.rig, prior=problem.prior)
+            without = [fitting.validated(plain, one) for one in (base, declared)]
             form = closed_form.fitted(law, law.problem, validation)
             is_formula = form is not None and form.score <= _score(law, validated, problem, validation)
             if form is not None and is_formula:

@@ -33,7 +33,7 @@ FAINT = 1e-3  # of the strongest line: weaker ones are rounded off by the smooth
 
 def figures(found: Discovery) -> list[CaptionedFigure]:
     """Draw the figures of a discovery."""
-    most = discovery_text.rest(found).best.name if found.law is None else found.law.place
+    most = discovery_text.rest(found).best.name if found.law is None else found.law.free.place.name
     latent = latent_force.force_at(found.as_written, most)
     of_force = [force_map.figure(found, latent)] if np.isfinite(latent.deviations[0]) else []  # seen by a sensor
     if of_force and latent.where != "sensor" and found.twin.actuators:

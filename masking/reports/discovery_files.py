@@ -130,8 +130,9 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
 
 def refitted(found: Discovery) -> list[tuple[str, float, float, float]]:
     """Return the parameters of the model with their values, deviations and declared values, in declared units."""
-    columns = (found.written.hypothesis.theta, found.written_deviations, found.rig.start)  # imperfections come last
-    rows = zip(found.rig.names, *(column.tolist() for column in columns), strict=False)
+    rig = found.written_rig
+    columns = (found.written.hypothesis.theta, found.written_deviations, rig.start)  # imperfections come last
+    rows = zip(rig.names, *(column.tolist() for column in columns), strict=False)
     return [(name, value, std, declared) for name, value, std, declared in rows]
 
 
@@ -143,8 +144,7 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
         folder: of the model file.
         origin: of the records.
     """
-    twin = found.twin
-    whole = twin.base
+    twin, whole = found.twin, found.written_rig.twin.base
     for instance, label in labels(found).items():
         whole = _attached(found, whole, instance, label)
     made: dict[str, Any] = {
@@ -164,7 +164,9 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
     def written(section: str) -> dict[str, Any]:
         return {n: x.model_dump(mode="json", exclude_defaults=True) for n, x in new(section).items()}
 
-    parameters |= {n: _written(x, *known.get(n, (0.0, ""))) for n, x in new("parameters").items()}
+    parameters |= {
+        n: _written(x, *known.get(n, (0.0, ""))) | parameters.get(n, {}) for n, x in new("parameters").items()
+    }
     states = written("states")
     sections = {
         "parameters": parameters,
@@ -197,7 +199,7 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
         target[label] = {"effect": effect, "at": at, "parameters": rounded}
 
     fitted = found.written.hypothesis
-    for instance in (*found.rig.imperfect(fitted.theta), *fitted.instances):
+    for instance in (*found.written_rig.imperfect(fitted.theta), *fitted.instances):
         if instance.effect == laws.DELAY:
             _add_delay(found, instance, first, {*before, *first, *last})
         elif instance.where != "element":
@@ -234,14 +236,14 @@ def _attached(found: Discovery, whole: ModelDeclaration, instance: EffectInstanc
     """Return a model with one more cause in its equations, at an element that is made where there is none."""
     at = _element(found, instance)
     if at not in whole.elements:
-        element = found.rig.places[found.rig.index(instance)].element
+        element = found.written_rig.places[found.written_rig.index(instance)].element
         whole = whole.model_copy(update={"elements": {**whole.elements, at: element}})
     values = dict(zip(instance.entry.parameters, map(model_files.rounded, instance.values), strict=True))
     return attach(whole, instance.entry, at, label, values)
 
 
 def _element(found: Discovery, instance: EffectInstance) -> str:
-    place = found.rig.places[found.rig.index(instance)]
+    place = found.written_rig.places[found.written_rig.index(instance)]
     return place.name if place.declared else identifier(place.name)
 
 
@@ -278,7 +280,7 @@ def _uncertain(found: Discovery) -> dict[str, tuple[float, str]]:
     """Return standard deviation and unit of the parameters of causes in the equations, by the names they have there."""
     made: dict[str, tuple[float, str]] = {}
     known = labels(found)
-    deviations = iter(found.written_deviations[len(found.rig.start) :])
+    deviations = iter(found.written_deviations[len(found.written_rig.start) :])
     for instance in found.written.hypothesis.instances:
         free = {name: float(next(deviations)) for name in instance.names}
         if instance in known:
@@ -297,12 +299,18 @@ def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:
 
 
 def _causes(found: Discovery) -> str:
-    if found.law is not None:
-        others = [discovery_text.spoken(found, *name) for name in found.law.explanation.names[:-1]]
-        return " and ".join([*others, f"a law without a name in {found.law.place}"])
-    if found.explanation.kind == "parameter":
+    if found.law is None and found.explanation.kind == "parameter":
         return f"another {found.effects[0].name}"
-    return " and ".join(discovery_text.spoken(found, cause.name, cause.on) for cause in found.effects)
+    return " and ".join(text for _, text in written(found))
+
+
+def written(found: Discovery) -> list[tuple[str, str]]:
+    """Return what is written into files of the model and its plant: the effect of each cause, and its name in words."""
+    if found.law is None:
+        return [(one.name, discovery_text.spoken(found, one.name, one.on)) for one in found.effects]
+    *others, (law, _) = found.written.names
+    named = [(name, discovery_text.spoken(found, name, on)) for name, on in others]
+    return [*named, (law, f"a law without a name in {found.law.place}")]
 
 
 def _free(name: str, taken: set[str]) -> str:

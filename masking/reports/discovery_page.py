@@ -213,7 +213,7 @@ def _paid(part: float) -> str:
 
 def _parameters(found: Discovery) -> Iterator[tuple[str, ...]]:
     """Yield the model's parameters as declared and as found beside the causes."""
-    known = found.twin.base.parameters
+    known = found.written_rig.twin.base.parameters
     for name, value, std, declared in discovery_files.refitted(found):
         change = _signed(value / declared - 1.0) if declared else ""
         estimate = with_deviation(value, std, "")

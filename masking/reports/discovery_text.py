@@ -119,7 +119,7 @@ def form(found: Discovery, law: UnnamedLaw) -> str:
         return f"{law.free.words}, in tables"
     shares = law.form.shares(law.free)
     said = [
-        atom.words(values) for (atom, values, _), share in zip(law.form.terms, shares, strict=True) if share > LEAST
+        a.words(v, law.free.nouns) for (a, v, _), share in zip(law.form.terms, shares, strict=True) if share > LEAST
     ]
     about = "" if law.is_formula else "in tables, about "
     values = cause(found, found.unnamed).partition(", ")[2] if law.is_formula and found.unnamed else ""
@@ -407,7 +407,7 @@ def plain_units(found: Discovery, named: Named) -> dict[str, str]:
         return {laws.DEAD_TIME: "s"}
     effect, twin = found.dictionary[named.name], found.twin
     if effect.where == "element":
-        force, displacement, _ = latent_force.element_units(found, named.on)
+        force, displacement, _ = latent_force.element_units(found.written_rig, named.on)
         known = {"F": force or "1", "D": displacement or "1", "s": "s" if displacement else "1"}
     elif effect.where == "sensor":
         known = {"S": twin.declaration.sensors[named.on].unit}

@@ -28,7 +28,7 @@ def further(found: Discovery) -> list[str]:
     place = left.best if law is None else next(one for one in left.places if one.name == law.place)
     rest = "the model error" if seen.residual is None else "the residual"
     is_known = law is not None and np.isfinite(law.coverage.band)
-    made = [_of_law(found, law.coverage, law.place)] if law is not None and is_known else []
+    made = [_of_law(found, law.coverage, law.free.place.name)] if law is not None and is_known else []
     if law is None or not law.closed:
         made += [*_of_rest(found, place, rest), *_of_places(found, seen.latent)]
     return [capital(text) for text in made or [_of_range(found, place.name)]]
@@ -36,7 +36,7 @@ def further(found: Discovery) -> list[str]:
 
 def _of_law(found: Discovery, known: Coverage, place: str) -> str:
     """Say how well a law without a name is known, where least, and what would mend that."""
-    _, length, speed = latent_force.element_units(found, place)
+    _, length, speed = latent_force.element_units(found.written_rig, place)
     least, of_length = known.widest, known.widest.of == "displacement"
     unit = length if of_length else speed
     where = f"{'displacements' if of_length else 'speeds'} of {_between(least.low, least.high, unit)}"
@@ -92,7 +92,7 @@ def _of_rest(found: Discovery, place: LocatedForce, rest: str) -> Iterator[str]:
 def _of_places(found: Discovery, latent: LatentForces) -> Iterator[str]:
     """Say what would tell places apart that explain the model error alike."""
     best, motion = latent.best, found.as_written.smoothed.before
-    names = [place.name for place in found.rig.places]
+    names = [place.name for place in found.as_written.rig.places]
 
     def moves(name: str) -> Array:
         return motion.displacement[:, names.index(name)]
@@ -115,8 +115,8 @@ def _of_places(found: Discovery, latent: LatentForces) -> Iterator[str]:
 
 def _of_range(found: Discovery, name: str) -> str:
     """Say how far a record moves a place, beyond which another would tell more."""
-    at = [place.name for place in found.rig.places].index(name)
-    motion, (_, length, speed) = found.as_written.smoothed.before, latent_force.element_units(found, name)
+    at = [place.name for place in found.as_written.rig.places].index(name)
+    motion, (_, length, speed) = found.as_written.smoothed.before, latent_force.element_units(found.written_rig, name)
     x, fastest = motion.displacement[:, at], float(np.abs(motion.rate[:, at]).max())
     far = _between(float(x.min()), float(x.max()), length)
     return (

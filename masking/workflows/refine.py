@@ -15,13 +15,14 @@ import yaml
 
 from masking.declaration import registry
 from masking.discovery.discover import discover
-from masking.discovery.discovery import Discovery, Named
+from masking.discovery.discovery import Discovery
+from masking.discovery.explanation import Explanation
 from masking.discovery.search import Tell
 from masking.discovery.settings import DiscoverySettings
 from masking.errors import DeclarationError, IntegrationError, ModelError, Problem, SingularityError
 from masking.records.json_text import json_text
 from masking.records.recording import Recording
-from masking.reports import discovery_files, discovery_page, discovery_text, html, run_report
+from masking.reports import discovery_files, discovery_page, html, run_report
 from masking.reports.discovery_files import Files
 from masking.reports.text import aligned, capital, listed
 from masking.rig.twin import Twin
@@ -87,7 +88,7 @@ class Refinement:
     def sentence(self) -> str:
         """Say by how much the masking error fell."""
         found = self.discovery
-        causes = [discovery_text.spoken(found, c.name, c.on) for c in found.effects if _is_of_model(found, c)]
+        causes = [text for name, text in discovery_files.written(found) if _is_of_model(found, name)]
         sentence = f"With {listed([*causes, 'adjusted parameters'])} in the controller's model, "
         if self.after.recording is None:
             return f"{sentence}the run could not go on: {self.after.trouble}"
@@ -105,14 +106,13 @@ class Refinement:
     def uncompensated(self) -> tuple[str, ...]:
         """Say of each finding in sensors, actuators and the loop that the control law does not make up for it."""
         sentences = []
-        for cause in self.discovery.effects:
-            if _is_of_model(self.discovery, cause):
+        for name, text in discovery_files.written(self.discovery):
+            if _is_of_model(self.discovery, name):
                 continue
-            effect = self.discovery.twin.dictionary[cause.name]
+            effect = self.discovery.dictionary[name]
             helps = "a controller predicts a delay of whole samples that the plant file declares"
             helps = effect.remedy if effect.where != "loop" else helps
-            what = capital(discovery_text.spoken(self.discovery, cause.name, cause.on))
-            why = f"{what} is not compensated: it is no part of the controller's model"
+            why = f"{capital(text)} is not compensated: it is no part of the controller's model"
             sentences.append(f"{why}; what helps: {helps}." if helps else f"{why}.")
         return tuple(sentences)
 
@@ -195,8 +195,8 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
         tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part),
     )
     # What sticks is stiffer than the samples of a controller.
-    explained = found.explanation
-    found = replace(found, explanation=replace(explained, hypothesis=explained.hypothesis.creeping))
+    law = found.law and replace(found.law, explanation=_creeping(found.law.explanation))
+    found = replace(found, explanation=_creeping(found.explanation), law=law)
     folder = None if out is None else Path(out)
     with html.staged(folder) as made:
         files = discovery_page.save(found, made, given.origin, lies=folder)
@@ -250,9 +250,14 @@ def refined(experiment: Experiment, found: Discovery, files: Files, folder: Path
     return Experiment(replace(made.assembly, experiment=declaration))
 
 
-def _is_of_model(found: Discovery, cause: Named) -> bool:
+def _creeping(explained: Explanation) -> Explanation:
+    """Return an explanation with smooth laws in the place of those that stick."""
+    return replace(explained, hypothesis=explained.hypothesis.creeping)
+
+
+def _is_of_model(found: Discovery, name: str) -> bool:
     """Tell whether a cause sits in the equations of the rig: an effect of an element, or a parameter."""
-    effect = found.twin.dictionary.get(cause.name)
+    effect = found.dictionary.get(name)
     return effect is None or effect.where == "element"
 
 
