@@ -95,3 +95,39 @@ def test_a_directed_force_is_found_where_the_others_leave_more_than_noise(tmp_pa
     # What is written has the same commands, and their hold.
     again = masking.simulate(tmp_path / "found" / "plant.yaml", file)
     assert all(error < 1.1 * again.floor[name] for name, error in again.chi.items())
+
+
+GUIDED = """
+name: a mass in a guide
+coordinates: {x: {unit: m}}
+inputs: {u: {unit: N}}
+parameters:
+  m: {value: 1.2, unit: kg}
+  k: {value: 240, unit: N/m}
+  c: {value: 2, unit: N*s/m}
+equations: {"m*x''": u - k*x - c*x'}
+"""
+MU, PARTS, SHORT = 0.15, 20, 2500
+
+
+@pytest.mark.search
+def test_friction_under_the_force_of_an_actuator_is_named_with_its_coefficient(tmp_path):
+    """By the time stepping of Moreau: in each small step friction takes what stops the mass, up to mu times load."""
+    generator, t, h = np.random.default_rng(7), np.arange(SAMPLES) / RATE, 1.0 / RATE / PARTS
+    at, phases = generator.uniform([[0.3], [0.0]], [[5.0], [6.0]], (2, 16))
+    force = 6.0 * np.sin(2.0 * np.pi * at[:, None] * t + phases[:, None]).sum(axis=0)
+    x, v, read = 0.0, 0.0, np.empty(SAMPLES)
+    for i, u in enumerate(force):
+        read[i] = x
+        for _ in range(PARTS):
+            free = v + h * (u - 240.0 * x - 2.0 * v) / 1.2
+            most = h * MU * abs(u) / 1.2
+            v = free - min(max(free, -most), most)
+            x += h * v
+    read += NOISE * read.std() * generator.standard_normal(SAMPLES)
+    np.savez(tmp_path / "record.npz", t=t[:SHORT], u=force[:SHORT], x=read[:SHORT])
+    (tmp_path / "model.yaml").write_text(GUIDED)
+    found = masking.discover(tmp_path / "record.npz", model=tmp_path / "model.yaml")
+    (cause,) = found.effects
+    assert (found.verdict, cause.name, cause.on) == ("named", "load_friction", "x under u")
+    assert cause.parameters["mu"][0] == pytest.approx(MU, rel=0.05)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 else:
     uncertainties = lazy.load("uncertainties")
 
+ROUNDING = 1e-12  # of a value in double precision: a deviation below it is none
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
 _PREFIXED = frozenset({"V", "m", "N", "W", "W/kg", "J", "J/kg"})
 _PLAIN = 7  # digits before the point up to which a number is written without a power of ten
@@ -84,10 +85,10 @@ def with_deviation(value: float, std: float, unit: str) -> str:
 
     Args:
         value: in the unit.
-        std: its standard deviation; not finite or 0 if it is not known.
+        std: its standard deviation; not finite, 0 or below rounding if it is not known.
         unit: as it is shown.
     """
-    if not (std > 0.0 and math.isfinite(std)):
+    if not (std > ROUNDING * abs(value) and math.isfinite(std)):
         return f"{number(value, 5)} {unit}".rstrip()
     size = max(abs(value), std)
     scale = 0 if 1e-3 <= size < 1e5 else 3 * math.floor(math.log10(size) / 3.0)

@@ -104,7 +104,7 @@ class EffectInstance:
         """Return the instance with the parameters that follow the step of integration, where it has such.
 
         Args:
-            mobility: of its place, the acceleration of the displacement by a unit of force.
+            mobility: of its place, as `mobilities` has it.
             step: of integration, s.
         """
         rules = self.entry.by_step
@@ -380,20 +380,20 @@ class AugmentedModel:
 
     @cached_property
     def mobilities(self) -> dict[str, float]:
-        """Return the acceleration of each displacement by a unit of force, at rest; 0 where the motion is given."""
-        rates, by = self._slopes_at_rest
-        pushed = rates @ by[:, list(self._ports[1])]
-        return {place.name: abs(float(pushed[i, i])) for i, place in enumerate(self.places)}
+        """Return what a unit of force adds to the acceleration of each place at rest, or of a flow to its rate."""
+        moved, by = self._slopes_at_rest
+        pushed = np.split(moved @ by[:, list(self._ports[1])], 2)
+        return {place.name: abs(float(pushed[place.has_rate][i, i])) for i, place in enumerate(self.places)}
 
     @cached_property
     def _slopes_at_rest(self) -> tuple[Array, Array]:
-        """Return how rates of seats depend on the state (seats, n), and rates of the state on affected entries."""
+        """Return how seats and their rates depend on the state (2 seats, n), and its rate on affected entries."""
         n, many, u = len(self._opened[0].state_names), len(self._seats), np.zeros(len(self.twin.actuators))
         by_state, by_entry = np.zeros((2 * many, n)), np.zeros((n, self.affected))
         p, _ = self.basis(self.start)
         self.equations.placed(0.0, self.rest, u, p, np.zeros(2 * many), by_state)
         self.equations.slopes(0.0, self.rest, u, p, np.zeros(n), np.zeros((n, n)), by_entry)
-        return by_state[many:], by_entry
+        return by_state, by_entry
 
     def at_step(self, instance: EffectInstance, step: float) -> EffectInstance:
         """Return an instance that sticks with the parameters that follow a step of integration, in s."""

@@ -67,7 +67,8 @@ def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], perio
             fits = effect.where == "element" and ((straight or not effect.is_inertia) if is_known else effect.joins)
             if fits and place.is_open and place.takes(effect):
                 for trial in effect.ways:
-                    if not trial.sticks or rig.mobilities[place.name] > 0.0:
+                    holds = rig.mobilities[place.name] > 0.0 and (place.has_rate or effect.is_flow)
+                    if holds or not trial.sticks:
                         found = _candidate(effect, trial, place.name, spans["element", place.name])
                         yield from (_ready(rig, candidate, period) for candidate in found)
     commanded = tuple(name for name in rig.twin.actuators if name not in rig.twin.measured_actuators)

@@ -15,7 +15,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import optimize
 
 from masking.declaration.dictionary import MOST_PARAMETERS
 from masking.discovery import fitting
@@ -26,6 +26,7 @@ from masking.discovery.grammar import MOST_SHAPES, Atom, atoms, evaluated
 from masking.discovery.problem import EstimationProblem
 from masking.effects import Effect, EffectParameter
 from masking.errors import IntegrationError
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
 WIDE, DEEP = 10, 5  # forms that are sharpened of each number of terms, and those to which a term is added
@@ -106,7 +107,7 @@ class _Known:
     @cached_property
     def _whitening(self) -> Array:
         """Return what makes deviations from the free law at the samples independent, of variance 1 (m, m)."""
-        sizes, vectors = linalg.eigh(self.spread)
+        sizes, vectors = decompositions.symmetric(self.spread)
         return np.asarray((vectors / np.sqrt(np.maximum(sizes, ROUNDING * sizes[-1]))).T)
 
     @cached_property
@@ -128,7 +129,7 @@ class _Known:
             size = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
         if not np.isfinite(size).all():
             return np.zeros(len(terms)), 1e3 * (1.0 + np.abs(self.target))
-        factors = np.linalg.lstsq(table / size, self.target, rcond=1e-9)[0] / size
+        factors = decompositions.least_squares(table / size, self.target, 1e-9) / size
         return factors, self.target - table @ factors
 
     def form(self, terms: tuple[Atom, ...], values: Sequence[Sequence[float]]) -> Form:

@@ -17,6 +17,7 @@ import numpy as np
 
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import linearised
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
 GROWTH = 4  # times the length of the intervals before
@@ -72,7 +73,7 @@ def rings(problem: EstimationProblem) -> bool:
     Args:
         problem: the record and the rig.
     """
-    speeds = np.linalg.eigvals(linearised(problem.rig, problem.prior.mean)[0])
+    speeds = decompositions.eigenvalues(linearised(problem.rig, problem.prior.mean)[0])
     ringing = np.abs(speeds.imag) > 2.0 * np.pi * problem.rules.ringing_periods * -speeds.real
     return bool((ringing & (speeds.imag != 0.0)).any())
 

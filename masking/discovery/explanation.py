@@ -17,6 +17,7 @@ from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.verdict import Key, Kind
 from masking.errors import IntegrationError
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
 
@@ -91,7 +92,7 @@ def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
 
     Before the record, each factor of an effect could have been as large as makes it as strong as the strongest of them,
     and each parameter of its shape twice as large or zero, or a plain number anywhere in its range. A direction that
-    the record does not tell costs nothing.
+    the record does not tell costs nothing. It is infinite where the covariance has no inverse.
     Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, section 28.1.
     """
     added = hypothesis.added
@@ -102,7 +103,12 @@ def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
     if not np.isfinite(covariance).all():
         return np.inf
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    information = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True, rcond=hypothesis.rules.occam_rank)
+    try:
+        information = decompositions.inverse(
+            covariance / np.outer(size, size), hypothesis.rules.occam_rank, hermitian=True
+        )
+    except IntegrationError:
+        return np.inf
     strength = np.abs(added) / size * np.sqrt(np.maximum(np.diag(information), 0.0))  # each by itself, in deviations
     widths, used = np.abs(added) / size, 0
     for instance in hypothesis.instances:
@@ -117,7 +123,10 @@ def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
         weighed = information * np.outer(widths, widths)
     if not np.isfinite(weighed).all():
         return np.inf
-    ratios = np.linalg.eigvalsh(weighed) / tempering
+    try:
+        ratios = decompositions.symmetric(weighed)[0] / tempering
+    except IntegrationError:
+        return np.inf
     return float(np.log1p(np.maximum(ratios, 0.0)).sum())
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
 MOST = 10_000  # samples that are looked at; forces change slowly beside the samples of a long record
@@ -280,7 +281,7 @@ def _held_out(rows: Array, bend: Array, values: Array, stretches: Indices, split
     matrix, right = sum(m for m, _ in each) + weight, sum(r for _, r in each)
     found = np.zeros((len(rows), 2))
     for fold, (its_matrix, its_right) in zip(folds, each, strict=True):
-        heights = np.linalg.pinv(matrix - its_matrix, rcond=1e-9, hermitian=True) @ (right - its_right)
+        heights = decompositions.inverse(matrix - its_matrix, 1e-9, hermitian=True) @ (right - its_right)
         found[fold, 0] = rows[fold, :split] @ heights[:split]
         if split is not None:
             found[fold, 1] = rows[fold, split:] @ heights[split:]

@@ -26,6 +26,7 @@ from masking.discovery.screening import COLLINEAR, Screen
 from masking.discovery.smoothing import Motion, smooth
 from masking.discovery.work import Work
 from masking.errors import IntegrationError
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
 SHARP = 2e-3  # of the largest rate: width of the sign of a rate
@@ -145,7 +146,7 @@ class FreeLaw:
         if not np.isfinite(every).all():  # a law that ran away
             return self.factors, np.full((self.size, self.size), np.inf)
         size = np.sqrt(np.maximum(np.diag(every)[:k], 1e-300))
-        inverse = np.linalg.pinv(every[:k, :k] / np.outer(size, size), rcond=COLLINEAR, hermitian=True)
+        inverse = decompositions.inverse(every[:k, :k] / np.outer(size, size), COLLINEAR, hermitian=True)
         gain = every[-self.size :, :k] @ (inverse / np.outer(size, size))
         factors = self.factors + gain @ (theta - self.hypothesis.theta)
         return factors, np.asarray(self.covariance - gain @ every[:k, -self.size :])
@@ -353,7 +354,7 @@ def _starts(screen: Screen, ground: _Ground, at: int, high: float, room: int) ->
         if not (np.isfinite(gram).all() and np.isfinite(right).all()):  # a response that runs away
             continue
         size = np.sqrt(np.maximum(np.diag(gram + penalty), 1e-300))
-        inverse = np.linalg.pinv((gram + penalty) / np.outer(size, size), rcond=COLLINEAR, hermitian=True)
+        inverse = decompositions.inverse((gram + penalty) / np.outer(size, size), COLLINEAR, hermitian=True)
         factors = inverse @ (right / size) / size
         used = float(np.einsum("ij,ji->", inverse, gram / np.outer(size, size)))
         left = screen.total - 2.0 * float(factors @ right) + float(factors @ (gram + penalty) @ factors)

@@ -23,6 +23,7 @@ from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.search import Search, SearchResult, Tell
 from masking.effects import DELAY, GAINS_AND_ZEROS
+from masking.numerics import decompositions
 
 GAIN = 0.02  # standard deviation of the gain of a sensor or an actuator, relative
 OFFSET = 0.02  # that of its zero, in parts of its rms
@@ -127,7 +128,7 @@ def _suffice(problem: EstimationProblem, known: Hypothesis) -> bool:
     costs = []
     for kept in itertools.combinations(range(many), min(FEW, many)):
         gone = [i for i in range(many) if i not in kept]
-        information = np.linalg.pinv(covariance[np.ix_(gone, gone)], hermitian=True)
+        information = decompositions.inverse(covariance[np.ix_(gone, gone)], hermitian=True)
         costs.append(float(values[gone] @ information @ values[gone]))
     return min(costs) / problem.tempering(known.residuals) < problem.rules.effect_evidence
 

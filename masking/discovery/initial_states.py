@@ -7,6 +7,7 @@ import numpy as np
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import fastest
 from masking.estimation.simulation import guessed_state
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
 
@@ -37,6 +38,6 @@ def sizes(problem: EstimationProblem) -> Array:
     """
     rig, mean, record = problem.rig, problem.prior.mean, problem.record
     n, (at_rest, jacobian) = len(rig.coordinates), rig.reading(mean, rig.rest, record.acting[0])
-    found = np.abs(np.linalg.pinv(jacobian)) @ np.abs(record.readings - at_rest).max(axis=0)
+    found = np.abs(decompositions.inverse(jacobian)) @ np.abs(record.readings - at_rest).max(axis=0)
     found[n : 2 * n] = np.maximum(found[n : 2 * n], abs(fastest(rig, mean)) * found[:n])
     return np.asarray(found)

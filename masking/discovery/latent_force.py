@@ -28,6 +28,7 @@ from masking.discovery.smoothing import Motion, slopes, smooth
 from masking.discovery.verdict import Verdict
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
@@ -258,7 +259,7 @@ def directions(rig: AugmentedModel, theta: Array, column: int) -> Array:
     moved = slopes(rig, theta)[1][len(rig.coordinates) :]
     moved = np.vstack([moved, rig.direct(theta)]) if rig.twin.is_fed else moved
     ports = moved[:, [rig.columns[1][i] for i in rig.degree_places]]
-    return np.asarray(np.linalg.lstsq(ports, moved[:, column], rcond=None)[0])
+    return decompositions.least_squares(ports, moved[:, column])
 
 
 def _busiest(found: Explained) -> str:

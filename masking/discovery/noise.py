@@ -9,6 +9,7 @@ import numpy as np
 
 from masking.errors import RecordError
 from masking.estimation.data import Data
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 from masking.records.noise import FEWEST, third_differences, white_noise
 from masking.rig.twin import Twin
@@ -37,7 +38,7 @@ def noise_of(twin: Twin, record: Data) -> Array:
     found = np.where(smooth < FEWER * found, smooth, found)
     if twin.is_fed:
         inputs = record.commands[:, [twin.actuators.index(name) for name in twin.measured_actuators]]
-        by = np.linalg.lstsq(inputs - inputs.mean(axis=0), record.readings - record.readings.mean(axis=0))[0]
+        by = decompositions.least_squares(inputs - inputs.mean(axis=0), record.readings - record.readings.mean(axis=0))
         found = np.hypot(smooth, np.linalg.norm(_smooth(inputs)[:, None] * by, axis=0))
     size = np.sqrt((record.readings**2).mean(axis=0))
     for name, value in zip(twin.sensors, size, strict=True):

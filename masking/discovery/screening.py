@@ -22,6 +22,7 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import Motion
 from masking.discovery.thinning import thinned, thinning
 from masking.estimation.least_squares import Dense
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array, IntVector
 
 # Double precision: singular values of columns beside prior rows, parts of squares, and normal equations, over the
@@ -122,10 +123,10 @@ class Screen:
         whole = np.vstack([own, prior_rows])
         size = np.linalg.norm(whole, axis=0)
         size = np.where(size > 0.0, size, 1.0)
-        u, s, v = np.linalg.svd(whole / size, full_matrices=False)
+        u, s, v = decompositions.svd(whole / size)
         independent = s > RANK * s[0]
         self.taken, self._back = u[:, independent], v[independent].T / s[independent] / size[:, None]
-        u, s, _ = np.linalg.svd(own / size, full_matrices=False)
+        u, s, _ = decompositions.svd(own / size)
         self.possible = u[:, s > self.rules.response_rank * s[0]]
         self.single = _apart(own[:, :k], own[:, k:], self.rules.response_rank)
         left = self._rows((self._means(base.residuals) - (0.0 if taken else values))[:, :, None])[:, 0]
@@ -450,7 +451,7 @@ def best_factors(gram: Array, right: Array, squares: Array) -> Array:
     factors, keep = np.zeros(len(right)), np.diag(gram) > ROUNDING * squares
     scale = np.sqrt(np.diag(gram)[keep])
     scaled = gram[np.ix_(keep, keep)] / np.outer(scale, scale)
-    factors[keep] = np.linalg.lstsq(scaled, right[keep] / scale, rcond=COLLINEAR)[0] / scale
+    factors[keep] = decompositions.least_squares(scaled, right[keep] / scale, COLLINEAR) / scale
     return factors
 
 
@@ -466,7 +467,7 @@ def _bounded(rows: Array) -> Array:
 
 def _apart(columns: Array, others: Array, rank: float) -> tuple[Array, Array]:
     """Return a basis of other columns (r, o), and each of the columns (r, k) without these, of length 1."""
-    u, s, _ = np.linalg.svd(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300), full_matrices=False)
+    u, s, _ = decompositions.svd(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300))
     basis = u[:, s > rank * s.max(initial=0.0)]
     left = columns - basis @ (basis.T @ columns)
     size = np.linalg.norm(left, axis=0)

@@ -29,6 +29,7 @@ from masking.discovery.screening import Score, Screen
 from masking.discovery.smoothing import Motion, smooth
 from masking.discovery.spans import spans
 from masking.discovery.verdict import Key
+from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
 Tell = Callable[[str, float], None]
@@ -155,12 +156,8 @@ class Search:
             if now.kind == "effects":
                 wider = self._widened(now, ground)
                 steps[-1], now = (steps[-1], now) if wider is now else ((wider, *steps[-1][1:]), wider)
-            self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
-            screen, scores = ground.screened(self.problem, now)
+            scores, found, likeliest = self._with_another(now, ground, number)
             tried = tried or tuple(scores)
-            found, likeliest = self._round(now, scores, screen, ground, parameters=number == 0)
-            job = partial(self._job, now, screen)
-            found = pairs_first(self.problem, now, found, screen, scores=scores, job=job)
             if not found or self._is_too_little(base, now, found[0]):
                 break
             needed = self._steps_of(base, found[0])
@@ -187,6 +184,22 @@ class Search:
             settled = self._settled(now, ground)
             steps[-1] = steps[-1] if settled is now else (settled,)
         return SearchResult(base, tuple(steps), motion, tried, self.problem, passed_over)
+
+    def _with_another(
+        self, now: Explanation, ground: Ground, number: int
+    ) -> tuple[Sequence[Score], list[Explanation], Explanation]:
+        """Return scores of candidates, explanations with one or two more causes, best first, and the likeliest.
+
+        There are none where the motion cannot be screened: what is found so far is the answer.
+        """
+        self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
+        try:
+            screen, scores = ground.screened(self.problem, now)
+        except IntegrationError:
+            return (), [], now
+        found, likeliest = self._round(now, scores, screen, ground, parameters=number == 0)
+        job = partial(self._job, now, screen)
+        return scores, pairs_first(self.problem, now, found, screen, scores=scores, job=job), likeliest
 
     def _steps_of(self, base: Explanation, best: Explanation) -> int:
         """Return the integration steps between samples that an explanation needs, if it leaves hardly anything."""
@@ -356,7 +369,10 @@ class Search:
         """Try other effects in the place of each but the last, which has just been chosen among all."""
         for i in range(len(best.names) - 1):
             self.tell(f"trying others than {best.names[i][0]}", 0.9)
-            screen = ground.screen(self.problem, ground.base.hypothesis, best.without(i)[1])
+            try:
+                screen = ground.screen(self.problem, ground.base.hypothesis, best.without(i)[1])
+            except IntegrationError:
+                continue
             most = self._worth(screen, best.hypothesis.cost / screen.every)
             scores = [p for p in screen.scores(ground.every) if p.candidate.key not in best.names]
             chosen = [p for p in scores if screen.total - p.gain < most][: self.rules.most_exchanges]

@@ -20,7 +20,8 @@ from masking.discovery.smoothing import linearised, smooth
 from masking.discovery.thinning import thinning
 from masking.errors import IntegrationError, RecordError
 from masking.estimation.simulation import refined
-from masking.numerics.arrays import Array
+from masking.numerics import decompositions
+from masking.numerics.arrays import Array, Complex
 
 SHORTEST = 3e-3  # of the travel: the shortest displacement with which a friction that builds up begins to be fitted
 
@@ -132,6 +133,6 @@ def corrected(rough: EstimationProblem, known: Hypothesis) -> tuple[EstimationPr
     return replace(rough, record=record), replace(known, instances=instances)
 
 
-def modes(problem: EstimationProblem) -> Array:
+def modes(problem: EstimationProblem) -> Complex:
     """Return the eigenvalues of the rig as it is declared, at rest, rad/s (n,)."""
-    return np.asarray(np.linalg.eigvals(linearised(problem.rig, problem.prior.mean)[0]))
+    return decompositions.eigenvalues(linearised(problem.rig, problem.prior.mean)[0])

@@ -22,6 +22,7 @@ from masking.effects import Effect
 from masking.errors import IntegrationError
 from masking.estimation.data import is_first_order
 from masking.estimation.simulation import guessed_state
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 from masking.numerics.steady_kalman import discretised, steady_filter
 
@@ -101,8 +102,10 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     for walk in walks:
         gains = _gains(rig, theta, record.rate, sigma, walk * unit)
         innovations, _, _ = _filter(part, theta, start, gains)
-        whitened = linalg.solve_triangular(linalg.cholesky(gains.spread, lower=True), innovations.T, lower=True)
-        costs.append((whitened**2).mean() + 2.0 * np.log(np.diag(linalg.cholesky(gains.spread))).mean())
+        with decompositions.decomposed():
+            root = linalg.cholesky(gains.spread, lower=True)
+            whitened = linalg.solve_triangular(root, innovations.T, lower=True)
+        costs.append((whitened**2).mean() + 2.0 * np.log(np.diag(root)).mean())
     gains = _gains(rig, theta, record.rate, sigma, walks[int(np.argmin(costs))] * unit)
     innovations, states, predicted = _filter(problem, theta, start, gains)
     rig.kernels.smooth_backward(len(record), gains.backward, states, predicted)
@@ -183,13 +186,13 @@ def centred(problem: EstimationProblem) -> EstimationProblem:
 
 def _falls(rig: AugmentedModel, problem: EstimationProblem) -> bool:
     """Return whether a motion near rest grows e-fold within the record."""
-    speeds = linalg.eigvals(linearised(rig, problem.prior.mean)[0])
+    speeds = decompositions.eigenvalues(linearised(rig, problem.prior.mean)[0])
     return float(speeds.real.max()) * len(problem.record) > problem.record.rate
 
 
 def fastest(rig: AugmentedModel, theta: Array) -> complex:
     """Return the eigenvalue of largest magnitude of the rig at rest, rad/s; 0 of a rig that has no states."""
-    found = linalg.eigvals(linearised(rig, theta)[0]) if rig.twin.state_names else np.zeros(1)
+    found = decompositions.eigenvalues(linearised(rig, theta)[0]) if rig.twin.state_names else np.zeros(1)
     return complex(found[int(np.argmax(np.abs(found)))])
 
 
@@ -203,10 +206,10 @@ def _unit(rig: AugmentedModel, theta: Array, sigma: Array, rate: float) -> Array
     count = len(rig.coordinates)
     speed, quick = abs(fastest(rig, theta)) or 1.0, QUICK * rate
     moving = c[:, :count] + 1j * speed * c[:, count : 2 * count]  # readings of a motion at that speed
-    reached = np.abs(np.linalg.pinv(moving)) @ sigma * speed**2
+    reached = np.abs(decompositions.inverse(moving)) @ sigma * speed**2
     states = [rig.twin.state_names.index(name) for name in rig.degrees[count:] if name in rig.twin.state_names]
-    of_states = np.abs(np.linalg.pinv(c[:, states])) @ sigma * quick**2
-    of_outputs = np.abs(np.linalg.pinv(d[:, count + len(states) :])) @ sigma * quick
+    of_states = np.abs(decompositions.inverse(c[:, states])) @ sigma * quick**2
+    of_outputs = np.abs(decompositions.inverse(d[:, count + len(states) :])) @ sigma * quick
     walked = np.concatenate([of_states, of_outputs]) ** 2 / rate
     return np.concatenate([np.maximum(reached, 1e-300) ** 2 * speed, np.maximum(walked, 1e-300)])
 
@@ -236,11 +239,16 @@ def _gains(rig: AugmentedModel, theta: Array, rate: float, sigma: Array, intensi
         what = "coordinates" if rig.coordinates else ", ".join(rig.degrees)
         raise IntegrationError(f"the sensors do not determine the motion of all {what} ({why})")
     ahead, now = found.predicted, found.corrected
-    if np.linalg.cond(ahead) < WORST_CONDITION:
+    with decompositions.decomposed():
+        is_regular = np.linalg.cond(ahead) < WORST_CONDITION
+    if is_regular:
         backward = np.linalg.solve(ahead, step @ now).T
     else:  # a state that nothing moves at rest, such as that of a friction, is known
-        backward = (np.linalg.pinv(ahead, rcond=1.0 / WORST_CONDITION, hermitian=True) @ step @ now).T
-    with warnings.catch_warnings():  # a direction that nothing moves stays as it is: 1 is an eigenvalue
+        backward = (decompositions.inverse(ahead, 1.0 / WORST_CONDITION, hermitian=True) @ step @ now).T
+    with (
+        decompositions.decomposed(),
+        warnings.catch_warnings(),
+    ):  # a direction that nothing moves stays as it is: 1 is an eigenvalue
         warnings.simplefilter("ignore", linalg.LinAlgWarning)
         steady = linalg.solve_discrete_lyapunov(backward, now - backward @ ahead @ backward.T)
     deviation = np.sqrt(np.maximum(np.diag(steady)[n:], 0.0)) * size[n:]

@@ -10,6 +10,7 @@ from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.bases import Curve, Term
 from masking.discovery.free_law import FreeLaw
 from masking.effects import Effect, EffectParameter
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
 DIGITS = 8  # of the numbers of a table
@@ -59,7 +60,7 @@ def _written(term: Term, factors: Array, label: str, values: dict[str, float]) -
         case "free_surface":
             along, across = term.curves
             heights = _heights(along) @ factors.reshape(along.size, across.size) @ _heights(across).T
-            left, sizes, right = np.linalg.svd(heights)
+            left, sizes, right = decompositions.svd(heights)
             values |= {f: float(sizes[0]) or 1.0, x: _reach(along), v: _reach(across)}
             for size, a, b in zip(sizes, left.T, right, strict=True):
                 if size > LEAST * sizes[0]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import linearised
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
 FEWEST = 200  # means of a record that are compared at least, however short it is
@@ -14,7 +15,7 @@ FEWEST = 200  # means of a record that are compared at least, however short it i
 def thinning(problem: EstimationProblem) -> tuple[int, int]:
     """Return the samples over which motions, and over which readings are averaged."""
     rig, rate = problem.rig, problem.record.rate
-    own = np.abs(np.linalg.eigvals(linearised(rig, rig.start)[0]).imag).max(initial=0.0) / (2.0 * np.pi)
+    own = np.abs(decompositions.eigenvalues(linearised(rig, rig.start)[0]).imag).max(initial=0.0) / (2.0 * np.pi)
     highest = max(problem.rules.screened_frequency, 2.0 * float(own), 0.5 * FEWEST * rate / len(problem.record))
     thin = max(1, int(rate / (6.0 * highest)))
     return thin, thin * max(1, int(rate / (2.0 * highest) / thin))

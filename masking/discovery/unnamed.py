@@ -244,7 +244,10 @@ def _law_of(found: Explained, validation: EstimationProblem, steps: int) -> Unna
     problem, validation = (replace(one, substeps=steps) for one in (found.problem, validation))
     found = replace(found, problem=problem)
     with threadpool_limits(1):
-        law = free_law.fit(found)
+        try:
+            law = free_law.fit(found)
+        except IntegrationError:  # no screen of its record
+            law = None
         if law is None:
             return None
         if law.hypothesis.cost > ALIKE * problem.record.readings.size:

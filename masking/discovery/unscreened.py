@@ -3,7 +3,8 @@
 Along a motion that sticks no law has the force that holds it, and where a sensor reads the same for several values,
 such as a magnitude, the motion that is smoothed from its readings is another one. Parameters that are fitted without
 these laws go far to stand for them. So dry friction is fitted at each place from the declared parameters, and at the
-place where it leaves least the other frictions that stick, from there; and at each sensor the laws that fold its range.
+place where it leaves least the other frictions that stick, from there; and at each sensor the laws that fold its range,
+and at each state the bounds that hold it.
 """
 
 from __future__ import annotations
@@ -45,21 +46,24 @@ def fits(
         ground: of the search.
         noted: makes fits, with the numbers of their candidates.
     """
-    begun = ground.declared
-    if begun is None or not _leaves_much(problem, now, found):
+    if not _leaves_much(problem, now, found):
         return []
     problem = problem.uncounted()  # few fits, beside those that a search may do
-    simple = [one for one in ground.every if one.sticks and not one.entry.nested]
+    begun, sticking = ground.declared or ground.base.hypothesis, [one for one in ground.every if one.sticks]
+    bounds = [(id(one), _job(problem, one, one.instances, begun)) for one in sticking if not one.factors]
+    if ground.declared is None:
+        return noted(bounds)
+    simple = [one for one in sticking if one.factors and not one.entry.nested]
     scores = ground.screen(problem, begun, ()).scores(simple)
     first = {score.candidate.at: score for score in reversed(scores)}.values()
     jobs = [(id(score.candidate), _job(problem, score.candidate, [score.instance], begun)) for score in first]
     folding = [one for one in ground.every if any(exclusion.folds(problem, at) for at in one.instances)]
-    made = noted([*jobs, *((id(one), _job(problem, one, one.instances, begun)) for one in folding)])
+    made = noted([*jobs, *((id(one), _job(problem, one, one.instances, begun)) for one in folding), *bounds])
     best = min(made, key=lambda one: one.cost, default=now)
-    if best.cost > WORSE * min(one.cost for one in (now, *found)) or not _leaves_much(problem, now, made):
+    if not made or best.cost > WORSE * min(one.cost for one in (now, *found)) or not _leaves_much(problem, now, made):
         return made
     (effect, at), level = best.names[-1], best.hypothesis.instances[-1].estimated[0]
-    others = [one for one in ground.every if one.sticks and one.at == at and one.effect != effect]
+    others = [one for one in sticking if one.factors and one.at == at and one.effect != effect]
     return made + noted([(id(one), _job(problem, one, [*_starts(one, level)], best.hypothesis)) for one in others])
 
 

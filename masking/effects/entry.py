@@ -168,7 +168,7 @@ class Effect:
         takes_rate: of an effect in series, the rate of what it takes up.
         at_zero: the law without states where a parameter is 0, by this parameter.
         by_step: parameters that are no physics, but make a state as stiff as a step of integration bears: expressions
-            over `step`, in s, and `mobility`, the acceleration of the displacement by a unit of force.
+            over `step`, in s, and `mobility`, the acceleration by a unit of force, or the rate of a level by a flow.
         least: least values of parameters that a step of integration bears, as such expressions of the parameters, too.
         positive: an expression of its parameters that is positive, or else it is not what its name says; '' if any are.
     """

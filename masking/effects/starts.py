@@ -28,6 +28,13 @@ def edges(span: Span) -> list[Start]:
     return [*up, *down, {"side": 1.0, "edge": 0.0}, {"side": -1.0, "edge": 0.0}]
 
 
+def bounds(span: Span) -> list[Start]:
+    """Return bounds of a state, within what it covers where nothing holds it."""
+    covered = span.high - span.low
+    up = [{"side": 1.0, "edge": span.low + part * covered} for part in EDGES]
+    return [*up, *({"side": -1.0, "edge": span.high - part * covered} for part in EDGES)]
+
+
 def damped_edges(span: Span) -> list[Start]:
     """Return the same edges of a contact that loses energy."""
     return [{**edge, "c": LOSS / span.rate} for edge in edges(span)]

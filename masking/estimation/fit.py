@@ -20,6 +20,7 @@ from masking.estimation.data import Data
 from masking.estimation.least_squares import Arrow, Box, Damping, Linearised, minimise
 from masking.estimation.sensitivity import Sensitivity
 from masking.estimation.simulation import first_start, noise_alone, relative, validated
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
@@ -315,7 +316,7 @@ class _Problem:
         information = at.equations.information()
         names = self.sensitivity.names
         scaled, scale = _scaled(information)
-        values, vectors = np.linalg.eigh(scaled)
+        values, vectors = decompositions.symmetric(scaled)
         kept = np.where(values > FLAT, values, np.inf)
         covariance = (vectors / kept) @ vectors.T / np.outer(scale, scale)
         notes = [_flat(names, vectors[:, i]) for i in np.flatnonzero(values <= FLAT)]

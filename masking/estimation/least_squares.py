@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import IntegrationError, ModelError
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
 SINGULAR = 1e-13  # of the largest singular value of the scaled matrix: what is smaller is rounding
@@ -86,9 +87,12 @@ class Dense:
         return step, float(self.gradient @ step)
 
     def covariance(self) -> Array:
-        """Return the covariance of the unknowns (n, n)."""
+        """Return the covariance of the unknowns (n, n), infinite where the equations cannot be inverted."""
         scale = _scale(self.matrix)
-        inverse = np.linalg.pinv(self.matrix / np.outer(scale, scale), hermitian=True, rcond=SINGULAR)
+        try:
+            inverse = decompositions.inverse(self.matrix / np.outer(scale, scale), SINGULAR, hermitian=True)
+        except IntegrationError:
+            return np.full(self.matrix.shape, np.inf)
         return np.asarray(inverse / np.outer(scale, scale))
 
 
@@ -128,7 +132,7 @@ class Arrow:
         matrix, gradient = self.matrix + damping * np.diag(np.diag(self.matrix)), self.gradient.copy()
         inverses: list[Array] = []
         for square, cross, slope in self.blocks:
-            inverse: Array = np.asarray(np.linalg.pinv(square + damping * np.diag(np.diag(square)), hermitian=True))
+            inverse = decompositions.inverse(square + damping * np.diag(np.diag(square)), hermitian=True)
             inverses.append(inverse)
             matrix -= cross.T @ inverse @ cross
             gradient -= cross.T @ inverse @ slope
@@ -307,4 +311,4 @@ def _scaled_solution(matrix: Array, right: Array, damping: float) -> Array:
         return right
     scale = _scale(matrix)
     scaled = matrix / np.outer(scale, scale) + damping * np.eye(len(right))
-    return np.asarray(np.linalg.lstsq(scaled, right / scale, rcond=SINGULAR)[0] / scale)
+    return decompositions.least_squares(scaled, right / scale, SINGULAR) / scale

@@ -13,6 +13,7 @@ from masking.errors import IntegrationError
 from masking.estimation.data import NOT_LATE, Data
 from masking.estimation.least_squares import NO_BOUNDS, Damping, Dense, Linearised, minimise
 from masking.estimation.sensitivity import NormalEquations, Sensitivity
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 from masking.rig.beginnings import reaches
 from masking.rig.twin import Twin
@@ -258,7 +259,7 @@ def guessed_state(
     y, (read, jacobian) = rest.copy(), at_rest
     value, *slope = np.polynomial.polynomial.polyfit(times, readings, min(degree, len(times) - 1))[:2]
     seen = [i for i in free if not n <= i < 2 * n]
-    inverse = np.linalg.pinv(jacobian[:, seen])
+    inverse = decompositions.inverse(jacobian[:, seen])
     y[seen] += inverse @ (value - read)
     if slope:
         y[n : 2 * n] = inverse[:n] @ slope[0]
