@@ -190,7 +190,7 @@ def _frozen_side(bench: Bench, judgement: Judgement, side: str) -> None:
     latch = own.manifest["latch"] or {"tick": 0}
     stale = int(own["fresh"][own["tick"] > latch["tick"]].sum())
     judgement.need(stale == 0, f"{stale} stale frames were used")
-    judgement.say(f"{side}: the other side ended as {said['reason']}; {stale} stale frames used")
+    judgement.say(f"{side} frozen: the controller ended as {said['reason']}; {stale} stale frames used")
 
 
 def _signalled(bench: Bench, judgement: Judgement) -> None:
