@@ -189,7 +189,11 @@ def test_a_recorder_that_is_killed_in_a_run_is_replaced_and_counted(experiment, 
 
     folder = tmp_path / "run"
     expected = hardware.run(experiment, SimulatedPlant(experiment.twin), progress=kill, stream=folder)
-    assert expected.manifest["rig"]["recorder"] == {"ended": 1, "note": "1 recorder was killed and replaced"}
+    assert expected.manifest["rig"]["recorder"] == {
+        "ended": 1,
+        "lost": 0,
+        "note": "1 recorder was killed and replaced",
+    }
     found = recover(folder)
     assert same(found.recording, expected)
     assert (found.missing, found.damages) == (0, ())

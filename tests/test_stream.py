@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from masking.errors import RecordError
-from masking.records import pages, recorder, stream, stream_content
+from masking.records import pages, recorder, ring, stream, stream_content
 from masking.records.recorder import Recorder
 
 WIDTH = 5
@@ -215,7 +215,10 @@ def test_after_too_many_deaths_it_is_said(tmp_path, monkeypatch):
     assert made.is_lost
     fed(5, made)
     made.close()
-    assert made.note.startswith("2 recorders were killed, and no other was started")
+    assert made.lost == 5
+    assert made.note == (
+        "2 recorders were killed, and no other was started: what followed was not streamed; 5 rows were not streamed"
+    )
 
 
 WRITER = """
@@ -275,11 +278,29 @@ def test_where_both_places_are_full_it_is_said_and_what_is_there_is_sound(tmp_pa
     fed(2000, made, rate=4000.0)
     assert made.is_full
     made.close()
-    assert made.note == "no place was left for the stream of the run: it was stopped"
     found = stream_content.read(tmp_path / "run")
+    assert made.lost == 2000 - len(found.table)
+    lost = f"{made.lost} rows were not streamed"
+    assert made.note == f"no place was left for the stream of the run: it was stopped; {lost}"
     assert 300 < len(found.table) < 1000
     assert found.table[:, 0].tolist() == list(range(len(found.table)))
     assert (found.end, found.damages) == (None, ())
+
+
+def test_a_recorder_whose_messages_find_no_place_says_by_its_status_that_the_disk_is_full(tmp_path):
+    made = ring.Ring(list(COLUMNS), 1000.0)
+    stream.begin(tmp_path / "run", {"columns": COLUMNS, "rate": 1000.0, "spare": str(tmp_path), "number": "1"})
+    command = [sys.executable, "-m", "masking.records.recorder", str(made.path), str(tmp_path / "run")]
+    try:
+        with (tmp_path / "errors").open("wb") as errors:
+            ended = subprocess.run(
+                command, stdout=subprocess.PIPE, stderr=errors, timeout=60, check=False,
+                preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1, 1)),
+            )  # fmt: skip
+    finally:
+        made.close()
+    assert ended.returncode == recorder.FULL
+    assert (tmp_path / "errors").stat().st_size == 1
 
 
 def test_pages_are_as_their_documentation_says():

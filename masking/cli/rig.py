@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import math
 import sys
+import time
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -128,6 +129,9 @@ def _add_batch(sub: argparse.ArgumentParser) -> None:
 
 def _add_stop(sub: argparse.ArgumentParser) -> None:
     add_json(sub)
+    sub.add_argument(
+        "processes", metavar="PROCESS", type=int, nargs="*", help="number of one whose runs are stopped (default: all)"
+    )
 
 
 def _add_calibrate(sub: argparse.ArgumentParser) -> None:
@@ -297,8 +301,9 @@ def _stop(chosen: argparse.Namespace) -> int:
 
     stopped = []
     for switch in switches():
-        switch.press(Presser.COMMAND_LINE)
-        stopped.append(switch.process)
+        if not chosen.processes or switch.process in chosen.processes:
+            switch.press(Presser.COMMAND_LINE)
+            stopped.append(switch.process)
     text = f"stopped: {', '.join(f'process {one}' for one in stopped)}" if stopped else "no run to stop"
     answer(chosen.json, {"stopped": stopped}, text)
     return int(not stopped)
@@ -339,9 +344,12 @@ def _faults(chosen: argparse.Namespace) -> int:
     from masking.faults import table
     from masking.faults.rerun import rerun
 
+    began = time.monotonic()
     with Bar("producing faults") as bar:
         found = rerun(chosen.numbers, is_quick=chosen.quick, say=lambda finding: bar.say(f"fault {finding.number}"))
-    answer(chosen.json, {"faults": [finding.as_dict() for finding in found]}, table.text(found))
+    seconds = time.monotonic() - began
+    faults = {"faults": [finding.as_dict() for finding in found], "seconds": round(seconds, 1)}
+    answer(chosen.json, faults, table.text(found, seconds))
     return int(not all(finding.passes for finding in found))
 
 

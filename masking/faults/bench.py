@@ -6,6 +6,7 @@ import contextlib
 import json
 import multiprocessing
 import os
+import resource
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -150,10 +151,10 @@ class Bench:
         found.damage()
         return found
 
-    def anew(self, *, line: str = _UDP, steps: bool = False) -> Served:
+    def anew(self, *, line: str = _UDP, lockstep: bool = False, steps: bool = False) -> Served:
         """Return a twin that is served in a process that only one fault uses; `steps` lets its wall clock step."""
-        found = Served(self.place(), PLANT, lockstep=False, line=line, steps=steps)
-        self._served[str(self._number), False] = found
+        found = Served(self.place(), PLANT, lockstep=lockstep, line=line, steps=steps)
+        self._served[str(self._number), lockstep] = found
         return found
 
     def run(
@@ -213,9 +214,38 @@ class Bench:
             made.close()
 
     def close(self) -> None:
-        """End all processes."""
+        """End all processes; others are started once they are asked for."""
         for served in self._served.values():
             served.close()
+        self._served.clear()
+
+
+@final
+class Waits:
+    """What calls within a loop cost it: of which it waited for anybody, or computed for a period of time.
+
+    Both are counted by the system for the loop's thread alone, whatever else the machine does.
+
+    Attributes:
+        calls: how many there were.
+        held: instants of those that made the loop wait, s of the monotonic clock.
+    """
+
+    def __init__(self) -> None:
+        self.calls, self.held = 0, list[float]()
+
+    def watched(self, call: Callable[..., None]) -> Callable[..., None]:
+        """Return a function that makes a call and watches it."""
+
+        def watching(*given: object) -> None:
+            waits, used = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw, time.thread_time()
+            call(*given)
+            is_long = time.thread_time() - used > 1.0 / RATE
+            self.calls += 1
+            if is_long or resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw > waits:
+                self.held.append(time.monotonic())
+
+        return watching
 
 
 @final

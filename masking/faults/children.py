@@ -24,7 +24,7 @@ from masking.plants.machine import STOPPING
 from masking.plants.simulated import SimulatedPlant
 from masking.runs.realtime import RigRun, run_rig
 
-_RUNNING, _FAILING = 200, 300  # ticks
+_RUNNING, FAILING = 200, 300  # ticks
 _STALL = 0.005  # s
 _HOUR = 3600.0
 
@@ -72,11 +72,11 @@ def control(said: Connection, address: str, chosen: dict[str, Any]) -> None:
     def step(tick: int, readings: Array) -> Array:
         row = next(row_of)
         seen[0] = time.monotonic()
-        if row == _FAILING and fault == "segfault":
+        if row == FAILING and fault == "segfault":
             ctypes.string_at(0)
-        if row == _FAILING and fault == "raise":
+        if row == FAILING and fault == "raise":
             raise ZeroDivisionError("the controller was asked to raise")
-        if (fault == "stalls" and row >= _FAILING) or (fault == "stall" and row == _FAILING):
+        if (fault == "stalls" and row >= FAILING) or (fault == "stall" and row == FAILING):
             time.sleep(_STALL)
         return twins.small(tick, readings)
 
@@ -94,6 +94,7 @@ def control(said: Connection, address: str, chosen: dict[str, Any]) -> None:
         }
         gaps = (ran.index[1:] - ran.index[:-1]).tolist()
         made |= {"late": [i for i, late in enumerate(ran.late.tolist()) if late], "gaps": gaps}
+        made |= {"walls": (ran.wall[1:] - ran.wall[:-1]).tolist(), "first": int(ran.index[0])}
         said.send(made | {"now": next(at for at in zeroed if at >= seen[0]), "seen": seen[0]})
 
     plant = adapters.connect(address)

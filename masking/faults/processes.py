@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.util import find_spec
 from typing import Any, Final
@@ -14,6 +15,7 @@ import numpy as np
 
 from masking.errors import PlantRefusedError
 from masking.faults.bench import Bench, Chosen, Controller, Served
+from masking.faults.children import FAILING
 from masking.faults.damage import DamagedPlant, spoiled
 from masking.faults.table import Fault, Judgement
 from masking.faults.twins import RATE, WATCHDOG, small
@@ -24,6 +26,9 @@ from masking.records.recording import Recording
 LATEST: Final = round(WATCHDOG * RATE) + 2  # ticks after the last command at which a plant is at zero
 _HELD: Final = 4  # lost samples that are borne
 _LOST_AT: Final = 300  # first sample that is lost
+_FROZEN: Final = 0.2  # s
+_SLOW: Final = 1.5  # periods between ticks, beyond which the machine has held the loop up
+_MOST: Final = 5  # late ticks in a row
 
 
 def _started(judgement: Judgement, said: object) -> bool:
@@ -83,32 +88,57 @@ def _stalls(bench: Bench, judgement: Judgement) -> None:
     with bench.controller(served.address, fault="stall", samples=500) as controller:
         _started(judgement, controller.said)
         said = controller.end()
-    served.record()
-    late = len([row for row in said["late"] if row >= 300])
-    after = [gap for gap in said["gaps"] if gap < 1]
-    judgement.need(late == 1, f"{late} late ticks where 1 was stalled")
-    judgement.need(not after, "a tick was caught up")
-    judgement.say(f"once: {late} late tick")
+    late, slow = set(said["late"]), {row for row, wall in enumerate(said["walls"], 1) if wall > _SLOW / RATE}
+    judgement.need(said["reason"] == "finished", f"once: ended as {said['reason']}")
+    judgement.need(FAILING + 1 in late, "the tick after the stall is not counted as late")
+    # One that the machine held up shows it on the loop's clock, or the one before does, which then began late.
+    others = {row for row in late - {FAILING + 1} if not slow & {row, row - 1}}
+    judgement.need(not others, f"ticks {others} are counted as late, and were not")
+    _counted(said, served.record(), judgement)
+    judgement.say(f"once: {len(late)} late, {len(late) - 1} of them held up by the machine; no burst")
     with bench.controller(served.address, fault="stalls") as controller:
         _started(judgement, controller.said)
         said = controller.end()
-    served.record()
-    trip = said["trip"] or {}
-    stalled = said["rows"] - 1 - 300
+    trip, late, last = said["trip"] or {}, set(said["late"]), said["rows"] - 1
+    in_a_row = next(n for n in range(last + 1) if last - n not in late)
     judgement.need(trip.get("cause") == "OVERRUN", f"ended as {trip.get('cause') or said['reason']}")
-    judgement.need(stalled == 5, f"tripped after {stalled} stalls, not 5")
-    judgement.say(f"always: {trip.get('cause')} after {stalled}")
+    judgement.need(in_a_row == _MOST, f"tripped after {in_a_row} late ticks in a row, not {_MOST}")
+    judgement.need(last <= FAILING + _MOST, f"tripped after {last - FAILING} stalls, not {_MOST}")
+    own = served.record()
+    _counted(said, own, judgement)
+    judgement.need(not own.array("input")[-1].any(), "the plant was not left at zero")
+    judgement.say(f"always: {trip.get('cause')} after {in_a_row}")
+
+
+def _counted(said: Mapping[str, Any], own: Recording, judgement: Judgement) -> None:
+    """Demand that the plant got one command for each sample that was answered, in time, and none for those missed."""
+    counted, gaps = own.manifest["counters"], np.array(said["gaps"])
+    missed, skipped = int((gaps - 1).sum()), said["counters"].get("skipped", 0) + said["counters"].get("lost", 0)
+    judgement.need(said["counters"]["late"] == (gaps > 1).sum(), f"{said['counters']['late']} late ticks counted")
+    judgement.need(said["counters"]["missed"] == missed, f"{said['counters']['missed']} of {missed} missed counted")
+    judgement.need(skipped == missed + said["first"], f"{missed} missed, {skipped} skipped")
+    judgement.need(counted.get("commands") == said["rows"], f"{counted.get('commands')} of {said['rows']} commands")
+    for cause in ("stale", "reordered", "duplicate", "ahead"):
+        judgement.need(not counted.get(cause), f"the plant counted {counted.get(cause)} {cause} commands")
+    judgement.need(said["rows"] + missed <= len(own["tick"]), f"{said['rows']} commands in {len(own['tick'])} ticks")
 
 
 def _loses(bench: Bench, judgement: Judgement) -> None:
     for lost in (1, _HELD, _HELD + 1, 20):
         made = partial(DamagedPlant, lost=range(_LOST_AT, _LOST_AT + lost))
         ended = bench.run(lockstep=False, samples=500, made=made)
-        counted = ended.run.counters.get("lost", 0)
+        counted, own = ended.run.counters.get("lost", 0), ended.own
         if lost <= _HELD:
             judgement.need(not ended.cause, f"{lost} lost: ended as {ended.cause}")
+            judgement.need(own.manifest["latch"] is None, f"{lost} lost: the plant tripped: {own.manifest['latch']}")
+            rows = np.flatnonzero(own["tick"] == _LOST_AT)[0] + np.arange(lost - 1)
+            inputs, unanswered = own.array("input"), own["fresh"][rows] == 0.0
+            is_held = (inputs[rows] == inputs[rows - 1]).all(axis=1)
+            judgement.need(is_held[unanswered].all(), f"{lost} lost: the last command was not held")
             judgement.say(f"{lost} lost: {counted} counted, goes on")
         else:
+            later = zero_after(own)
+            judgement.need(later <= LATEST, f"{lost} lost: zero {later} ticks after the last command")
             judgement.need(ended.cause == "COMM_LOST", f"{lost} lost: ended as {ended.cause or ended.run.reason}")
             judgement.say(f"{lost} lost: {counted} counted, {ended.cause}")
         judgement.need(abs(counted - lost) <= 1, f"{lost} lost, {counted} counted")
@@ -140,10 +170,16 @@ def _killed(bench: Bench, judgement: Judgement) -> None:
 
 
 def _frozen(bench: Bench, judgement: Judgement) -> None:
-    def act(controller: Controller, _: Served) -> None:
-        controller.send(signal.SIGSTOP)
-        time.sleep(0.2)
-        controller.send(signal.SIGCONT)
+    for side in ("controller", "plant"):
+        _frozen_side(bench, judgement, side)
+
+
+def _frozen_side(bench: Bench, judgement: Judgement, side: str) -> None:
+    def act(controller: Controller, served: Served) -> None:
+        number = (controller if side == "controller" else served).process.pid or 0
+        os.kill(number, signal.SIGSTOP)
+        time.sleep(_FROZEN)
+        os.kill(number, signal.SIGCONT)
 
     said = _in_two(bench, act, judgement)
     if not said:
@@ -154,7 +190,7 @@ def _frozen(bench: Bench, judgement: Judgement) -> None:
     latch = own.manifest["latch"] or {"tick": 0}
     stale = int(own["fresh"][own["tick"] > latch["tick"]].sum())
     judgement.need(stale == 0, f"{stale} stale frames were used")
-    judgement.say(f"controller: {said['reason']}; {stale} stale frames used")
+    judgement.say(f"{side} frozen: the controller ended as {said['reason']}; {stale} stale frames used")
 
 
 def _signalled(bench: Bench, judgement: Judgement) -> None:

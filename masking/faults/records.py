@@ -14,23 +14,26 @@ from typing import Final
 
 import numpy as np
 
-from masking.faults.bench import Bench
+from masking.faults.bench import Bench, Ended, Waits
 from masking.faults.table import Fault, Judgement
 from masking.faults.twins import RATE
 from masking.plants.udp import UdpPlant
 from masking.records import stream, stream_content
-from masking.records.recorder import Recorder
+from masking.records.recorder import WATCHING, Recorder
 from masking.records.ring import cells
 from masking.runs import hardware
 from masking.runs.experiment import Experiment
+from masking.runs.realtime import Row
 
 _COLUMNS: Final = {f"c{i}": {"unit": "V", "meaning": ""} for i in range(30)}
 _PAGE: Final = 20  # rows
 _ROWS: Final = 2000
 _STALLED: Final = 0.5  # s
 _UNITS: Final = 120.0  # of the experiment's time
-_FULL: Final = 200_000  # bytes that a file may have
-_WRITTEN: Final = 20.0  # s at most until a recorder has written rows
+_FULL: Final = 50_000  # bytes that a file may have
+_LOOP_ROWS: Final = 1000  # of a controller in real time
+_FILLED: Final = 0.4  # of a run, after which its disk is full
+_PATIENCE: Final = 2.0  # s in a tick that the end of a recorder is waited for: the plant waits for commands longer
 
 
 def _cut(bench: Bench, judgement: Judgement) -> None:
@@ -55,33 +58,59 @@ def _cut(bench: Bench, judgement: Judgement) -> None:
     judgement.say(f"{number - wrong} of {number} cuts are an exact prefix, at most {lost / RATE * 1e3:.0f} ms lost")
 
 
-def _recorded(bench: Bench, judgement: Judgement, act: Callable[[int], None]) -> tuple[Recorder, int]:
-    """Put rows at the rate, do something to the recorder after a third; return it, and the rows that are on disk.
+def _recorded(
+    bench: Bench, judgement: Judgement, act: Callable[[int], None], *, is_loop: bool = False
+) -> tuple[Recorder, int, int]:
+    """Put rows at the rate, do something to the recorder after a third; return it, the rows put, and those on disk.
 
     Demands that what is on disk is an exact prefix, and that no row made the loop wait or took a period of computing.
+
+    Args:
+        bench: of the fault.
+        judgement: of it.
+        act: is given the number of the recorder's process.
+        is_loop: the rows are those of a controller that runs on the served twin, in real time.
     """
-    folder = bench.place()
+    folder, waits, count = bench.place(), Waits(), _LOOP_ROWS if is_loop else _ROWS
     made, row = Recorder(folder, _COLUMNS, RATE, folder), np.zeros(len(_COLUMNS))
-    held, begin = 0, time.monotonic()
-    for n in range(_ROWS):
-        if n == _ROWS // 3:
+    put = waits.watched(made.ring.put)
+
+    def on_tick(tick: int) -> None:
+        if tick == count // 3:
             judgement.need(made.process, "no recorder runs")
             act(made.process or 0)
-        row[:] = n
-        waits, used = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw, time.thread_time()
-        made.ring.put(cells(row))
-        is_long = time.thread_time() - used > 1.0 / RATE
-        held += is_long or resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw > waits
-        time.sleep(max(0.0, begin + (n + 1) / RATE - time.monotonic()))
+
+    def on_row(_: Row) -> None:
+        row[:] = waits.calls
+        put(cells(row))
+
+    if is_loop:
+        _undisturbed(bench.run(lockstep=False, samples=count, on_row=[on_row], on_tick=on_tick), judgement)
+    else:
+        begin = time.monotonic()
+        for n in range(count):
+            on_tick(n)
+            row[:] = n
+            put(cells(row))
+            time.sleep(max(0.0, begin + (n + 1) / RATE - time.monotonic()))
     made.close()
     found = stream_content.read(folder)
-    exact = np.array_equal(found.table[:, 0], np.arange(len(found.table)))
+    exact, there = np.array_equal(found.table[:, 0], np.arange(len(found.table))), len(found.table)
     judgement.need(exact and not found.damages, f"wrong rows: {found.damages}")
-    judgement.need(held == 0, f"{held} rows made the loop wait")
-    judgement.say(f"{_ROWS} rows put, {held} of them made the loop wait, {len(found.table)} on disk")
+    judgement.need(not waits.held, f"{len(waits.held)} rows made the loop wait")
+    judgement.need(made.lost == waits.calls - there, f"{made.lost} lost rows counted of {waits.calls - there}")
+    judgement.say(f"{waits.calls} rows put, {len(waits.held)} of them made the loop wait, {there} on disk")
     if made.note:
         judgement.say(made.note)
-    return made, len(found.table)
+    return made, waits.calls, there
+
+
+def _undisturbed(ended: Ended, judgement: Judgement) -> None:
+    """Demand that a run went on to its end, and that the plant saw nothing of what happened to the recorder."""
+    judgement.need(ended.run.reason == "finished", f"the loop ended as {ended.cause or ended.run.reason}")
+    judgement.need(ended.own.manifest["latch"] is None, f"the plant tripped: {ended.own.manifest['latch']}")
+    sent, counted = len(ended.run.index), ended.own.manifest["counters"].get("commands", 0)
+    judgement.need(counted == sent, f"{counted} of {sent} commands acted")
 
 
 def _slow(bench: Bench, judgement: Judgement) -> None:
@@ -91,38 +120,41 @@ def _slow(bench: Bench, judgement: Judgement) -> None:
         os.kill(number, signal.SIGSTOP)
         threading.Timer(_STALLED, os.kill, (number, signal.SIGCONT)).start()
 
-    made, there = _recorded(bench, judgement, act)
-    judgement.need(there == _ROWS and not made.ended, f"slow disk: {_ROWS - there} rows lost, {made.ended} ends")
+    made, count, there = _recorded(bench, judgement, act)
+    judgement.need(there == count and not made.ended, f"slow disk: {count - there} rows lost, {made.ended} ends")
 
 
 def _killed(bench: Bench, judgement: Judgement) -> None:
-    made, there = _recorded(bench, judgement, lambda number: os.kill(number, signal.SIGKILL))
-    judgement.need(made.ended == 1, f"{made.ended} ends counted")
-    judgement.need(there == _ROWS, f"{_ROWS - there} rows lost")
+    for is_loop in (False, True):
+        made, count, there = _recorded(
+            bench, judgement, lambda number: os.kill(number, signal.SIGKILL), is_loop=is_loop
+        )
+        judgement.need(made.ended == 1, f"{made.ended} ends counted")
+        judgement.need(there == count, f"{count - there} rows lost")
 
 
 def _full(bench: Bench, judgement: Judgement) -> None:
     def act(number: int) -> None:
         resource.prlimit(number, resource.RLIMIT_FSIZE, (_FULL, _FULL))
 
-    made, there = _recorded(bench, judgement, act)
-    judgement.need(made.is_full, "the full disk is not reported")
-    judgement.need(there < _ROWS, "the disk was not full")
+    for is_loop in (False, True):
+        made, _, _ = _recorded(bench, judgement, act, is_loop=is_loop)
+        judgement.need(made.is_full, "the full disk is not reported")
+        judgement.need(made.lost, "the disk was not full")
     _slow(bench, judgement)
     _stopped(bench, judgement)
 
 
 def _stopped(bench: Bench, judgement: Judgement) -> None:
     """Run an experiment whose disk becomes full: it stops in order, and what it lost is counted."""
-    served, folder, is_full = bench.served(), bench.place(), False
+    served, folder, before = bench.served(), bench.place(), set(threading.enumerate())
+    waiting = list[threading.Thread]()
 
     def fill(part: float) -> None:
-        nonlocal is_full
-        if part > 0.4 and not is_full:
-            is_full = True
-            until = time.monotonic() + _WRITTEN
-            while not (folder / stream.ROWS).stat().st_size and time.monotonic() < until:
-                time.sleep(0.01)  # the recorder may still start
+        if waiting:  # there are rows since, which the recorder cannot write: whatever the machine does, it ends of them
+            waiting[0].join(_PATIENCE)
+        elif part > _FILLED:
+            waiting.extend(one for one in threading.enumerate() if one.name == WATCHING and one not in before)
             for number in _recorders():
                 resource.prlimit(number, resource.RLIMIT_FSIZE, (1, 1))
 
@@ -135,10 +167,14 @@ def _stopped(bench: Bench, judgement: Judgement) -> None:
         stream=folder,
         spare=bench.place(),
     )
-    end, own = found.manifest["rig"]["end"], served.record()
-    judgement.need(end == "disk full", f"the run ended as {end}")
+    rig, own = found.manifest["rig"], served.record()
+    judgement.need(rig["end"] == "disk full", f"the run ended as {rig['end']}")
     judgement.need(own.manifest["end"] == "bye", f"the plant's session ended as {own.manifest['end']}")
-    judgement.say(f"a run: {end}, {found.manifest['rig']['recorder']['note']}")
+    judgement.need(not own.array("input")[-1].any(), "the plant was not left at zero")
+    lost = own.manifest["counters"]["commands"] - len(stream_content.read(folder).table)
+    counted = rig.get("recorder", {}).get("lost", 0)
+    judgement.need(counted == lost > 0, f"{counted} lost rows counted of {lost}")
+    judgement.say(f"a run: {rig['end']}, {rig.get('recorder', {}).get('note', '')}")
 
 
 def _recorders() -> set[int]:

@@ -97,6 +97,7 @@ def examine(fault: Fault, bench: Bench) -> Finding:
             judgement.need(holds=False, broken=f"{type(error).__name__}: {error}")
         if not judgement.broken:
             break
+        bench.close()  # what it left must not be taken for what the next one does
     return Finding(
         fault.number,
         fault.injected,
@@ -108,10 +109,16 @@ def examine(fault: Fault, bench: Bench) -> Finding:
     )
 
 
-def text(findings: Sequence[Finding]) -> str:
-    """Return the findings as a table of text."""
+def text(findings: Sequence[Finding], seconds: float) -> str:
+    """Return the findings as a table of text.
+
+    Args:
+        findings: of the faults.
+        seconds: that all of them took together.
+    """
     faults = [found for found in findings if found.number]  # 0 is a run without one
-    return "\n".join([*_lines(findings), f"{sum(f.passes for f in faults)} of {len(faults)} pass"])
+    said = f"{sum(f.passes for f in faults)} of {len(faults)} pass, in {seconds:.0f} s"
+    return "\n".join([*_lines(findings), said])
 
 
 def _lines(findings: Sequence[Finding]) -> Iterator[str]:

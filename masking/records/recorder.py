@@ -29,6 +29,7 @@ STARTS: Final = 6  # recorders of one run at most
 FULL: Final = 3  # exit status where no place is left
 CLOSED: Final = "closed"
 KILLED: Final = "killed"
+WATCHING: Final = "recorder"  # name of the thread that waits for the end of a recorder
 _NICE: Final = 5
 _HELD: Final = 16.0  # s of rows in memory
 _READY: Final = b"ready\n"
@@ -97,6 +98,7 @@ class Recorder:
         ring: for the rows.
         ended: how many recorders have ended before the rows did.
         is_full: whether no place is left for rows.
+        lost: rows that were put and are in no part of the stream, counted by `close`.
 
     Args:
         folder: of the stream, made if need be.
@@ -117,7 +119,7 @@ class Recorder:
         spare: str | Path,
         **more: Any,  # noqa: ANN401
     ) -> None:
-        self.folder, self.ended, self.is_full, self._starts = Path(folder), 0, False, 0
+        self.folder, self.ended, self.lost, self.is_full, self._starts = Path(folder), 0, 0, False, 0
         units = {name: entry["unit"] for name, entry in columns.items()}
         number = os.urandom(8).hex()
         self.ring = Ring([*columns], rate, units, round(_HELD * rate), number=number)
@@ -133,7 +135,7 @@ class Recorder:
         except BaseException:
             self.ring.close()
             raise
-        self._thread = threading.Thread(target=self._attend, name="recorder", daemon=True)
+        self._thread = threading.Thread(target=self._attend, name=WATCHING, daemon=True)
         self._thread.start()
 
     @property
@@ -149,17 +151,24 @@ class Recorder:
     @property
     def note(self) -> str:
         """Say what did not go as it should; empty where all did."""
+        many, said = f"{self.ended} recorders were" if self.ended != 1 else "1 recorder was", list[str]()
         if self.is_full:
-            return "no place was left for the stream of the run: it was stopped"
-        many = f"{self.ended} recorders were" if self.ended != 1 else "1 recorder was"
-        if self.is_lost:
-            return f"{many} killed, and no other was started: what followed was not streamed"
-        return f"{many} killed and replaced" if self.ended else ""
+            said = ["no place was left for the stream of the run: it was stopped"]
+        elif self.is_lost:
+            said = [f"{many} killed, and no other was started: what followed was not streamed"]
+        elif self.ended:
+            said = [f"{many} killed and replaced"]
+        return "; ".join([*said, *([f"{self.lost} rows were not streamed"] if self.lost else [])])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what did not go as it should, as JSON can hold it."""
+        return {"ended": self.ended, "lost": self.lost, "note": self.note}
 
     def close(self) -> None:
-        """Let the recorder take the last rows and end the stream; wait for it."""
+        """Let the recorder take the last rows and end the stream; wait for it, and count what is missing."""
         self.ring.close(remove=False)
         self._thread.join(_END)
+        self.lost = self.ring.count - stream.written(self.folder)
         self.ring.path.unlink(missing_ok=True)
 
     def _start(self) -> subprocess.Popen[bytes]:

@@ -22,7 +22,7 @@ import numpy as np
 from masking.errors import NO_PLACE, RecordError
 from masking.numerics.arrays import Array
 from masking.records.json_text import json_text
-from masking.records.pages import CHAIN, CONTENT, DATA, END, PART_HEAD, hash_of, page_bytes, pages_of, part_head
+from masking.records.pages import CHAIN, CONTENT, DATA, END, PART_HEAD, Page, hash_of, page_bytes, pages_of, part_head
 
 if sys.platform != "win32":
     import fcntl
@@ -94,6 +94,26 @@ def parts(folder: Path, content: bytes | None = None) -> tuple[Path, ...]:
             else (folder / ROWS,)
         )
     return (folder / ROWS,)
+
+
+def _last_pages(file: int) -> list[Page]:
+    """Return the sound pages near the end of a part."""
+    size = os.fstat(file).st_size
+    if size <= PART_HEAD:
+        return []
+    with mmap.mmap(file, size, access=mmap.ACCESS_READ) as memory:
+        return [page for page in pages_of(memory, max(PART_HEAD, size - _TAIL), None) if page.is_sound]
+
+
+def written(folder: str | Path) -> int:
+    """Return how many rows are in the stream that a folder holds, as its last page says."""
+    for path in reversed(parts(Path(folder))):
+        with contextlib.suppress(OSError), path.open("rb") as file:
+            if pages := _last_pages(file.fileno()):
+                last = pages[-1]
+                lost = int(json.loads(last.payload)["lost"]) if last.kind == END else 0
+                return last.first + last.rows - lost
+    return 0
 
 
 @final
@@ -234,12 +254,7 @@ class StreamWriter:
     def _go_on(self, path: Path) -> bool:
         """Continue a part behind its last whole page; tell whether there is one."""
         file = self._locked(path, os.O_RDWR)
-        size = os.fstat(file).st_size
-        last = None
-        if size > PART_HEAD:
-            with mmap.mmap(file, size, access=mmap.ACCESS_READ) as memory:
-                for page in pages_of(memory, max(PART_HEAD, size - _TAIL), None):
-                    last = page if page.is_sound and page.kind != END else last
+        last = next((page for page in reversed(_last_pages(file)) if page.kind != END), None)
         if last is None:
             os.close(file)
             return False

@@ -185,7 +185,7 @@ def run(
         outcome |= {"unwatched": list(rules.notes)} if rules.notes else {}
         outcome |= {"trip": ran.trip.as_dict()} if ran.trip is not None else {}
         if streamed is not None and streamed.recorder.note:
-            outcome |= {"recorder": {"ended": streamed.recorder.ended, "note": streamed.recorder.note}}
+            outcome |= {"recorder": streamed.recorder.as_dict()}
         return experiment.record_rig(RowLayout(experiment).run(ran.table, after), lockstep=lockstep, outcome=outcome)
 
     def on_end(ran: RigRun) -> None:

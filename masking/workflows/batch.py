@@ -163,6 +163,7 @@ class _Worker:
         self.say, self.has_run = say, False
         self.outcome: Mapping[str, Any] = {}  # of the last try
         self.waited, self.last = 0.0, ""  # s since the plant was reached, and what was said
+        self.ended = 0.0  # when the last try did, s of the monotonic clock
 
     def work(self, progress: Callable[[float], None]) -> str:
         """Make what is not made yet; return why not all of it could be."""
@@ -202,11 +203,13 @@ class _Worker:
 
     def _try(self, one: Progress) -> None:
         """Make a try of a run in a process of its own."""
+        begin: dict[str, Any] = {"event": "begin", "run": one.run.number}
         if self.has_run:
             time.sleep(self.declared.cool)
+            begin["cooled"] = round(time.monotonic() - self.ended, 3)
         one.tries += 1
         place = self._place(one)
-        self.journal.add(event="begin", run=one.run.number, **{"try": one.tries}, settings=dict(one.run.settings))
+        self.journal.add(**begin, **{"try": one.tries}, settings=dict(one.run.settings))
         one.open, self.has_run = one.tries, True
         zeros = [end["zero"] for other in self.found for end in other.ends if end.get("zero")]
         command = [sys.executable, "-m", "masking.workflows.batch_run", str(self.plan), str(one.run.number), str(place)]
@@ -271,7 +274,7 @@ class _Worker:
         entry = {"event": "end", "run": one.run.number, "try": one.open, **outcome}
         self.journal.add(**entry)
         one.ends.append(entry)
-        one.open = 0
+        one.open, self.ended = 0, time.monotonic()
         self.outcome = outcome if self.has_run else {}  # what ended a former batch was looked at before this one began
         why = f": {outcome['why']}" if outcome.get("why") else ""
         self.say(f"run {one.run.number} of {len(self.found)}, try {entry['try']}: {outcome['end']}{why}")
