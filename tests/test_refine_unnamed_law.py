@@ -40,7 +40,7 @@ def test_a_law_without_a_name_is_cancelled(tmp_path):
         "parameters:\n", f"parameters:\n  f1: {{value: {drag:.9g}, unit: N}}\n"
     )
     content = EXPERIMENT.format(
-        folder=tmp_path, stroke=0.5 * rig.size, rate=100.0 * rig.speed / (2.0 * np.pi), time_scale=1.0 / rig.speed
+        folder=tmp_path, stroke=0.5 * rig.size, rate=1000.0 * rig.speed / (2.0 * np.pi), time_scale=1.0 / rig.speed
     )
     for name, text in (("believed", believed), ("true", true), ("rig", RIG), ("experiment", content)):
         (tmp_path / f"{name}.yaml").write_text(text)
