@@ -2,12 +2,16 @@
 
 import json
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
+from scipy.integrate import solve_ivp
 from test_rig import serving
 
 from masking.cli import main
+from masking.plants.interface import Sample
 from masking.plants.simulated import SimulatedPlant
 from masking.records.recording import Recording
 from masking.runs import hardware
@@ -84,3 +88,63 @@ def test_passive_coordinates_in_real_time(tmp_path):
     assert found.manifest["mode"] == "real time"
     assert found.manifest["rig"]["end"] == "finished"
     assert found.manifest["passive"]["coordinates"] == ["th"]
+
+
+class Turned:
+    """A twin of which someone sets a reading: `value` of the time in s is added to what a sensor reads."""
+
+    owns_clock = False
+
+    def __init__(self, plant, sensor, value):
+        self.plant, self.at, self.value = plant, plant.sensors.index(sensor), value
+        self.sensors, self.actuators = plant.sensors, plant.actuators
+
+    def __getattr__(self, name):
+        return getattr(self.plant, name)
+
+    def read(self):
+        sample = self.plant.read()
+        values = sample.values.copy()
+        values[self.at] += self.value(sample.index / 500.0)
+        return Sample(sample.index, values)
+
+
+def packets(t):
+    """A knob that is turned to and fro from 2.4 s to 6 s, and arrives 20 times a second in steps of 0.01."""
+    return round(0.4 * np.sin(4.0 * np.floor(20 * t) / 20), 2) if 2.4 < t < 6.0 else 0.0
+
+
+def with_a_knob(folder, effects):
+    declared = yaml.safe_load((Path(__file__).parent.parent / "plants" / "cart.yaml").read_text(encoding="utf-8"))
+    declared["sensors"]["knob"] = {"measures": 0, "unit": "V"}
+    declared["effects"] |= effects
+    (folder / "plant.yaml").write_text(json.dumps(declared), encoding="utf-8")
+    changes = {"plant": str(folder / "plant.yaml"), "effects": {}, "inputs": {"F": {"sensor": "knob"}}}
+    return Experiment.load("cart_felt").changed(controller=HELD, duration=6, **changes)
+
+
+@pytest.mark.parametrize("step", [None, 0.01])
+def test_a_knob_that_is_turned_drives_the_masked_mass(tmp_path, step):
+    effects = {"knob_steps": {"effect": "quantisation", "at": "knob", "parameters": {"step": step}}} if step else {}
+    made = with_a_knob(tmp_path, effects)
+    run = hardware.run(made, Turned(SimulatedPlant(made.twin), "knob", packets), lockstep=True)
+    rig, released = run.manifest["rig"], made.sampled.before / 500.0
+    assert (rig["end"], rig.get("trip")) == ("finished", None)
+    assert "jumps of knob are not watched: give sensors.knob.jump" in rig["unwatched"]
+    late = (made.sampled.delay + 0.5) / 500.0  # it is felt as late as commands act
+    motion = solve_ivp(
+        lambda t, y: [y[1], (packets(t + released - late) - 40 * y[0] - 2 * y[1]) / 0.3],
+        (0, run.t[-1]), [0.0, 0.0], t_eval=run.t, max_step=0.004, rtol=1e-6, atol=1e-9,
+    ).y[0]  # fmt: skip
+    assert np.abs(motion).max() > 0.01
+    assert np.linalg.norm(run["virtual.x"] - motion) <= 0.03 * np.linalg.norm(motion)
+    assert run.manifest["masking_error"]["x"] <= 0.03
+
+
+@pytest.mark.parametrize("value", [lambda t: 0.0, lambda t: 0.3, lambda t: 0.6 * (t % 1.5 < 0.004)])
+def test_a_reading_that_the_rig_does_not_move_may_stay_as_it_is(tmp_path, value):
+    """A knob that nobody turns, and a force sensor at rest between taps."""
+    felt = short("cart_felt", FELT, seconds=4.0).changed(effects={"push": False})
+    for made, sensor in ((with_a_knob(tmp_path, {}), "knob"), (felt, "force")):
+        run = hardware.run(made, Turned(SimulatedPlant(made.twin), sensor, value), lockstep=True)
+        assert (run.manifest["rig"]["end"], run.manifest["rig"].get("trip")) == ("finished", None)

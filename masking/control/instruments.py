@@ -135,13 +135,14 @@ class Instruments:
         seen = [i for i in range(n) if i not in hidden]
         check_sensing(sensing[:, seen], [self.model.coordinates[i] for i in seen], self.sensors)
         check_followed(dynamics, hidden, self.model.coordinates)
-        unknown = [name for name in self.sensors if noise is None and name not in self.noise]
+        weighed = zip(self.sensors, sensing.any(axis=1), strict=True)
+        unknown = [name for name, is_weighed in weighed if is_weighed and noise is None and name not in self.noise]
         if unknown:
             raise ModelError(
                 f"{self.plant.name}: the noise of {', '.join(unknown)} is not known: declare an effect noise there in "
                 "the plant file, or write controller.observer.noise, in the sensors' units"
             )
-        levels = np.array([self.noise[name] if noise is None else noise for name in self.sensors])
+        levels = np.array([self.noise.get(name, 0.0) if noise is None else noise for name in self.sensors])
         slope = np.eye(n) if self.driven is None else self.driven
         command = self.allocation_inverse @ np.linalg.pinv(slope @ driven) @ slope / self.limits()[:, [LARGEST]]
         return Plan(dynamics, sensing, command, levels, 1.0 / rate, self.delay, hidden)

@@ -108,8 +108,9 @@ def remember(s, missed, seen, past, counts, settings):
 def stuck(h, s, sensors, seen, model, past, sent, counts, settings, report):
     """Return STUCK where a reading stays the same to the last bit although it would change, else 0.
 
-    It would change where its noise was seen to be more than its steps, and where the speed that it had, and the
-    acceleration that readings and commands give it, would have moved it by more than all that they may be off.
+    It would change where its noise is more than its steps, as declared and as it was seen: what is seen may be a knob
+    that is set now and then. And where the speed that it had, and the acceleration that readings and commands give
+    it, would have moved it by more than all that they may be off.
     """
     rows, sensed = past.shape[0], s.size
     acting = (counts[ROW] - settings[DELAY] - 1) % rows
@@ -143,7 +144,9 @@ def stuck(h, s, sensors, seen, model, past, sent, counts, settings, report):
                     seen[i, MOVES] = 2.0
         noise = seen[i, ROUGH] / THIRD_DIFFERENCE
         is_noisy = (
-            counts[TOTAL] > settings[SECOND_OF] and noise > 0.5 * sensors[i, NOISE] > 0.0 and noise > seen[i, FINEST]
+            counts[TOTAL] > settings[SECOND_OF]
+            and noise > 0.5 * sensors[i, NOISE]
+            and min(noise, sensors[i, NOISE]) > seen[i, FINEST]
         )
         if seen[i, EQUAL] >= settings[HELD] and (is_noisy or seen[i, MOVES] == 2.0):
             tell(report, i, s[i], settings[HELD] * h)

@@ -105,7 +105,8 @@ class _Builder:
         self.read: list[_Linear | None] = []
         for gain, sensor in zip(gains, instruments.plant.sensors.values(), strict=True):
             found = self._linear(sensor.measures)
-            is_position = found is not None and not found.slopes[self.count :].any()
+            moves = np.flatnonzero(found.slopes) if found else np.empty(0)  # nothing: a live input, such as a knob
+            is_position = len(moves) and moves.max() < self.count
             self.read.append(_Linear(gain * found.zero, gain * found.slopes) if found and is_position else None)
         known = [i for i, found in enumerate(self.read) if found is not None]
         self.known, self.sensing = known, np.array([self.read[i].slopes[: self.count] for i in known])  # type: ignore[union-attr]
