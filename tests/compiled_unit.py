@@ -28,6 +28,12 @@ class CompiledUnit:
         size = sum(max(1, math.prod(shape)) for shape in unit.memory.values())
         self.state = ctypes.create_string_buffer(size * self.dtype().itemsize + 8 * unit.counters)
 
+    def memory(self, name):
+        """Return an array of its state, flat, as it is there."""
+        sizes = {one: max(1, math.prod(shape)) for one, shape in self.unit.memory.items()}
+        before = sum(list(sizes.values())[: list(sizes).index(name)])
+        return np.frombuffer(self.state, self.dtype, sizes[name], before * self.dtype().itemsize)
+
     def __getattr__(self, name):
         function = getattr(self.library, f"{self.unit.name}_{name}")
         written = self.unit.written(name)

@@ -1,7 +1,9 @@
 """Exported C and Python against the compiled kernels that they were made from, over every packaged experiment."""
 
+import graphlib
 import importlib.util
 import math
+import re
 import subprocess
 from functools import cache
 
@@ -30,6 +32,8 @@ def can_be_a_law(experiment):
 needs_gcc = pytest.mark.skipif(GCC is None, reason="there is no gcc")
 LAWS = [name for name in catalogue.names("experiment") if can_be_a_law(Experiment.load(name))]
 EXACT = 1e-12
+MATHEMATICS = {"acos", "asin", "atan", "atan2", "ceil", "copysign", "cos", "cosh", "exp", "expm1", "fabs", "floor"}
+MATHEMATICS |= {"fmod", "log", "log1p", "pow", "sin", "sinh", "sqrt", "tan", "tanh"}  # of math.h
 RIG = {"rate": "1 kHz", "model": "setup_springs"}
 SAMPLED = {
     "as declared": {},
@@ -243,6 +247,45 @@ def test_the_source_in_c_has_no_heap_no_io_and_no_state_outside_of_its_struct():
     assert not [word for word in ("malloc", "printf", "double", "goto") if word in text]
     outside = [line for line in text.splitlines() if line.startswith("static") and line.endswith("{") and "=" in line]
     assert all(line.startswith("static const float ") for line in outside)
+
+
+def of_kind(name, kind):
+    """Return the unit that a name is exported as."""
+    if kind == "plant":
+        return twin_unit(Twin.load(name), name, 1000.0)
+    if kind == "model":
+        return model_unit(load_model(name).dimensionless(), name, 1000.0)
+    experiment = Experiment.load(name)
+    return sampled_unit(experiment.sampled, name, 0.02) if kind == "sampled" else law_unit(experiment.loop, name, None)
+
+
+@needs_gcc
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        *((name, "sampled") for name in ("cart_felt_observer", "cart_reference", "escapements_rig", "two_carts")),
+        *((name, "sampled") for name in ("delayed_oscillators_rig", "huygens_rig")),
+        *(("pendula", "law"), ("tue_rig", "plant"), ("duffing_si", "model")),
+    ],
+)
+def test_the_calls_that_gcc_finds_in_the_source_have_no_cycle_and_lead_to_mathematics_alone(name, kind, tmp_path):
+    unit = of_kind(name, kind)
+    text = CUnit(unit, "double")
+    (tmp_path / f"{unit.name}.h").write_text(text.header())
+    (tmp_path / "unit.c").write_text(text.source())
+    made = ["-O0", "-c", "-fcallgraph-info=su", "-Werror=vla", "-Walloca", "unit.c"]
+    subprocess.run([GCC, *STRICT, *made], check=True, cwd=tmp_path)
+    graph = (tmp_path / "unit.ci").read_text()
+    ours = {title: rest for title, rest in re.findall(r'^node: \{ title: "(\S+?)" (.*)', graph, re.M)}
+    calls = {title: set() for title in ours}
+    for caller, callee in re.findall(r'^edge: \{ sourcename: "(\S+?)" targetname: "(\S+?)"', graph, re.M):
+        calls[caller].add(callee)
+    order = tuple(graphlib.TopologicalSorter(calls).static_order())  # raises CycleError where a function calls itself
+    outside = {title for title in order if "shape : ellipse" in ours[title]}
+    assert outside <= MATHEMATICS
+    assert {f"{unit.name}_{operation}" for operation in unit.operations} <= set(order) - outside
+    stacks = [re.search(r"\d+ bytes \((\S+)\)", ours[title]) for title in set(order) - outside]
+    assert {stack[1] for stack in stacks} <= {"static", "dynamic,bounded"}  # the latter for arguments of calls
 
 
 def test_a_constant_beyond_float_is_refused():

@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 
 import masking
+from masking.declaration import catalogue
+from masking.exports import fmu
 from masking.exports.controllers import sampled_unit
 from masking.exports.fmu import has_binary, write
 from masking.exports.plants import twin_unit
 from masking.runs.experiment import Experiment
+from tests.benchmarks import exported
 from tests.compiled_unit import GCC
 from tests.test_export import by_kernel
 
@@ -42,6 +45,23 @@ def test_an_fmu_is_valid_and_its_sources_give_its_binary(name, kind, tmp_path):
         strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-fsyntax-only"]
         subprocess.run([GCC, *strict, *files], check=True)
         assert len(sources) == 2
+
+
+@pytest.mark.parametrize("name", filter(exported.is_exported, catalogue.names("experiment")))
+def test_every_exported_controller_is_a_valid_fmu(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(fmu, "has_binary", lambda: False)  # which gcc makes in its time, and fmpy does not look into
+    experiment = Experiment.load(name)
+    case = exported.Sampled if experiment.has_observer else exported.Law
+    for path in write(case(experiment, name).unit, tmp_path):
+        assert validation.validate_fmu(str(path)) == []
+
+
+@pytest.mark.parametrize("name", ["cart_felt", "cart_felt_observer"])
+def test_an_fmu_feels_the_push_that_the_kernel_feels(name, tmp_path):
+    case = exported.Sampled(Experiment.load(name), name)
+    case.samples = 300
+    for path in write(case.unit, tmp_path):
+        assert case.of_fmu(Slave(path, tmp_path / path.stem)) <= EXACT
 
 
 @pytest.mark.skipif(not shutil.which("nm"), reason="there is no nm")

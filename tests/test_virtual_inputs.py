@@ -9,11 +9,14 @@ from scipy.interpolate import CubicSpline
 
 import masking
 from masking.errors import DeclarationError, ModelError
+from masking.exports.controllers import sampled_unit
 from masking.modelling.series import Schedule, Series
 from masking.reports.run_report import summary
 from masking.runs.experiment import Experiment
 from masking.runs.feasibility import feasibility
 from masking.signals import linear_chirp
+from tests.compiled_unit import GCC, CompiledUnit
+from tests.test_export import EXACT, by_kernel, python_unit
 
 DRIVEN = """\
 name: driven
@@ -192,9 +195,28 @@ def test_files_and_signals_that_cannot_be_read_are_told(folder):
         assert message in str(error.value)
 
 
-def test_exports_take_no_sensors(tmp_path):
-    with pytest.raises(DeclarationError, match="an exported controller takes no sensor; write F as an expression"):
-        masking.export("cart_felt", to="c", out=tmp_path / "out")
+@pytest.mark.skipif(GCC is None, reason="there is no gcc")
+def test_exported_controllers_have_inputs_of_every_kind_at_once(tmp_path, folder):
+    driven = DRIVEN.replace("G: another", "G: another, H: a third, E: a fourth").replace("+ F + G", "+ F + G + H + E")
+    (tmp_path / "driven.yaml").write_text(driven)
+    inputs = {
+        "E": "0.1*sin(w*t)",
+        "F": {"file": str(folder / "force.csv"), "interpolation": "cubic"},
+        "G": {"sensor": "force", "factor": 0.5},
+        "H": {"push": "x", "above": 0.5},
+    }
+    settings = {"rate": "500 Hz", "observer": "disturbance", "external": "felt", "homing": 0.4}
+    made = Experiment.load("cart_alone").changed(
+        virtual=str(tmp_path / "driven.yaml"), initial={"x": 0.5}, inputs=inputs, controller=settings, effects={"push": {"enabled": True}},
+    )  # fmt: skip
+    unit, feed = sampled_unit(made.sampled, "controller", 0.02), made.sampled.feed
+    compiled, printed = CompiledUnit(tmp_path, unit), python_unit(tmp_path, unit)
+    samples = made.sampled.before + 300
+    _, ours, found = by_kernel(made, samples, others=[compiled, printed], missed={150, samples - 100})
+    for commands in found:
+        assert np.max(np.abs(commands - ours)) <= EXACT * np.max(np.abs(ours))
+    cells = [feed.series[0][0], feed.sensors[0].cell, feed.pushes[0].cell]
+    assert np.all(compiled.memory("p")[cells] != 0.0)
 
 
 def test_exports_of_laws_take_expressions_alone(tmp_path, folder):

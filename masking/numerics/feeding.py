@@ -18,8 +18,6 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from masking.numerics.arrays import Matrix, Vector
 from masking.numerics.integrators import compiled
 from masking.numerics.sizes import Sizes
@@ -98,6 +96,54 @@ def virtual(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
     return fed
 
 
+@compiled
+def unread(s, p, at):
+    """Return the index behind the inputs of no sensor."""
+    return at
+
+
+def reading(sensors: tuple[tuple[int, int], ...]) -> Kernel:
+    """Make `read(s, p, at)`, which sets the cells of all inputs from sensors; it returns the index behind.
+
+    Args:
+        sensors: for each input from a sensor, its cell and the index of the sensor.
+    """
+    if not sensors:
+        return unread
+    others, (cell, sensor) = reading(sensors[:-1]), sensors[-1]
+
+    @compiled
+    def read(s, p, at):
+        own = others(s, p, at)
+        p[cell] = p[own] * s[sensor]
+        return own + 1
+
+    return read
+
+
+@compiled
+def unfelt(found, p, at, h):
+    """Return the index behind the inputs of no push."""
+    return at
+
+
+def feeling(cells: tuple[int, ...]) -> Kernel:
+    """Make `feel(found, p, at, h)`, which sets the cells of all inputs from pushes; it returns the index behind."""
+    if not cells:
+        return unfelt
+    others, cell, i = feeling(cells[:-1]), cells[-1], len(cells) - 1
+
+    @compiled
+    def feel(found, p, at, h):
+        own = others(found, p, at, h)
+        # What lasts is an error of the model, and is cancelled; what comes and goes is a push.
+        p[own + 2] += -math.expm1(-p[own + 1] * h) * (found[i] - p[own + 2])
+        p[cell] = p[own] * (found[i] - p[own + 2])
+        return own + OF_PUSH
+
+    return feel
+
+
 def control(
     bare: Kernel, push: Kernel, series: int, sensors: tuple[tuple[int, int], ...], pushes: tuple[int, ...], sizes: Sizes
 ) -> Kernel:
@@ -112,29 +158,23 @@ def control(
         pushes: the cells of inputs from pushes.
         sizes: of the controller.
     """
-    following, size, n = sizes.next, sizes.states, sizes.coordinates
-    read, felt = np.array(sensors, dtype=np.int64).reshape(-1, 2), np.array(pushes, dtype=np.int64)
+    following, size, n, pushed = sizes.next, sizes.states, sizes.coordinates, OF_PUSH * len(pushes)
+    read, feel = reading(sensors), feeling(pushes)
 
     @compiled
     def step(
         t: float, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
         applied: Vector, work: Matrix,
     ) -> float:  # fmt: skip
-        at = p.size - int(p[p.size - 1])
+        at = first_table(t, p)
         for _ in range(series):
-            at += 1 + PIECE * (int(p[at]) + 1)
-        for i in range(len(read)):
-            p[read[i, 0]] = p[at] * s[read[i, 1]]
-            at += 1
-        if felt.size > 0:
+            at += 1 + PIECE * (math.floor(p[at]) + 1)
+        at = read(s, p, at)
+        if pushed > 0:
             z = x[following.start : following.stop]
-            found = p[at + OF_PUSH * felt.size : p.size - 1]
+            found = p[at + pushed : p.size - 1]
             push(t, z[:size], z[size : size + n], p, found)
-            for i in range(felt.size):
-                # What lasts is an error of the model, and is cancelled; what comes and goes is a push.
-                p[at + 2] += -math.expm1(-p[at + 1] * h) * (found[i] - p[at + 2])
-                p[felt[i]] = p[at] * (found[i] - p[at + 2])
-                at += OF_PUSH
+            feel(found, p, at, h)
         return bare(t, h, s, x, p, gain, table, demanded, applied, work)
 
     return step

@@ -126,14 +126,12 @@ def _unit(
 
 
 def _check_inputs(experiment: Experiment) -> None:
-    """Refuse inputs of a virtual system that an exported controller does not have."""
+    """Refuse inputs of a virtual system that an exported control law does not have."""
     for name, source in experiment.declaration.inputs.items():
-        if source.is_live or (source.expression is None and not experiment.has_observer):
+        if source.expression is None and not experiment.has_observer:
             path = f"inputs.{name}"
-            kind = "controller takes no" if source.is_live else "control law of the states takes expressions, not a"
-            message = f"an exported {kind} {source.kinds[0]}"
-            mend = f"write {name} as an expression, such as '0.1*sin(1.2*t)'"
-            mend += "; or run it with this package" if source.is_live else "; or give the controller rate and observer"
+            message = f"an exported control law of the states takes expressions, not a {source.kinds[0]}"
+            mend = f"write {name} as an expression, such as '0.1*sin(1.2*t)'; or give the controller rate and observer"
             raise DeclarationError(Problem(experiment.declaration.key_place(path), path, message, mend))
 
 
