@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-import resource
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -24,6 +24,9 @@ from masking.records.ring import cells
 from masking.runs import hardware
 from masking.runs.experiment import Experiment
 from masking.runs.realtime import Row
+
+if sys.platform != "win32":
+    import resource
 
 _COLUMNS: Final = {f"c{i}": {"unit": "V", "meaning": ""} for i in range(30)}
 _PAGE: Final = 20  # rows

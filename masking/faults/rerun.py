@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import platform
+import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterable
@@ -42,8 +44,12 @@ def rerun(
         say: called with each finding.
 
     Raises:
-        PlantMismatchError: a number is none of the table.
+        PlantMismatchError: a number is none of the table, or the system is not Linux.
     """
+    if sys.platform != "linux":
+        raise PlantMismatchError(
+            f"{platform.system()} has no limits and signals of processes by which faults are produced; run it on Linux"
+        )
     wanted, known = tuple(numbers), {fault.number: fault for fault in FAULTS}
     for number in wanted:
         if number not in known:

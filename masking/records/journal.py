@@ -7,15 +7,18 @@ A line that a crash cut off has no end; it is left out, and written over by the 
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
+import sys
 import time
 import zlib
 from pathlib import Path
 from typing import Any, Final, Self, final
 
 from masking.errors import RecordError
+
+if sys.platform != "win32":
+    import fcntl
 
 _TRIES: Final = 0.05  # s between looks at a lock
 
@@ -32,10 +35,12 @@ class Journal:
         patience: s that another process is waited for.
 
     Raises:
-        RecordError: the file cannot be written, another process has it, or a line was changed.
+        RecordError: the file cannot be written, another process has it, a line was changed, or the system is Windows.
     """
 
     def __init__(self, path: Path, patience: float = 0.0) -> None:
+        if sys.platform == "win32":
+            raise RecordError(f"{path}: Windows has no lock that processes hand on, as a journal needs; run it on Linux")
         self.path, until = path, time.monotonic() + patience
         try:
             path.parent.mkdir(parents=True, exist_ok=True)

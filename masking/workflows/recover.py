@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from masking.records.recorder import CLOSED
 from masking.records.recording import Recording
 from masking.records.ring import RingReader
 from masking.records.stream_content import Stream
+from masking.records.switch import is_running
 from masking.records.timing import timing
 from masking.reports import run_report
 from masking.runs import manifest
@@ -144,11 +144,8 @@ def _with_ring(found: Stream) -> tuple[Array, Array]:
 def _remove_ring(found: Stream) -> None:
     """Remove the rows in memory of a process that is no longer there."""
     reader = _ring(found)
-    if reader is not None:
-        try:
-            os.kill(reader.process, 0)
-        except OSError:
-            reader.path.unlink(missing_ok=True)
+    if reader is not None and not is_running(reader.process):
+        reader.path.unlink(missing_ok=True)
 
 
 def _ticks(found: Stream, column: Mapping[str, Array], times: Array, lost: Mapping[str, Any]) -> Recording:
