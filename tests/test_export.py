@@ -276,7 +276,7 @@ def test_the_calls_that_gcc_finds_in_the_source_have_no_cycle_and_lead_to_mathem
     made = ["-O0", "-c", "-fcallgraph-info=su", "-Werror=vla", "-Walloca", "unit.c"]
     subprocess.run([GCC, *STRICT, *made], check=True, cwd=tmp_path)
     graph = (tmp_path / "unit.ci").read_text()
-    ours = {title: rest for title, rest in re.findall(r'^node: \{ title: "(\S+?)" (.*)', graph, re.M)}
+    ours = dict(re.findall(r'^node: \{ title: "(\S+?)" (.*)', graph, re.M))
     calls = {title: set() for title in ours}
     for caller, callee in re.findall(r'^edge: \{ sourcename: "(\S+?)" targetname: "(\S+?)"', graph, re.M):
         calls[caller].add(callee)

@@ -73,6 +73,7 @@ ALONE = {
     "bouncing_ball",
     "stopped_mass",
     "relaxing_mass",
+    "bristled_mass",
 }  # no systems of the rig's three coordinates
 VIRTUAL = [
     name

@@ -40,6 +40,7 @@ ALONE = {
     "bouncing_ball",
     "stopped_mass",
     "relaxing_mass",
+    "bristled_mass",
 }
 
 BETWEEN = {"V1", "V2", "u1", "u2"}  # actuators between an oscillator and the beam

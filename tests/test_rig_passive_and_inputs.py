@@ -1,7 +1,6 @@
 """On a rig that runs by itself: passive coordinates, and virtual systems with inputs from files, sensors and pushes."""
 
 import json
-
 from pathlib import Path
 
 import numpy as np

@@ -207,7 +207,8 @@ def test_exported_controllers_have_inputs_of_every_kind_at_once(tmp_path, folder
     }
     settings = {"rate": "500 Hz", "observer": "disturbance", "external": "felt", "homing": 0.4}
     made = Experiment.load("cart_alone").changed(
-        virtual=str(tmp_path / "driven.yaml"), initial={"x": 0.5}, inputs=inputs, controller=settings, effects={"push": {"enabled": True}},
+        virtual=str(tmp_path / "driven.yaml"), initial={"x": 0.5}, inputs=inputs, controller=settings,
+        effects={"push": True},
     )  # fmt: skip
     unit, feed = sampled_unit(made.sampled, "controller", 0.02), made.sampled.feed
     compiled, printed = CompiledUnit(tmp_path, unit), python_unit(tmp_path, unit)

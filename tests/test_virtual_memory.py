@@ -41,7 +41,8 @@ def truth(rows, end):
 
 @cache
 def recorded(name, **changes):
-    return Experiment.load(name).changed(duration=60, **changes).run()
+    made = Experiment.load(name)
+    return made.changed(duration=min(60, made.declaration.duration), **changes).run()
 
 
 def test_bouc_wen_is_masked_on_the_ideal_rig_in_continuous_time():
@@ -67,6 +68,37 @@ def test_bouc_wen_is_masked_by_a_sampled_controller_on_the_imperfect_rig():
     assert max(run.manifest["masking_error"].values()) <= 0.03
     for name in ("z1", "z2"):
         assert masking_error(run[f"virtual.{name}"], run[f"ideal.{name}"]) <= 0.03
+
+
+def bristled(t, y):
+    """Return dy/dt of y = [x, x', z], Canudas de Wit et al. (1995), in SI units."""
+    x, v, z = y
+    dz = v - 400.0 * abs(v) / (0.15 + 0.05 * np.exp(-((v / 0.02) ** 2))) * z
+    return [v, 0.6 * np.sin(5.0 * t) - 64.0 * x - 400.0 * z - 8.0 * dz - 0.5 * v, dz]
+
+
+@cache
+def on_bristles(times):
+    return solve_ivp(bristled, (0.0, times[-1]), [0.0] * 3, "Radau", times, rtol=1e-10, atol=1e-13, max_step=0.02).y
+
+
+def test_the_friction_of_bristles_is_masked_in_continuous_time():
+    made = Experiment.load("cart_bristles")
+    run = made.changed(controller={"rate": "continuous"}, effects={"friction": False}).run()
+    x, _, z = on_bristles(tuple(run.t))
+    np.testing.assert_allclose(run["virtual.x"], x, atol=1e-6 * np.abs(x).max())
+    np.testing.assert_allclose(run["virtual.z"], z, atol=1e-5 * np.abs(z).max())
+    assert run.manifest["masking_error"]["x"] <= 1e-6
+    sticks = np.abs(run["virtual.x'"]) < 1e-3
+    assert np.abs(z[sticks]).max() > 0.15 / 400.0  # bent beyond what sliding does: it sticks at the reversals
+
+
+def test_the_friction_of_bristles_is_masked_by_a_sampled_controller_on_the_imperfect_rig():
+    run = recorded("cart_bristles")
+    x, _, z = on_bristles(tuple(run.t))
+    assert run.manifest["masking_error"]["x"] <= 0.03
+    assert masking_error(run["virtual.x"], x) <= 0.03
+    assert masking_error(run["virtual.z"], z) <= 0.1
 
 
 def at_rate(rate, **changes):

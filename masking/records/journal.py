@@ -40,7 +40,9 @@ class Journal:
 
     def __init__(self, path: Path, patience: float = 0.0) -> None:
         if sys.platform == "win32":
-            raise RecordError(f"{path}: Windows has no lock that processes hand on, as a journal needs; run it on Linux")
+            raise RecordError(
+                f"{path}: Windows has no lock that processes hand on, as a journal needs; run it on Linux"
+            )
         self.path, until = path, time.monotonic() + patience
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
