@@ -135,8 +135,8 @@ class Instruments:
         seen = [i for i in range(n) if i not in hidden]
         check_sensing(sensing[:, seen], [self.model.coordinates[i] for i in seen], self.sensors)
         check_followed(dynamics, hidden, self.model.coordinates)
-        weighed = zip(self.sensors, sensing.any(axis=1), strict=True)
-        unknown = [name for name, is_weighed in weighed if is_weighed and noise is None and name not in self.noise]
+        weighed = [name for name, row in zip(self.sensors, sensing, strict=True) if row.any()]
+        unknown = [name for name in weighed if noise is None and name not in self.noise]
         if unknown:
             raise ModelError(
                 f"{self.plant.name}: the noise of {', '.join(unknown)} is not known: declare an effect noise there in "
