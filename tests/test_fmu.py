@@ -47,7 +47,7 @@ def test_an_fmu_is_valid_and_its_sources_give_its_binary(name, kind, tmp_path):
         assert len(sources) == 2
 
 
-@pytest.mark.parametrize("name", filter(exported.is_exported, catalogue.names("experiment")))
+@pytest.mark.parametrize("name", [name for name in catalogue.names("experiment") if exported.is_exported(name)])
 def test_every_exported_controller_is_a_valid_fmu(name, tmp_path, monkeypatch):
     monkeypatch.setattr(fmu, "has_binary", lambda: False)  # which gcc makes in its time, and fmpy does not look into
     experiment = Experiment.load(name)
