@@ -59,8 +59,9 @@ class DecisionRules:
     slow_excess: float = 1.3
     """Variance of block means, over that of white noise, from which a residual is tempered for being slow.
 
-    A screen, which compares block means, takes it as the cost of noise. Why: with 300 blocks the ratio of white noise
-    has a standard deviation of 0.08; 1.3 is more than three of them.
+    A screen, which compares block means, takes it as the cost of noise.
+
+    Why: with 300 blocks the ratio of white noise has a standard deviation of 0.08; 1.3 is more than three of them.
     """
 
     # Evidence for one cause
@@ -116,9 +117,11 @@ class DecisionRules:
     """Part of the excess cost that a further effect must take.
 
     A nested model is preferred to a richer one, while more is left, if it takes all but this part of what that does: of
-    what is left, which the richer law would imitate, another cause must take as much. Why: laws that only resemble the
-    missing one take smaller and smaller parts, one after the other: of dry friction under Gaussian motion a linear, a
-    cubic and a quintic law take 64 %, 29 % and 19 % of what the last one left; the third is refused.
+    the remainder, which the richer law would imitate, another cause must take as much.
+
+    Why: laws that only resemble the missing one take smaller and smaller parts, one after the other: of dry friction
+    under Gaussian motion a linear, a cubic and a quintic law take 64 %, 29 % and 19 % of what the last one left; the
+    third is refused.
     """
 
     late_gain_fraction: float = 0.7
