@@ -187,7 +187,7 @@ def test_few_readings_know_their_noise_less():
     # the spread of the estimate in 2000 records of white noise with as many readings
     readings = 4000
     noise = white_noise(np.random.default_rng(5).standard_normal((readings, 2000)))
-    spread = RULES.noise_deviations * noise.std()
+    spread = RULES.chance_deviations * noise.std()
     assert verdict.noise_threshold(readings, RULES) == pytest.approx(RULES.noise_floor + spread, rel=0.01)
     assert verdict.noise_threshold(10**9, RULES) == pytest.approx(RULES.noise_floor, rel=1e-3)
 
@@ -204,7 +204,7 @@ def test_closed_is_noise_that_is_white():
 
 
 def test_an_excess_is_more_than_chance():
-    edge = M + RULES.excess_deviations * np.sqrt(2.0 * M)
+    edge = M + RULES.chance_deviations * np.sqrt(2.0 * M)
     assert verdict.is_excess(1.0001 * edge, M, RULES)
     assert not verdict.is_excess(0.9999 * edge, M, RULES)
 
@@ -317,7 +317,7 @@ def test_the_simplest_law_comes_first_while_more_is_left():
     stribeck = effect(10.0 * M, names=(("stribeck_friction", "spring1"),))
     lugre = replace(stribeck, names=(("lugre_friction", "spring1"),))
     stop = replace(stribeck, names=(("stop", "beam"),))
-    part = RULES.nested_fraction
+    part = 1.0 - RULES.gain_fraction
 
     def first(best, ranked):
         return verdict.simplest_first([best, *ranked], 100.0 * M, NESTED, M, RULES)

@@ -37,6 +37,8 @@ from masking.estimation.simulation import relative
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
+LISTED = 1e-4  # probability from which an alternative is listed: less is never chosen
+
 
 def discover(
     twin: Twin,
@@ -421,7 +423,7 @@ def _causes(
     if not estimates:
         return ()
     pairs = zip(rivals[1:], weights[1:], strict=True)
-    others = tuple((*r.names[-1], weight) for r, weight in pairs if weight > rules.listed_probability)
+    others = tuple((*r.names[-1], weight) for r, weight in pairs if weight > LISTED)
     causes = [Named(*name, values, 1.0) for name, values in zip(chosen.names, estimates, strict=True)]
     return (*causes[:-1], replace(causes[-1], probability=weights[0], alternatives=others))
 

@@ -20,6 +20,8 @@ from masking.errors import IntegrationError
 from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
+ROUNDING = 1e-12  # eigenvalue over the largest that is 0: larger ones have four digits, smaller pay for a parameter
+
 
 @dataclass(frozen=True)
 class Explanation:
@@ -104,9 +106,7 @@ def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
         return np.inf
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     try:
-        information = decompositions.inverse(
-            covariance / np.outer(size, size), hypothesis.rules.occam_rank, hermitian=True
-        )
+        information = decompositions.inverse(covariance / np.outer(size, size), ROUNDING, hermitian=True)
     except IntegrationError:
         return np.inf
     strength = np.abs(added) / size * np.sqrt(np.maximum(np.diag(information), 0.0))  # each by itself, in deviations

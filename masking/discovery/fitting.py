@@ -25,6 +25,7 @@ from masking.estimation.simulation import FIRST_READINGS, PARTS
 from masking.numerics.arrays import Array
 
 MOST_ROUNDS = 40
+CONVERGED = 0.01  # of a difference of scores that separates nothing: what a fit leaves decides nothing
 STUCK = 4.0  # cost per reading of a validation from which another initial state is sought
 STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
 REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
@@ -413,7 +414,7 @@ class _LeastSquares:
             return slow == rules.hopeless_steps
 
         def tolerance(at: Linearised[Dense, Equations]) -> float:
-            return rules.converged * self.problem.tempering(at.found.residuals)
+            return CONVERGED * rules.indifferent * self.problem.tempering(at.found.residuals)
 
         prior, effects = self.problem.prior, bounds(self.instances)
         low = np.concatenate([prior.low, np.maximum(effects.low, self.steepest)])

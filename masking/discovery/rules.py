@@ -28,10 +28,11 @@ class DecisionRules:
     and 1.1 but one, whose residual is not white.
     """
 
-    noise_deviations: float = 3.0
-    """Standard deviations of the estimated noise that are added to it, see `verdict.noise_threshold`.
+    chance_deviations: float = 3.0
+    """Standard deviations from which a difference is no chance: of the estimated noise (`verdict.noise_threshold`) and,
+    sqrt(2 m), of a chi-squared cost.
 
-    Why: three standard deviations; 0.024 for a sensor with 20 000 readings, 0.17 for one with 400.
+    Why: of the noise of a sensor, they are 0.024 for 20 000 readings, 0.17 for 400; integration errors stay below.
     """
 
     initial_state_share: float = 1e-3
@@ -49,12 +50,6 @@ class DecisionRules:
     instead.
     """
 
-    excess_deviations: float = 3.0
-    """Standard deviations sqrt(2 m) of a chi-squared cost from which an excess over noise is no chance.
-
-    Why: three standard deviations; integration errors alone stay below.
-    """
-
     tempering_block: int = 32
     """Samples of the block means that show whether a residual changes slowly.
 
@@ -63,6 +58,8 @@ class DecisionRules:
 
     slow_excess: float = 1.3
     """Variance of block means, over that of white noise, from which a residual is tempered for being slow.
+
+    A screen, which compares block means, takes it as the cost of noise.
 
     Why: with 300 blocks the ratio of white noise has a standard deviation of 0.08; 1.3 is more than three of them.
     """
@@ -119,6 +116,9 @@ class DecisionRules:
     gain_fraction: float = 0.2
     """Part of the excess cost that a further effect must take.
 
+    A nested model is preferred to a richer one, while more is left, if it takes all but this part of what that does: of
+    the remainder, which the richer law would imitate, another cause must take as much.
+
     Why: laws that only resemble the missing one take smaller and smaller parts, one after the other: of dry friction
     under Gaussian motion a linear, a cubic and a quintic law take 64 %, 29 % and 19 % of what the last one left; the
     third is refused.
@@ -157,13 +157,6 @@ class DecisionRules:
 
     Why: ten times the noise in rms. Below, an effect that takes 99 % reaches the noise floor, as fits of the right law
     do; above, no single one is expected to.
-    """
-
-    nested_fraction: float = 0.8
-    """Part of the best reduction that a nested model must reach to be preferred while more is left.
-
-    Why: the complement of `gain_fraction`: what the richer law takes beyond must be enough for a cause of its own. The
-    remainder may have another cause, which the richer law would imitate.
     """
 
     directed_fraction: float = 0.5
@@ -214,12 +207,6 @@ class DecisionRules:
     Why: as `noise_floor`: half of the excess that is at the noise floor.
     """
 
-    screen_noise: float = 1.3
-    """Cost of noise in a screen over that of white noise.
-
-    Why: as `slow_excess`: a screen compares block means.
-    """
-
     screened_frequency: float = 60.0
     """Highest frequency in Hz that a screen resolves, or twice that of the fastest mode of the rig if that is higher.
 
@@ -240,40 +227,6 @@ class DecisionRules:
     Why: limits computing time; three times `most_fits`.
     """
 
-    sharpening_steps: int = 8
-    """Steps of this optimisation at most.
-
-    Why: Gauss-Newton steps converge within that from a neighbouring point of the grid; the fit does the rest.
-    """
-
-    quantum_zooms: tuple[float, ...] = (0.08, 0.02, 0.005, 0.00125)
-    """Relative widths on both sides of a converter's step in which nine steps each are scored, one width after the
-    other.
-
-    Why: the effect of a step has no slope to follow. Nine points are a quarter of the width apart, which is the next
-    width; the first covers half the distance of the steps that are tried, but of the coarsest, and the last moves the
-    24th level by 3 % of a step.
-    """
-
-    most_growth: float = 20.0
-    """Factor by which a first-order score may enlarge a time constant before its fit.
-
-    Why: the first order ends where the lag is no longer short; 20 is the ratio of the largest to the least lag that is
-    tried.
-    """
-
-    least_factor: float = 1e-3
-    """Part of the largest factor of an effect at which a factor beyond its bounds begins.
-
-    Why: a positive parameter at most doubles in a step of a fit: ten steps, 2^10, reach the size of the largest.
-    """
-
-    response_rank: float = 1e-7
-    """Singular value, over the largest, from which a combination of parameters has a response.
-
-    Why: that is the relative error of integration, see `redundant_fraction`: a smaller response is error.
-    """
-
     hopeless_fraction: float = 0.03
     """Part of the distance to a better fit that each step of a fit must take; one that takes less, `hopeless_steps`
     times in a row, ends.
@@ -287,24 +240,12 @@ class DecisionRules:
     Why: three steps in vain raise the damping by 1e6; three more show whether that helps.
     """
 
-    converged: float = 0.02
-    """Reduction of the cost, over the tempering factor, below which a fit ends.
-
-    Why: a hundredth of `indifferent`: what a fit leaves decides nothing.
-    """
-
     # Verdict
 
     named_probability: float = 0.9
     """Posterior probability from which the first explanation is named, not ambiguous.
 
     Why: one wrong in ten among those that are just named is accepted; stated in the documentation.
-    """
-
-    listed_probability: float = 1e-4
-    """Posterior probability from which an alternative is listed.
-
-    Why: less is never chosen; only the length of a list depends on it.
     """
 
     significant_deviations: float = 2.0
@@ -325,13 +266,6 @@ class DecisionRules:
 
     Why: below one half, re-fitted parameters explain the record as well: the effect stands for several parameters
     that are off together, and may make the validation residual somewhat larger.
-    """
-
-    occam_rank: float = 1e-12
-    """Eigenvalue of the scaled covariance of an effect's parameters, over the largest, below which it is 0.
-
-    Why: double precision, 2.2e-16, leaves an eigenvalue of 1e-12 with four digits: enough for a logarithm. Smaller
-    ones are rounding, which would pay for a parameter.
     """
 
     composite_laws: int = 3
@@ -474,18 +408,6 @@ class DecisionRules:
     """Frequencies of a periodic force that are tried: the strongest lines of the latent forces.
 
     Why: limits computing time; the force is sought again in the remainder.
-    """
-
-    tone_band: tuple[float, float] = (0.05, 0.4)
-    """Lowest of these frequencies in Hz, and the highest as a part of the sampling rate.
-
-    Why: one period in a record of 20 s; below half the sampling rate by the roll-off of the smoother.
-    """
-
-    tone_width: int = 12
-    """Lines on either side of a frequency that are taken as the same, in a spectrum of four times the record's length.
-
-    Why: three lines of the record, just beyond the main lobe of the window (von Hann: two lines).
     """
 
     # Experiment that separates

@@ -29,6 +29,10 @@ from masking.numerics.arrays import Array, IntVector
 # largest: smaller ones are rounding.
 RANK, ROUNDING, COLLINEAR = 1e-9, 1e-12, 1e-10
 HUGE = 1e100  # standard deviations for a unit of a factor, whatever the unit: squares of larger ones overflow
+RESPONSE = 1e-7  # singular value, over the largest, from which parameters have a response: the error of integration
+GROWTH = 20.0  # by which a time constant may grow to first order: the ratio of the largest to the least lag tried
+LEAST, STEPS = 1e-3, 8  # of the largest factor: where one beyond its bounds begins; steps that sharpen a shape
+ZOOMS = (0.08, 0.02, 0.005, 0.00125)  # widths about a converter's step, nine points each: the next is their distance
 LIGHTEST = 0.7  # of a mass: most that an inertia may take away
 KEPT = 4e7  # numbers of what candidates do along a motion that are kept for the next screen of it
 
@@ -127,8 +131,8 @@ class Screen:
         independent = s > RANK * s[0]
         self.taken, self._back = u[:, independent], v[independent].T / s[independent] / size[:, None]
         u, s, _ = decompositions.svd(own / size)
-        self.possible = u[:, s > self.rules.response_rank * s[0]]
-        self.single = _apart(own[:, :k], own[:, k:], self.rules.response_rank)
+        self.possible = u[:, s > RESPONSE * s[0]]
+        self.single = _apart(own[:, :k], own[:, k:], RESPONSE)
         left = self._rows((self._means(base.residuals) - (0.0 if taken else values))[:, :, None])[:, 0]
         self._whole_left = np.concatenate([left, (prior.mean - base.theta) / prior.deviation])
         self.left = self._out(self._whole_left)
@@ -228,7 +232,7 @@ class Screen:
 
     def _zoom(self, found: dict[int, Score]) -> None:
         """Look nearer at the steps of converters, whose effect has no slope to follow."""
-        for width in self.rules.quantum_zooms:
+        for width in ZOOMS:
             near = [p for p in found.values() if p.candidate.entry.quantum and p.gain > 0.0]
             parts = 1.0 + np.linspace(-width, width, 9)
             self._settle([(p.candidate, p.instance.with_free_times(part)) for p in near for part in parts], found)
@@ -238,7 +242,7 @@ class Screen:
         best = {id(score.candidate): score for score in scores}
         instances = {key: score.instance for key, score in best.items()}
         damping, active = 1e-4, [score.candidate for score in scores]
-        for number in range(self.rules.sharpening_steps):
+        for number in range(STEPS):
             columns = self._effects([instances[id(candidate)] for candidate in active])
             going = []
             for candidate, table in zip(active, columns, strict=True):
@@ -324,7 +328,7 @@ class Screen:
                 if factor <= 0.0:
                     return nothing
                 gain = max(gain, factor * float(right[0]))
-                instance = instance.with_free_times(min(factor, self.rules.most_growth))
+                instance = instance.with_free_times(min(factor, GROWTH))
             elif instance.entry.quantum:
                 gain = max(gain, float(right[0]) ** 2 / float(diagonal[0])) if right[0] > 0.0 else 0.0
             return Score(candidate, instance, max(gain, 0.0), own)
@@ -342,7 +346,7 @@ class Screen:
             if (factors < box.low).any():
                 if (factors <= 0.0).all() and (box.low >= 0.0).any():
                     return nothing
-                least = self.rules.least_factor * np.abs(factors).max()
+                least = LEAST * np.abs(factors).max()
                 factors = np.where(box.low >= 0.0, np.maximum(factors, least), factors)
             factors = np.clip(factors, box.low, box.high)
             instance = instance.with_values(candidate.factors, factors)

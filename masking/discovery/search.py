@@ -264,7 +264,7 @@ class Search:
             return [], now
         # Other shapes of a nested model are fitted if one takes a part of what the best does.
         rival = min(e.hypothesis.cost for e in found)
-        least = now.hypothesis.cost - rules.nested_fraction * (now.hypothesis.cost - rival)
+        least = now.hypothesis.cost - (1.0 - rules.gain_fraction) * (now.hypothesis.cost - rival)
         near = {e.names[-1] for e in found if e.hypothesis.cost < least}
         again = [added(p) for p in variants if p.candidate.key in near and all(p is not one for one in repeated)]
         found += self._noted(again, rival, made)
@@ -354,7 +354,7 @@ class Search:
     def _worth(self, screen: Screen, left: float) -> float:
         """Return what a candidate may leave of a screen's cost to be fitted, where the best leaves so much."""
         rules, noise = self.rules, float(self.size // screen.every)
-        return rules.fit_ratio * max(left - noise, rules.screen_resolution * noise) + rules.screen_noise * noise
+        return rules.fit_ratio * max(left - noise, rules.screen_resolution * noise) + rules.slow_excess * noise
 
     def _is_too_little(self, base: Explanation, now: Explanation, then: Explanation) -> bool:
         """Return whether one more cause takes too little of the excess cost."""

@@ -13,6 +13,8 @@ from masking.effects import Span
 from masking.numerics.arrays import Array
 
 REPLACED = (1.0, 0.3, 3.0)  # parts of an element's stiffness with which a law in its place begins
+SLOWEST, FASTEST = 0.05, 0.4  # tones: in Hz, one period in 20 s; of the sampling rate, as the smoother rolls off
+WIDTH = 12  # lines on either side that are one tone: three of the record, just beyond the main lobe of the window
 OWN = 0.01  # of the strongest line of a motion: lines that are its own
 
 
@@ -59,13 +61,12 @@ def _tones(problem: EstimationProblem, motion: Motion) -> tuple[float, ...]:
     if not power.any():
         return ()
     frequencies = np.fft.rfftfreq(many, 1.0 / rate)
-    (low, high), width = rules.tone_band, rules.tone_width
-    power = np.where((frequencies > low) & (frequencies < high * rate), power, 0.0)
+    power = np.where((frequencies > SLOWEST) & (frequencies < FASTEST * rate), power, 0.0)
     found = []
     for _ in range(rules.tones):
         i = int(np.argmax(power))
         found.append(float(frequencies[i]))
-        power[max(0, i - width) : i + width + 1] = 0.0
+        power[max(0, i - WIDTH) : i + WIDTH + 1] = 0.0
     return tuple(found)
 
 

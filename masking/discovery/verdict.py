@@ -111,7 +111,7 @@ def noise_threshold(readings: int, rules: DecisionRules) -> float:
 
     Source: Stoica and Moses, Spectral Analysis of Signals (2005), section 2.7.
     """
-    return rules.noise_floor + rules.noise_deviations * float(np.sqrt(ALIKE / (2.0 * readings)))
+    return rules.noise_floor + rules.chance_deviations * float(np.sqrt(ALIKE / (2.0 * readings)))
 
 
 def at_noise_floor(residual: Iterable[float], noise: Iterable[float], readings: int, rules: DecisionRules) -> bool:
@@ -170,7 +170,7 @@ def is_excess(cost: float, readings: int, rules: DecisionRules) -> bool:
         readings: m.
         rules: the number of standard deviations.
     """
-    return cost - readings > rules.excess_deviations * float(np.sqrt(2.0 * readings))
+    return cost - readings > rules.chance_deviations * float(np.sqrt(2.0 * readings))
 
 
 def is_worse(cost: float, declared: float, readings: int, rules: DecisionRules) -> bool:
@@ -182,7 +182,7 @@ def is_worse(cost: float, declared: float, readings: int, rules: DecisionRules) 
         readings: of the validation record.
         rules: the thresholds.
     """
-    chance = rules.excess_deviations * float(np.sqrt(2.0 * readings))
+    chance = rules.chance_deviations * float(np.sqrt(2.0 * readings))
     return not cost <= declared + max(chance, rules.worse_fraction * declared)
 
 
@@ -258,7 +258,7 @@ def simplest_first(
     if reaches_noise(best.cost, readings, rules):
         chosen = next((one for one in simpler if one.cost - best.cost < numerical), None)
     else:
-        least = rules.nested_fraction * (now - best.cost)
+        least = (1.0 - rules.gain_fraction) * (now - best.cost)
         chosen = next((one for one in simpler if now - one.cost > least), None)
         if chosen and _excess_part(best.cost, chosen.cost, readings) < rules.trace_fraction:
             return [*ranked]

@@ -32,6 +32,7 @@ from tests.benchmarks import (
     loop,
     masking_error_table,
     official,
+    rules,
     wishes,
 )
 
@@ -241,6 +242,13 @@ def discovered(case: str, part: str = "all") -> str:
         words = ["train", "--validate", "valid", "--plant", "plant.yaml"]
     text = printed("discover", *words, "--overwrite", "--out", "results/discovered")
     return listing(text if part == "all" else text.split("\nAll of the")[0])
+
+
+@slow_value
+def decision_rules(*records: str) -> str:
+    """Return what each decision rule changes in records when it is halved and doubled."""
+    known = rules.measured(Path("answers.jsonl"), records, rules.MOST)
+    return f"{rules.answers(known)}\n\n{rules.table(known)}"
 
 
 # Stability.
