@@ -41,11 +41,11 @@ TYPES = {"double": np.float64, "float": np.float32}
 class CortexM4:
     """A unit on a processor of its own; a context that ends with the emulator.
 
-    `code` and `constants` are the bytes of its object file that go to flash.
+    `flash` is the bytes of its object file that go there, `orders` what it was sent.
     """
 
-    def __init__(self, folder, unit, real):
-        self.unit, self.dtype = unit, TYPES[real]
+    def __init__(self, folder, unit, real, options=()):
+        self.unit, self.dtype, self.orders = unit, TYPES[real], []
         text = CUnit(unit, real)
         files = {f"{unit.name}.h": text.header(), f"{unit.name}.c": text.source(), **programs(unit, real)}
         for name, content in files.items():
@@ -56,7 +56,7 @@ class CortexM4:
         size = subprocess.run(["arm-none-eabi-size", "unit.o"], cwd=folder, capture_output=True, text=True, check=True)
         self.flash = int(size.stdout.splitlines()[1].split()[0])
         self.process = subprocess.Popen(
-            [EMULATOR, *MACHINE, "-kernel", folder / "unit.elf"],
+            [EMULATOR, *MACHINE, *options, "-kernel", folder / "unit.elf"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, bufsize=0,
         )  # fmt: skip
 
@@ -70,10 +70,17 @@ class CortexM4:
         self.process.stdout.close()
 
     def init(self, readings):
-        self.process.stdin.write(b"i" + np.asarray(readings, self.dtype).tobytes())
+        self.send(b"i" + np.asarray(readings, self.dtype).tobytes())
 
     def step(self, readings):
-        self.process.stdin.write(b"s" + np.asarray(readings, self.dtype).tobytes())
+        return self.send(b"s" + np.asarray(readings, self.dtype).tobytes())
+
+    def send(self, order):
+        """Send bytes to begin or to step; of a step, return the commands."""
+        self.orders.append(order)
+        self.process.stdin.write(order)
+        if order[:1] != b"s":
+            return None
         size = len(self.unit.ports["commands"]) * self.dtype().itemsize
         answer = self._read(size + 4)
         self.status = struct.unpack("<i", answer[size:])[0]

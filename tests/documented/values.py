@@ -32,6 +32,7 @@ from tests.benchmarks import (
     loop,
     masking_error_table,
     official,
+    step,
     wishes,
 )
 
@@ -143,6 +144,12 @@ def loop_time(way: str, figure: str) -> str:
 @cache
 def _loop_times() -> dict[str, dict[str, list[float]]]:
     return loop.measure(3)
+
+
+@slow_value
+def step_times() -> str:
+    """Return the table of what a call of a controller takes from Python."""
+    return step.table()
 
 
 @slow_value
