@@ -116,16 +116,16 @@ def cycles(instructions, addresses):
     return low, high
 
 
-def of_longest_step(folder, unit, real, orders):
-    """Return the least and the most cycles of the longest step among orders, and the instructions that QEMU logged."""
-    with CortexM4(folder, unit, real) as board:
-        lengths = [board.measured()[0] if board.send(order) is not None else 0 for order in orders]
-    longest = lengths.index(max(lengths))
+def of_longest_step(folder, unit, real, orders, ticks):
+    """Return the least and the most cycles of the longest step among orders, and the instructions that QEMU logged.
+
+    `ticks` are what `CortexM4.replay` returned for the orders.
+    """
+    longest = ticks.index(max(ticks))
     monitor = folder / "monitor"
     options = ("-chardev", f"socket,id=monitor,path={monitor},server=on,wait=off", "-mon", "chardev=monitor")
     with CortexM4(folder, unit, real, options) as board:
-        for order in orders[:longest]:
-            board.send(order)
+        board.replay(orders[:longest])
         log = folder / "executed"
         with Monitor(monitor) as told:
             for line in (f"logfile {log}", *SINGLE_STEP, "log exec,nochain"):

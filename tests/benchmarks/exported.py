@@ -132,6 +132,13 @@ class Law:
         board.init(np.zeros(self.size + 1))
         return self.difference(lambda t, y: board.step([t, *y]), FEW)
 
+    def orders(self, _: Path) -> list[bytes]:
+        """Return what a board is sent, in float."""
+        given = [[float(i), *y] for i, y in enumerate(self.states[:FEW])]
+        return [cortex_m4.order(b"i", np.zeros(self.size + 1), "float")] + [
+            cortex_m4.order(b"s", each, "float") for each in given
+        ]
+
     def chi(self, folder: Path, real: str) -> float:
         """Return the worst masking error of the closed loop of the law in C with the rig in double."""
         made, loop, unit = self.experiment, self.loop, self.unit
@@ -204,6 +211,24 @@ class Sampled:
         _, found, _ = by_unit(self.experiment, board, samples)
         return float(np.max(np.abs(found - ours)) / np.max(np.abs(ours)))
 
+    def orders(self, folder: Path) -> list[bytes]:
+        """Return what a board is sent, in float, where the same C on this machine drives the twin."""
+        unit, orders = CompiledUnit(folder, self.unit, "float"), list[bytes]()
+
+        class Noting:
+            @staticmethod
+            def init(readings: np.ndarray) -> None:
+                orders.append(cortex_m4.order(b"i", readings, "float"))
+                unit.init(readings)
+
+            @staticmethod
+            def step(readings: np.ndarray) -> np.ndarray:
+                orders.append(cortex_m4.order(b"s", readings, "float"))
+                return np.array(unit.step(readings))
+
+        by_unit(self.experiment, Noting, self.experiment.sampled.before + 1000)
+        return orders
+
     def chi(self, folder: Path, real: str) -> float:
         """Return the worst masking error of the closed loop of the controller in C around the twin."""
         made, before = self.experiment, self.experiment.sampled.before
@@ -274,10 +299,11 @@ def _difference_on_board(case: Law | Sampled, folder: Path) -> str:
 
 def figures_on_board(case: Law | Sampled, folder: Path) -> list[str]:
     """Return code, state, stack, instructions and cycles of the longest step, with float."""
+    orders = case.orders(folder)
     with cortex_m4.CortexM4(folder, case.unit, "float") as board:
-        case.on_board(board)
+        ticks = board.replay(orders)
         _, longest, stack, state = board.measured()
-    low, high, _ = of_longest_step(folder, case.unit, "float", board.orders)
+    low, high, _ = of_longest_step(folder, case.unit, "float", orders, ticks)
     return [str(board.flash), str(state), str(stack), str(longest), f"{low} to {high}"]
 
 
