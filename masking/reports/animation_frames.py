@@ -81,7 +81,9 @@ def film(shown: Animation, file: Path, progress: Callable[[float], None]) -> Non
 
 def _save_gif(figure: Figure, drawn: Iterator[int], file: Path) -> None:
     """Write a GIF file with the colours of its first frame, and without dithering: a quarter of the size."""
-    canvas, frames, palette = FigureCanvasAgg(figure), list[Image.Image](), None
+    canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
+    frames: list[Image.Image] = []
+    palette: Image.Image | None = None
     for _ in drawn:
         canvas.draw()
         frame = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
