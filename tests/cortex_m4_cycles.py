@@ -130,7 +130,7 @@ def of_longest_step(folder, unit, real, orders, ticks):
         with Monitor(monitor) as told:
             for line in (f"logfile {log}", *SINGLE_STEP, "log exec,nochain"):
                 told.say(line)
-            board.send(orders[longest])
+            board.replay([orders[longest]])
             told.say("log none")
     executed = _inside(folder / "unit.elf", unit, log)
     return *cycles(program(folder / "unit.elf"), executed), len(executed)
