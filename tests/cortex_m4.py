@@ -35,17 +35,23 @@ MACHINE = (
 )
 INSTRUCTIONS_PER_TICK = 40 / 64
 PATIENCE = 30.0  # seconds without an answer
+BATCH = 100  # orders, whose bytes and answers fit into a pipe
 TYPES = {"double": np.float64, "float": np.float32}
+
+
+def order(kind, readings, real):
+    """Return the bytes that begin (`i`) or make a step (`s`)."""
+    return kind + np.asarray(readings, TYPES[real]).tobytes()
 
 
 class CortexM4:
     """A unit on a processor of its own; a context that ends with the emulator.
 
-    `code` and `constants` are the bytes of its object file that go to flash.
+    `flash` is the bytes of its object file that go there.
     """
 
-    def __init__(self, folder, unit, real):
-        self.unit, self.dtype = unit, TYPES[real]
+    def __init__(self, folder, unit, real, options=()):
+        self.unit, self.real, self.dtype = unit, real, TYPES[real]
         text = CUnit(unit, real)
         files = {f"{unit.name}.h": text.header(), f"{unit.name}.c": text.source(), **programs(unit, real)}
         for name, content in files.items():
@@ -56,7 +62,7 @@ class CortexM4:
         size = subprocess.run(["arm-none-eabi-size", "unit.o"], cwd=folder, capture_output=True, text=True, check=True)
         self.flash = int(size.stdout.splitlines()[1].split()[0])
         self.process = subprocess.Popen(
-            [EMULATOR, *MACHINE, "-kernel", folder / "unit.elf"],
+            [EMULATOR, *MACHINE, *options, "-kernel", folder / "unit.elf"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, bufsize=0,
         )  # fmt: skip
 
@@ -70,20 +76,34 @@ class CortexM4:
         self.process.stdout.close()
 
     def init(self, readings):
-        self.process.stdin.write(b"i" + np.asarray(readings, self.dtype).tobytes())
+        self.process.stdin.write(order(b"i", readings, self.real))
 
     def step(self, readings):
-        self.process.stdin.write(b"s" + np.asarray(readings, self.dtype).tobytes())
-        size = len(self.unit.ports["commands"]) * self.dtype().itemsize
-        answer = self._read(size + 4)
-        self.status = struct.unpack("<i", answer[size:])[0]
-        return np.frombuffer(answer[:size], self.dtype).astype(np.float64)
+        self.process.stdin.write(order(b"s", readings, self.real))
+        return self._answer()
+
+    def replay(self, orders):
+        """Send orders, many at a time, and return the ticks of each step; 0 for what begins."""
+        ticks = []
+        for first in range(0, len(orders), BATCH):
+            batch = orders[first : first + BATCH]
+            self.process.stdin.write(b"".join(each + b"r" * (each[:1] == b"s") for each in batch))
+            for each in batch:
+                is_step = each[:1] == b"s" and self._answer() is not None
+                ticks.append(struct.unpack("<4I", self._read(16))[0] if is_step else 0)
+        return ticks
 
     def measured(self):
         """Return instructions of the last step and of the longest one, bytes of stack, bytes of the state."""
         self.process.stdin.write(b"r")
         last, longest, stack, state = struct.unpack("<4I", self._read(16))
         return round(last * INSTRUCTIONS_PER_TICK), round(longest * INSTRUCTIONS_PER_TICK), stack, state
+
+    def _answer(self):
+        size = len(self.unit.ports["commands"]) * self.dtype().itemsize
+        answer = self._read(size + 4)
+        self.status = struct.unpack("<i", answer[size:])[0]
+        return np.frombuffer(answer[:size], self.dtype).astype(np.float64)
 
     def _read(self, size):
         found = b""

@@ -4,6 +4,7 @@ import base64
 import json
 import math
 import re
+import struct
 import xml.etree.ElementTree as ET
 from types import SimpleNamespace
 
@@ -218,6 +219,16 @@ def test_pictures_and_films_are_written(run, tmp_path, monkeypatch, ending, begi
         ET.parse(file)  # noqa: S314  # our own
     with pytest.raises(RecordError, match=rf"holds an earlier result, a\.{ending}"):
         masking.animate(run, out=file)
+
+
+@pytest.mark.skipif(not animation_frames.films.FFMpegWriter.isAvailable(), reason="there is no ffmpeg")
+def test_ffmpeg_writes_an_mp4(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(animation_frames, "_LONGEST", 0.5)
+    film = masking.animate(f"{run}@1:3", out=tmp_path / "a.mp4").read_bytes()
+    assert film[4:8] == b"ftyp"  # ISO/IEC 14496-12, 4.3: the box that such a file begins with
+    # The header of the movie (8.2.2, version 0): its time scale and its duration, half a second at 20 frames a second.
+    scale, duration = struct.unpack(">II", film[film.index(b"mvhd") + 16 :][:8])
+    assert duration / scale == pytest.approx(0.5)
 
 
 def test_what_cannot_be_animated_is_told(capsys, run, tmp_path, monkeypatch):

@@ -57,6 +57,7 @@ OUTSIDE: dict[str, set[str]] = {
     "llvmlite": {"codegen"},
     "markupsafe": {"display", "modelling", "reports"},
     "matplotlib": {"display", "reports"},
+    "PIL": {"reports"},
     "numba": {"numerics", "codegen"},
     "pint": {"declaration"},
     "platformdirs": {"codegen"},
@@ -213,7 +214,7 @@ def test_a_module_is_short_and_named_after_a_noun(path):
 
 
 # Packages that come with those that we declare, which choose their versions.
-BROUGHT = {"pydantic-core": "pydantic", "llvmlite": "numba"}
+BROUGHT = {"pydantic-core": "pydantic", "llvmlite": "numba", "pillow": "matplotlib"}
 
 
 def test_packages_that_are_imported_are_declared_and_have_a_version():

@@ -8,7 +8,8 @@ import pytest
 from masking.exports.controllers import law_unit, sampled_unit
 from masking.runs.experiment import Experiment
 from tests import cortex_m4
-from tests.cortex_m4 import CortexM4
+from tests.cortex_m4 import CortexM4, order
+from tests.cortex_m4_cycles import cycles, instruction, of_longest_step
 from tests.test_export import EXACT, by_kernel, by_unit, sampled
 
 pytestmark = pytest.mark.skipif(not (cortex_m4.COMPILER and cortex_m4.EMULATOR), reason=cortex_m4.MISSING)
@@ -68,8 +69,47 @@ def test_the_loop_of_a_controller_on_a_cortex_m4_is_that_of_the_kernel(tmp_path)
 def test_instructions_are_counted(tmp_path, monkeypatch):
     unit = sampled_unit(sampled("kalman, without homing").sampled, "controller", 0.02)
     monkeypatch.setattr("masking.exports.c.CUnit.source", lambda _: COUNTED.format(count=ITERATIONS))
+    orders = [order(b"s", np.zeros(3), "float")] * 3
     with CortexM4(tmp_path, unit, "float") as exported:
-        exported.step(np.zeros(3))
+        ticks = exported.replay(orders)
         last, longest, *_ = exported.measured()
     assert 2 * ITERATIONS <= last <= 2 * ITERATIONS + 40
     assert longest == last
+    low, high, logged = of_longest_step(tmp_path, unit, "float", orders, ticks)
+    assert abs(logged - last) <= 2
+    # SUBS takes a cycle, and BNE, which is taken, 1 + P with P from 1 to 3.
+    assert 3 * ITERATIONS <= low <= 3 * ITERATIONS + 40
+    assert 5 * ITERATIONS <= high <= 5 * ITERATIONS + 80
+
+
+@pytest.mark.parametrize(
+    ("mnemonic", "operands", "is_conditional", "low", "high"),
+    [  # Tables 3-1 and 7-1 of Arm's manual: 1 + N registers, 1 + 2 N of 64 bits, and what may be pipelined or folded
+        ("stmdb", "sp!, {r4, r5, r6-r9, sl, lr}", False, 9, 9),
+        ("ldmia.w", "r5!, {r0, r1, r2, r3}", False, 5, 5),
+        ("vpush", "{d8-d9}", False, 5, 5),
+        ("vldmia", "r3!, {s15}", False, 2, 2),
+        ("vldr", "s15, [sp, #4]", False, 1, 2),
+        ("vldr", "d7, [sp, #4]", False, 2, 3),
+        ("vmov", "r0, r1, d7", False, 2, 2),
+        ("vmovmi.f32", "s15, s13", True, 1, 1),
+        ("vsubeq.f32", "s15, s13, s1", True, 1, 2),
+        ("ldrge.w", "r3, [r2, #4]", True, 1, 2),
+        ("sdiv", "r3, r2, r1", False, 2, 12),
+        ("vdiv.f32", "s15, s13, s1", False, 1, 15),
+        ("itett", "eq", False, 0, 1),
+    ],
+)
+def test_instructions_have_their_times(mnemonic, operands, is_conditional, low, high):
+    found = instruction(4, mnemonic, operands, is_conditional)
+    assert (found.low, found.high) == (low, high)
+
+
+def test_what_takes_a_division_waits_for_it():
+    program = {
+        0: (4, "vdiv.f32", "s0, s1, s2", False),
+        4: (4, "add.w", "r0, r0, r1", False),
+        8: (4, "vadd.f32", "s0, s0, s1", False),
+        12: (2, "bx", "lr", False),
+    }
+    assert cycles(program, [0, 4, 8, 12]) == (14 + 1 + 2, 15 + 1 + 2 + 4)

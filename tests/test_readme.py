@@ -21,9 +21,6 @@ NOT_RUN = {
     "masking rig serve tue_rig": "ends at an interrupt; test_rig serves",
     "masking rig run huygens_rig --plant udp://127.0.0.1:5005": "80 s; test_rig runs in lockstep",
     "masking rig calibrate tue_rig --model setup_springs": "minutes of the twin's clock; test_calibration",
-    "masking rig calibrate my_rig.yaml --lockstep": "a minute; test_calibration",
-    "masking simulate my_rig.yaml results/my_rig_calibration/records/unseen": "needs the calibration",
-    "masking identify results/my_rig_calibration/records/fit --plant my_rig.yaml --parameters m,c,k": "the same",
 }
 
 

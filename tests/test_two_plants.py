@@ -21,6 +21,7 @@ from masking.plants.simulated import SimulatedPlant
 from masking.rig.twin import Twin
 from masking.runs import hardware
 from masking.runs.experiment import Experiment
+from tests.busy import repeated
 
 W0, WC, FIRST = 10.0, 3.0, 0.01
 
@@ -83,6 +84,18 @@ def test_one_plant_is_in_another_process_and_one_in_this():
         found = hardware.run(carts(), group, lockstep=True)
     assert found["input.b_u"].tolist() == pytest.approx(offline()["input.b_u"].tolist(), rel=1e-9, abs=1e-12)
     assert found.manifest["rig"]["end"] == "finished"
+
+
+@repeated
+def test_in_real_time_one_plant_is_simulated_here_and_one_has_a_clock_of_its_own():
+    """The one with a clock does not wait: where a sample of it is missed, the simulated one is late by it."""
+    with serving("cart") as (_, address):
+        group = PlantGroup({"a": SimulatedPlant(Twin.load("cart")), "b": adapters.connect(address)})
+        found = hardware.run(carts(), group)
+    assert found.manifest["mode"] == "real time"
+    assert found.manifest["rig"]["end"] == "finished"
+    assert found.t[-1] == pytest.approx(2.0, abs=0.02)
+    assert relative(carts_in(found), beats(found.t)) < 0.1
 
 
 def test_each_plant_has_an_address_of_its_own_on_the_command_line(tmp_path):

@@ -2,8 +2,8 @@
 
 Commands of C, Python, FMUs and a Cortex-M4F against those of the compiled kernel: of a law, for 500 random states; of a
 sampled controller, for the readings of a run around the twin, which the Cortex-M4F drives itself. Then the closed loop
-of C in double and in float, and the size, stack and instructions of a step in float on a Cortex-M4F. What is not
-installed is left out and named.
+of C in double and in float, and the size, stack, instructions and computed cycles of a step in float on a Cortex-M4F.
+What is not installed is left out and named.
 """
 
 from __future__ import annotations
@@ -31,11 +31,12 @@ from masking.runs.experiment import Experiment
 from masking.runs.offline import loop_state, rig_state
 from tests import cortex_m4
 from tests.compiled_unit import GCC, TYPES, CompiledUnit
+from tests.cortex_m4_cycles import of_longest_step
 from tests.test_export import around_a_twin, by_kernel, by_unit, python_unit
 
 COLUMNS = (
     *("experiment", "C", "Python", "FMI 2.0", "FMI 3.0", "Cortex-M4F", "chi, kernel", "chi, double", "chi, float"),
-    *("code", "state", "stack", "instructions"),
+    *("code", "state", "stack", "instructions", "cycles, computed"),
 )
 HEAD = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|"
 STATES = 500
@@ -131,6 +132,13 @@ class Law:
         board.init(np.zeros(self.size + 1))
         return self.difference(lambda t, y: board.step([t, *y]), FEW)
 
+    def orders(self, _: Path) -> list[bytes]:
+        """Return what a board is sent, in float."""
+        given = [[float(i), *y] for i, y in enumerate(self.states[:FEW])]
+        return [cortex_m4.order(b"i", np.zeros(self.size + 1), "float")] + [
+            cortex_m4.order(b"s", each, "float") for each in given
+        ]
+
     def chi(self, folder: Path, real: str) -> float:
         """Return the worst masking error of the closed loop of the law in C with the rig in double."""
         made, loop, unit = self.experiment, self.loop, self.unit
@@ -203,6 +211,24 @@ class Sampled:
         _, found, _ = by_unit(self.experiment, board, samples)
         return float(np.max(np.abs(found - ours)) / np.max(np.abs(ours)))
 
+    def orders(self, folder: Path) -> list[bytes]:
+        """Return what a board is sent, in float, where the same C on this machine drives the twin."""
+        unit, orders = CompiledUnit(folder, self.unit, "float"), list[bytes]()
+
+        class Noting:
+            @staticmethod
+            def init(readings: np.ndarray) -> None:
+                orders.append(cortex_m4.order(b"i", readings, "float"))
+                unit.init(readings)
+
+            @staticmethod
+            def step(readings: np.ndarray) -> np.ndarray:
+                orders.append(cortex_m4.order(b"s", readings, "float"))
+                return np.array(unit.step(readings))
+
+        by_unit(self.experiment, Noting, self.experiment.sampled.before + 1000)
+        return orders
+
     def chi(self, folder: Path, real: str) -> float:
         """Return the worst masking error of the closed loop of the controller in C around the twin."""
         made, before = self.experiment, self.experiment.sampled.before
@@ -244,10 +270,10 @@ def row(name: str) -> str:
         cells.append(f"{case.exact(python) if isinstance(case, Law) else case.difference(python, FEW * 20):.1g}")
         cells += _of_fmus(case, folder)
         has_board = cortex_m4.COMPILER and cortex_m4.EMULATOR
-        cells.append(_on_board(case, folder, "double")[0] if has_board else "")
+        cells.append(_difference_on_board(case, folder) if has_board else "")
         cells.append(f"{max(experiment.run().manifest['masking_error'].values()):.3g}")
         cells += [f"{case.chi(folder, real):.3g}" for real in TYPES]
-        cells += _on_board(case, folder, "float")[1] if has_board else [""] * 4
+        cells += figures_on_board(case, folder) if has_board else [""] * 5
     return f"| `{name}` | {' | '.join(cells)} |"
 
 
@@ -266,11 +292,19 @@ def _of_fmus(case: Law | Sampled, folder: Path) -> list[str]:
     return [f"{case.of_fmu(Slave(path, folder / path.stem)):.1g}" for path in paths]
 
 
-def _on_board(case: Law | Sampled, folder: Path, real: str) -> tuple[str, list[str]]:
-    with cortex_m4.CortexM4(folder, case.unit, real) as board:
-        difference = case.on_board(board)
+def _difference_on_board(case: Law | Sampled, folder: Path) -> str:
+    with cortex_m4.CortexM4(folder, case.unit, "double") as board:
+        return f"{case.on_board(board):.1g}"
+
+
+def figures_on_board(case: Law | Sampled, folder: Path) -> list[str]:
+    """Return code, state, stack, instructions and cycles of the longest step, with float."""
+    orders = case.orders(folder)
+    with cortex_m4.CortexM4(folder, case.unit, "float") as board:
+        ticks = board.replay(orders)
         _, longest, stack, state = board.measured()
-    return f"{difference:.1g}", [str(board.flash), str(state), str(stack), str(longest)]
+    low, high, _ = of_longest_step(folder, case.unit, "float", orders, ticks)
+    return [str(board.flash), str(state), str(stack), str(longest), f"{low} to {high}"]
 
 
 def rows(names: tuple[str, ...] = ()) -> Iterator[str]:

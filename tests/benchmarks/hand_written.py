@@ -152,10 +152,10 @@ def van_der_pol(_: float, q: Array, v: Array, __: float) -> Array:
     return np.array([0.5 * ((1 - x * x) * y - x)])
 
 
-def stop(frequency: float = 14.0) -> Virtual:
+def stop(frequency: float = 14.0, damping: float = 0.05, edge: float = 0.002) -> Virtual:
     """Return the mass with a one-sided stop."""
     return lambda t, q, v, _: (
-        0.4 * np.cos(frequency * t) - 64 * q[:1] - 0.8 * v[:1] - 1600 * np.maximum(q[:1] - 0.002, 0.0)
+        0.4 * np.cos(frequency * t) - 64 * q[:1] - 16 * damping * v[:1] - 1600 * np.maximum(q[:1] - edge, 0.0)
     )
 
 

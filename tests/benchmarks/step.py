@@ -21,19 +21,54 @@ LARGEST_DIFFERENCE = 1e-12
 MOST = 1000.0  # ns
 
 
+Call = tuple[Callable[[], object], Callable[..., object], tuple[object, ...]]
+
+
 def rows() -> Iterator[Row]:
     """Measure the Duffing law with a known state, and the clocks on the imperfect rig with an observer."""
+    law, state, (whole, *given) = calls()
+    yield beyond("step(t, state), duffing", whole)
+    for name, call in zip(("array", "list"), given, strict=True):
+        yield beyond(f"step(readings), huygens_rig, {name}", call)
+    yield casadi_row(law, state)
+
+
+def calls() -> tuple[LawStep, np.ndarray, tuple[Call, Call, Call]]:
+    """Return the Duffing law, a state, and what is called: the machine code, the controller, and its arguments."""
     law, sampled = Experiment.load("duffing").controller(), Experiment.load("huygens_rig").controller()
     assert isinstance(law, LawStep)
     assert isinstance(sampled, SampledStep)
     state = np.array([1e-3, 2e-3, -1e-3, 0.01, 0.0, 0.02])
     readings = np.array([0.01, -0.01, 0.02])
-    yield beyond("step(t, state), duffing", law._bound.call, law, (0.1, state))
-    for name, given in (("array", readings), ("list", readings.tolist())):
-        sampled.reset(readings)
-        sampled(readings)
-        yield beyond(f"step(readings), huygens_rig, {name}", sampled._bound[0].call, sampled, (given,))
-    yield casadi_row(law, state)
+    sampled.reset(readings)
+    sampled(readings)
+    bare = sampled._bound[0].call
+    whole: Call = (law._bound.call, law, (0.1, state))
+    return law, state, (whole, (bare, sampled, (readings,)), (bare, sampled, (readings.tolist(),)))
+
+
+def table() -> str:
+    """Return the times of a call as a table of Markdown, in us to one digit."""
+    law, state, (whole, given, _) = calls()
+    times = [measured(*call) for call in (whole, given)]
+    theirs = "not installed"
+    if find_spec("casadi") is not None:
+        evaluate, *_kept = buffered(law, state)
+        theirs = digit(nanoseconds((evaluate, ()))[0])
+    named = {
+        "an empty call": [digit(nothing) for _, _, nothing in times],
+        "the machine code alone": [digit(compiled) for compiled, _, _ in times],
+        "a call of the controller": [digit(called) for _, called, _ in times],
+        f"the call beyond the machine code, at most {MOST / 1000:g} us": [digit(x - y) for y, x, _ in times],
+        "casadi's buffered `Function` of the same law": [theirs, ""],
+    }
+    head = "| us | `step(t, state)` of `duffing` | `step(readings)` of `huygens_rig` |\n|---|---|---|\n"
+    return head + "\n".join(f"| {name} | {' | '.join(cells)} |" for name, cells in named.items())
+
+
+def digit(time: float) -> str:
+    """Return a time in ns as us, to a digit."""
+    return f"{time / 1000:.1f}" if time >= 100.0 else f"{time / 1000:.2f}"
 
 
 def empty(*_: object) -> None:
@@ -50,9 +85,14 @@ def nanoseconds(*calls: tuple[Callable[..., object], tuple[object, ...]]) -> lis
     return [min(times) / CALLS * 1e9 for times in zip(*rounds, strict=True)]
 
 
-def beyond(what: str, bare: Callable[[], object], step: Callable[..., object], given: tuple[object, ...]) -> Row:
+def measured(bare: Callable[[], object], step: Callable[..., object], given: tuple[object, ...]) -> list[float]:
+    """Return what the machine code takes in ns, the call of the controller, and an empty call."""
+    return nanoseconds((bare, ()), (step, given), (empty, given))
+
+
+def beyond(what: str, call: Call) -> Row:
     """Give the row of what a call costs beyond the machine code that it calls."""
-    compiled, called, nothing = nanoseconds((bare, ()), (step, given), (empty, given))
+    compiled, called, nothing = measured(*call)
     note = f"a call takes {called:.0f} ns, the machine code {compiled:.0f} ns, an empty call {nothing:.0f} ns"
     value = called - compiled
     return limited(f"beyond the compiled law: {what}", f"{value:.0f} ns", "", value, at_most=MOST, unit="ns", note=note)

@@ -33,6 +33,7 @@ from tests.benchmarks import (
     masking_error_table,
     official,
     rules,
+    step,
     wishes,
 )
 
@@ -144,6 +145,12 @@ def loop_time(way: str, figure: str) -> str:
 @cache
 def _loop_times() -> dict[str, dict[str, list[float]]]:
     return loop.measure(3)
+
+
+@slow_value
+def step_times() -> str:
+    """Return the table of what a call of a controller takes from Python."""
+    return step.table()
 
 
 @slow_value
