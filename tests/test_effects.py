@@ -791,6 +791,7 @@ ALSO_WORDS = {
     "codegen": {"noise"},
     "declaration": {"delay", "stop"},
     "exports": {"noise"},
+    "faults": {"stop"},
     "procedures": {"hysteresis", "noise"},
     "reports": {"delay", "noise", "stop"},
     "runs": {"delay", "noise", "stop"},

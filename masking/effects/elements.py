@@ -191,7 +191,7 @@ ELEMENTS: tuple[Effect, ...] = (
         {
             "edge": EffectParameter("D", "the bound", (0.0, 1.0), 0.5),
             "side": _SIDE,
-            "k": EffectParameter("F/D", "what holds it, per distance beyond the bound", (0.0, 1e5), 1e3, 1e3, POSITIVE),
+            "k": EffectParameter("F/D", "what holds it, per distance beyond the bound", (1.0, 1e5), 1e3, 1e3, POSITIVE),
         },
         cause="a tank that is full, a supply that limits a speed, a ramp that ends",
         remedy="stay within the bound",

@@ -24,7 +24,7 @@ def _tested(bench: Bench, judgement: Judgement, damage: Mapping[str, Any], named
     """Demand that the self-test refuses a damaged rig, names the channel, and never sends more than its pulse."""
     served = bench.served(plant=_PLANT)
     served.damage(**damage)
-    found = self_test(twin(_PLANT), UdpPlant(served.address, patience=20.0), lockstep=True)
+    found = self_test(twin(_PLANT), UdpPlant(served.address, patience=20.0), lockstep=True, acknowledge=True)
     largest = 0.0
     for _ in twin(_PLANT).actuators[: max(1, len({answer.actuator for answer in found.answers}))]:
         largest = max(largest, float(np.abs(served.record().array("input")).max()))
