@@ -5,7 +5,7 @@
 # make docs   build the documentation and the reference of the package into site/
 # make dist   build a wheel and an sdist into dist/
 # make searches  tests that are whole discoveries, beyond one for each verdict and kind of system
-# make soak   all faults of a rig, a thousand killed controllers, a million mutated frames, a night of 40 runs: half an hour
+# make soak   all faults of a rig, a thousand killed controllers, a million mutated frames, a night of 40 runs, hostile files: half an hour
 # make bench  speed against other tools, side by side
 # make bench-discovery  identify hidden effects in more than a thousand records, some made by MuJoCo, with PySINDy beside:
 #             hours; an interrupted run resumes where it stopped; OPTIONS=--quick is about 30 records
@@ -49,6 +49,7 @@ soak: $(READY)
 	$(BIN)/python -m tests.benchmarks.soak
 	$(BIN)/python -m tests.benchmarks.crashes --kills 100
 	$(BIN)/python -m tests.benchmarks.overnight
+	$(BIN)/python -m tests.benchmarks.hostile
 
 docs-check: $(READY)
 	$(BIN)/python -m tests.documented $(OPTIONS)
