@@ -7,9 +7,11 @@ import contextlib
 import io
 import json
 import os
+import re
 import shlex
 import sys
 import tempfile
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -17,11 +19,22 @@ import pytest
 from masking import cli
 from masking.declaration import registry
 from masking.declaration.quantities import percent
+from masking.effects.dictionary import EFFECTS
+from masking.reports.text import capital, listed
 from tests.benchmarks import official
 
 ROOT, DATA = official.ROOT, official.DATA
 EXAMPLES = sorted((ROOT / "examples" / "measured").glob("*.yaml"))
 RESULT = "# Result: "
+WIDTH = 118
+NO_NAME = "The model misses something that is not in the dictionary"
+VERDICTS = {
+    "none": "Nothing is missing, with the parameters adjusted",
+    "parameter": "No effect is missing, but {0} {1} off",
+    "named": "{0} {1} missing",
+    "ambiguous": "{0} {1} missing, or what this record cannot tell from that",
+    "unknown": "The nearest in the dictionary {1} {0}, which {2} more than noise",
+}
 
 
 def command(example, out):
@@ -47,18 +60,36 @@ def found(example, folder):
 
 def sentence(numbers):
     """Return the result as the file has it: verdict, names, and the validation error before and after."""
-    names = ", ".join(f"{one['name']} ({one['on']})" if one["on"] else one["name"] for one in numbers["effects"])
+    known = {name: effect.spoken for name, effect in EFFECTS.items()}  # a parameter is none of them
+    pairs = [(known.get(one["name"], one["name"]), one["on"]) for one in numbers["effects"]]
+    names = [f"{name} in {on}" if on else name for name, on in pairs]
     before, after = (numbers["simulation_error"]["validation"][which] for which in ("before", "after"))
-    errors = ", ".join(f"{name} {percent(before[name])} -> {percent(after[name])}" for name in before)
-    return f"{numbers['verdict']}: {names or 'no name'}; error on unseen data {errors}"
+    errors = [f"{name} from {percent(before[name])} to {percent(after[name])}" for name in before]
+    what = VERDICTS[numbers["verdict"]].format(
+        listed(names), *(("is", "leaves") if len(names) == 1 else ("are", "leave"))
+    )
+    return f"{capital(what) if names else NO_NAME}. On unseen data the error goes down: {listed(errors)}."
+
+
+def result(example):
+    """Return the result that stands in a file."""
+    _, _, after = example.read_text(encoding="utf-8").partition(RESULT)
+    lines = after.partition("\nname: ")[0].splitlines()
+    return " ".join(line.removeprefix("# ") for line in lines)
+
+
+def with_result(text, new):
+    """Return the text of a file with another result."""
+    before, _, after = text.partition(RESULT)
+    lines = textwrap.wrap(RESULT + new, WIDTH, subsequent_indent="# ", break_on_hyphens=False)
+    return before + "\n".join(lines) + "\nname: " + after.partition("\nname: ")[2]
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_each_is_a_model_with_a_command_and_its_result(example, tmp_path):
     assert registry.load_model(example).name == example.stem
     assert command(example, tmp_path)[0] == "discover"
-    (result,) = (line for line in example.read_text(encoding="utf-8").splitlines() if line.startswith(RESULT))
-    assert result.removeprefix(RESULT).partition(":")[0] in {"none", "parameter", "named", "ambiguous", "unknown"}
+    assert re.fullmatch(r"[A-Z].+\. On unseen data the error goes down: .+ from .+ to .+\.", result(example))
 
 
 @pytest.mark.search
@@ -68,17 +99,13 @@ def test_the_command_gives_the_result(example, tmp_path):
     numbers = found(example, tmp_path)
     before, after = (numbers["simulation_error"]["validation"][which] for which in ("before", "after"))
     assert all(after[name] <= before[name] for name in before)
-    known = sentence(numbers).partition(";")[0]
-    assert f"{RESULT}{known};" in example.read_text(encoding="utf-8")
+    assert result(example).partition(". ")[0] == sentence(numbers).partition(". ")[0]
 
 
 if __name__ == "__main__":
     os.environ.setdefault("MPLBACKEND", "Agg")
     for path in [one for one in EXAMPLES if not sys.argv[1:] or one.stem in sys.argv[1:]]:
         with tempfile.TemporaryDirectory() as place:
-            result = sentence(found(path, place))
-        text = [
-            f"{RESULT}{result}" if line.startswith(RESULT.strip()) else line for line in path.read_text().splitlines()
-        ]
-        path.write_text("\n".join(text) + "\n", encoding="utf-8")
-        print(path.stem, result, flush=True)
+            found_out = sentence(found(path, place))
+        path.write_text(with_result(path.read_text(encoding="utf-8"), found_out), encoding="utf-8")
+        print(path.stem, found_out, flush=True)
