@@ -50,9 +50,10 @@ def found(example, folder):
     copy.mkdir()
     for one in DATA.iterdir():
         (copy / one.name).symlink_to(one)
-    (copy / "coupled_drives").unlink()
-    (copy / "coupled_drives").mkdir()
-    official.drives(copy / "coupled_drives")
+    for name, write in (("coupled_drives", official.drives), ("f16_gvt", official.wings)):
+        (copy / name).unlink()
+        (copy / name).mkdir()
+        write(copy / name)
     with contextlib.chdir(copy), contextlib.redirect_stdout(io.StringIO()) as out:
         assert cli.main(command(example, Path(folder) / "found")) == 0
     return json.loads(out.getvalue())
