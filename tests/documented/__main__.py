@@ -12,11 +12,13 @@ from tests.documented import marks
 def main() -> int:
     """Check or write the chosen numbers, and return how many differ."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help="of the values; all by default")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help="of the values, or all words of a mark; all by default"
+    )
     parser.add_argument("--write", action="store_true", help="write what the code gives into the pages")
     chosen = parser.parse_args()
     differ = 0
-    for mark in [m for m in marks.marks() if not chosen.names or m.call.split()[0] in chosen.names]:
+    for mark in [m for m in marks.marks() if not chosen.names or {m.call, m.call.split()[0]} & {*chosen.names}]:
         clock = time.perf_counter()
         computed = mark.computed()
         same = marks.is_same(mark.text, computed)
