@@ -205,8 +205,8 @@ def rows(case: Case, folder: Path) -> list[str]:
                 raise
             break
         causes = [cause for cause in found.effects if cause.name in found.twin.dictionary]
-        errors = found.simulation_error.validation
-        print(case.name, found.verdict, [(c.name, c.on, c.probability) for c in found.effects], errors, flush=True)
+        sizes = found.simulation_error.validation
+        print(case.name, found.verdict, [(c.name, c.on, c.probability) for c in found.effects], sizes, flush=True)
         if plant is not None and not causes:
             break
         if not causes and found.law is None:
