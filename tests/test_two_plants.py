@@ -191,6 +191,14 @@ def test_plants_that_do_not_go_together_are_refused(tmp_path, other, said):
         compose([part("a", "cart"), part("b", file)])
 
 
+def test_one_loop_misses_no_more_than_each_plant_bears(tmp_path):
+    limits = {"inputs": {"u": {"max": 2, "unit": "A"}}, "missed": 0.05}
+    effects = {"delay": {"effect": "delay", "parameters": {"samples": 1}}}
+    (file,) = written(tmp_path, steady={"model": "cart", "limits": limits, "effects": effects})
+    plant, _ = compose([part("a", "cart"), part("b", file)])
+    assert plant.limits.missed == 0.05
+
+
 def test_names_that_are_the_same_are_refused():
     with pytest.raises(DeclarationError, match="'a_x' of a is also that of another plant; give the plants other names"):
         compose([part("a", "cart"), part("a", "cart")])

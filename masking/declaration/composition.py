@@ -119,9 +119,10 @@ def _plant(parts: list[Part]) -> dict[str, Any]:
         made["limits"][key] = {
             part.written(text): limit for part in parts for text, limit in limits[part.name].get(key, {}).items()
         }
-    for key in ("power", "missed"):
-        shared = _shared(parts, f"limits.{key}", [x.get(key) for x in limits.values()])
-        made["limits"] |= {key: shared} if shared else {}
+    shared = _shared(parts, "limits.power", [x.get("power") for x in limits.values()])
+    made["limits"] |= {"power": shared} if shared else {}
+    missed = [x["missed"] for x in limits.values() if "missed" in x]  # one loop, which is held to the least
+    made["limits"] |= {"missed": min(missed)} if missed else {}
     made["own_effects"] = list(dict.fromkeys(one for part in parts for one in part.plant.own_effects))
     made["effects"] = _effects(parts, {name: data.get("effects", {}) for name, data in all_data.items()})
     return {key: value for key, value in made.items() if value}

@@ -115,7 +115,8 @@ class RemotePlant(ABC):
                 if frame.kind in (Kind.SENSORS, Kind.STOP):
                     self._first = frame
                     return
-                self.counters["unexpected"] += 1
+                if frame.kind is not Kind.ACCEPT:  # to a hello that was sent twice
+                    self.counters["unexpected"] += 1
         self._lost(f"did not start within {max(self._silence, self._patience):g} s")
 
     def read(self) -> Sample:

@@ -21,6 +21,7 @@ from masking.plants.authentication import Key
 from masking.plants.guard import Guard, PlantLimits
 from masking.plants.interface import Plant, Settings
 from masking.plants.machine import Stop
+from masking.plants.safety import Chain
 from masking.plants.session import LONGEST_WATCHDOG, RATES, Allowed
 from masking.plants.simulated import SimulatedPlant
 from masking.records import stream as streams
@@ -102,7 +103,9 @@ def serve(
 
 def _guard(twin: Twin) -> Guard:
     """Return what keeps a served plant within the limits of a plant file, as far as its sensors show them."""
-    return PlantLimits(partial(protection.limits, Instruments.of(twin)))
+    rules = partial(protection.limits, Instruments.of(twin))
+    Chain(rules(1000.0))  # loads what a controller would not wait for; any rate does
+    return PlantLimits(rules)
 
 
 def run(
