@@ -74,9 +74,9 @@ def test_instructions_are_counted(tmp_path, monkeypatch):
         ticks = exported.replay(orders)
         last, longest, *_ = exported.measured()
     assert 2 * ITERATIONS <= last <= 2 * ITERATIONS + 40
-    assert longest == last
+    assert 0 <= longest - last <= 2  # a tick of the clock
     low, high, logged = of_longest_step(tmp_path, unit, "float", orders, ticks)
-    assert abs(logged - last) <= 2
+    assert abs(logged - last) <= 4  # both ends of a step are read to a tick
     # SUBS takes a cycle, and BNE, which is taken, 1 + P with P from 1 to 3.
     assert 3 * ITERATIONS <= low <= 3 * ITERATIONS + 40
     assert 5 * ITERATIONS <= high <= 5 * ITERATIONS + 80
