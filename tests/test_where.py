@@ -137,6 +137,15 @@ def test_losses_are_those_of_the_laws():
     assert decompose(x, v, -3.0 * v).taken == pytest.approx(-1.0)
 
 
+@pytest.mark.parametrize("unit", [1e-200, 1e-3, 1e200])
+def test_a_force_looks_the_same_in_any_unit(unit):
+    one, other = decompose(X, V, 3.0 * V + X**3), decompose(X, V, unit * (3.0 * V + X**3))
+    assert other.size == pytest.approx(unit * one.size, rel=1e-12)
+    assert other.taken == pytest.approx(one.taken, rel=1e-9)
+    for name in ("displacement", "rate", "both", "neither"):
+        assert getattr(other.parts, name) == pytest.approx(getattr(one.parts, name), abs=1e-9)
+
+
 def test_the_area_of_a_loop():
     # a spring k in line with a slider fc under a sine of size a: 4 fc (a - fc/k) in a cycle
     t, k, fc, a, f = np.arange(10000) / RATE, 100.0, 0.05, 2e-3, 1.0

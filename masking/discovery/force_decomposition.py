@@ -12,6 +12,7 @@ plane of displacement and rate.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -113,13 +114,22 @@ def decompose(
     """
     every, stretches = _thinned(x, cycle)
     x, rate, force = x[every], rate[every], force[every]
-    square, loss = float((force**2).mean()), float((force * rate).mean())
-    most = float(np.sqrt(square * float((rate**2).mean())))
-    is_seen = square > SEEN * deviation**2 and square > 0.0
-    parts = _parts(x, rate, force, square - deviation**2, stretches) if is_seen else None
-    regions = _regions(x, rate, force**2 - deviation**2) if is_seen else {}
-    size, mean = float(np.sqrt(square)), float(force.mean())
-    return ForceDecomposition(size, mean, deviation, loss, loss / most if most else 0.0, parts, regions)
+    size, loss = _rms(force), float((force * rate).mean())
+    most, parts, regions = size * _rms(rate), None, {}
+    if math.isfinite(size) and size > math.sqrt(SEEN) * deviation:
+        relative, rest = (
+            force / size,
+            (deviation / size) ** 2,
+        )  # in any unit, squares are neither too large nor too small
+        parts = _parts(x, rate, relative, 1.0 - rest, stretches)
+        regions = _regions(x, rate, relative**2 - rest)
+    return ForceDecomposition(size, float(force.mean()), deviation, loss, loss / most if most else 0.0, parts, regions)
+
+
+def _rms(values: Array) -> float:
+    """Return the root mean square, also of numbers whose squares overflow or vanish."""
+    scale = float(np.abs(values).max())
+    return scale * float(np.sqrt(((values / scale) ** 2).mean())) if 0.0 < scale < math.inf else scale
 
 
 def followed(x: Array, force: Array, cycle: int | None = None) -> float:
