@@ -82,8 +82,11 @@ def _add_serve(sub: argparse.ArgumentParser) -> None:
 
 
 def _rates(text: str) -> tuple[float, float]:
-    """Read `LOW:HIGH`; a ValueError where it is written otherwise."""
-    low, high = map(float, text.split(":"))
+    """Read `LOW:HIGH`."""
+    try:
+        low, high = map(float, text.split(":"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"invalid rates '{text}'; write LOW:HIGH in Hz, such as 1:1000") from None
     return low, high
 
 

@@ -409,7 +409,8 @@ def _joined(words: Sequence[str], last: str) -> str:
 
 
 def _unused(model: ModelDeclaration) -> Iterator[Problem]:
-    used = set().union(*(expression.names for _, expression in formulas(model)))
+    drawn = [formula for shape in model.drawing for formula in shape.formulas]
+    used = set().union(*(expression.names for _, expression in [*formulas(model), *drawn]))
     for section, what in (("parameters", "parameter"), ("definitions", "definition"), ("inputs", "input")):
         for name in getattr(model, section):
             if name not in used:

@@ -18,6 +18,7 @@ from masking.discovery import laws
 from masking.discovery.augmented_model import MOST_COLUMNS, EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.fitting import Hypothesis, bounds
+from masking.discovery.following import follow
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import Motion
 from masking.discovery.thinning import thinned, thinning
@@ -379,13 +380,7 @@ class Screen:
 
     def _follows(self, instance: EffectInstance, x: Array, rate: Array, free: tuple[int, ...] = ()) -> Array:
         """Return what an effect makes of a motion (m, 1 + f), with its slopes by some of its parameters."""
-        period, steps = 1.0 / self.record.rate, self.steps if instance.entry.states else 1
-        if steps == 1:
-            return self.rig.along(instance, x, rate, period, free)
-        samples = np.arange(len(x))
-        between = np.arange((len(x) - 1) * steps + 1) / steps
-        x, rate = np.interp(between, samples, x), np.interp(between, samples, rate)
-        return np.ascontiguousarray(self.rig.along(instance, x, rate, period / steps, free)[::steps])
+        return follow(self.rig, instance, x, rate, period=1.0 / self.record.rate, steps=self.steps, free=free)
 
     def _late(self, instance: EffectInstance) -> tuple[Array, Array]:
         """Return what a delay changes of each command (m, actuators), and the columns where these act (actuators,)."""

@@ -68,6 +68,7 @@ class _Reader:
             raise RecordError(f"{folder / MANIFEST} cannot be read: {error.strerror or error}") from error
         self.damages, self.first, self.tables = list[str](), list[int](), list[Array]()
         self.lost: list[tuple[str, int, int, int]] = []  # file, bytes, page, of what was changed
+        self.repeated: list[Page] = []  # which stand there again
         self.end: Mapping[str, Any] | None = None
         self.next, self.sequence, self.is_proven = 0, 0, False
         self.chain: bytes | None = None
@@ -112,6 +113,12 @@ class _Reader:
                     for page in pages_of(memory, PART_HEAD, self.chain):
                         self._take(path, page)
                     self._tell(None)
+                    if self.repeated:
+                        self.damages.append(
+                            f"{path.name}: {len(self.repeated)} pages from byte {self.repeated[0].start} on "
+                            "repeat earlier ones, and were left out"
+                        )
+                        self.repeated = []
         except FileNotFoundError:
             return
         except BlockingIOError as error:
@@ -133,6 +140,9 @@ class _Reader:
         """Keep a sound page; note what is none."""
         if not page.is_sound:
             self.lost.append((path.name, page.start, page.stop, page.sequence))
+            return
+        if page.sequence < self.sequence:
+            self.repeated.append(page)
             return
         self._tell(page)
         self.sequence, self.chain = page.sequence + 1, page.chain

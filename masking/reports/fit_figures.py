@@ -26,7 +26,7 @@ _WHOLE: Final = (7.1,)  # inches
 _HALVES: Final = (4.1, 3.2)  # inches: the whole record, and a part of it
 _BEYOND = 2.5  # times half the range of what is measured: from there on, what is simulated is cut off
 _PERIODS = 8  # of the strongest line that are shown
-_LEAST_SHOWN = 1.0  # s
+_LEAST_SHOWN = 50  # samples
 _MORE = 1.2  # times the noise: from here on a residual is more than that
 _MOST_SENSORS = 6
 _MOST_PARAMETERS = 24
@@ -250,7 +250,7 @@ def _span(made: Simulated) -> float:
     for values in made.record.readings.T:
         spectrum = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values))))[1:]
         strongest = max(strongest, (1 + int(np.argmax(spectrum))) / (len(values) / made.record.rate))
-    return float(min(whole, max(_LEAST_SHOWN, _PERIODS / max(strongest, 1e-300))))
+    return float(min(whole, max(_LEAST_SHOWN / made.record.rate, _PERIODS / max(strongest, 1e-300))))
 
 
 def verdict(made: Simulated, which: Which) -> str:

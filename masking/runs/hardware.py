@@ -81,11 +81,15 @@ def serve(
     shared = Key.read(key) if key is not None else None
     twin = None if scheme_of(str(plant)) else Twin.load(plant)
     limited = twin if limits is None else Twin.load(limits)
+    guard = _guard(limited) if limited is not None else None
     if twin is None:
         served = adapters.connect(str(plant))
     else:
         served = SimulatedPlant(twin, seed)
-        served.configure(Settings(rate=1000.0))  # compiles what a controller would not wait for; any rate does
+        settings = Settings(rate=1000.0)  # any rate does: this compiles what a controller would not wait for
+        served.configure(settings)
+        if guard is not None:
+            guard.begin(served, settings)
         served.deactivate()
     return serving.serve(
         served,
@@ -96,7 +100,7 @@ def serve(
         ready=ready,
         stop=stop,
         allowed=Allowed(watchdog, rates),
-        guard=_guard(limited) if limited is not None else None,
+        guard=guard,
         key=shared,
     )
 

@@ -57,14 +57,16 @@ class Operator:
         stop_file: the run trips as soon as there is such a file, on a disk of this machine; None for none.
 
     Raises:
-        OperatorError: there is such a file already.
+        OperatorError: there is such a file already, or no folder for it.
     """
 
     def __init__(
         self, attend: Attend | None = None, *, is_attended: bool = False, stop_file: str | Path | None = None
     ) -> None:
-        self.switch, self.is_attended = Switch.make(), is_attended
         self._attend, self._file = attend, None if stop_file is None else Path(stop_file)
+        if self._file is not None and not self._file.parent.is_dir():
+            raise OperatorError(f"{self._file}: there is no folder {self._file.parent}; make it, or name another file")
+        self.switch, self.is_attended = Switch.make(), is_attended
         self._looked = 0
         self.trip: Trip | None = None
         self._shown: _Shown | None = None

@@ -118,7 +118,7 @@ def _end(found: Stream) -> str:
         return "it is cut off: the machine stopped, or the recorder was killed too; what followed may be missing"
     if found.end["why"] == CLOSED:
         return "the run ended in order, but its recording was not saved"
-    return "the process of the controller was killed; all rows that it made were recorded"
+    return "the process of the controller was killed; the recorder took all rows that it had made"
 
 
 def _ring(found: Stream) -> RingReader | None:
