@@ -6,7 +6,7 @@ import contextlib
 import json
 import multiprocessing
 import os
-import resource
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -21,6 +21,9 @@ from masking.plants.safety import Rules
 from masking.plants.udp import UdpPlant
 from masking.records.recording import Recording
 from masking.runs.realtime import RigRun, Step, run_rig
+
+if sys.platform != "win32":
+    import resource
 
 Chosen = str | int | float | bool
 """What is chosen of a fault, as JSON can hold it."""
