@@ -14,9 +14,9 @@ from scipy.interpolate import CubicSpline
 import masking
 from masking.declaration.expression import Expression
 from masking.declaration.quantities import quantity
-from masking.discovery import calibration, closed_form, grammar, harmonics, latent_force, rival
+from masking.discovery import calibration, closed_form, grammar, harmonics, latent_force, laws, rival
 from masking.discovery.augmented_model import EffectInstance
-from masking.discovery.bases import Curve, pieces
+from masking.discovery.bases import Curve, Term, pieces
 from masking.discovery.coverage import Coverage
 from masking.discovery.tabulated import tabulated
 from masking.reports import discovery_figures, discovery_text, experiment_text, fit_figures, place_text
@@ -36,6 +36,30 @@ def test_a_curve_holds_every_spline_over_its_points():
     np.testing.assert_allclose(curve.values(inside, 1) @ factors, truth(inside, 1), atol=1e-8)
     assert np.abs(curve.bends()[[0, -1]] @ factors).max() < 1e-6
     np.testing.assert_allclose(rows.sum(axis=1), 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        Term("free_spring", (Curve(pieces(np.array([-0.7, 1.0]), 5)),)),
+        Term("free_damping", (Curve(pieces(np.array([-3.0, 2.0]), 5)),)),
+        Term("free_resistance", (Curve(pieces(np.array([-0.7, 1.0]), 5)),)),
+        Term("free_rub", (Curve(pieces(np.array([-0.7, 1.0]), 4, is_even=True)),), sharp=0.1),
+        Term(
+            "free_surface", tuple(Curve(pieces(np.array(ends), 4, is_even=True)) for ends in ([-1.0, 1.0], [-3.0, 2.0]))
+        ),
+        Term("free_friction", sharp=0.1),
+    ],
+    ids=lambda term: term.kind,
+)
+def test_a_piece_acts_within_its_support_only(term):
+    x, rate = np.random.default_rng(1).uniform([[-1.5], [-5.0]], [[1.5], [5.0]], (2, 4000))
+    values = term.values(x, rate)
+    for instance, column in zip(term.instances("spring", np.ones(term.size)), values.T, strict=True):
+        low, high, slowest, fastest = laws.support(instance.effect, instance.values)
+        beyond = (x < low) | (x > high) | (rate < slowest) | (rate > fastest)
+        assert not column[beyond].any()
+        assert np.count_nonzero(column[~beyond]) >= 0.99 * np.count_nonzero(~beyond)
 
 
 @pytest.fixture(scope="module")

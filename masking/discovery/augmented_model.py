@@ -433,7 +433,7 @@ class AugmentedModel:
         seats = len(self._seats)
         acts, late = np.zeros(seats + channels, dtype=np.int64), np.zeros(channels)
         late_columns = np.full(channels, -1)
-        rows, columns, values = [], [], list[float]()
+        rows, columns, supports, values = [], [], [], list[float]()
         for instance in (*self.imperfections, *instances):
             first, estimated = len(values), [-1] * MOST_PARAMETERS
             values += instance.values
@@ -458,13 +458,15 @@ class AugmentedModel:
                 of_effect = number not in self._all_taken
                 rows.append((number, kind, seat, first, state if of_effect else -1))
                 columns.append(estimated if of_effect else [-1] * MOST_PARAMETERS)
+                supports.append(laws.support(instance.effect if of_effect else "", instance.values))
         # Sensors last: they may read what the others do.
         order = sorted(range(len(rows)), key=lambda i: rows[i][1] == SENSOR)
         # Laws read as many parameters as they have from where theirs begin.
         read = np.array([*values, *np.zeros(MOST_PARAMETERS)])
         table = np.array([rows[i] for i in order], dtype=np.int64).reshape(-1, len(COLUMNS))
         found = np.array([columns[i] for i in order], dtype=np.int64).reshape(-1, MOST_PARAMETERS)
-        return Instances(table, found, read, acts, late, late_columns, states)
+        within = np.array([supports[i] for i in order]).reshape(-1, 4)
+        return Instances(table, found, read, within, acts, late, late_columns, states)
 
     def along(self, instance: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
         """Return what an effect gives along a known motion, and its derivatives by some parameters (m, 1 + c).

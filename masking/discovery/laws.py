@@ -8,11 +8,12 @@ parameters. They do not know any model, so that an effect is put anywhere in one
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
+import numpy as np
 
 from masking import effects
 from masking.codegen import store
@@ -77,6 +78,23 @@ BASES: Mapping[str, Effect] = {
                f"a*{_even('((d - x0)/w)')}*{_even('((d_rate - v0)/wv)')}", {**_EVEN, **_ALONG}),
     )
 }  # fmt: skip
+EVERYWHERE = (-np.inf, np.inf)
+
+
+def support(effect: str, values: Sequence[float]) -> tuple[float, float, float, float]:
+    """Return the displacements, then the rates, between which a law acts; beyond them a piece of a curve is 0."""
+    match effect, values:
+        case "free_spring" | "free_resistance", (_, first, _, _, _, last):
+            return first, last, *EVERYWHERE
+        case "free_damping", (_, first, _, _, _, last):
+            return *EVERYWHERE, first, last
+        case "free_rub", (_, x, w, _):
+            return x - 2.0 * w, x + 2.0 * w, *EVERYWHERE
+        case "free_surface", (_, x, w, v, wv):
+            return x - 2.0 * w, x + 2.0 * w, v - 2.0 * wv, v + 2.0 * wv
+    return *EVERYWHERE, *EVERYWHERE
+
+
 DELAY = effects.DELAY.name  # has no expression: the commands are read earlier
 # What an effect takes from an element in whose place it stands: the whole displacement and the whole rate.
 ALL_TAKEN = {f"all_{x}": Effect(f"all_{x}", "", x, {}) for x in ("d", "d_rate")}
@@ -139,7 +157,8 @@ def _function(name: str, effect: Effect) -> str:
 
     rows = [lower(effect.expression), *(lower(state.rate) for state in effect.states.values())]
     wanted = {subject: 1, "d_rate": 2, **dict.fromkeys(effect.states, 3)}
-    wanted |= {p: FIRST_PARAMETER + i for i, p in enumerate(effect.parameters)}
+    fixed = {*effect.parameters} - {*_FACTOR} if name in BASES else set[str]()  # knots are not estimated
+    wanted |= {p: FIRST_PARAMETER + i for i, p in enumerate(effect.parameters) if p not in fixed}
     columns = derivatives(graph, rows, [nodes[symbol] for symbol in wanted])
     results = [(f"rows[{i}, 0]", node) for i, node in enumerate(rows)]
     results += [

@@ -22,6 +22,7 @@ class Instances:
         table: a row for each instance, those of sensors last (i, 5); columns as `numerics.instances` says.
         estimated: the column of each parameter in the normal equations, or -1 (i, parameters).
         values: all parameters, one after the other.
+        support: displacements, then rates, between which each acts, as `laws.support` has them (i, 4).
         acts: 1 where an effect acts, of places, then of actuators (places + actuators,).
         late: delay of each actuator, s (actuators,).
         late_columns: column of this delay, or -1 (actuators,).
@@ -31,6 +32,7 @@ class Instances:
     table: IntMatrix
     estimated: IntMatrix
     values: Array
+    support: Array
     acts: IntVector
     late: Array
     late_columns: IntVector

@@ -105,7 +105,7 @@ class EstimationProblem:
         status = rig.kernels.run(
             len(record), self.dt, self.substeps, self.interval_samples, is_first_order(record.hold), rig.sizes.table,
             np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives, p, basis,
-            spans(basis), given.table, given.estimated, given.values, given.acts, record.late + late,
+            spans(basis), given.table, given.estimated, given.values, given.support, given.acts, record.late + late,
             given.late_columns, record.commands, record.counted(late), self.weights, matrices,
             gradients, squares, simulated,
         )  # fmt: skip

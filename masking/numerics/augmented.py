@@ -64,6 +64,7 @@ class Given(NamedTuple):
         instances: of effects, those of sensors last; columns as `instances` says.
         estimated: column of each parameter of an instance, -1 where it is not estimated (instances, parameters).
         values: parameters of the instances, one after the other.
+        support: displacements, then rates, between which each instance acts (instances, 4).
         acts: 1 where an effect acts, of places, then of channels.
         late: delay of each channel, in samples.
         late_columns: column of each channel's delay, or -1.
@@ -77,6 +78,7 @@ class Given(NamedTuple):
     instances: Any
     estimated: Any
     values: Any
+    support: Any
     acts: Any
     late: Any
     late_columns: Any
@@ -188,6 +190,12 @@ def is_same_place(instances, i):
 
 
 @inlined
+def is_beyond(support, x, rate):
+    """Tell whether a motion is where an effect does not act; measured: most pieces of a curve do not, most times."""
+    return x < support[0] or x > support[1] or rate < support[2] or rate > support[3]
+
+
+@inlined
 def put_state(i, z, columns, given, rows, by, by_rate, rate, column_rates):
     """Put the rate of an effect's state where it is integrated, with its derivatives."""
     rate[z] = rows[1, VALUE]
@@ -288,6 +296,8 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
                 is_sensed = True
             if kind != ELEMENT or not is_same_place(instances, i):
                 x, moved = subject(kind, instances[i, PLACE], columns, given, ports, s, by_state, by_entry, by, by_rate)
+            if is_beyond(given.support[i], x, moved):
+                continue
             inside = y[z] if z >= 0 else 0.0
             law(instances[i, LAW], t, x, moved, inside, given.values[instances[i, FIRST] :], rows)
             put(i, columns, given, ports, rows, by, by_rate, rate, column_rates)
@@ -411,8 +421,8 @@ def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sens
 
     Returns:
         `normal(count, dt, substeps, interval, is_linear, table, free, starts, y, columns, p, basis, spans, instances,
-        estimated, values, acts, late, late_columns, commands, readings, weights, matrix, gradient, squares, simulated,
-        work) -> status`, as `variational.normal_equations`, with the arrays of `Given`.
+        estimated, values, support, acts, late, late_columns, commands, readings, weights, matrix, gradient, squares,
+        simulated, work) -> status`, as `variational.normal_equations`, with the arrays of `Given`.
     """
     act = effects_at_ports(law, placed, sensed)
     accumulate = normal_equations(readings_with_effects(law, act, sensed), drive_late, motion_with_effects(act, slopes))
@@ -421,15 +431,15 @@ def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sens
     def normal(
         count: int, dt: float, substeps: int, interval: int, is_linear: int, table: IntMatrix, free: IntVector,
         starts: Matrix, y: Vector, columns: Matrix, p: Vector, basis: Matrix, spans: IntMatrix, instances: IntMatrix,
-        estimated: IntMatrix, values: Vector, acts: IntVector, late: Vector, late_columns: IntVector, commands: Matrix,
-        readings: Matrix, weights: Vector, matrix: Matrix, gradient: Vector, squares: Vector, simulated: Matrix,
-        work: Matrix,
+        estimated: IntMatrix, values: Vector, support: Matrix, acts: IntVector, late: Vector, late_columns: IntVector,
+        commands: Matrix, readings: Matrix, weights: Vector, matrix: Matrix, gradient: Vector, squares: Vector,
+        simulated: Matrix, work: Matrix,
     ) -> int:  # fmt: skip
         work[:] = 0.0
         first, work = take(work, 1)
         read_work, work = take(work, table[SIZES, READ_ROWS])
         lead = first[0][: table[SIZES, CHANNELS]]
-        given = Given(table, p, basis, spans, instances, estimated, values, acts, late, late_columns, lead)
+        given = Given(table, p, basis, spans, instances, estimated, values, support, acts, late, late_columns, lead)
         return accumulate(
             count, dt, substeps, interval, is_linear, free, starts, y, columns, given, commands, readings, weights,
             matrix, gradient, squares, simulated, read_work, work,
