@@ -58,10 +58,10 @@ def test_a_force_that_builds_up_between_samples_is_followed_in_finer_steps(rig):
     np.testing.assert_allclose(slope, force / FORCE, atol=1e-9)
 
 
-def test_the_map_of_a_friction_is_drawn_along_the_motion_in_the_steps_of_the_fit(rig):
+def test_the_map_of_a_friction_is_drawn_along_the_motion_in_stable_steps(rig):
     x, rate = zigzag()
     instance = EffectInstance("dahl_friction", "guide", (FORCE, LENGTH), (0,))
-    found = SimpleNamespace(rig=rig, problem=SimpleNamespace(dt=1.0 / RATE, substeps=32))
+    found = SimpleNamespace(rig=rig, problem=SimpleNamespace(dt=1.0 / RATE, substeps=1))
     force = latent_force.along(found, instance, x, rate)
     assert np.abs(force).max() < 1.001 * FORCE  # no step of it runs away
     sliding = np.abs(rate) > 0.9 * np.abs(rate).max()

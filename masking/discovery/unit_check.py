@@ -1,12 +1,16 @@
-"""Unit check: channels whose unit is probably another than declared, before anything is searched.
+"""Unit check: channels whose unit is probably another than declared, before anything is searched, and after it.
 
 If the model as declared follows hardly anything of a record, and nearly all of it where a channel is converted from
 another usual unit of its dimension, that unit is suspected. Nothing is fitted but the initial state.
+
+A law that the model lacks may hide that. So a unit is suspected, too, where what was found needs a gain or a parameter
+that is several times what is declared, or is unknown, and readings and simulation are of one size in another unit:
+the record is searched in that one as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +18,10 @@ import numpy as np
 
 from masking.declaration.units import dimension_of, factor_of
 from masking.discovery import fitting
+from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
+from masking.discovery.verdict import Key
+from masking.effects import GAINS_AND_ZEROS
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
 
@@ -26,6 +33,11 @@ USUAL = (
 TIMES = ("ms", "us")
 SAMPLES = 4000  # of the record that are simulated
 STEPS = 64  # of integration between samples at most
+FAR = 3.0  # times what is declared, from which a gain or a parameter is far off: the least factor between usual units
+DEVIATIONS = 3.0  # of its prior, from which a parameter is
+GAINS = {name for name in GAINS_AND_ZEROS if name.endswith("gain")}
+NO_WORSE, MUCH_LESS = 1.05, 0.5  # times the error on unseen data as declared, in another unit that is taken
+ALIKE = 0.05  # relative difference of errors or sizes from which two units do the same for a record
 
 
 @dataclass(frozen=True)
@@ -38,6 +50,9 @@ class UnitDoubt:
         unit: what they are probably in.
         declared: what they are declared in.
         error: largest relative error of a sensor with the model as declared, in the declared and in the other unit.
+        otherwise: gains (effect, place) and parameters (name, '') that are far off in the declared unit, and how many
+            times what is declared they are there.
+        alike: other channels and units that would do the same.
     """
 
     names: tuple[str, ...]
@@ -45,10 +60,18 @@ class UnitDoubt:
     unit: str
     declared: str
     error: tuple[float, float] = (np.inf, np.inf)
+    otherwise: tuple[tuple[Key, float], ...] = ()
+    alike: tuple[UnitDoubt, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the doubt as JSON can hold it."""
-        return {"channels": [*self.names], "unit": self.unit, "declared": self.declared}
+        return {
+            "channels": [*self.names],
+            "unit": self.unit,
+            "declared": self.declared,
+            "otherwise": [{"name": name, "on": on, "times": times} for (name, on), times in self.otherwise],
+            "alike": [{"channels": [*one.names], "unit": one.unit} for one in self.alike],
+        }
 
     @property
     def factor(self) -> float:
@@ -82,14 +105,68 @@ def doubted(problem: EstimationProblem) -> UnitDoubt | None:
     Args:
         problem: the record and the rig, simulated whole.
     """
-    part = problem.record.first(SAMPLES / problem.record.rate)
-    few = replace(problem, record=part, substeps=min(problem.substeps, STEPS))
-    before, rules = _error(few), problem.rules
+    few, rules = _part(problem), problem.rules
+    before = _error(_simulated(few), few)
     if before < rules.phase_loss:
         return None
-    tried = [replace(one, error=(before, _error(one.converted(few)))) for one in _others(problem)]
-    best = min(tried, key=lambda one: one.error[1], default=None)
-    return best if best and best.error[1] < rules.unit_error * min(before, 1.0) else None
+    tried = [replace(one, error=(before, _error(_simulated(other), other))) for one, other in _converted(few)]
+    best, least = _best(tried, [one.error[1] for one in tried])
+    return best if best and least < rules.unit_error * min(before, 1.0) else None
+
+
+def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None:
+    """Return the unit that makes readings and simulation one size, which they are not in the declared one; or None.
+
+    Args:
+        problem: the record and the rig, simulated whole.
+        found: what explains the record in the declared unit.
+    """
+    few = _part(problem)
+    before = _simulated(few)
+    tried, sizes = list[UnitDoubt](), list[float]()
+    for one, other in _converted(few):
+        if one.kind != "clock":
+            after = _simulated(other)
+            errors, otherwise = (_error(before, few), _error(after, other)), far_off(problem, found)
+            tried.append(replace(one, error=errors, otherwise=otherwise))
+            sizes.append(_apart(after, other))
+    best, least = _best(tried, sizes)
+    return best if best and FAR * least < _apart(before, few) else None
+
+
+def far_off(problem: EstimationProblem, found: Hypothesis) -> tuple[tuple[Key, float], ...]:
+    """Return gains (effect, place) and parameters (name, '') that are several times what is declared, and how many.
+
+    Args:
+        problem: the record and the rig.
+        found: a fit.
+    """
+    prior, names = problem.prior, problem.rig.names
+    pairs = [((one.effect, one.at), 1.0 + one.values[0]) for one in found.instances if one.effect in GAINS]
+    for name, value, mean, deviation in zip(names, found.theta, prior.mean, prior.deviation, strict=False):
+        if mean and abs(value - mean) > DEVIATIONS * deviation:
+            pairs.append(((name, ""), float(value / mean)))
+    return tuple((key, times) for key, times in pairs if not 1.0 / FAR < times < FAR)
+
+
+def _part(problem: EstimationProblem) -> EstimationProblem:
+    """Return the first part of a record, in few steps."""
+    part = problem.record.first(SAMPLES / problem.record.rate)
+    return replace(problem, record=part, substeps=min(problem.substeps, STEPS))
+
+
+def _converted(problem: EstimationProblem) -> Iterator[tuple[UnitDoubt, EstimationProblem]]:
+    """Give the other units of channels, and the problem in each."""
+    for one in _others(problem):
+        yield one, one.converted(problem)
+
+
+def _best(tried: Sequence[UnitDoubt], values: Sequence[float]) -> tuple[UnitDoubt | None, float]:
+    """Return the unit with the least value, with those that are as good, and that value."""
+    least = min(values, default=np.inf)
+    near = [one for one, value in zip(tried, values, strict=True) if value <= (1.0 + ALIKE) * least]
+    first = tried[values.index(least)] if near else None
+    return first and replace(first, alike=tuple(one for one in near if one is not first)), least
 
 
 def _others(problem: EstimationProblem) -> Iterator[UnitDoubt]:
@@ -114,11 +191,26 @@ def _alternatives(declared: str) -> list[str]:
     return [unit for unit in alike if not np.isclose(factor_of(unit), factor_of(declared))]
 
 
-def _error(problem: EstimationProblem) -> float:
-    """Return the largest error of a sensor with the model as declared, of its variation; infinite if its motion is."""
+def _simulated(problem: EstimationProblem) -> Hypothesis | None:
+    """Return the model as declared, its initial state fitted; None if its motion is not finite."""
     try:
-        found = fitting.fit(problem, frozen=True)
+        return fitting.fit(problem, frozen=True)
     except IntegrationError:
+        return None
+
+
+def _error(found: Hypothesis | None, problem: EstimationProblem) -> float:
+    """Return the largest error of a sensor, of its variation; infinite if the motion is not finite."""
+    if found is None:
         return np.inf
     size = np.maximum(problem.record.readings.var(axis=0), 1e-300) * len(problem.record)
     return float(np.sqrt((found.squares / size).max()))
+
+
+def _apart(found: Hypothesis | None, problem: EstimationProblem) -> float:
+    """Return how many times the simulation of a sensor varies as much as its readings, or less, at most."""
+    if found is None:
+        return np.inf
+    readings = problem.record.readings
+    ratio = np.maximum(readings.std(axis=0), 1e-300) / np.maximum((readings - found.residuals).std(axis=0), 1e-300)
+    return float(np.maximum(ratio, 1.0 / ratio).max())
