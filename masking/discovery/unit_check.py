@@ -47,8 +47,8 @@ class UnitDoubt:
     Args:
         names: the channels; `t` is the clock.
         kind: 'sensor', 'actuator' or 'clock'.
-        unit: what they are probably in.
-        declared: what they are declared in.
+        unit: what they are probably in, and `declared`: what they are declared in; of several units, each once.
+        factor: how many declared units one of the other is.
         error: largest relative error of a sensor with the model as declared, in the declared and in the other unit.
         otherwise: gains (effect, place) and parameters (name, '') that are far off in the declared unit, and how many
             times what is declared they are there.
@@ -59,6 +59,7 @@ class UnitDoubt:
     kind: str
     unit: str
     declared: str
+    factor: float
     error: tuple[float, float] = (np.inf, np.inf)
     otherwise: tuple[tuple[Key, float], ...] = ()
     alike: tuple[UnitDoubt, ...] = ()
@@ -72,11 +73,6 @@ class UnitDoubt:
             "otherwise": [{"name": name, "on": on, "times": times} for (name, on), times in self.otherwise],
             "alike": [{"channels": [*one.names], "unit": one.unit} for one in self.alike],
         }
-
-    @property
-    def factor(self) -> float:
-        """Return how many declared units one of the other is."""
-        return factor_of(self.unit) / factor_of(self.declared)
 
     def converted(self, problem: EstimationProblem) -> EstimationProblem:
         """Return a problem with the channels in the declared unit."""
@@ -162,33 +158,39 @@ def _converted(problem: EstimationProblem) -> Iterator[tuple[UnitDoubt, Estimati
 
 
 def _best(tried: Sequence[UnitDoubt], values: Sequence[float]) -> tuple[UnitDoubt | None, float]:
-    """Return the unit with the least value, with those that are as good, and that value."""
+    """Return the first unit whose value is the least, with those that are as good, and that value."""
     least = min(values, default=np.inf)
     near = [one for one, value in zip(tried, values, strict=True) if value <= (1.0 + ALIKE) * least]
-    first = tried[values.index(least)] if near else None
-    return first and replace(first, alike=tuple(one for one in near if one is not first)), least
+    return (replace(near[0], alike=tuple(near[1:])) if near else None), least
 
 
 def _others(problem: EstimationProblem) -> Iterator[UnitDoubt]:
-    """Give other units: of each channel, of all sensors or actuators of a unit, and of the clock."""
+    """Give other units: of each channel, of all sensors or actuators of a unit, of all sensors, and of the clock."""
     twin, known = problem.rig.twin, problem.rig.twin.declaration
     ports = known.actuators or twin.base.inputs
     units = {"sensor": {name: known.sensors[name].unit for name in twin.sensors}}
     units["actuator"] = {name: ports[name].unit for name in twin.actuators}
     for kind, channels in units.items():
         alike = {unit: tuple(name for name in channels if channels[name] == unit) for unit in channels.values()}
-        groups = {*((name,) for name in channels), *alike.values()}
+        groups = {*((name,) for name in channels), *alike.values(), *([tuple(channels)] if kind == "sensor" else [])}
         for names in sorted(groups, key=lambda group: (len(group), group)):
-            for unit in _alternatives(channels[names[0]]):
-                yield UnitDoubt(names, kind, unit, channels[names[0]])
+            yield from _of_group(names, kind, [*dict.fromkeys(channels[name] for name in names)])
     for unit in TIMES:
-        yield UnitDoubt((CLOCK,), "clock", unit, SECOND)
+        yield UnitDoubt((CLOCK,), "clock", unit, SECOND, factor_of(unit))
 
 
-def _alternatives(declared: str) -> list[str]:
-    """Return the usual units of the dimension of a declared one, without those as large as it."""
-    alike = [unit for unit in USUAL if dimension_of(unit) == dimension_of(declared)]
-    return [unit for unit in alike if not np.isclose(factor_of(unit), factor_of(declared))]
+def _of_group(names: tuple[str, ...], kind: str, declared: Sequence[str]) -> Iterator[UnitDoubt]:
+    """Give other units of channels, all by one factor: usual ones of the dimension of each that is declared."""
+    every = [{factor_of(one) / factor_of(unit): one for one in USUAL if _is_other(one, unit)} for unit in declared]
+    for factor, first in every[0].items() if every else ():
+        units = [first, *(one for of in every[1:] for by, one in of.items() if np.isclose(by, factor))]
+        if len(units) == len(declared):
+            yield UnitDoubt(names, kind, " and ".join(units), " and ".join(declared), factor)
+
+
+def _is_other(unit: str, declared: str) -> bool:
+    """Return whether a unit has the dimension of a declared one, and is not as large."""
+    return dimension_of(unit) == dimension_of(declared) and not np.isclose(factor_of(unit), factor_of(declared))
 
 
 def _simulated(problem: EstimationProblem) -> Hypothesis | None:

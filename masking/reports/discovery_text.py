@@ -73,7 +73,9 @@ def units_of_channels(found: Discovery) -> str:
     before, after = (percent(part) if part < MANY else "far more than all" for part in doubt.error)
     names = _quoted(doubt)
     looks, it = ("looks", "it") if len(doubt.names) == 1 else ("look", "they")
-    mend = "give the times in s" if doubt.kind == "clock" else f"declare unit: {doubt.unit}"
+    mend = (
+        "give the times in s" if doubt.kind == "clock" else f"declare unit{'s' * (' and ' in doubt.unit)}: {doubt.unit}"
+    )
     others = [f"{_quoted(one)} in {one.unit}" for one in doubt.alike]
     sentences = [
         f"{names} {looks} as if {it} were in {doubt.unit}, not {doubt.declared}: {mend}",
