@@ -55,6 +55,14 @@ def test_parameters_and_declarations_that_differ_are_listed_and_no_others(pair):
     assert made.sentence == "Parameters of the virtual system that differ: w = 3 and 3.3."
 
 
+def test_points_of_an_input_from_a_file_are_no_parameters():
+    runs = recorded(), recorded()
+    for value, run in enumerate(runs):
+        run.manifest["declarations"]["experiment"]["inputs"] = {"F": {"file": "force.csv", "interpolation": "linear"}}
+        run.manifest["parameters"] |= {"F_c0": float(value), "F_c1": 2.0 * value, "F_at": 0.1, "F_gain": 1.0 + value}
+    assert [row.name for row in Comparison(*runs, ("a", "b")).parameters] == ["F_gain"]
+
+
 def test_measures_are_those_of_the_motions(pair):
     """chi is the relative error, alpha the ratio of amplitudes (definition 5.3), and the sines are in anti-phase."""
     measures = {row.name: row for row in masking.compare(*pair).measures}

@@ -441,6 +441,7 @@ def test_units_and_conversion():
     assert describe(dimension_of("N*s/m**2")) == "kg/m/s"
     assert describe(dimension_of("V")) == "kg*m**2/s**3/A"
     assert dimension_of("rad") == dimension_of("1")
+    assert (factor_of("rads/s"), describe(dimension_of("rads/s"))) == (1.0, "1/s")  # angles, no doses of radiation
     assert factor_of("mm") == pytest.approx(1e-3, rel=1e-15)
     assert factor_of("km/h") == pytest.approx(1 / 3.6, rel=1e-15)
     scales = {"length": "mm", "time": "s", "mass": "kg", "voltage": "V"}
@@ -502,11 +503,11 @@ SOUND = WIRED.replace("q1 - q2', gain: 3, unit: mV", "q1 - q2, gain: {value: 3, 
         (("q1 - q2: {", "q1 - q2': {"), ["7:17: limits.coordinates.q1 - q2': subtracts m/s from m"]),
         (("unit: W", "unit: N"), ["8:27: limits.power.unit: a power is in W, the limit in N"]),
         (("unit: V/m", "unit: V"),
-         ["3:7: sensors.s1: 200 V times q1 [m] is V*m, not V; "
-          "write gain: {value: 200, unit: V/m} or another unit"]),
+         ["3:7: sensors.s1: 200 V times q1 [m] is V*m, not V; measure another quantity, "
+          "give the gain in V/m with its value in that unit, or mend the unit"]),
         (("{measures: q1, gain: {value: 200, unit: V/m}", "{measures: q1', gain: 200"),
-         ["3:7: sensors.s1: 200 times q1' [m/s] is m/s, not V; "
-          "write gain: {value: 200, unit: V/(m/s)} or another unit"]),
+         ["3:7: sensors.s1: 200 times q1' [m/s] is m/s, not V; measure another quantity, "
+          "give the gain in V/(m/s) with its value in that unit, or mend the unit"]),
         (("  s1: {measures: q1, gain: {value: 200, unit: V/m}, unit: V}", "  s1: q1"), []),
     ],
 )  # fmt: skip
@@ -523,6 +524,54 @@ def test_units_of_a_plant(folder, change, expected):
     assert [str(problem).splitlines()[0] for problem in registry.check_units(assembly)] == [
         f"{path}:{line}" for line in expected
     ]
+
+
+def test_a_limit_without_a_unit_is_in_that_of_what_it_bounds_or_refused(folder):
+    short = MACHINE.replace("q1: {unit: m}, q2: {unit: m}", "q1: {unit: mm}, q2: {unit: mm}")
+    bare = SOUND.replace("{max: 3, unit: mm}", "{max: 3}")
+    write(folder, "machine.yaml", MACHINE)
+    registry.check_plant_file(write(folder, "wired.yaml", bare))
+    write(folder, "machine.yaml", short)
+    registry.check_plant_file(write(folder, "wired.yaml", SOUND))
+    assert problems(registry.check_plant_file, write(folder, "wired.yaml", bare)) == [
+        "7:26: limits.coordinates.q1 - q2: the limit of 3 has no unit, and what it bounds is declared in mm; "
+        "write 'unit: mm', or the unit that the limit is in"
+    ]
+
+
+PENDULUM = """\
+name: Cart with a pendulum
+coordinates: {x: {unit: m}, phi: {unit: rad}}
+inputs: {u: {unit: N}, w: {unit: N*m}}
+parameters: {m: {value: 2, unit: kg}, J: {value: 1, unit: kg*m**2}}
+equations: {m*x'': u, J*phi'': w}
+"""
+FELT = "name: Felt\ncoordinates: {y: {unit: m}}\ninputs: {F: {unit: N}}\nparameters: {m: {value: 1, unit: kg}}\n"
+FELT += "equations: {m*y'': F}\n"
+
+
+@pytest.mark.parametrize(
+    ("transform", "source", "expected"),
+    [
+        ("x + l*phi", "{sensor: s, factor: 30}", []),
+        ("x + phi", "{sensor: s, factor: 30}", ["transform.expressions.y: adds a number without unit to m"]),
+        ("2*x", "{sensor: s}", ["inputs.F: s measures x in m, and the input F of Felt is in N; "
+         "give a factor, which multiplies what the sensor measures, or take another sensor"]),
+    ],
+)  # fmt: skip
+def test_a_transform_and_live_inputs_have_units(folder, transform, source, expected):
+    write(folder, "pendulum.yaml", PENDULUM)
+    write(folder, "felt.yaml", FELT)
+    write(folder, "bench.yaml", "model: pendulum.yaml\nsensors: {s: {measures: x, unit: m}, a: {measures: phi}}\n")
+    experiment = "plant: bench.yaml\nvirtual: felt.yaml\nduration: 1\ninitial: {y: 0}\n"
+    experiment += "controller: {rate: 500 Hz, observer: disturbance}\n"
+    experiment += (
+        f"transform: {{expressions: {{y: {transform}}}, parameters: {{{'l: 1' if 'l' in transform else ''}}}}}\n"
+    )
+    experiment += f"inputs: {{F: {source}}}\n"
+    assembly = registry.assemble(registry.load_experiment(write(folder, "run.yaml", experiment)))
+    found = [str(problem).splitlines()[0].split(": ", 1)[1] for problem in registry.check_units(assembly)]
+    assert found == expected
 
 
 def test_what_a_sensor_measures_and_the_model_of_a_plant_have_units_too(folder):

@@ -237,6 +237,14 @@ def test_the_smoother_finds_a_force_from_velocities(tmp_path):
     assert np.sqrt((off**2).mean()) < 0.1 * pushed.std()
 
 
+def test_shooting_intervals_are_no_shorter_than_what_an_initial_state_may_take(problem):
+    """A rig that does not settle within a short record: its twentieth parts would follow any motion."""
+    fewest, rules = problem.rules.fewest_samples, replace(problem.rules, settling_rates=1e9)
+    for count, samples in ((fewest // 2, 0), (5 * fewest, fewest), (40 * fewest, 2 * fewest)):
+        short = replace(problem, record=problem.record.part(0, count), rules=rules)
+        assert shooting.interval(short, None) == pytest.approx(samples, abs=0.1 * fewest)
+
+
 def test_a_record_corrected_for_large_steps_leaves_what_small_ones_do(problem):
     """Beside friction that sticks, the factor of another law is the same in large steps with the corrected record."""
     friction = INSTANCES["dry friction"].at_step(problem.rig.mobilities["spring1"], problem.dt / 16)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import signal
+from scipy.integrate import solve_ivp
 
 import masking
 from masking.reports import discovery_text
@@ -60,6 +61,41 @@ def test_units_that_are_right_are_not_suspected(tmp_path, record):
     found = discovered(tmp_path, record)
     assert found.unit is None
     assert found.as_dict()["unit"] is None
+
+
+HARD = 2.5e5  # N/m^3
+SPRING = """
+name: mass on a spring
+coordinates: {x: {unit: m}}
+inputs: {f: {unit: N}}
+parameters: {m: {value: 2.02, unit: kg}, c: {value: 3.9, unit: N*s/m}, k: {value: 302, unit: N/m}}
+equations: {m*x'': f}
+elements: {spring: {displacement: x, unit: N, acts: {x: -1}, force: k*d + c*d_rate}}
+"""
+
+
+def test_units_are_suspected_beside_a_law_that_the_model_lacks(tmp_path):
+    rng, t = np.random.default_rng(0), np.arange(1200) / RATE
+    f = 20.0 * signal.sosfiltfilt(signal.butter(4, 0.12, output="sos"), rng.standard_normal(len(t)))
+    y, xs = np.zeros(2), np.empty(len(t))
+    for i, force in enumerate(f):  # held between samples
+        xs[i] = y[0]
+        made = solve_ivp(
+            lambda _, z, force=force: [z[1], (force - C * z[1] - K * z[0] - HARD * z[0] ** 3) / M],
+            (0.0, 1.0 / RATE), y, "DOP853", rtol=1e-10, atol=1e-12,
+        )  # fmt: skip
+        y = made.y[:, -1]
+    x = 1e3 * (xs + 1e-3 * xs.std() * rng.standard_normal(len(t)))
+    np.savez(tmp_path / "record.npz", t=t, f=f, x=x)
+    (tmp_path / "model.yaml").write_text(SPRING)
+    found = masking.discover(tmp_path / "record.npz", model=tmp_path / "model.yaml")
+    said = discovery_text.sentence(found)
+    assert said.startswith("'x' looks as if it were in mm, not m: declare unit: mm")
+    assert "does not tell that from 'f' in kN" in said  # readings and forces scale alike
+    assert "In m, the record would need" in said
+    assert [(one.name, one.on) for one in found.effects] == [("hardening_spring", "spring")]
+    assert found.effects[0].parameters["k3"][0] == pytest.approx(HARD, rel=0.02)
+    assert found.as_dict()["unit"]["alike"] == [{"channels": ["f"], "unit": "kN"}]
 
 
 LEVEL = """

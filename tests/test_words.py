@@ -13,7 +13,7 @@ from masking.discovery.discovery import Named, SimulationError
 from masking.discovery.explanation import Explanation
 from masking.discovery.next_experiment import NextExperiment
 from masking.effects import EFFECTS
-from masking.reports import discovery_page, discovery_text, force_map
+from masking.reports import discovery_page, discovery_text, figure_parts, force_map
 from tests.test_where import INSTANCES, discoveries, rig
 
 __all__ = ["discoveries", "rig"]  # fixtures
@@ -191,6 +191,32 @@ def test_no_force_is_told_where_a_parameter_explains_it(discoveries):
     assert told.startswith("With the parameters that were found, the record shows no force at spring1")
 
 
+def test_the_shooting_interval_is_stated(discoveries):
+    whole = discoveries("friction")
+    assert (whole.as_dict()["shooting_interval"], discovery_text.intervals(whole)) == (None, "")
+    found = replace(whole, problem=replace(whole.problem, interval=250))  # of 1 kHz
+    said = "Simulated in shooting intervals of 0.25 s, each from an initial state of its own"
+    assert found.as_dict()["shooting_interval"] == pytest.approx(0.25)
+    assert discovery_text.intervals(found) == said
+    assert f"{said}." in discovery_page.summary(found, None)
+
+
+@pytest.mark.parametrize(
+    ("unit", "largest", "shown"),
+    [
+        ("m", 2.0, (1.0, "m")),
+        ("m/s", 0.02, (1e3, "mm/s")),
+        ("m", 2e-6, (1e6, "µm")),
+        ("N", 3e-8, (1e9, "nN")),
+        ("V", 1e-15, (1e9, "nV")),
+        ("m", 0.0, (1.0, "m")),
+        ("rad", 2e-6, (1.0, "rad")),
+    ],
+)
+def test_figures_have_the_unit_of_what_they_show(unit, largest, shown):
+    assert figure_parts.shown(unit, np.array([0.0, -largest]), [0.5 * largest]) == shown
+
+
 def test_numbers_read_as_people_write_them():
     assert number(120.0, 2) == "120"
     assert number(31_960.0, 2) == "32000"
@@ -201,6 +227,7 @@ def test_numbers_read_as_people_write_them():
     assert quantity(23.4, "W") == "23.4 W"
     assert quantity(-0.1234, "m") == "-123 mm"
     assert quantity(1200.0, "N/m") == "1200 N/m"
+    assert quantity(3.2e-5, "m/s**2") == "32 µm/s²"
     assert discovery_page._paid(1.59e7) == "> 1000 %"
     assert discovery_page._paid(0.5) == "50 %"
     assert discovery_page._signed(1.1) == "+110 %"

@@ -6,14 +6,15 @@ checked, nor is anything against a model without units. Needs pint, so a run of 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 
 from masking.declaration.checks import problem_at
 from masking.declaration.dimensions import dimension_in, is_plain, symbol_dimensions, unit_problem
 from masking.declaration.expression import Expression
 from masking.declaration.instruments import Actuator, Limit, PowerLimit, Quantity, Sensor
-from masking.declaration.schema import ModelDeclaration, PlantDeclaration
-from masking.declaration.units import Dimension, describe, dimension_of
+from masking.declaration.schema import ExperimentDeclaration, ModelDeclaration, PlantDeclaration
+from masking.declaration.units import Dimension, describe, dimension_of, factor_of
 from masking.errors import DeclarationError, Problem
 
 _POWER = "W"
@@ -91,13 +92,60 @@ def _limits(plant: PlantDeclaration, model: ModelDeclaration, symbols: _Symbols)
             except DeclarationError as error:
                 yield from error.problems
                 continue
-            if found is None or not _is_written(limit):
+            if found is None:
+                continue
+            if not _is_written(limit):
+                yield from _unwritten(
+                    plant, f"limits.{key}.{expression.text}", limit, _unit_of(expression, found, model)
+                )
                 continue
             if dimension_of(limit.unit) != tuple(a - order * b for a, b in zip(found, second, strict=True)):
                 unit = _unit_of(expression, found, model) + order * "/s"
                 what = f"the rate of {expression.text}" if order else expression.text
                 message = f"{what} is in {unit}, the limit in {limit.unit}"
                 yield problem_at(plant, f"limits.{key}.{expression.text}.unit", message)
+
+
+def _unwritten(plant: PlantDeclaration, path: str, limit: Limit, unit: str) -> Iterator[Problem]:
+    """Refuse a limit without a unit, which is in SI units, on what is declared in another unit."""
+    if not math.isclose(factor_of(unit), 1.0):
+        message = f"the limit of {limit.max:g} has no unit, and what it bounds is declared in {unit}"
+        yield problem_at(plant, path, message, f"write 'unit: {unit}', or the unit that the limit is in")
+
+
+def check_experiment_units(
+    experiment: ExperimentDeclaration, plant: PlantDeclaration, rig: ModelDeclaration, virtual: ModelDeclaration
+) -> list[Problem]:
+    """List what has no unit or the wrong one where a rig and a virtual system meet: transform and live inputs.
+
+    Numbers and parameters of a transform have the units that its terms need; inputs that are multiplied by a factor
+    likewise.
+    """
+    symbols = symbol_dimensions(rig)
+    if symbols is None or is_plain(rig):
+        return []
+    problems, moving = list[Problem](), {name: symbols[name] for name in rig.coordinates}
+    known = moving | dict.fromkeys(experiment.transform.parameters)
+    for entry in (experiment.transform.expressions or {}).values():
+        try:
+            dimension_in(entry, known)
+        except DeclarationError as error:
+            problems += error.problems
+    for name, source in experiment.inputs.items() if not is_plain(virtual) else ():
+        sensor = plant.sensors.get(source.sensor or "")
+        if sensor is None or "factor" in source.model_fields_set:
+            continue
+        unit = virtual.inputs[name].unit
+        try:
+            measured = dimension_in(sensor.measures, symbols)
+        except DeclarationError:  # of the plant, which is checked by itself
+            continue
+        if measured is not None and measured != dimension_of(unit):
+            what = f"{source.sensor} measures {sensor.measures.text} in {_unit_of(sensor.measures, measured, rig)}"
+            mend = "give a factor, which multiplies what the sensor measures, or take another sensor"
+            message = f"{what}, and the input {name} of {virtual.name} is in {unit}"
+            problems.append(problem_at(experiment, f"inputs.{name}", message, mend, at_key=True))
+    return problems
 
 
 def _sensor(
@@ -120,7 +168,7 @@ def _sensor(
     shown = f"{sensor.gain.value:g}" + ("" if sensor.gain.unit == "1" else f" {sensor.gain.unit}")
     message = f"{shown} times {sensor.measures.text} [{unit}] is {product}, not {sensor.unit}"
     wanted = sensor.unit if unit == "1" else f"{sensor.unit}/{unit}" if unit.isalpha() else f"{sensor.unit}/({unit})"
-    mend = f"write gain: {{value: {sensor.gain.value:g}, unit: {wanted}}} or another unit"
+    mend = f"measure another quantity, give the gain in {wanted} with its value in that unit, or mend the unit"
     yield problem_at(plant, f"sensors.{name}", message, mend)
 
 

@@ -19,6 +19,7 @@ else:
 ROUNDING = 1e-12  # of a value in double precision: a deviation below it is none
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
 _PREFIXED = frozenset({"V", "m", "N", "W", "W/kg", "J", "J/kg"})
+_SMALL = frozenset({"m/s", "m/s**2"})  # that take them where they are small
 _PLAIN = 7  # digits before the point up to which a number is written without a power of ten
 
 
@@ -49,8 +50,8 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
         digits: of the value.
     """
     scale = 3 * math.floor(math.log10(abs(float(f"{value:.{digits}g}"))) / 3.0) if value else 0
-    if unit in _PREFIXED and scale in _PREFIXES:
-        return f"{number(value / 10.0**scale, digits)} {_PREFIXES[scale]}{unit}"
+    if scale in _PREFIXES and (unit in _PREFIXED or (unit in _SMALL and abs(value) < 1e-3)):
+        return f"{number(value / 10.0**scale, digits)} {_PREFIXES[scale]}{pretty(unit)}"
     return f"{number(value, digits)} {pretty(unit)}".rstrip()
 
 

@@ -17,7 +17,7 @@ from masking.declaration.cross_checks import check_experiment, check_plant
 from masking.declaration.dictionary import check_dictionary
 from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.fields import Real, Text
-from masking.declaration.plant_units import check_plant_units
+from masking.declaration.plant_units import check_experiment_units, check_plant_units
 from masking.declaration.schema import (
     BatchDeclaration,
     Declaration,
@@ -229,8 +229,11 @@ def _rig(experiment: ExperimentDeclaration, plant: str | None) -> tuple[PlantDec
 
 
 def check_units(assembly: Assembly) -> list[Problem]:
-    """List the units of an experiment's plant that do not go with those of its model; needs pint."""
-    return check_plant_units(assembly.plant, assembly.plant_model)
+    """List the units of an experiment and its plant that do not go with those of the models; needs pint."""
+    problems = check_plant_units(assembly.plant, assembly.plant_model)
+    experiment = assembly.experiment
+    virtual = load_model(experiment.virtual, refer(experiment, "virtual"))  # with its inputs as declared
+    return problems + check_experiment_units(experiment, assembly.plant, assembly.plant_model, virtual)
 
 
 def refer(declaration: Declaration, path: str) -> Reference:

@@ -39,6 +39,7 @@ BASES: dict[str, str] = {
     "substance": "mol",
     "luminosity": "cd",
 }
+PLURALS = {"rads": "rad"}  # angles, which pint would read as doses of radiation
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NONE: Dimension = (Fraction(0),) * len(BASES)
 TIME: Dimension = tuple(Fraction(int(base == "time")) for base in BASES)
@@ -144,7 +145,7 @@ def _registry() -> Any:  # noqa: ANN401  (pint's registry is built at run time)
 @functools.cache
 def _named(name: str) -> tuple[float, dict[str, Fraction]]:
     """Return the factor of a unit to SI, and its powers of `BASES`."""
-    registry = _registry()
+    registry, name = _registry(), PLURALS.get(name, name)
     try:
         one = registry.Quantity(1.0, name).to_base_units()
         two = registry.Quantity(2.0, name).to_base_units()

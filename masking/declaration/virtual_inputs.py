@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final
 
 from masking.declaration import dimensions
@@ -81,6 +81,11 @@ def _live(experiment: ExperimentDeclaration, name: str, source: InputSource) -> 
 def cell(name: str, part: str) -> str:
     """Return the name of the parameter that holds a part, one of `CELLS`, of an input."""
     return f"{name}_{part}"
+
+
+def internals(sources: Iterable[str]) -> set[str]:
+    """Return the names of the parameters that stand for inputs in a virtual system, given those that have sources."""
+    return {cell(name, part) for name in sources for part in (*CELLS, "time", "unit")}
 
 
 def with_inputs(model: ModelDeclaration, sources: Mapping[str, InputSource]) -> ModelDeclaration:

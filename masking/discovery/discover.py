@@ -28,6 +28,7 @@ from masking.discovery.rules import DecisionRules
 from masking.discovery.search import SearchResult, Tell
 from masking.discovery.settings import DiscoverySettings
 from masking.discovery.smoothing import centred
+from masking.discovery.unit_check import UnitDoubt
 from masking.discovery.verdict import Scored
 from masking.discovery.work import Work
 from masking.effects import ROUNDING
@@ -94,11 +95,38 @@ def _discovered(rig: AugmentedModel, train: Data, unseen: Data, settings: Discov
     with threadpool_limits(1):
         whole = centred(whole)
         doubt = unit_check.doubted(whole)
+    found, substeps = _in_unit(doubt, whole, unseen, settings, say)
+    if doubt is None and (found.verdict == "unknown" or _far_off(found)):
+        with threadpool_limits(1):
+            other = unit_check.suspected(whole, found.explanation.hypothesis)
+        if other is not None:
+            say(f"once more, with {' and '.join(other.names)} in {other.unit}", 0.0)
+            again, steps = _in_unit(other, whole, unseen, settings, say)
+            if _explains_more(found, again):
+                found, substeps, doubt = again, steps, other
+    found = _with_directed(found, substeps, found.validation.record, found.validation.sigma, say)
+    found = replace(beside_names(found, substeps, say), unit=doubt)
+    return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
+
+
+def _in_unit(
+    doubt: UnitDoubt | None, whole: EstimationProblem, unseen: Data, settings: DiscoverySettings, say: Tell
+) -> tuple[Discovery, int]:
+    """Return what explains a record, and the integration steps of the model alone.
+
+    Args:
+        doubt: the unit that the record is taken in; None for those that are declared.
+        whole: the problem of the record, simulated whole, as declared.
+        unseen: the validation record, as declared.
+        settings: of the discovery.
+        say: called with what is done.
+    """
+    twin = whole.rig.twin
     if doubt is not None:
         whole, unseen = doubt.converted(whole), doubt.of(whole, unseen)
     problem = replace(whole, interval=shooting.interval(whole, settings.shooting_interval))
-    width = len(twin.state_names) + len(twin.free) + len(prior.mean)
-    problem = replace(problem, substeps=shooting.substeps(problem), work=Work.allowed(len(train), width))
+    width = len(twin.state_names) + len(twin.free) + len(problem.prior.mean)
+    problem = replace(problem, substeps=shooting.substeps(problem), work=Work.allowed(len(whole.record), width))
     noise = noise_of(twin, unseen)
     found = _explained(problem, unseen, noise, say)
     if settings.shooting_interval is None and not problem.interval and _loses_phase(found):
@@ -109,9 +137,24 @@ def _discovered(rig: AugmentedModel, train: Data, unseen: Data, settings: Discov
             if again.verdict != "unknown":
                 found = again
                 break
-    found = _with_directed(found, problem.substeps, unseen, noise, say)
-    found = replace(beside_names(found, problem.substeps, say), unit=doubt)
-    return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
+    return found, problem.substeps
+
+
+def _far_off(found: Discovery) -> bool:
+    """Return whether an explanation has gains or parameters that are several times what is declared."""
+    return bool(unit_check.far_off(found.problem, found.explanation.hypothesis))
+
+
+def _explains_more(found: Discovery, again: Discovery) -> bool:
+    """Return whether a record is explained in another unit, and less well or in a less likely way as declared."""
+    before, after = (
+        max(error / max(one.simulation_error.validation_noise_floor[name], 1e-300) for name, error in errors.items())
+        for one in (found, again)
+        for errors in (one.simulation_error.validation[1],)
+    )
+    if _far_off(again) or not after <= unit_check.NO_WORSE * before:
+        return False
+    return _far_off(found) or again.verdict != "unknown" or after < unit_check.MUCH_LESS * before
 
 
 def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, say: Tell) -> Discovery:

@@ -245,6 +245,11 @@ class Discovery(Explained):
         return self.simulation_error.is_noise(len(self.validation_record), self.problem.rules)
 
     @property
+    def shooting_interval(self) -> float | None:
+        """Return the shooting interval of the search in s; None where the whole record is one."""
+        return self.problem.interval / self.record.rate if self.problem.interval else None
+
+    @property
     def is_hidden(self) -> bool:
         """Return whether something is missing that shows in the validation record alone."""
         after, floor = self.simulation_error.estimation[1].values(), self.simulation_error.noise_floor.values()
@@ -284,6 +289,7 @@ class Discovery(Explained):
             "none_of_these": self.none_of_these,
             "unit": self.unit and self.unit.as_dict(),
             "withheld": self.withheld and self.withheld.as_dict(),
+            "shooting_interval": self.shooting_interval,
             "search_ended_early": self.problem.work.is_cut,
         }
 

@@ -18,10 +18,11 @@ from masking.discovery import laws
 from masking.discovery.augmented_model import MOST_COLUMNS, EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.fitting import Hypothesis, bounds
-from masking.discovery.following import follow
+from masking.discovery.following import follow, followed
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import Motion
 from masking.discovery.thinning import thinned, thinning
+from masking.errors import IntegrationError
 from masking.estimation.least_squares import Dense
 from masking.numerics import decompositions
 from masking.numerics.arrays import Array, IntVector
@@ -75,8 +76,7 @@ class Products:
     columns: Sequence[IntVector]
 
 
-# Thinned features by factors, and columns.
-Along = MutableMapping[tuple[tuple[int, ...], EffectInstance], tuple[Array, Array]]
+Along = MutableMapping[tuple[tuple[int, ...], EffectInstance], tuple[Array, Array]]  # thin features, columns
 
 
 class Screen:
@@ -89,6 +89,9 @@ class Screen:
         found: effects that were found before; what they and their parameters explain is taken out too.
         taken: whether these effects are in the fit already.
         along: what candidates do along this motion, from screens before; it is added to.
+
+    Raises:
+        IntegrationError: along what was found the rig's motion runs away, to first order.
     """
 
     def __init__(
@@ -135,6 +138,8 @@ class Screen:
         self.possible = u[:, s > RESPONSE * s[0]]
         self.single = _apart(own[:, :k], own[:, k:], RESPONSE)
         left = self._rows((self._means(base.residuals) - (0.0 if taken else values))[:, :, None])[:, 0]
+        if not np.abs(left).max() < HUGE:
+            raise IntegrationError("the rig's motion runs away along what was found")
         self._whole_left = np.concatenate([left, (prior.mean - base.theta) / prior.deviation])
         self.left = self._out(self._whole_left)
         self.total = float(self.left @ self.left)
@@ -215,7 +220,8 @@ class Screen:
             return np.hstack([late, (later - late) / half]), np.concatenate([at, at])
         x, rate, column = self._subject(instance)
         instance = self.rig.at_step(instance, 1.0 / self.record.rate)  # a motion that is known is followed in samples
-        made = self._follows(instance, x, rate, instance.free)
+        free, period = instance.free, 1.0 / self.record.rate
+        made = followed(self.rig, instance, x, rate, period=period, steps=self.steps, free=free)
         if instance.where != "element":
             made[:, 0] -= x
         return made, np.full(made.shape[1], column)
@@ -375,8 +381,7 @@ class Screen:
             value = self._follows(instance, x, rate)
             return (value[:, :1] - (0.0 if instance.where == "element" else x[:, None])), np.array([column])
         instance = instance.with_values(candidate.factors, np.zeros(len(candidate.factors)))
-        made = self._follows(instance, x, rate, candidate.factors)
-        return made[:, 1:], np.full(len(candidate.factors), column)
+        return self._follows(instance, x, rate, candidate.factors)[:, 1:], np.full(len(candidate.factors), column)
 
     def _follows(self, instance: EffectInstance, x: Array, rate: Array, free: tuple[int, ...] = ()) -> Array:
         """Return what an effect makes of a motion (m, 1 + f), with its slopes by some of its parameters."""

@@ -37,7 +37,7 @@ def interval(problem: EstimationProblem, seconds: float | None) -> int:
         speeds = modes(problem) * count / rate
         if not ((np.abs(speeds) < rules.settling_rates) | (speeds.real > 1.0)).any():
             return 0
-        seconds = count / rate / rules.intervals
+        seconds = max(count / rules.intervals, rules.fewest_samples) / rate  # shorter ones follow any motion
     elif not seconds * rate >= rules.fewest_samples - 0.5:
         few = rules.fewest_samples
         raise RecordError(f"the shooting interval is {seconds:g} s; give {few / rate:g} s or more: {few} samples")

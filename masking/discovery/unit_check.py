@@ -1,12 +1,16 @@
-"""Unit check: channels whose unit is probably another than declared, before anything is searched.
+"""Unit check: channels whose unit is probably another than declared, before anything is searched, and after it.
 
 If the model as declared follows hardly anything of a record, and nearly all of it where a channel is converted from
 another usual unit of its dimension, that unit is suspected. Nothing is fitted but the initial state.
+
+A law that the model lacks may hide that. So a unit is suspected, too, where what was found needs a gain or a parameter
+that is several times what is declared, or is unknown, and readings and simulation are of one size in another unit:
+the record is searched in that one as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +18,10 @@ import numpy as np
 
 from masking.declaration.units import dimension_of, factor_of
 from masking.discovery import fitting
+from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
+from masking.discovery.verdict import Key
+from masking.effects import GAINS_AND_ZEROS
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
 
@@ -26,6 +33,11 @@ USUAL = (
 TIMES = ("ms", "us")
 SAMPLES = 4000  # of the record that are simulated
 STEPS = 64  # of integration between samples at most
+FAR = 3.0  # times what is declared, from which a gain or a parameter is far off: the least factor between usual units
+DEVIATIONS = 3.0  # of its prior, from which a parameter is
+GAINS = {name for name in GAINS_AND_ZEROS if name.endswith("gain")}
+NO_WORSE, MUCH_LESS = 1.05, 0.5  # times the error on unseen data as declared, in another unit that is taken
+ALIKE = 0.05  # relative difference of errors or sizes from which two units do the same for a record
 
 
 @dataclass(frozen=True)
@@ -35,25 +47,32 @@ class UnitDoubt:
     Args:
         names: the channels; `t` is the clock.
         kind: 'sensor', 'actuator' or 'clock'.
-        unit: what they are probably in.
-        declared: what they are declared in.
+        unit: what they are probably in, and `declared`: what they are declared in; of several units, each once.
+        factor: how many declared units one of the other is.
         error: largest relative error of a sensor with the model as declared, in the declared and in the other unit.
+        otherwise: gains (effect, place) and parameters (name, '') that are far off in the declared unit, and how many
+            times what is declared they are there.
+        alike: other channels and units that would do the same.
     """
 
     names: tuple[str, ...]
     kind: str
     unit: str
     declared: str
+    factor: float
     error: tuple[float, float] = (np.inf, np.inf)
+    otherwise: tuple[tuple[Key, float], ...] = ()
+    alike: tuple[UnitDoubt, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the doubt as JSON can hold it."""
-        return {"channels": [*self.names], "unit": self.unit, "declared": self.declared}
-
-    @property
-    def factor(self) -> float:
-        """Return how many declared units one of the other is."""
-        return factor_of(self.unit) / factor_of(self.declared)
+        return {
+            "channels": [*self.names],
+            "unit": self.unit,
+            "declared": self.declared,
+            "otherwise": [{"name": name, "on": on, "times": times} for (name, on), times in self.otherwise],
+            "alike": [{"channels": [*one.names], "unit": one.unit} for one in self.alike],
+        }
 
     def converted(self, problem: EstimationProblem) -> EstimationProblem:
         """Return a problem with the channels in the declared unit."""
@@ -82,43 +101,118 @@ def doubted(problem: EstimationProblem) -> UnitDoubt | None:
     Args:
         problem: the record and the rig, simulated whole.
     """
-    part = problem.record.first(SAMPLES / problem.record.rate)
-    few = replace(problem, record=part, substeps=min(problem.substeps, STEPS))
-    before, rules = _error(few), problem.rules
+    few, rules = _part(problem), problem.rules
+    before = _error(_simulated(few), few)
     if before < rules.phase_loss:
         return None
-    tried = [replace(one, error=(before, _error(one.converted(few)))) for one in _others(problem)]
-    best = min(tried, key=lambda one: one.error[1], default=None)
-    return best if best and best.error[1] < rules.unit_error * min(before, 1.0) else None
+    tried = [replace(one, error=(before, _error(_simulated(other), other))) for one, other in _converted(few)]
+    best, least = _best(tried, [one.error[1] for one in tried])
+    return best if best and least < rules.unit_error * min(before, 1.0) else None
+
+
+def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None:
+    """Return the unit that makes readings and simulation one size, which they are not in the declared one; or None.
+
+    Args:
+        problem: the record and the rig, simulated whole.
+        found: what explains the record in the declared unit.
+    """
+    few = _part(problem)
+    before = _simulated(few)
+    tried, sizes = list[UnitDoubt](), list[float]()
+    for one, other in _converted(few):
+        if one.kind != "clock":
+            after = _simulated(other)
+            errors, otherwise = (_error(before, few), _error(after, other)), far_off(problem, found)
+            tried.append(replace(one, error=errors, otherwise=otherwise))
+            sizes.append(_apart(after, other))
+    best, least = _best(tried, sizes)
+    return best if best and FAR * least < _apart(before, few) else None
+
+
+def far_off(problem: EstimationProblem, found: Hypothesis) -> tuple[tuple[Key, float], ...]:
+    """Return gains (effect, place) and parameters (name, '') that are several times what is declared, and how many.
+
+    Args:
+        problem: the record and the rig.
+        found: a fit.
+    """
+    prior, names = problem.prior, problem.rig.names
+    pairs = [((one.effect, one.at), 1.0 + one.values[0]) for one in found.instances if one.effect in GAINS]
+    for name, value, mean, deviation in zip(names, found.theta, prior.mean, prior.deviation, strict=False):
+        if mean and abs(value - mean) > DEVIATIONS * deviation:
+            pairs.append(((name, ""), float(value / mean)))
+    return tuple((key, times) for key, times in pairs if not 1.0 / FAR < times < FAR)
+
+
+def _part(problem: EstimationProblem) -> EstimationProblem:
+    """Return the first part of a record, in few steps."""
+    part = problem.record.first(SAMPLES / problem.record.rate)
+    return replace(problem, record=part, substeps=min(problem.substeps, STEPS))
+
+
+def _converted(problem: EstimationProblem) -> Iterator[tuple[UnitDoubt, EstimationProblem]]:
+    """Give the other units of channels, and the problem in each."""
+    for one in _others(problem):
+        yield one, one.converted(problem)
+
+
+def _best(tried: Sequence[UnitDoubt], values: Sequence[float]) -> tuple[UnitDoubt | None, float]:
+    """Return the first unit whose value is the least, with those that are as good, and that value."""
+    least = min(values, default=np.inf)
+    near = [one for one, value in zip(tried, values, strict=True) if value <= (1.0 + ALIKE) * least]
+    return (replace(near[0], alike=tuple(near[1:])) if near else None), least
 
 
 def _others(problem: EstimationProblem) -> Iterator[UnitDoubt]:
-    """Give other units: of each channel, of all sensors or actuators of a unit, and of the clock."""
+    """Give other units: of each channel, of all sensors or actuators of a unit, of all sensors, and of the clock."""
     twin, known = problem.rig.twin, problem.rig.twin.declaration
     ports = known.actuators or twin.base.inputs
     units = {"sensor": {name: known.sensors[name].unit for name in twin.sensors}}
     units["actuator"] = {name: ports[name].unit for name in twin.actuators}
     for kind, channels in units.items():
         alike = {unit: tuple(name for name in channels if channels[name] == unit) for unit in channels.values()}
-        groups = {*((name,) for name in channels), *alike.values()}
+        groups = {*((name,) for name in channels), *alike.values(), *([tuple(channels)] if kind == "sensor" else [])}
         for names in sorted(groups, key=lambda group: (len(group), group)):
-            for unit in _alternatives(channels[names[0]]):
-                yield UnitDoubt(names, kind, unit, channels[names[0]])
+            yield from _of_group(names, kind, [*dict.fromkeys(channels[name] for name in names)])
     for unit in TIMES:
-        yield UnitDoubt((CLOCK,), "clock", unit, SECOND)
+        yield UnitDoubt((CLOCK,), "clock", unit, SECOND, factor_of(unit))
 
 
-def _alternatives(declared: str) -> list[str]:
-    """Return the usual units of the dimension of a declared one, without those as large as it."""
-    alike = [unit for unit in USUAL if dimension_of(unit) == dimension_of(declared)]
-    return [unit for unit in alike if not np.isclose(factor_of(unit), factor_of(declared))]
+def _of_group(names: tuple[str, ...], kind: str, declared: Sequence[str]) -> Iterator[UnitDoubt]:
+    """Give other units of channels, all by one factor: usual ones of the dimension of each that is declared."""
+    every = [{factor_of(one) / factor_of(unit): one for one in USUAL if _is_other(one, unit)} for unit in declared]
+    for factor, first in every[0].items() if every else ():
+        units = [first, *(one for of in every[1:] for by, one in of.items() if np.isclose(by, factor))]
+        if len(units) == len(declared):
+            yield UnitDoubt(names, kind, " and ".join(units), " and ".join(declared), factor)
 
 
-def _error(problem: EstimationProblem) -> float:
-    """Return the largest error of a sensor with the model as declared, of its variation; infinite if its motion is."""
+def _is_other(unit: str, declared: str) -> bool:
+    """Return whether a unit has the dimension of a declared one, and is not as large."""
+    return dimension_of(unit) == dimension_of(declared) and not np.isclose(factor_of(unit), factor_of(declared))
+
+
+def _simulated(problem: EstimationProblem) -> Hypothesis | None:
+    """Return the model as declared, its initial state fitted; None if its motion is not finite."""
     try:
-        found = fitting.fit(problem, frozen=True)
+        return fitting.fit(problem, frozen=True)
     except IntegrationError:
+        return None
+
+
+def _error(found: Hypothesis | None, problem: EstimationProblem) -> float:
+    """Return the largest error of a sensor, of its variation; infinite if the motion is not finite."""
+    if found is None:
         return np.inf
     size = np.maximum(problem.record.readings.var(axis=0), 1e-300) * len(problem.record)
     return float(np.sqrt((found.squares / size).max()))
+
+
+def _apart(found: Hypothesis | None, problem: EstimationProblem) -> float:
+    """Return how many times the simulation of a sensor varies as much as its readings, or less, at most."""
+    if found is None:
+        return np.inf
+    readings = problem.record.readings
+    ratio = np.maximum(readings.std(axis=0), 1e-300) / np.maximum((readings - found.residuals).std(axis=0), 1e-300)
+    return float(np.maximum(ratio, 1.0 / ratio).max())

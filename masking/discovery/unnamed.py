@@ -27,7 +27,7 @@ from masking.discovery.closed_form import ClosedForm
 from masking.discovery.coverage import Coverage
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.free_law import ALIKE, KINDS, PARTS, FreeLaw
+from masking.discovery.free_law import ALIKE, FEWEST, KINDS, PARTS, FreeLaw
 from masking.discovery.grammar import evaluated
 from masking.discovery.latent_force import Explained
 from masking.discovery.problem import EstimationProblem
@@ -296,7 +296,7 @@ def _followed(validation: EstimationProblem, law: FreeLaw) -> EstimationProblem:
     A chaotic motion is lost whatever the law, since any difference grows.
     """
     size = len(validation.record)
-    for samples in (law.problem.interval, *(size // part for part in PARTS)):
+    for samples in (law.problem.interval, *(n for part in PARTS if (n := size // part) > FEWEST)):
         part = replace(validation, interval=samples)
         with suppress(IntegrationError):
             if fitting.validated(part, law.hypothesis).cost < fitting.STUCK * validation.record.readings.size:

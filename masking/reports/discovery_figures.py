@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
-from masking.declaration.quantities import percent
+from masking.declaration.quantities import percent, quantity
 from masking.declaration.units import pretty
 from masking.discovery import latent_force
 from masking.discovery.discovery import Discovery
@@ -57,11 +57,14 @@ def _comparison(found: Discovery) -> CaptionedFigure:
     if not after.chi[name] < before.chi[name]:
         said = f"On data that were not used, the error of {name} is {first} {labels[0]} and {last} {labels[1]}"
     made = fit_figures.comparison(before, after, labels, said)
+    return replace(made, caption=f"{made.caption}{_intervals(found)}")
+
+
+def _intervals(found: Discovery) -> str:
+    """Say in a caption in which shooting intervals records are simulated; '' where they are simulated whole."""
     every = {part.interval for part in (found.validation, found.as_written.validation)} - {0}
-    if not every:
-        return made
-    seconds = listed([f"{samples / record.rate:.3g} s" for samples in sorted(every, reverse=True)])
-    return replace(made, caption=f"{made.caption} Simulations begin anew every {seconds}.")
+    seconds = [quantity(samples / found.record.rate, "s") for samples in sorted(every, reverse=True)]
+    return f" Shooting intervals of {listed(seconds)} each have an initial state of their own." if seconds else ""
 
 
 def _gap(found: Discovery) -> CaptionedFigure:
@@ -100,7 +103,7 @@ def _gap(found: Discovery) -> CaptionedFigure:
     caption = (
         "The error of the free simulation of each sensor, chi = ||measured - simulated|| / ||measured||, with the best "
         "initial state: of the model as declared, with its parameters adjusted within their prior uncertainty, and "
-        "with the finding. The noise floor is the error that the noise alone makes."
+        f"with the finding. The noise floor is the error that the noise alone makes.{_intervals(found)}"
     )
     return CaptionedFigure("gap", "Simulation error", caption, figure)
 
@@ -112,12 +115,12 @@ def _course(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigu
     command = max(seen.actuators, key=lambda name: seen.actuators[name])
     column = found.record.acting[:, found.twin.actuators.index(command)]
     said = _coursed(found, latent, command)
-    by, unit = parts.shown(latent.units[0], latent.before)
+    by, unit = parts.shown(pretty(latent.units[0]), latent.before)
     figure, ((over, time, spectrum),) = style.panels(1, 1.75, (2.05, 2.7, 1.6), heading=said)
     t, step = np.arange(len(latent.before)) / found.record.rate, max(1, len(latent.before) // POINTS)
     pairs = [(latent.before, BEFORE), *([(latent.after, AFTER)] if found.effects or found.law else [])]
     drawn = [(values, colour) for values, colour in pairs if values is not None]
-    times, name = parts.shown(latent_force.command_unit(found, command), column)
+    times, name = parts.shown(pretty(latent_force.command_unit(found, command)), column)
     for values, colour in drawn:
         over.plot(times * column[::step], by * values[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
         time.plot(*style.thin(t, by * values, 500), color=colour, lw=0.7)
@@ -135,8 +138,8 @@ def _course(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigu
     time.tick_params(labelleft=False)
     time.yaxis.get_offset_text().set_visible(False)
     over.xaxis.set_major_locator(MaxNLocator(4))
-    over.set_ylabel(style.with_unit(what, pretty(unit)))
-    over.set_xlabel(style.with_unit(f"command {style.symbol(command)}", pretty(name)))
+    over.set_ylabel(style.with_unit(what, unit))
+    over.set_xlabel(style.with_unit(f"command {style.symbol(command)}", name))
     time.set_xlabel("time (s)")
     parts.logarithmic(spectrum)
     spectrum.set_xlabel("frequency (Hz)")
@@ -185,7 +188,7 @@ def _residual(found: Discovery) -> CaptionedFigure:
     pairs = [(found.adjusted, BEFORE, 0.9), *([(after, AFTER, 1.0)] if found.effects or found.law else [])]
     for i, (name, (time, spectrum)) in enumerate(zip(names, rows, strict=True)):
         unit = found.twin.declaration.sensors[name].unit
-        by, y_unit = parts.shown("" if unit == "1" else unit, *(h.residuals[:, i] for h, _, _ in pairs))
+        by, y_unit = parts.shown(pretty(unit), *(h.residuals[:, i] for h, _, _ in pairs))
         for hypothesis, colour, width in pairs:
             time.plot(*style.thin(t, by * hypothesis.residuals[:, i], 500), color=colour, lw=0.6)
             f, density = parts.spectral_density(hypothesis.residuals[:, i], record.rate)

@@ -59,7 +59,7 @@ def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, f
     open_ended = found.verdict == "ambiguous" and not discovery_text.is_open(found)
     localised = discovery_text.subject(found)
     lead = [("lead", [discovery_text.sentence(found)]), ("changed", discovery_text.whereabouts(found))]
-    lead.append(("card", [discovery_text.beside(found)]))
+    lead.append(("card", [*filter(None, (discovery_text.beside(found), discovery_text.intervals(found)))]))
     return html.render(
         "discovery",
         names={*found.twin.sensors, *found.twin.actuators, *found.twin.model.coordinates, *found.rig.names},
@@ -239,7 +239,8 @@ def summary(found: Discovery, files: Files | None) -> str:
     lines = [f"{discovery_text.sentence(found)}."]
     if discovery_text.beside(found):
         lines.append(f"{discovery_text.beside(found)}.")
-    lines += [f"{sentence}." for sentence in discovery_text.whereabouts(found)]
+    further = (*discovery_text.whereabouts(found), discovery_text.intervals(found))
+    lines += [f"{sentence}." for sentence in further if sentence]
     table = [("validation error", *found.twin.sensors)]
     what = ("as declared", "adjusted parameters", "with the finding", "noise floor")
     for label, part in zip(what, discovery_figures.errors(found)["validation record"], strict=True):

@@ -9,6 +9,7 @@ from masking.declaration.units import combined, describe, dimension_of, pretty
 from masking.discovery import latent_force, laws
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.localisation import LatentForces
+from masking.discovery.unit_check import UnitDoubt
 from masking.discovery.unnamed import UnnamedLaw
 from masking.reports import experiment_text
 from masking.reports.place_text import follows_command, portrayed, white
@@ -70,13 +71,34 @@ def units_of_channels(found: Discovery) -> str:
     if doubt is None:
         return ""
     before, after = (percent(part) if part < MANY else "far more than all" for part in doubt.error)
-    names = listed([f"'{name}'" for name in doubt.names])
+    names = _quoted(doubt)
     looks, it = ("looks", "it") if len(doubt.names) == 1 else ("look", "they")
-    mend = "give the times in s" if doubt.kind == "clock" else f"declare unit: {doubt.unit}"
-    return (
-        f"{names} {looks} as if {it} were in {doubt.unit}, not {doubt.declared}: {mend}. The model as declared leaves "
-        f"{before} of the readings, and {after} of them with that unit, in which the record is taken here"
+    mend = (
+        "give the times in s" if doubt.kind == "clock" else f"declare unit{'s' * (' and ' in doubt.unit)}: {doubt.unit}"
     )
+    others = [f"{_quoted(one)} in {one.unit}" for one in doubt.alike]
+    sentences = [
+        f"{names} {looks} as if {it} were in {doubt.unit}, not {doubt.declared}: {mend}",
+        f"This record does not tell that from {alternatives(others)}" if others else "",
+        needed(found, doubt),
+        f"The model as declared leaves {before} of the readings, and {after} of them with that unit, in which the "
+        "record is taken here",
+    ]
+    return ". ".join(filter(None, sentences))
+
+
+def _quoted(doubt: UnitDoubt) -> str:
+    """Return the names of the channels in another unit, in quotation marks."""
+    return listed([f"'{name}'" for name in doubt.names])
+
+
+def needed(found: Discovery, doubt: UnitDoubt) -> str:
+    """Say which gains and parameters a record would need in the declared unit; '' if none are far off."""
+    said = [
+        f"{spoken(found, name, on) if on else name} {number(times, 4)} times as large"
+        for (name, on), times in doubt.otherwise
+    ]
+    return f"In {doubt.declared}, the record would need {listed(said)} as declared" if said else ""
 
 
 def withheld(found: Discovery) -> str:
@@ -326,6 +348,14 @@ def worst(found: Discovery) -> str:
     """Return the sensor with the largest error without the finding, relative to its noise floor."""
     floor, (before, _) = found.simulation_error.validation_noise_floor, without(found)
     return max(floor, key=lambda name: before[name] / max(floor[name], 1e-300))
+
+
+def intervals(found: Discovery) -> str:
+    """Say in which shooting intervals a record was searched; '' where each record is simulated whole."""
+    seconds = found.shooting_interval
+    if seconds is None:
+        return ""
+    return f"Simulated in shooting intervals of {quantity(seconds, 's')}, each from an initial state of its own"
 
 
 def beside(found: Discovery) -> str:

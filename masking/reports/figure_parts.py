@@ -22,6 +22,10 @@ else:
     signal = lazy.load("scipy.signal", suppress_warning=True)
 
 
+PREFIXES = {1.0: "", 1e3: "m", 1e6: "µ", 1e9: "n"}  # of small values, by the factor
+LEAST = 0.1  # of the largest value that is drawn, in its unit
+
+
 def legend(figure: Figure, axes: Axes | None, handles: Sequence[Any], above: float = 0.04) -> None:
     """Put a legend at the right in a row: a number of inches above axes, or at the top of the figure.
 
@@ -133,10 +137,17 @@ def noise_level(spectrum: Axes, deviation: float, rate: float) -> float:
 
 
 def shown(unit: str, *values: Array | Sequence[float]) -> tuple[float, str]:
-    """Return the factor and unit in which values are drawn: metres, volts and newtons below 0.1 in thousandths."""
+    """Return the factor and unit in which values are drawn: small metres, volts and newtons in mm, µm or nm.
+
+    Args:
+        unit: of the values, as it is shown.
+        values: those that are drawn together.
+    """
     largest = max((float(np.abs(v).max()) for v in values if len(v)), default=0.0)
-    is_small = largest < 0.1 and unit.partition("/")[0] in {"m", "V", "N"}
-    return (1e3, f"m{unit}") if is_small else (1.0, unit)
+    if not largest or unit.partition("/")[0] not in {"m", "V", "N"}:
+        return 1.0, unit
+    by, prefix = next(((by, prefix) for by, prefix in PREFIXES.items() if by * largest >= LEAST), (1e9, "n"))
+    return by, f"{prefix}{unit}"
 
 
 def first_of(count: int, total: int, what: str = "") -> str:

@@ -42,7 +42,7 @@ def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigur
         law = unnamed.force(latent.x, latent.rate)
     said = _seen(found, latent, what, law)
     values = [latent.before, *([law] if law is not None else [])]
-    by, unit = parts.shown(latent.units[0], *values)
+    by, unit = parts.shown(pretty(latent.units[0]), *values)
     reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
     rows_of = [(latent.before, BEFORE, "before"), *([(latent.after, AFTER, "after")] if has_after else [])]
     seen = latent.seen
@@ -52,7 +52,7 @@ def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigur
     for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
         assert values_of is not None  # noqa: S101  # those that are None have no row
         for axes, (x, x_unit), (left, right) in zip(row, seen, ranges, strict=True):
-            times, name = parts.shown(x_unit, x)
+            times, name = parts.shown(pretty(x_unit), x)
             axes.plot(times * x[::step], by * values_of[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
             centres, means, _ = latent_force.binned(x, values_of)
             half = 2.0 * latent.deviations[row is not rows[0]]
@@ -66,9 +66,9 @@ def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigur
             axes.axhline(0.0, color=MUTED, lw=0.7)
             label = {"element": "displacement", "actuator": "command", "sensor": "reading"}[latent.where]
             if row is rows[-1]:
-                axes.set_xlabel(style.with_unit(label if x is latent.x else f"rate of {label}", pretty(name)))
+                axes.set_xlabel(style.with_unit(label if x is latent.x else f"rate of {label}", name))
         label = what if kind == "before" else f"remaining {what}"
-        row[0].set_ylabel(style.with_unit(label, pretty(unit)))
+        row[0].set_ylabel(style.with_unit(label, unit))
         for axes in row[1:]:
             axes.tick_params(labelleft=False)
             axes.yaxis.get_offset_text().set_visible(False)

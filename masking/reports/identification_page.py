@@ -122,7 +122,7 @@ def save_simulation(made: Simulated, figures: Sequence[CaptionedFigure], sentenc
 
 
 def _tile(row: Row) -> Tile:
-    """Return a number with its unit and deviation; lengths, voltages and forces below 0.1 in thousandths."""
+    """Return a number with its unit and deviation; small lengths, voltages and forces with a prefix."""
     by, unit = figure_parts.shown(row.unit, [row.value])
     if not row.unit and row.key.startswith(("even_", "odd_")):
         by, unit = 100.0, "%"

@@ -22,6 +22,7 @@ from masking.analysis.synchronisation import (
     running_peak,
     synchronisation,
 )
+from masking.declaration.virtual_inputs import internals
 from masking.errors import MaskingError, RecordError
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
@@ -267,11 +268,15 @@ def masking_errors(recording: Recording) -> dict[str, float]:
 
 
 def parameters(recording: Recording) -> tuple[Parameter, ...]:
-    """Give the parameters of the virtual system with the values that ran, which may differ from the declared ones."""
+    """Give the parameters of the virtual system with the values that ran, which may differ from the declared ones.
+
+    Those that stand for points of its inputs are none of them.
+    """
     manifest = recording.manifest
     declared = _entry(manifest, "declarations", "virtual", "parameters")
     names = dict.fromkeys([*declared, *_entry(manifest, "parameters")])
-    return tuple(_parameter(manifest, name, declared.get(name)) for name in names)
+    of_inputs = internals(_entry(manifest, "declarations", "experiment", "inputs"))
+    return tuple(_parameter(manifest, name, declared.get(name)) for name in names if name not in of_inputs)
 
 
 def ends(tau: Array, mean_period: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

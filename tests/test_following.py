@@ -1,0 +1,69 @@
+"""Following: the force of a law with a state along a known motion, whose state settles many times between samples.
+
+The truth is Dahl's friction in closed form: along a straight piece of the motion, z = s + (z0 - s) exp(-|x - x0|/l).
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from masking.discovery import latent_force
+from masking.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.discovery.following import follow
+from masking.rig.twin import Twin
+
+FORCE, LENGTH, RATE = 3.0, 2e-6, 100.0
+MODEL = """
+name: slide
+coordinates: {x: {unit: m}}
+inputs: {f: {unit: N}}
+parameters: {m: {value: 1, unit: kg}}
+equations: {m*x'': f}
+elements: {guide: {displacement: x, unit: N, acts: {x: -1}}}
+"""
+PLANT = "name: slide\nmodel: model.yaml\nsensors: {x: {measures: x, unit: m}}\n"
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("slide")
+    (folder / "model.yaml").write_text(MODEL)
+    (folder / "plant.yaml").write_text(PLANT)
+    twin = Twin.load(folder / "plant.yaml")
+    return AugmentedModel(twin, twin.equation_parameters())
+
+
+def zigzag():
+    """Return a displacement of 1 mm back and forth, 20 samples each way, and its rate (m,)."""
+    x = 5e-4 * np.abs((np.arange(201) / 10.0 + 1.0) % 4.0 - 2.0) - 5e-4
+    return x, np.gradient(x) * RATE
+
+
+def dahl(x):
+    """Return the friction along straight pieces between samples (m,)."""
+    z = np.zeros(len(x))
+    for i, step in enumerate(np.diff(x)):
+        z[i + 1] = np.sign(step) + (z[i] - np.sign(step)) * np.exp(-abs(step) / LENGTH)
+    return FORCE * z
+
+
+def test_a_force_that_builds_up_between_samples_is_followed_in_finer_steps(rig):
+    x, rate = zigzag()
+    instance = EffectInstance("dahl_friction", "guide", (FORCE, LENGTH), (0,))
+    truth, turns = dahl(x), np.abs(np.diff(np.sign(np.diff(x)), prepend=0.0, append=0.0)) > 0.0
+    force, slope = follow(rig, instance, x, rate, period=1.0 / RATE, steps=32, free=(0,)).T
+    away = ~(turns | np.roll(turns, 1))  # about a turn, the rate goes through zero in the samples beside it
+    assert np.abs(force - truth)[away].max() < 1e-3 * FORCE
+    np.testing.assert_allclose(slope, force / FORCE, atol=1e-9)
+
+
+def test_the_map_of_a_friction_is_drawn_along_the_motion_in_stable_steps(rig):
+    x, rate = zigzag()
+    instance = EffectInstance("dahl_friction", "guide", (FORCE, LENGTH), (0,))
+    found = SimpleNamespace(rig=rig, problem=SimpleNamespace(dt=1.0 / RATE, substeps=1))
+    force = latent_force.along(found, instance, x, rate)
+    assert np.abs(force).max() < 1.001 * FORCE  # no step of it runs away
+    sliding = np.abs(rate) > 0.9 * np.abs(rate).max()
+    np.testing.assert_allclose(np.median(force[sliding & (rate > 0.0)]), FORCE, rtol=1e-3)
+    np.testing.assert_allclose(np.median(force[sliding & (rate < 0.0)]), -FORCE, rtol=1e-3)
