@@ -17,7 +17,7 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.codegen.graph import Graph, Node
-from masking.codegen.linear import solve
+from masking.codegen.linear import health, solve
 from masking.declaration import transforms
 from masking.errors import ActuationError, ModelError
 from masking.modelling.lowering import LoweredEquations
@@ -280,7 +280,7 @@ class Cancellation:
     def lower(
         self, graph: Graph, time: Node, q: Sequence[Node], v: Sequence[Node], p: Sequence[Node]
     ) -> tuple[list[Node], list[list[Node]], Node]:
-        """Lower a0 (n,), B (n, k) and the determinant of the mass matrix; `v` holds the internal states at its end.
+        """Lower a0 (n,), B (n, k) and the health of the mass matrix; `v` holds the internal states at its end.
 
         Args:
             graph: the graph to add to.
@@ -300,14 +300,14 @@ class Cancellation:
             [graph.lower(f, known), *(graph.lower(e, known) for e in row)]
             for f, row in zip(free, self.model.equations.input_force.tolist(), strict=True)
         ]
-        solution, health = solve(graph, mass, right)
-        return [row[0] for row in solution], [row[1:] for row in solution], health
+        solution, divisors = solve(graph, mass, right)
+        return [row[0] for row in solution], [row[1:] for row in solution], health(graph, divisors)
 
 
 def decouple(
     graph: Graph, matrix: list[list[Node]], cancel: Sequence[Node], drive: Sequence[Node]
 ) -> tuple[list[Node], list[Node], Node]:
-    """Return the inputs that give two virtual accelerations, and the determinant of what had to be inverted.
+    """Return the inputs that give two virtual accelerations, and the health of what had to be inverted.
 
     Solves W u = r for r = `cancel` and r = `drive`; where there are more inputs than coordinates, u is the
     solution of least norm, u = W^T (W W^T)^-1 r.
@@ -321,14 +321,14 @@ def decouple(
     right = [[c, d] for c, d in zip(cancel, drive, strict=True)]
     inputs = len(matrix[0])
     if inputs == len(matrix):
-        solution, determinant = solve(graph, matrix, right)
+        solution, divisors = solve(graph, matrix, right)
     else:
         square = [[dot(graph, a, b) for b in matrix] for a in matrix]
-        part, determinant = solve(graph, square, right)
+        part, divisors = solve(graph, square, right)
         solution = [
             [dot(graph, [row[i] for row in matrix], [z[k] for z in part]) for k in (0, 1)] for i in range(inputs)
         ]
-    return [x[0] for x in solution], [x[1] for x in solution], determinant
+    return [x[0] for x in solution], [x[1] for x in solution], health(graph, divisors)
 
 
 def check_actuation(model: Model, transform: Transform) -> None:
