@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from masking.codegen.graph import Graph, Node
-from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot
+from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot, product
 from masking.declaration import schema
 from masking.errors import ModelError
 from masking.modelling.model import Model
@@ -157,7 +157,7 @@ class ControlLaw:
         if homing is not None:
             wanted = homing.lower(graph, rig, jacobian, wanted)
         unwanted = [graph.apply("neg", dot(graph, row, free)) for row in jacobian]
-        matrix = [[dot(graph, row, [g[i] for g in gain]) for i in range(len(gain[0]))] for row in jacobian]
+        matrix = product(graph, jacobian, gain)
         cancel, drive, decoupling = decouple(graph, matrix, unwanted, wanted)
 
         inputs = [graph.add(a, b) for a, b in zip(cancel, drive, strict=True)]  # L + G T^-1[D]
