@@ -126,6 +126,20 @@ class Graph:
         """Tell whether a node is the negative of another."""
         return self.operations[node][0] == "neg"
 
+    def without_constants(self, node: Node) -> tuple[Node, list[Node]]:
+        """Return a node without the factors that do not vary and without its sign, and these factors."""
+        factors = list[Node]()
+        while True:
+            name, *given = self.operations[node]
+            fixed = [int(a) for a in given if not self.varies(int(a))] if name in {"mul", "div"} else []
+            if name == "mul" and len(fixed) == 1:
+                factors += fixed
+                node = int(given[1]) if given[0] == fixed[0] else int(given[0])
+            elif name == "neg" or (name == "div" and fixed == given[1:]):
+                node = int(given[0])
+            else:
+                return node, factors
+
     def _simplify(self, name: str, arguments: tuple[Node, ...]) -> Node | None:
         if name in FOLDED and all(self.is_number(a) for a in arguments):
             values = [float(self.operations[a][1]) for a in arguments]

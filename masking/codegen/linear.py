@@ -1,15 +1,22 @@
-"""Linear systems over any algebra: symbolic expressions, or nodes of a graph that is compiled later."""
+"""Linear systems over any algebra: symbolic expressions, or nodes of a graph that is compiled later.
+
+Entries that are zero by structure are never touched: a chain, which is banded, and a beam with pendula, which is an
+arrow, take a number of operations in proportion to their size.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, TypeVar
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
 
+from masking.codegen.graph import Graph, Node
 from masking.errors import ModelError
 
 X = TypeVar("X")
 
 LARGEST_CRAMER = 5
+SINGULAR = "the linear system is singular whatever the values of its symbols"
 
 
 class Algebra(Protocol[X]):
@@ -37,13 +44,28 @@ class Algebra(Protocol[X]):
         """Return a / b."""
 
 
-def solve(algebra: Algebra[X], matrix: Sequence[Sequence[X]], right: Sequence[Sequence[X]]) -> tuple[list[list[X]], X]:
-    """Return x with `matrix` x = `right`, and the determinant of `matrix` up to its sign.
+@dataclass(frozen=True)
+class Divisor(Generic[X]):
+    """What a solution was divided by: the matrix is singular where it is zero.
+
+    Args:
+        value: a pivot, or the determinant of a small block.
+        entry: of a pivot, what the matrix itself has in its place; None for a determinant.
+    """
+
+    value: X
+    entry: X | None
+
+
+def solve(
+    algebra: Algebra[X], matrix: Sequence[Sequence[X]], right: Sequence[Sequence[X]]
+) -> tuple[list[list[X]], list[Divisor[X]]]:
+    """Return x with `matrix` x = `right`, and all that was divided by.
 
     Pivots that do not vary are eliminated first, in the order that fills in least (Markowitz); they
-    cannot vanish on the way. What remains is solved by Cramer's rule, whose only division is by the
-    determinant, so that a vanishing entry of a regular matrix does no harm; a remainder of more than
-    five unknowns is eliminated in the same order instead.
+    cannot vanish on the way. What remains falls into blocks that share no row and no column. One of up to
+    five unknowns is solved by Cramer's rule, whose only division is by the determinant, so that a vanishing
+    entry of a regular block does no harm; a larger one is eliminated in the same order.
 
     Args:
         algebra: the operations.
@@ -52,89 +74,128 @@ def solve(algebra: Algebra[X], matrix: Sequence[Sequence[X]], right: Sequence[Se
 
     Raises:
         ModelError: the matrix is singular by its structure, whatever the values.
+
+    Source: Duff, Erisman and Reid (2017), Direct Methods for Sparse Matrices, chapters 5 (blocks) and 7 (Markowitz).
     """
-    rows = [list(r) for r in matrix]
-    sides = [list(r) for r in right]
-    size = len(rows)
-    open_rows, open_columns = set(range(size)), set(range(size))
-    steps: list[tuple[int, int, set[int]]] = []
-    determinant = algebra.number(1.0)
-    while open_rows:
-        pivot = _pivot(algebra, rows, open_rows, open_columns, constant=True)
-        if pivot is None and len(open_rows) > LARGEST_CRAMER:
-            pivot = _pivot(algebra, rows, open_rows, open_columns, constant=False)
-        if pivot is None:
-            break
-        row, column = pivot
-        open_rows.discard(row)
-        open_columns.discard(column)
-        determinant = algebra.mul(determinant, rows[row][column])
-        for other in open_rows:
-            if algebra.is_number(rows[other][column], 0.0):
+    return _Elimination(algebra, matrix, right).solve()
+
+
+class _Elimination(Generic[X]):
+    """The rows that are left, without their zeros, and the steps by which they came to be.
+
+    `fixed` holds for each row the columns of entries that do not vary; `rows_of` for each column the open rows that
+    have an entry there.
+    """
+
+    def __init__(self, algebra: Algebra[X], matrix: Sequence[Sequence[X]], right: Sequence[Sequence[X]]) -> None:
+        self.algebra = algebra
+        self.rows = [{j: x for j, x in enumerate(r) if not algebra.is_number(x, 0.0)} for r in matrix]
+        self.given = [dict(row) for row in self.rows]
+        self.sides = [list(r) for r in right]
+        self.fixed = [{j for j, x in row.items() if not algebra.varies(x)} for row in self.rows]
+        self.rows_of: list[set[int]] = [{i for i, row in enumerate(self.rows) if j in row} for j in range(len(matrix))]
+        self.open = set(range(len(matrix)))
+        self.steps: list[tuple[int, int]] = []
+        self.divisors: list[Divisor[X]] = []
+        self.solution: list[list[X]] = [[] for _ in matrix]
+
+    def solve(self) -> tuple[list[list[X]], list[Divisor[X]]]:
+        while (pivot := self._pivot(self.open, self.fixed)) is not None:
+            self._eliminate(*pivot)
+        for block in self._blocks():
+            columns = sorted({j for i in block for j in self.rows[i]})
+            if len(columns) == len(block) <= LARGEST_CRAMER:
+                self._cramer(sorted(block), columns)
                 continue
-            factor = algebra.div(rows[other][column], rows[row][column])
-            for j in open_columns:
-                rows[other][j] = algebra.sub(rows[other][j], algebra.mul(factor, rows[row][j]))
-            sides[other] = [
-                algebra.sub(a, algebra.mul(factor, b)) for a, b in zip(sides[other], sides[row], strict=True)
+            while block:
+                if (pivot := self._pivot(block, self.rows)) is None:
+                    raise ModelError(SINGULAR)
+                self._eliminate(*pivot)
+                block.discard(pivot[0])
+        a = self.algebra
+        for row, column in reversed(self.steps):
+            later = sorted(self.rows[row].keys() - {column})
+            for index, side in enumerate(self.sides[row]):
+                rest = side
+                for j in later:
+                    rest = a.sub(rest, a.mul(self.rows[row][j], self.solution[j][index]))
+                self.solution[column].append(a.div(rest, self.rows[row][column]))
+        return self.solution, self.divisors
+
+    def _pivot(self, rows: set[int], columns: Sequence[set[int] | dict[int, X]]) -> tuple[int, int] | None:
+        """Return the entry whose elimination fills in least, of those in `columns` of each of `rows`, or None.
+
+        Of equals, a number comes before what is computed, and an entry of the diagonal before another: where a mass
+        matrix is positive, so are the pivots there.
+        """
+        best: tuple[int, int] | None = None
+        best_cost: tuple[int, bool, bool] | None = None
+        for i in sorted(rows):
+            in_row = len(self.rows[i]) - 1
+            for j in sorted(columns[i]):
+                fill = in_row * (len(self.rows_of[j]) - 1)
+                if best_cost is not None and fill > best_cost[0]:
+                    continue
+                cost = (fill, not self.algebra.is_number(self.rows[i][j]), i != j)
+                if best_cost is None or cost < best_cost:
+                    best, best_cost = (i, j), cost
+        return best
+
+    def _eliminate(self, row: int, column: int) -> None:
+        a, pivots = self.algebra, self.rows[row]
+        self.open.discard(row)
+        for j in pivots:
+            self.rows_of[j].discard(row)
+        self.divisors.append(Divisor(pivots[column], self.given[row].get(column, a.number(0.0))))
+        for other in sorted(self.rows_of[column]):
+            changed = self.rows[other]
+            factor = a.div(changed.pop(column), pivots[column])
+            self.fixed[other].discard(column)
+            for j in sorted(pivots.keys() - {column}):
+                self._set(other, j, a.sub(changed.get(j, a.number(0.0)), a.mul(factor, pivots[j])))
+            self.sides[other] = [
+                a.sub(x, a.mul(factor, y)) for x, y in zip(self.sides[other], self.sides[row], strict=True)
             ]
-        steps.append((row, column, set(open_columns)))
+        self.rows_of[column] = set()
+        self.steps.append((row, column))
 
-    solution: list[list[X]] = [[] for _ in range(size)]
-    if open_rows:
-        core_rows, core_columns = sorted(open_rows), sorted(open_columns)
-        core = [[rows[i][j] for j in core_columns] for i in core_rows]
-        values, core_determinant = _cramer(algebra, core, [sides[i] for i in core_rows])
-        determinant = algebra.mul(determinant, core_determinant)
-        for j, value in zip(core_columns, values, strict=True):
-            solution[j] = value
-    for row, column, later in reversed(steps):
-        for side_index, side in enumerate(sides[row]):
-            rest = side
-            for j in sorted(later):
-                rest = algebra.sub(rest, algebra.mul(rows[row][j], solution[j][side_index]))
-            solution[column].append(algebra.div(rest, rows[row][column]))
-    return solution, determinant
+    def _set(self, row: int, column: int, value: X) -> None:
+        self.fixed[row].discard(column)
+        if self.algebra.is_number(value, 0.0):
+            self.rows[row].pop(column, None)
+            self.rows_of[column].discard(row)
+            return
+        self.rows[row][column] = value
+        self.rows_of[column].add(row)
+        if not self.algebra.varies(value):
+            self.fixed[row].add(column)
 
+    def _blocks(self) -> list[set[int]]:
+        """Return the open rows in groups that share no column."""
+        blocks, left = list[set[int]](), set(self.open)
+        while left:
+            block, reached = set[int](), [min(left)]
+            while reached:
+                row = reached.pop()
+                if row in left:
+                    left.discard(row)
+                    block.add(row)
+                    reached += [other for j in self.rows[row] for other in self.rows_of[j]]
+            blocks.append(block)
+        return blocks
 
-def _pivot(
-    algebra: Algebra[X], rows: list[list[X]], open_rows: set[int], open_columns: set[int], *, constant: bool
-) -> tuple[int, int] | None:
-    """Return the open entry whose elimination fills in least, or None."""
-
-    def filled(entry: X) -> bool:
-        return not algebra.is_number(entry, 0.0)
-
-    best: tuple[int, int] | None = None
-    best_cost: tuple[int, bool] | None = None
-    for i in sorted(open_rows):
-        for j in sorted(open_columns):
-            entry = rows[i][j]
-            if not filled(entry) or (constant and algebra.varies(entry)):
-                continue
-            in_row = sum(filled(rows[i][k]) for k in open_columns) - 1
-            in_column = sum(filled(rows[k][j]) for k in open_rows) - 1
-            cost = (in_row * in_column, not algebra.is_number(entry))
-            if best_cost is None or cost < best_cost:
-                best, best_cost = (i, j), cost
-    return best
-
-
-def _cramer(algebra: Algebra[X], matrix: list[list[X]], right: list[list[X]]) -> tuple[list[list[X]], X]:
-    """Return the solution and the determinant by Cramer's rule."""
-    size = len(matrix)
-    columns = [[matrix[i][j] for i in range(size)] for j in range(size)]
-    determinant = _determinant(algebra, columns)
-    if algebra.is_number(determinant, 0.0):
-        raise ModelError("the linear system is singular whatever the values of its symbols")
-    solution = []
-    for j in range(size):
-        values = []
-        for k in range(len(right[0])):
-            replaced = [*columns[:j], [row[k] for row in right], *columns[j + 1 :]]
-            values.append(algebra.div(_determinant(algebra, replaced), determinant))
-        solution.append(values)
-    return solution, determinant
+    def _cramer(self, rows: list[int], columns: list[int]) -> None:
+        """Solve a block by Cramer's rule."""
+        a = self.algebra
+        block = [[self.rows[i].get(j, a.number(0.0)) for i in rows] for j in columns]  # by columns
+        determinant = _determinant(a, block)
+        if a.is_number(determinant, 0.0):
+            raise ModelError(SINGULAR)
+        self.divisors.append(Divisor(determinant, None))
+        for position, column in enumerate(columns):
+            for k in range(len(self.sides[rows[0]])):
+                replaced = [*block[:position], [self.sides[i][k] for i in rows], *block[position + 1 :]]
+                self.solution[column].append(a.div(_determinant(a, replaced), determinant))
 
 
 def _determinant(algebra: Algebra[X], columns: list[list[X]]) -> X:
@@ -149,3 +210,39 @@ def _determinant(algebra: Algebra[X], columns: list[list[X]]) -> X:
         term = algebra.mul(entry, minor)
         result = algebra.sub(result, term) if i % 2 else algebra.add(result, term)
     return result
+
+
+def health(graph: Graph, divisors: Sequence[Divisor[Node]]) -> Node:
+    """Return a node that vanishes, or changes its sign, where a matrix becomes singular during a run.
+
+    It is the smallest magnitude among the divisors that vary, without their constant factors, with the sign of their
+    product; 1 where none varies, and 0 where one that does not vary is 0. It neither overflows nor falls with the
+    number of unknowns. Where several vary, a pivot p in the place of the entry a counts in proportion to the terms that
+    it is the sum of, |a| + |p - a|, so that pivots of different units can be compared.
+
+    Args:
+        graph: the graph to add to.
+        divisors: as `solve` returns them.
+    """
+    varying = [one for one in divisors if graph.varies(one.value)]
+    factors = [one.value for one in divisors if not graph.varies(one.value)]
+    parts = list[Node]()
+    for one in varying:
+        value, constant = graph.without_constants(one.value)
+        factors += constant
+        if len(varying) > 1 and one.entry not in {None, one.value}:
+            size = graph.add(graph.apply("abs", one.entry), graph.apply("abs", graph.sub(one.value, one.entry)))
+            value = one.value if graph.is_number(one.entry, 0.0) else graph.div(one.value, size)
+        parts.append(value)
+    parts = list(dict.fromkeys(parts))
+    factors += parts if len(parts) > 1 else []
+    if len(parts) > 1:
+        parts = [graph.apply("abs", part) for part in parts]
+    while len(parts) > 1:
+        pairs = zip(parts[::2], parts[1::2], strict=False)
+        parts = [*(graph.apply("min", *pair) for pair in pairs), *parts[len(parts) // 2 * 2 :]]
+    found = parts[0] if parts else graph.number(1.0)
+    for factor in dict.fromkeys(factors):
+        if not graph.is_number(factor):
+            found = graph.mul(found, graph.apply("sign", factor))
+    return found

@@ -140,7 +140,7 @@ class Module:
             states: symbols of the states.
             derivatives: of the states.
             time: symbol of the time.
-            health: node of the returned determinant.
+            health: node of the returned health.
             loads: how each symbol is read.
             order: highest k.
         """

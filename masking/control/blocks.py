@@ -17,9 +17,10 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.codegen.graph import Graph, Node
-from masking.codegen.linear import solve
+from masking.codegen.linear import health, solve
 from masking.declaration import transforms
 from masking.errors import ActuationError, ModelError
+from masking.modelling.gradient import jacobian, rate
 from masking.modelling.lowering import LoweredEquations
 from masking.modelling.model import Model
 
@@ -95,22 +96,17 @@ class Transform:
     @cached_property
     def jacobian(self) -> sp.ImmutableMatrix:
         """Return J = dT/dq (k, n)."""
-        return sp.ImmutableMatrix(self.expressions.jacobian(self.rig.equations.symbols.q))
+        return sp.ImmutableMatrix(jacobian(self.expressions, self.rig.equations.symbols.q))
 
     @cached_property
     def bias(self) -> sp.ImmutableMatrix:
         """Return (dJ/dt) v (k, 1), the virtual acceleration at zero rig acceleration."""
         s = self.rig.equations.symbols
-        rows = []
-        for row in self.jacobian.tolist():
-            rows.append(
-                sum(
-                    sp.diff(j, q) * vq * v
-                    for j, v in zip(row, s.v, strict=True)
-                    for q, vq in zip(s.q, s.v, strict=True)
-                )
-            )
-        return sp.ImmutableMatrix(rows)
+        rows = [
+            sp.Add(*(rate(j, s.q, s.v) * v for j, v in zip(row, s.v, strict=True) if j != 0))
+            for row in self.jacobian.tolist()
+        ]
+        return sp.ImmutableMatrix(len(rows), 1, rows)
 
     def lower(self, graph: Graph, q: Sequence[Node], v: Sequence[Node], p: Sequence[Node]) -> MappedCoordinates:
         """Lower eta, its rate, J and (dJ/dt) v for given nodes of rig coordinates, velocities and parameters.
@@ -280,7 +276,7 @@ class Cancellation:
     def lower(
         self, graph: Graph, time: Node, q: Sequence[Node], v: Sequence[Node], p: Sequence[Node]
     ) -> tuple[list[Node], list[list[Node]], Node]:
-        """Lower a0 (n,), B (n, k) and the determinant of the mass matrix; `v` holds the internal states at its end.
+        """Lower a0 (n,), B (n, k) and the health of the mass matrix; `v` holds the internal states at its end.
 
         Args:
             graph: the graph to add to.
@@ -295,19 +291,19 @@ class Cancellation:
         s = self.model.equations.symbols
         known = dict(zip((s.t, *s.q, *s.v, *s.s, *s.p), (time, *q, *v, *p), strict=True))
         mass = [[graph.lower(e, known) for e in row] for row in self.model.equations.mass.tolist()]
-        free = self.model.equations.force.subs(dict.fromkeys(s.u, 0))
+        free = self.model.equations.force.xreplace(dict.fromkeys(s.u, sp.Integer(0)))
         right = [
             [graph.lower(f, known), *(graph.lower(e, known) for e in row)]
             for f, row in zip(free, self.model.equations.input_force.tolist(), strict=True)
         ]
-        solution, health = solve(graph, mass, right)
-        return [row[0] for row in solution], [row[1:] for row in solution], health
+        solution, divisors = solve(graph, mass, right)
+        return [row[0] for row in solution], [row[1:] for row in solution], health(graph, divisors)
 
 
 def decouple(
     graph: Graph, matrix: list[list[Node]], cancel: Sequence[Node], drive: Sequence[Node]
 ) -> tuple[list[Node], list[Node], Node]:
-    """Return the inputs that give two virtual accelerations, and the determinant of what had to be inverted.
+    """Return the inputs that give two virtual accelerations, and the health of what had to be inverted.
 
     Solves W u = r for r = `cancel` and r = `drive`; where there are more inputs than coordinates, u is the
     solution of least norm, u = W^T (W W^T)^-1 r.
@@ -321,14 +317,14 @@ def decouple(
     right = [[c, d] for c, d in zip(cancel, drive, strict=True)]
     inputs = len(matrix[0])
     if inputs == len(matrix):
-        solution, determinant = solve(graph, matrix, right)
+        solution, divisors = solve(graph, matrix, right)
     else:
         square = [[dot(graph, a, b) for b in matrix] for a in matrix]
-        part, determinant = solve(graph, square, right)
+        part, divisors = solve(graph, square, right)
         solution = [
             [dot(graph, [row[i] for row in matrix], [z[k] for z in part]) for k in (0, 1)] for i in range(inputs)
         ]
-    return [x[0] for x in solution], [x[1] for x in solution], determinant
+    return [x[0] for x in solution], [x[1] for x in solution], health(graph, divisors)
 
 
 def check_actuation(model: Model, transform: Transform) -> None:
@@ -344,27 +340,27 @@ def check_actuation(model: Model, transform: Transform) -> None:
     s = model.equations.symbols
     generator = np.random.default_rng(0)
     symbols = (s.t, *s.q, *s.v, *s.s, *s.p, *transform.parameter_symbols)
-    point = dict(zip(symbols, generator.uniform(0.5, 1.5, len(symbols)), strict=True))
+    point = dict(zip(symbols, map(sp.Float, generator.uniform(0.5, 1.5, len(symbols))), strict=True))
 
     def number(matrix: sp.Matrix) -> np.ndarray:
-        return np.array(matrix.subs(point).evalf().tolist(), dtype=float).reshape(matrix.shape)
+        return np.array([0.0 if x == 0 else float(x.xreplace(point)) for x in matrix]).reshape(matrix.shape)
 
-    jacobian = number(transform.jacobian)
-    if np.linalg.matrix_rank(jacobian) < len(jacobian):
-        unused = [c for c, column in zip(model.coordinates, jacobian.T, strict=True) if not column.any()]
-        is_square = len(jacobian) == len(model.coordinates)
+    slope = number(transform.jacobian)
+    if np.linalg.matrix_rank(slope) < len(slope):
+        unused = [c for c, column in zip(model.coordinates, slope.T, strict=True) if not column.any()]
+        is_square = len(slope) == len(model.coordinates)
         why = f"none depends on {', '.join(unused)}" if unused and is_square else "they depend on each other"
         raise ModelError(
             f"transform: not invertible: {', '.join(transform.virtual.coordinates)} do not move independently of each "
             f"other with the rig's coordinates; {why}"
         )
-    decoupling = jacobian @ np.linalg.solve(number(model.equations.mass), number(model.equations.input_force))
+    decoupling = slope @ np.linalg.solve(number(model.equations.mass), number(model.equations.input_force))
     reachable = decoupling @ np.linalg.pinv(decoupling) if decoupling.size else np.zeros((len(decoupling),) * 2)
     names = transform.virtual.coordinates
     missed = [name for i, name in enumerate(names) if abs(reachable[i, i] - 1.0) > 1e-8]
     if missed:
         have = ", ".join(model.inputs) or "none"
-        left = _undriven(decoupling, jacobian @ number(model.equations.input_force))
+        left = _undriven(decoupling, slope @ number(model.equations.input_force))
         raise ActuationError(
             f"{model.name} cannot be masked as {transform.virtual.name}: its inputs ({have}) cannot accelerate "
             f"{', '.join(missed)} independently of the other coordinates, {len(names) - len(left)} of {len(names)} at "
@@ -388,6 +384,22 @@ def _undriven(decoupling: np.ndarray, forced: np.ndarray) -> list[int]:
         if np.linalg.matrix_rank(decoupling[[*driven, i]]) > len(driven):
             driven.append(i)
     return [i for i in range(len(decoupling)) if i not in driven]
+
+
+def product(graph: Graph, a: Sequence[Sequence[Node]], b: Sequence[Sequence[Node]]) -> list[list[Node]]:
+    """Return the nodes of the product of two matrices of nodes, without work for zeros of the first.
+
+    Args:
+        graph: the graph to add to.
+        a: rows of n entries.
+        b: n rows.
+    """
+    found = []
+    for row in a:
+        filled = [(x, other) for x, other in zip(row, b, strict=True) if not graph.is_number(x, 0.0)]
+        columns = range(len(b[0]))
+        found.append([graph.total([graph.mul(x, other[j]) for x, other in filled]) for j in columns])
+    return found
 
 
 def dot(graph: Graph, a: Sequence[Node], b: Sequence[Node]) -> Node:

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from masking.codegen.graph import Graph, Node
-from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot
+from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot, product
 from masking.declaration import schema
 from masking.errors import ModelError
 from masking.modelling.model import Model
@@ -146,7 +146,7 @@ class ControlLaw:
         wanted_d = controller.desired.lower(graph, time, mapped.eta, rate, p.virtual, **given_d)  # D
         desired, remembered = wanted_d.accelerations, [graph.div(r, p.time_scale) for r in wanted_d.rates]
         state = [*rig.v, *rig.s]
-        free, gain, health = Cancellation(controller.model).lower(graph, rig.t, rig.q, state, p.model)  # L, G
+        free, gain, inertia = Cancellation(controller.model).lower(graph, rig.t, rig.q, state, p.model)  # L, G
         if rig.disturbance:
             free = [graph.add(a, d) for a, d in zip(free, rig.disturbance, strict=True)]
         jacobian = [[graph.div(j, length) for j, length in zip(row, p.lengths, strict=True)] for row in mapped.jacobian]
@@ -157,13 +157,13 @@ class ControlLaw:
         if homing is not None:
             wanted = homing.lower(graph, rig, jacobian, wanted)
         unwanted = [graph.apply("neg", dot(graph, row, free)) for row in jacobian]
-        matrix = [[dot(graph, row, [g[i] for g in gain]) for i in range(len(gain[0]))] for row in jacobian]
-        cancel, drive, determinant = decouple(graph, matrix, unwanted, wanted)
+        matrix = product(graph, jacobian, gain)
+        cancel, drive, decoupling = decouple(graph, matrix, unwanted, wanted)
 
         inputs = [graph.add(a, b) for a, b in zip(cancel, drive, strict=True)]  # L + G T^-1[D]
         driven = [dot(graph, row, inputs) for row in gain]
         given = [graph.add(a, b) for a, b in zip(free, driven, strict=True)]
-        health = graph.mul(health, determinant)
+        health = graph.mul(inertia, decoupling)
         motion = (mapped.eta, rate, desired, cancel, drive, inputs, gain, health, given, driven)
         delays = [graph.mul(d, p.time_scale) for d in wanted_d.delays]
         return cls(*motion, remembered, wanted_d.lagged, delays, wanted_d.conditions)

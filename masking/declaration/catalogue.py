@@ -5,8 +5,8 @@ Needs neither pydantic nor sympy, so that a list of what there is takes no time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from masking.declaration import strict_yaml
@@ -42,11 +42,15 @@ _NAMED_BY = {("plant", "experiment"): "plant", ("model", "experiment"): "virtual
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Where a name or path of another file was written, so that a bad one is reported there."""
+    """Where a name or path of another file was written, so that a bad one is reported there.
+
+    `counts` are those of the file that holds it; they replace counts of the same names in the other.
+    """
 
     place: Place | None = None
     path: str = ""
     folder: Path | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
 
 
 NOWHERE = Reference()

@@ -7,6 +7,9 @@ from typing import Any
 from masking.declaration.schema import KINDS
 from masking.errors import DeclarationError, Problem, nearest
 
+# It is read before the rest (`masking.declaration.repetition`).
+REPEAT = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
+
 
 def json_schema(kind: str) -> dict[str, Any]:
     """Return the JSON Schema of a kind of declaration, for editors.
@@ -20,4 +23,5 @@ def json_schema(kind: str) -> dict[str, Any]:
     if kind not in KINDS:
         raise DeclarationError(Problem(None, "", f"there is no kind of declaration '{kind}'", nearest(kind, KINDS)))
     schema = KINDS[kind].model_json_schema(ref_template="#/$defs/{model}")
+    schema["properties"]["repeat"] = REPEAT
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

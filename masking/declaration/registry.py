@@ -18,6 +18,7 @@ from masking.declaration.dictionary import check_dictionary
 from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.fields import Real, Text
 from masking.declaration.plant_units import check_experiment_units, check_plant_units
+from masking.declaration.repetition import repeated
 from masking.declaration.schema import (
     BatchDeclaration,
     Declaration,
@@ -64,7 +65,7 @@ def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> Mode
         if path.resolve() in [link[0].resolve() for link in chain]:
             loop = " -> ".join([*(link[0].stem for link in chain), path.stem])
             raise DeclarationError(Problem(reference.place, reference.path, f"extends itself: {loop}"))
-        node, digest = _read_file("model", path, str(wanted), reference, refused)
+        node, digest, _ = _read_file("model", path, str(wanted), reference, refused)
         data = plain_mapping(node)
         if chain or "extends" in data:
             _read_alone(ModelDeclaration, node, data, refused)
@@ -72,7 +73,7 @@ def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> Mode
         files[str(path)] = digest
         wanted = str(data["extends"]) if data.get("extends") is not None else None
         if wanted is not None:
-            reference = Reference(data["extends"].node.place, "extends", path.parent)
+            reference = Reference(data["extends"].node.place, "extends", path.parent, reference.counts)
     places = Places()
     _, node, merged = chain.pop()
     places.add(node)
@@ -187,7 +188,9 @@ def content_from(assembly: Assembly, start: Path) -> dict[str, Any]:
 def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str, object]) -> ExperimentDeclaration:
     """Return an experiment with some sections of its file replaced, checked as if the file said so."""
     data, places = {**experiment.canonical(), **sections}, experiment._places.without(sections)
-    return read(ExperimentDeclaration, data, places, experiment.files, _check_plants)
+    made = read(ExperimentDeclaration, data, places, experiment.files, _check_plants)
+    made._counts = experiment._counts
+    return made
 
 
 def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Assembly:
@@ -224,7 +227,8 @@ def _rig(experiment: ExperimentDeclaration, plant: str | None) -> tuple[PlantDec
         if problems:
             raise DeclarationError(in_order(problems))
         return compose(found)
-    rig = load_plant(plant) if plant else load_plant(experiment.plant or "", refer(experiment, "plant"))
+    reference = Reference(counts=experiment._counts) if plant else refer(experiment, "plant")
+    rig = load_plant(plant or experiment.plant or "", reference)
     return rig, load_model(rig.model, refer(rig, "model"))
 
 
@@ -239,7 +243,7 @@ def check_units(assembly: Assembly) -> list[Problem]:
 def refer(declaration: Declaration, path: str) -> Reference:
     """Give the reference that stands at a path of a declaration; files are looked up from its folder."""
     place = declaration.place(path)
-    return Reference(place, path, Path(place.file).parent if place else None)
+    return Reference(place, path, Path(place.file).parent if place else None, declaration._counts)
 
 
 def _load(
@@ -250,20 +254,25 @@ def _load(
 ) -> D:
     path = find(kind.kind_name, name_or_path, reference)
     refused: list[Problem] = []
-    node, digest = _read_file(kind.kind_name, path, str(name_or_path), reference, refused)
+    node, digest, counts = _read_file(kind.kind_name, path, str(name_or_path), reference, refused)
     places = Places()
     places.add(node)
-    return read(kind, plain_mapping(node), places, {str(path): digest}, check, refused=refused)
+    made = read(kind, plain_mapping(node), places, {str(path): digest}, check, refused=refused)
+    made._counts = {**reference.counts, **counts}
+    return made
 
 
-def _read_file(kind: str, path: Path, shown: str, reference: Reference, refused: list[Problem]) -> tuple[Node, str]:
-    """Read a file that must be of a kind, with its SHA-256; `refused` takes the scalars that are none."""
+def _read_file(
+    kind: str, path: Path, shown: str, reference: Reference, refused: list[Problem]
+) -> tuple[Node, str, dict[str, int]]:
+    """Read a file that must be of a kind, with its SHA-256 and counts; `refused` takes the scalars that are none."""
     data = strict_yaml.read_bytes(path)
     node = strict_yaml.decode(data, str(path), refused)
     found = kind_of_keys(node.value if isinstance(node.value, dict) else ())
     if found not in {None, kind}:
         raise DeclarationError(wrong_kind(kind, str(found), shown, reference, node))
-    return node, hashlib.sha256(data).hexdigest()
+    node, counts = repeated(node, reference.counts)
+    return node, hashlib.sha256(data).hexdigest(), counts
 
 
 def _read_alone(kind: type[D], node: Node, data: Mapping[str, Any], refused: list[Problem]) -> None:

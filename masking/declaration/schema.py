@@ -319,6 +319,7 @@ class Declaration(Block):
     kind_name: ClassVar[str]
     _places: Places = PrivateAttr(default_factory=Places)
     _files: dict[str, str] = PrivateAttr(default_factory=dict)
+    _counts: dict[str, int] = PrivateAttr(default_factory=dict)
 
     name: TextField
     source: TextField | None = None

@@ -20,6 +20,7 @@ from masking.declaration.couplings import driven_outputs, motion_rate
 from masking.declaration.expression import Expression
 from masking.declaration.operations import delay_function
 from masking.errors import ModelError
+from masking.modelling.gradient import gradient, jacobian, rate
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -246,7 +247,8 @@ class Equations:
         if self.declaration.lagrangian is None:
             return None
         lagrangian = self.symbolic(self.declaration.lagrangian)
-        return sum(v * sp.diff(lagrangian, v) for v in self.symbols.v) - lagrangian
+        momenta = gradient(lagrangian, self.symbols.v)
+        return sp.Add(*(v * p for v, p in zip(self.symbols.v, momenta, strict=True))) - lagrangian
 
     @property
     def input_force(self) -> sp.ImmutableMatrix:
@@ -255,16 +257,16 @@ class Equations:
         Raises:
             ModelError: an acceleration is not affine in the inputs.
         """
-        jacobian = self.force.jacobian(self.symbols.u) if self.symbols.u else sp.zeros(len(self.coordinates), 0)
+        slopes = sp.ImmutableMatrix(jacobian(self.force, self.symbols.u))
         for i, coordinate in enumerate(self.coordinates):
-            bad = jacobian[i, :].free_symbols & set(self.symbols.u)
+            bad = slopes[i, :].free_symbols & set(self.symbols.u)
             if bad:
                 names = ", ".join(sorted(s.name for s in bad))
                 raise ModelError(
                     f"{self.name}: the acceleration of {coordinate} is not affine in {names}; masking needs "
                     "equations in which each input appears to the first power, times anything but an input"
                 )
-        return jacobian
+        return slopes
 
     def _collect_accelerations(self) -> tuple[sp.ImmutableMatrix, sp.ImmutableMatrix]:
         residuals: list[sp.Expr] = []
@@ -278,11 +280,11 @@ class Equations:
             residuals.append(side - self.symbolic(right) - force)
         others = [i for i in range(len(residuals)) if i not in pure.values()]
         order = [pure[i] if i in pure else others.pop(0) for i in range(len(self.coordinates))]
-        residual = sp.Matrix([residuals[i] for i in order])
-        zero = dict.fromkeys(self.symbols.a, 0)
-        mass = residual.jacobian(self.symbols.a) if self.coordinates else sp.zeros(0, 0)
+        mass = jacobian([residuals[i] for i in order], self.symbols.a)
         self._check_linear(mass)
-        return sp.ImmutableMatrix(mass), sp.ImmutableMatrix(-residual.subs(zero))
+        at_rest = dict.fromkeys(self.symbols.a, sp.Integer(0))
+        force = [-residuals[i].xreplace(at_rest) for i in order]
+        return sp.ImmutableMatrix(mass), sp.ImmutableMatrix(len(force), 1, force)
 
     def _check_linear(self, mass: sp.Matrix) -> None:
         """Refuse equations that are not linear in the accelerations."""
@@ -300,25 +302,27 @@ class Equations:
         """
         s, declaration = self.symbols, self.declaration
         dissipation = self.symbolic(declaration.dissipation) if declaration.dissipation is not None else sp.Integer(0)
-        mass, force, inertia = sp.zeros(len(s.q), len(s.q)), sp.zeros(len(s.q), 1), sp.zeros(len(s.q), len(s.q))
-        for i, name in enumerate(self.coordinates):
-            momentum = sp.diff(lagrangian, s.v[i])
-            for j in range(len(s.q)):
-                mass[i, j] = sp.diff(momentum, s.v[j])
-            applied = self.symbolic(declaration.forces[name]) if name in declaration.forces else sp.Integer(0)
-            applied += self.acting(name)
-            inertia[i, :] = sp.Matrix([[-sp.diff(applied, a) for a in s.a]])
-            applied = applied.subs(dict.fromkeys(s.a, 0))
-            gyroscopic = sum(sp.diff(momentum, q) * v for q, v in zip(s.q, s.v, strict=True)) + sp.diff(momentum, s.t)
-            gyroscopic += sum(sp.diff(momentum, z) * rate for z, rate in zip(s.s, self.rates, strict=True))
-            force[i] = applied - sp.diff(dissipation, s.v[i]) + sp.diff(lagrangian, s.q[i]) - gyroscopic
+        momenta = gradient(lagrangian, s.v)
+        mass = jacobian(momenta, s.v)
+        damping, slopes = gradient(dissipation, s.v), gradient(lagrangian, s.q)
+        applied = [
+            (self.symbolic(declaration.forces[name]) if name in declaration.forces else 0) + self.acting(name)
+            for name in self.coordinates
+        ]
+        inertia = -jacobian(applied, s.a)
+        at_rest = dict.fromkeys(s.a, sp.Integer(0))
+        moving, rates = (*s.q, s.t, *s.s), (*s.v, sp.Integer(1), *self.rates)
+        force = [
+            given.xreplace(at_rest) - damping[i] + slopes[i] - rate(momenta[i], moving, rates)
+            for i, given in enumerate(applied)
+        ]
         if any(mass[i, i] == 0 for i in range(len(s.q))):
             massless = self.coordinates[[mass[i, i] for i in range(len(s.q))].index(0)]
             raise ModelError(
                 f"{self.name}: the Lagrangian has no kinetic energy in {massless}'; give {massless} a mass"
             )
         self._check_linear(inertia)
-        return sp.ImmutableMatrix(mass + inertia), sp.ImmutableMatrix(force)
+        return sp.ImmutableMatrix(mass + inertia), sp.ImmutableMatrix(len(force), 1, force)
 
 
 class _Symbolic:

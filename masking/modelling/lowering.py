@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 
 from masking.codegen.graph import Graph, Node
-from masking.codegen.linear import solve
+from masking.codegen.linear import health, solve
 from masking.codegen.source import LARGEST_TAYLOR_COST, Module, taylor_order
 from masking.codegen.taylor import cost, degree, hides_a_switch, is_analytic
 from masking.modelling.equations import Equations
@@ -70,9 +70,9 @@ class LoweredEquations:
         if equations.coordinates:
             mass = [[graph.lower(e, nodes) for e in row] for row in equations.mass.tolist()]
             force = [[graph.lower(e, nodes) for e in row] for row in equations.force.tolist()]
-            solution, health = solve(graph, mass, force)
+            solution, divisors = solve(graph, mass, force)
         else:
-            solution, health = [], graph.number(1.0)
+            solution, divisors = [], []
         accelerations = [row[0] for row in solution]
         nodes.update(zip(s.a, accelerations, strict=True))
         rates = [graph.lower(rate, nodes) for rate in equations.rates]
@@ -80,7 +80,7 @@ class LoweredEquations:
         delays = [graph.lower(lag.time, nodes) for lag in equations.lags]
         happening = equations.events
         conditions = [graph.lower(one, nodes) for one in (*happening.conditions, *happening.values)]
-        return cls(equations, graph, nodes, accelerations, health, rates, lagged, delays, conditions)
+        return cls(equations, graph, nodes, accelerations, health(graph, divisors), rates, lagged, delays, conditions)
 
     def lower(self, expression: sp.Expr) -> Node:
         """Return the node of an expression in symbols of the model, accelerations included."""
@@ -140,7 +140,7 @@ def module(equations: Equations) -> Module:
         size > 0
         and not lags
         and not lowered.conditions
-        and is_analytic(graph, [*derivatives, lowered.health])
+        and is_analytic(graph, derivatives)
         and not hides_a_switch(graph, derivatives)
         and products <= LARGEST_TAYLOR_COST
         and degree(graph, derivatives) < order

@@ -20,6 +20,7 @@ from masking.codegen import store
 from masking.codegen.kernels import Kernels, Trajectory
 from masking.codegen.source import Module
 from masking.declaration import registry, schema
+from masking.declaration.catalogue import Reference
 from masking.declaration.couplings import motions
 from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.units import pretty
@@ -42,16 +43,17 @@ else:
     typeset = lazy.load("masking.modelling.typeset", suppress_warning=True)
 
 
-def load_model(name_or_path: str | Path) -> Model:
+def load_model(name_or_path: str | Path, counts: Mapping[str, int] | None = None) -> Model:
     """Return a declared model.
 
     Args:
         name_or_path: a name that `masking list` shows, or a YAML file.
+        counts: that replace those which the file declares under `repeat`, such as `{"N": 100}`.
 
     Raises:
         DeclarationError: there is no such model, or its declaration is wrong; lists every problem with its place.
     """
-    return Model(registry.load_model(name_or_path))
+    return Model(registry.load_model(name_or_path, Reference(counts=counts or {})))
 
 
 @dataclass(frozen=True)

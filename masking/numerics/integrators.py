@@ -7,7 +7,8 @@ them into one piece of machine code. Functions of a model, with state `y` = coor
 * `coefficients(t, y, u, p, c) -> health` writes Taylor coefficients, `c[k, i]` of order k of state i;
 * `step(t, q, v, u, p) -> health` reads coordinates and velocities and writes the inputs u.
 
-`health` is the determinant of what had to be inverted: a run stops where it vanishes or changes sign.
+`health` is a measure of what had to be inverted (`masking.codegen.linear.health`): a run stops where it vanishes or
+changes sign.
 """
 # ruff: noqa: ANN001, ANN201, ANN202, PLR0911, PLR0912, PLR0915, PLR0917
 # The types are numba's to infer, and a kernel is one long function with several ways out.
@@ -26,9 +27,9 @@ from masking.numerics.stop_codes import EVENT, NOT_FINITE, REACHED, SINGULAR, TO
 
 Kernel = Callable[..., Any]
 
-# A matrix counts as singular where its determinant has fallen to this part of its first value.
+# A matrix counts as singular where its health has fallen to this part of its first value.
 SINGULAR_PART = 1e-9
-# Where the determinant vanishes like the root of the time left, steps vanish before it has fallen that far.
+# Where the health vanishes like the root of the time left, steps vanish before it has fallen that far.
 NEARLY_SINGULAR_PART = 1e-6
 SMALLEST_STEP = 1e-14
 MOST_STEPS = 100_000_000
@@ -40,13 +41,13 @@ inlined = numba.njit(error_model="numpy", nogil=True, forceinline=True)
 
 @compiled
 def is_singular(health, first):
-    """Tell whether a determinant has vanished or changed sign since the start."""
-    return not (health * first > SINGULAR_PART * first * first)
+    """Tell whether a health has vanished or changed sign since the start."""
+    return not (health > SINGULAR_PART * first if first > 0.0 else health < SINGULAR_PART * first)
 
 
 @compiled
 def fault(health, first):
-    """Return why a kernel must stop at a determinant, or REACHED where it need not."""
+    """Return why a kernel must stop at a health, or REACHED where it need not."""
     if not math.isfinite(health):
         return NOT_FINITE
     return SINGULAR if is_singular(health, first) else REACHED
@@ -456,7 +457,7 @@ def sampled(step: Kernel, derivative: Kernel, size: int, coordinates: int) -> Ke
     u, in Runge-Kutta steps of order 4. Samples 0, every, 2 every ... are recorded.
 
     Args:
-        step: the controller; returns the determinant of what it had to invert.
+        step: the controller; returns the health of what it had to invert.
         derivative: the plant.
         size: number n of the plant's states.
         coordinates: how many of them are coordinates.
@@ -465,7 +466,7 @@ def sampled(step: Kernel, derivative: Kernel, size: int, coordinates: int) -> Ke
         `run(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work) -> (status, samples done, first)`,
         where `begin` is the index of the first sample; `count` the number of samples; `dt` the time between them;
         `substeps` the integration steps between them; `y` the state (n,), which is the last state afterwards; `u`
-        (k,) work space; `first` the determinant at the start of the run, 0 where this is the start; `out_y` and
+        (k,) work space; `first` the health at the start of the run, 0 where this is the start; `out_y` and
         `out_u` get the recorded states and inputs; `work` (5, n) is work space.
     """
     advance = runge_kutta_4(derivative, size)

@@ -18,7 +18,7 @@ Kernel = Callable[..., Any]
 
 @compiled
 def status_of(health, first, commands):
-    """Return why a controller must stop after a step, or REACHED; keep the determinant of the first step in `first`."""
+    """Return why a controller must stop after a step, or REACHED; keep the health of the first step in `first`."""
     if first[0] == 0.0:
         first[0] = health
     status = fault(health, first[0])

@@ -19,6 +19,7 @@ from masking.control.observer import Differences, Kalman, Observer
 from masking.control.sampled import SampledController, SampledLoop
 from masking.control.step import LawStep, SampledStep
 from masking.declaration import cross_checks, registry, schema
+from masking.declaration.catalogue import Reference
 from masking.display import fragments
 from masking.errors import DeclarationError, ModelError, Problem
 from masking.modelling import series
@@ -68,7 +69,12 @@ class Experiment:
 
     @classmethod
     def load(
-        cls, name_or_path: str | Path, *, plant: str | None = None, changes: Mapping[str, float] | None = None
+        cls,
+        name_or_path: str | Path,
+        *,
+        plant: str | None = None,
+        changes: Mapping[str, float] | None = None,
+        counts: Mapping[str, int] | None = None,
     ) -> Experiment:
         """Load an experiment and all it refers to.
 
@@ -76,11 +82,12 @@ class Experiment:
             name_or_path: an experiment file, or the name of a packaged one.
             plant: replaces the experiment's plant.
             changes: parameters of the virtual system that replace the declared ones, in the declared units.
+            counts: that replace those which its files declare under `repeat`, such as `{"N": 100}`.
 
         Raises:
             DeclarationError: a declaration is wrong; lists every problem with its place.
         """
-        declaration = registry.load_experiment(name_or_path)
+        declaration = registry.load_experiment(name_or_path, Reference(counts=counts or {}))
         if changes:
             wrong = [name for name, value in changes.items() if not isinstance(value, int | float)]
             if wrong:
