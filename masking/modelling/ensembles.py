@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -17,10 +17,11 @@ from masking.numerics.arrays import Array
 def simulate(
     model: Simulated,
     times: Array,
+    ensemble: Mapping[str, Sequence[float] | Array],
+    *,
     initial: Mapping[str, float],
     inputs: Inputs,
     tolerance: float,
-    ensemble: Mapping[str, Sequence[float] | Array],
     threads: int | None = None,
 ) -> Trajectory:
     """Integrate a model once for each run of an ensemble, as `Model.simulate` does.
@@ -28,10 +29,10 @@ def simulate(
     Args:
         model: the model.
         times: monotone times (m,).
+        ensemble: values of each run (runs,) by the name of a parameter or a state, in the declared units.
         initial: values of states that all runs have.
         inputs: of all runs.
         tolerance: local relative error.
-        ensemble: values of each run (runs,) by the name of a parameter or a state, in the declared units.
         threads: that share the runs; by default as many as there are cores.
 
     Raises:
@@ -45,7 +46,11 @@ def simulate(
     for pick in (np.min, np.max):  # bounds are intervals
         model.with_parameters(**{name: float(pick(values)) for name, values in parameters.items()})
     if isinstance(inputs, Mapping) or not _is_separable(model, parameters):
-        return _one_by_one(model, times, {**initial}, inputs, tolerance, parameters, states)
+
+        def one(changed: Simulated, start: Mapping[str, float]) -> Trajectory:
+            return changed.simulate(times, {**initial, **start}, inputs, tolerance)
+
+        return _one_by_one(model, parameters, states, one)
     y = np.broadcast_to(model.initial_state({**initial, **states}), (runs, len(model.initial_state(initial))))
     u = np.zeros(len(model.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
     share = max(1, min(threads or os.cpu_count() or 1, runs))
@@ -88,27 +93,20 @@ def _parameters(model: Simulated, varied: Mapping[str, Array], runs: int) -> Arr
 
 
 def _one_by_one(
-    model: Simulated,
-    times: Array,
-    initial: Mapping[str, float],
-    inputs: Inputs,
-    tolerance: float,
-    parameters: Mapping[str, Array],
-    states: Mapping[str, Array],
+    model: Simulated, parameters: Mapping[str, Array], states: Mapping[str, Array], run: Callable[..., Trajectory]
 ) -> Trajectory:
     """Integrate runs that need Python on their way: events, delays, inputs that are series."""
-    found, errors, steps = list[Trajectory | None](), dict[int, str](), 0
-    for run in range(len(next(iter({**parameters, **states}.values())))):
-        changed = model.with_parameters(**{name: float(values[run]) for name, values in parameters.items()})
-        start = {**initial, **{name: float(values[run]) for name, values in states.items()}}
+    found, errors = list[Trajectory | None](), dict[int, str]()
+    for i in range(len(next(iter({**parameters, **states}.values())))):
+        changed = model.with_parameters(**{name: float(values[i]) for name, values in parameters.items()})
         try:
-            found.append(changed.simulate(times, start, inputs, tolerance))
+            found.append(run(changed, {name: float(values[i]) for name, values in states.items()}))
         except (IntegrationError, SingularityError) as error:
-            errors[run] = str(error)
+            errors[i] = str(error)
             found.append(None)
     whole = [one for one in found if one is not None]
     if not whole:
         raise IntegrationError(f"no run of the ensemble could be made; the first: {errors[0]}")
     first, steps = whole[0], sum(one.steps for one in whole)
-    states_of = [np.full_like(first.states, np.nan) if one is None else one.states for one in found]
-    return Trajectory(first.times, np.array(states_of), first.coordinates, steps, first.internal, errors=errors)
+    out = np.array([np.full_like(first.states, np.nan) if one is None else one.states for one in found])
+    return Trajectory(first.times, out, first.coordinates, steps, first.internal, errors=errors)

@@ -317,7 +317,7 @@ class Model:
             IntegrationError: the integrator could not go on.
         """
         if ensemble is not None:
-            return ensembles.simulate(self, times, initial or {}, inputs, tolerance, ensemble)
+            return ensembles.simulate(self, times, ensemble, initial=initial or {}, inputs=inputs, tolerance=tolerance)
         if isinstance(inputs, Mapping):
             return series.driven(self, times, initial or {}, inputs, tolerance)
         times = series.row_of_times(times)
