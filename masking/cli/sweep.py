@@ -28,9 +28,8 @@ def _add(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--over", metavar="NAME=VALUES", action="append", default=[], help="what varies, and how")
     sub.add_argument("--runs", metavar="N", type=int, help="runs that are drawn at each point of the grid")
     sub.add_argument("--seed", metavar="N", type=int, default=0, help="of what is drawn (default: 0)")
-    text = (
-        "of each run: alpha, eps, tau_s, phase, verdict, period, chi, peak, used, chi.X, peak.V, maxima.X, section.X@Y"
-    )
+    text = "of each run: alpha, eps, tau_s, phase, verdict, end, period, chi, peak, used, chi.X, peak.V, maxima.X"
+    text += ", section.X@Y"
     sub.add_argument("--measure", metavar="NAME", action="append", default=[], help=text)
     sub.add_argument("--sampling", choices=("random", "latin", "sobol"), default="random", help="of what is drawn")
     sub.add_argument("--virtual", action="store_true", help="integrate the virtual system by itself, without a rig")

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from masking.analysis.stability.basins import LABELS, end_of
 from masking.analysis.synchronisation import AntiPhase, Synchronisation, period
 from masking.errors import DeclarationError, Problem, nearest
 from masking.numerics.arrays import Array
@@ -17,6 +18,7 @@ from masking.records.recording import Recording
 from masking.reports.run_facts import anti_phase_of, input_uses, masking_errors, verdict_of, why_no_phase
 
 Measured = float | str | Array  # a number, a word, or several numbers (k,)
+_FIFTH, _NEAR, _REST = 0.2, 0.1, 1e-3  # of the record, of the larger amplitude, of the largest displacement
 _LAST: Final = 0.5  # part of the record, at its end, whose maxima and crossings are taken
 
 
@@ -58,6 +60,14 @@ class _Run:
         return verdict_of(self.tau, self.motions, (names[0], names[1]), self.period) if self.has_phase else None
 
     @cached_property
+    def end(self) -> str:
+        """Return in which way the last fifth of two oscillators ends, as basins have it."""
+        a, b = [*self.motions.values()][:2]
+        last = int((1.0 - _FIFTH) * (len(a) - 1))
+        size = max(float(np.abs(a).max()), float(np.abs(b).max()))
+        return LABELS[end_of(a[last:], b[last:], _NEAR, _REST * size)]
+
+    @cached_property
     def chi(self) -> dict[str, float]:
         return masking_errors(self.recording)
 
@@ -94,6 +104,7 @@ _WITH_TWO: Final[Mapping[str, Callable[[_Run], Measured]]] = {
     "tau_s": lambda run: run.verdict.time if run.verdict else math.nan,
     "phase": lambda run: abs(run.verdict.phase) if run.verdict else math.nan,
     "verdict": lambda run: run.verdict.kind if run.verdict else "unknown",
+    "end": lambda run: run.end,
 }
 _ONLY_WITH_A_RIG: Final[Mapping[str, Callable[[_Run], Measured]]] = {
     "chi": lambda run: max(run.chi.values(), default=math.nan),
@@ -117,6 +128,7 @@ MEANINGS: Final = {
     "tau_s": "time after which the oscillators are synchronised (8.1)",
     "phase": "phase difference at the end, without its sign",
     "verdict": "in which way the oscillators are synchronised at the end",
+    "end": "at which motion the oscillators are in the last fifth of the run",
     "chi": "largest masking error",
     "peak": "largest input",
     "used": "largest input as a part of its limit",
@@ -130,11 +142,14 @@ def defaults(oscillators: Sequence[str], *, has_rig: bool) -> tuple[str, ...]:
     return (*two, *(_ONLY_WITH_A_RIG if has_rig else ()))
 
 
-def check(names: Sequence[str], states: Sequence[str], inputs: Sequence[str], *, has_rig: bool) -> None:
+def check(
+    names: Sequence[str], oscillators: Sequence[str], states: Sequence[str], inputs: Sequence[str], *, has_rig: bool
+) -> None:
     """Refuse measures that a run has not.
 
     Args:
         names: of the measures.
+        oscillators: of the virtual system.
         states: of the virtual system.
         inputs: of the rig.
         has_rig: whether a rig runs, or the virtual system by itself.
@@ -146,6 +161,8 @@ def check(names: Sequence[str], states: Sequence[str], inputs: Sequence[str], *,
     allowed += [f"maxima.{n}" for n in states] + [f"section.{a}@{b}" for a in states for b in states if a != b]
     if has_rig:
         allowed += [f"peak.{n}" for n in inputs] + [f"chi.{n}" for n in states if not n.endswith("'")]
+    if len(oscillators) < 2:
+        allowed = [name for name in allowed if name not in _WITH_TWO]
     for name in names:
         if name not in allowed:
             mend = nearest(name, allowed)
@@ -166,4 +183,4 @@ def measure(recording: Recording, names: Sequence[str]) -> dict[str, Measured]:
 def empty(name: str) -> Measured:
     """Return what stands for a measure of a run that failed."""
     kind = name.partition(".")[0]
-    return "" if kind == "verdict" else np.empty(0) if kind in {"maxima", "section"} else math.nan
+    return "" if kind in {"verdict", "end"} else np.empty(0) if kind in {"maxima", "section"} else math.nan

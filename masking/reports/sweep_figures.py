@@ -22,6 +22,7 @@ from masking.reports.style import BAND, BARE, COLOURS, INK, LEGEND, MUTED, Capti
 from masking.reports.text import capital
 
 _KINDS: Final = {
+    "in phase": "#0072B2", "rest": "#5b6470", "other": "#CC79A7",
     "anti-phase": "#D55E00", "in-phase": "#0072B2", "locked": "#009E73", "beating": "#E69F00", "death": "#5b6470",
     "not synchronised": "#CC79A7", "unknown": "#d9d9d9", "": "#ffffff",
 }  # fmt: skip

@@ -53,6 +53,11 @@ class Plan:
     continuation: bool = False
     trajectories: bool = False
 
+    def __reduce__(self) -> tuple[type[Plan], tuple[object, ...]]:
+        """Return what another process makes the plan of, without what has been compiled in this one."""
+        others = (self.design, self.measures, self.virtual, self.continuation, self.trajectories)
+        return Plan, (Experiment(self.experiment.assembly), *others)
+
     @cached_property
     def places(self) -> tuple[tuple[Place, ...], ...]:
         """Return where the values of each axis stand."""
@@ -87,7 +92,8 @@ class Plan:
         """
         model, names = self.experiment.virtual, [one for one in self.measures if isinstance(one, str)]
         inputs = [] if self.virtual else [*self.experiment.twin.actuators]
-        run_measures.check(names, model.state_names, inputs, has_rig=not self.virtual)
+        oscillators = model.declaration.oscillators or ()
+        run_measures.check(names, oscillators, model.state_names, inputs, has_rig=not self.virtual)
         for axis in self.design.axes:
             for where in (variation.place(self.experiment, name) for name in axis.names):
                 if self.virtual and where.path[0] not in {"parameters", "initial"}:
