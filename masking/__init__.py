@@ -8,8 +8,8 @@ Four objects carry the package:
 * `Recording`: the series of one run and the manifest that says what they are, in one folder on disk.
 
 Each verb of the command line is a function here: `catalogue` (its `list`), `show`, `check`, `run`, `report`,
-`recover`, `animate`, `compare`, `simulate`, `identify`, `measure`, `calibrate`, `discover`, `refine`, `stability`,
-`export`.
+`recover`, `animate`, `compare`, `sweep`, `merge_sweeps`, `load_sweep`, `simulate`, `identify`, `measure`,
+`calibrate`, `discover`, `refine`, `stability`, `export`.
 
     >>> import masking
     >>> recording = masking.run("duffing")

@@ -29,3 +29,6 @@ from .workflows.run import report as report
 from .workflows.run import run as run
 from .workflows.simulate import simulate as simulate
 from .workflows.stability import stability as stability
+from .workflows.sweep import load_sweep as load_sweep
+from .workflows.sweep import merge_sweeps as merge_sweeps
+from .workflows.sweep import sweep as sweep

@@ -10,13 +10,15 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from masking.cli import declarations, discovery, export, identification, rig, runs, stability
+from masking.cli import declarations, discovery, export, identification, rig, runs, stability, sweep
 from masking.cli.options import add_verb
 from masking.cli.progress import INTERRUPTED, NOTHING_SAVED
 from masking.errors import NO_PLACE, RENAMED, DeclarationError, MaskingError
 
 VERBS = tuple(
-    one for module in (declarations, runs, identification, discovery, stability, export, rig) for one in module.VERBS
+    one
+    for module in (declarations, runs, sweep, identification, discovery, stability, export, rig)
+    for one in module.VERBS
 )
 
 

@@ -29,11 +29,12 @@ class Trajectory:
 
     Args:
         times: (m,).
-        states: (m, 2 n + k), coordinates, velocities, internal states.
+        states: (m, 2 n + k), coordinates, velocities, internal states; of an ensemble (runs, m, 2 n + k).
         coordinates: names of the n coordinates.
         steps: integration steps taken.
         internal: names of the k internal states.
         events: the time and the name of each event.
+        errors: why a run of an ensemble could not go on, by its number; its states are not a number.
     """
 
     times: Array
@@ -42,24 +43,25 @@ class Trajectory:
     steps: int
     internal: tuple[str, ...] = ()
     events: tuple[tuple[float, str], ...] = ()
+    errors: Mapping[int, str] = field(default_factory=dict)
 
     @property
     def positions(self) -> Array:
-        """Return the coordinates (m, n)."""
-        return self.states[:, : len(self.coordinates)]
+        """Return the coordinates (m, n), or (runs, m, n)."""
+        return self.states[..., : len(self.coordinates)]
 
     @property
     def velocities(self) -> Array:
-        """Return the velocities (m, n)."""
+        """Return the velocities (m, n), or (runs, m, n)."""
         n = len(self.coordinates)
-        return self.states[:, n : 2 * n]
+        return self.states[..., n : 2 * n]
 
     def __getitem__(self, name: str) -> Array:
-        """Return one coordinate (`x1`), velocity (`x1'`) or internal state over time (m,)."""
+        """Return one coordinate (`x1`), velocity (`x1'`) or internal state over time (m,), or (runs, m)."""
         if name in self.internal:
-            return self.states[:, 2 * len(self.coordinates) + self.internal.index(name)]
+            return self.states[..., 2 * len(self.coordinates) + self.internal.index(name)]
         index = self.coordinates.index(name.rstrip("'"))
-        return self.states[:, index + (len(self.coordinates) if name.endswith("'") else 0)]
+        return self.states[..., index + (len(self.coordinates) if name.endswith("'") else 0)]
 
 
 @dataclass(frozen=True)
@@ -116,10 +118,7 @@ class Kernels:
             SingularityError: a matrix that must be inverted became singular; holds the state.
             IntegrationError: the integrator could not go on, or an event comes without end; says when and why.
         """
-        times = np.ascontiguousarray(times, dtype=float)
-        steps_between = np.diff(times)
-        if times.ndim != 1 or len(times) == 0 or not (np.all(steps_between >= 0.0) or np.all(steps_between <= 0.0)):
-            raise IntegrationError(f"times must be one row of at least one time, in order; got shape {times.shape}")
+        times = in_order(times)
         solve = getattr(self, f"solve_{method or self.meta['method']}")
         lags = self.meta.get("lags", 0)
         if lags and times[-1] < times[0]:
@@ -146,6 +145,35 @@ class Kernels:
         names, log = self.meta["coordinates"], () if jumps is None else tuple(jumps.log)
         return Trajectory(times, out, tuple(names), steps, tuple(self.meta.get("states", ())), log)
 
+    def integrate_each(
+        self, times: Array, states: Array, inputs: Array, parameters: Array, *, tolerance: float, threads: int
+    ) -> Trajectory:
+        """Integrate dynamics without delays and events from several initial states, each with its own parameters.
+
+        Args:
+            times: monotone (m,); the states are those at the first.
+            states: (runs, 2 n + k).
+            inputs: (k,), held constant.
+            parameters: (runs, parameters).
+            tolerance: local relative error of a step.
+            threads: that share the runs.
+
+        Raises:
+            IntegrationError: times are none, or not in order.
+        """
+        times, y = in_order(times), np.array(states, dtype=float, order="C")
+        solve, out = getattr(self, f"solve_{self.meta['method']}"), np.empty((len(y), len(times), y.shape[1]))
+        given = (float(times[0]), y, times, inputs, np.ascontiguousarray(parameters), tolerance, 0.0, out)
+        found, errors = solve.each(len(y), *given, threads=threads), dict[int, str]()
+        for run in np.flatnonzero(found[:, 0] != REACHED).tolist():
+            try:
+                self.stop(int(found[run, 0]), found[run, 1], y[run])
+            except (IntegrationError, SingularityError) as error:
+                errors[run] = str(error)
+            out[run] = np.nan
+        names, internal = tuple(self.meta["coordinates"]), tuple(self.meta.get("states", ()))
+        return Trajectory(times, out, names, int(found[:, 2].sum()), internal, errors=errors)
+
     def stop(self, status: int, time: float, state: Sequence[float] | Array, mend: str = "") -> None:
         """Raise the error that a kernel's status stands for.
 
@@ -166,6 +194,19 @@ class Kernels:
             raise SingularityError(MESSAGES[status], time, at, mend)
         where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
         raise IntegrationError(f"{MESSAGES[status]}, at t = {time:.6g} ({where})")
+
+
+def in_order(times: Array) -> Array:
+    """Return times as the kernels take them.
+
+    Raises:
+        IntegrationError: they are none, or not in order.
+    """
+    times = np.ascontiguousarray(times, dtype=float)
+    steps = np.diff(times)
+    if times.ndim != 1 or len(times) == 0 or not (np.all(steps >= 0.0) or np.all(steps <= 0.0)):
+        raise IntegrationError(f"times must be one row of at least one time, in order; got shape {times.shape}")
+    return times
 
 
 def linked(

@@ -14,6 +14,7 @@ import itertools
 import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -103,6 +104,45 @@ class NativeFunction:
         call(*passed, found)
         read = [int(x) if kind == "int" else x for kind, x in zip(self.results, found, strict=False)]
         return None if not read else read[0] if len(read) == 1 else tuple(read)
+
+    def each(self, runs: int, *given: Any, threads: int = 1) -> np.ndarray:  # noqa: ANN401
+        """Call the machine code once for each of several runs; measured: 3 us of Python a run.
+
+        Args:
+            runs: how many.
+            given: arguments; an array with one axis more than the function takes is passed row by row, a row a run.
+            threads: that share the runs; machine code holds no lock.
+
+        Returns:
+            results (runs, RESULTS).
+
+        Raises:
+            TypeError: an array is not C-contiguous, of the right type and dimension, or one is missing.
+        """
+        call, results = self.prepare(), np.zeros((runs, RESULTS))
+
+        def part(first: int, last: int) -> None:
+            passed, moved = list[Any](), list[tuple[int, int, int]]()
+            for (name, kind), value in zip(self.arguments.items(), self._completed(given), strict=True):
+                if kind not in DIMENSIONS:
+                    passed.append(value)
+                    continue
+                axes = np.ndim(value) - DIMENSIONS[kind]
+                self._check(name, kind, DIMENSIONS[kind] + (axes == 1), value)
+                if axes == 1:
+                    moved.append((len(passed), value.ctypes.data, value.strides[0]))
+                passed += [value.ctypes.data, *value.shape[axes:]]
+            moved.append((len(passed), results.ctypes.data, results.strides[0]))
+            passed.append(0)
+            for run in range(first, last):
+                for place, address, stride in moved:
+                    passed[place] = address + run * stride
+                call(*passed)
+
+        bounds = [runs * i // threads for i in range(threads + 1)]
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(part, bounds[:-1], bounds[1:]))
+        return results
 
     def bind(self, *given: np.ndarray) -> BoundFunction:
         """Return the function with arrays that it reads and writes at each call; a number is an array of one.

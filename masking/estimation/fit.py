@@ -133,6 +133,7 @@ class Fit(Estimate):
         """Return the fit as JSON can hold it."""
         return {
             "parameters": self.parameters(),
+            "covariance": self.covariance.tolist(),
             "chi": {"train": self.chi, "validation": self.validation},
             "floor": self.floor,
             "notes": list(self.notes),

@@ -27,10 +27,10 @@ from masking.declaration.units import pretty
 from masking.display import fragments, symbols
 from masking.effects import Effect, Setting, attach
 from masking.errors import DeclarationError, ModelError
+from masking.modelling import ensembles, series
 from masking.modelling.equations import Equations
 from masking.modelling.lowering import module
 from masking.modelling.scales import Units
-from masking.modelling.series import Series, driven
 
 if TYPE_CHECKING:
     import control
@@ -292,12 +292,14 @@ class Model:
         self,
         times: np.ndarray,
         initial: Mapping[str, float] | None = None,
-        inputs: Sequence[float] | Mapping[str, float | Series | Sequence[float]] | None = None,
+        inputs: series.Inputs = None,
         tolerance: float = 1e-10,
+        ensemble: Mapping[str, Sequence[float] | np.ndarray] | None = None,
     ) -> Trajectory:
-        """Integrate the model by itself.
+        """Integrate the model by itself, once or for each run of an ensemble.
 
             model.simulate(times, {"x": 0.1}, {"F": Series([0, 1, 2], [0, 0.5, 0], "cubic"), "G": 0.1})
+            model.simulate(times, ensemble={"z3": np.linspace(0.1, 0.4, 1000)})["x1"]  # (1000, m)
 
         Args:
             times: monotone times (m,), in seconds, or in units of the time scale.
@@ -306,37 +308,37 @@ class Model:
             inputs: constant inputs (k,), in SI units or in the declared scales; or each by its name: a number, a
                 `Series`, or values at the times (m,), with straight lines between. By default all are zero.
             tolerance: local relative error.
+            ensemble: values of each run (runs,), of parameters and initial states by name, in the declared units.
 
         Returns:
-            states (m, 2 n + k), the k internal states last, behind them what delayed expressions were, and their times.
+            states (m, 2 n + k), the k internal states last, behind them what delayed expressions were, and their times;
+            with an ensemble (runs, m, 2 n + k), and in `errors` which runs could not go on.
 
         Raises:
             ModelError: the times are none, or inputs by name are not those of the model.
             IntegrationError: the integrator could not go on.
         """
+        if ensemble is not None:
+            return ensembles.simulate(self, times, ensemble, initial=initial or {}, inputs=inputs, tolerance=tolerance)
         if isinstance(inputs, Mapping):
-            return driven(self, times, initial or {}, inputs, tolerance)
-        times = np.atleast_1d(np.asarray(times, dtype=float))
-        if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
-            raise ModelError(
-                f"times must be finite, in one row, such as np.linspace(0, 10, 101); got shape {times.shape}"
-            )
+            return series.driven(self, times, initial or {}, inputs, tolerance)
+        times = series.row_of_times(times)
         state = self.initial_state(initial or {})
         _ = self.delays()
         u = np.zeros(len(self.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
-        return self.kernels.integrate(np.atleast_1d(times), state, u, self.values(), tolerance=tolerance)
+        return self.kernels.integrate(times, state, u, self.values(), tolerance=tolerance)
 
-    def initial_state(self, given: Mapping[str, float]) -> np.ndarray:
+    def initial_state(self, given: Mapping[str, float | np.ndarray]) -> np.ndarray:
         """Return the state (2 n + k,) of given and declared initial values, in SI units or in the declared scales.
 
         Args:
             given: values by the name of a coordinate (`x1`), velocity (`x1'`) or internal state, in the declared
-                units.
+                units; those of several runs (runs,) give states (runs, 2 n + k).
 
         Raises:
             ModelError: a coordinate has no initial value, or a name is no state.
         """
-        names = self._state_names
+        names = self.state_names
         unknown = [name for name in given if name not in names]
         if unknown:
             raise ModelError(f"initial value of '{unknown[0]}': {self.name} has the states {', '.join(names)}")
@@ -351,7 +353,8 @@ class Model:
             positions.append(value * size)
             velocities.append(given.get(f"{name}'", coordinate.initial_velocity) * size * second)
         internal = [given.get(n, z.initial) * self._size(z.unit) for n, z in self.declaration.states.items()]
-        return np.array([*positions, *velocities, *internal], dtype=float)
+        parts = [*positions, *velocities, *internal]
+        return np.array(np.broadcast_arrays(*parts) if any(map(np.ndim, parts)) else parts, dtype=float).T
 
     @property
     def lengths(self) -> np.ndarray:
@@ -443,7 +446,7 @@ class Model:
 
         matrices = [number(m, w) for m in (rates, sp.Matrix(seen)) for w in (states, s.u)]
         names = {
-            "states": self._state_names,
+            "states": self.state_names,
             "inputs": [*self.inputs],
             "outputs": [*(self.outputs or self.coordinates)],
         }
@@ -478,7 +481,7 @@ class Model:
         return control.nlsys(
             update,
             output,
-            states=self._state_names,
+            states=self.state_names,
             inputs=[*self.inputs],
             outputs=outputs,
             params=values,
@@ -486,7 +489,8 @@ class Model:
         )
 
     @property
-    def _state_names(self) -> list[str]:
+    def state_names(self) -> list[str]:
+        """Return the names of the states: coordinates, velocities (`x1'`), internal states."""
         return [*self.coordinates, *(f"{c}'" for c in self.coordinates), *self.states]
 
     def _build(self) -> Module:

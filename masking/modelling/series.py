@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Literal, Protocol, Self, TypeAlias
 
 import lazy_loader as lazy
 import numpy as np
@@ -16,6 +16,7 @@ from masking.declaration import schema
 from masking.declaration.input_source import InputSource
 from masking.declaration.virtual_inputs import CELLS, cell, with_inputs
 from masking.errors import ModelError
+from masking.modelling.scales import Units
 from masking.numerics.arrays import Array
 
 if TYPE_CHECKING:
@@ -23,8 +24,21 @@ if TYPE_CHECKING:
 else:
     interpolate = lazy.load("scipy.interpolate", suppress_warning=True)
 
+Inputs: TypeAlias = "Sequence[float] | Mapping[str, float | Series | Sequence[float]] | None"  # of a simulation
 Interpolation = Literal["linear", "previous", "cubic"]
 FEWEST = {"linear": 1, "previous": 1, "cubic": 4}  # points
+
+
+def row_of_times(times: Array) -> Array:
+    """Return times (m,) as floats.
+
+    Raises:
+        ModelError: they are none, or not finite.
+    """
+    times = np.atleast_1d(np.asarray(times, dtype=float))
+    if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
+        raise ModelError(f"times must be finite, in one row, such as np.linspace(0, 10, 101); got shape {times.shape}")
+    return times
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +192,15 @@ class _Simulated(Protocol):
     """A model."""
 
     @property
+    def overrides(self) -> Mapping[str, float]: ...
+
+    @property
+    def is_dimensionless(self) -> bool: ...
+
+    @property
+    def units(self) -> Units: ...
+
+    @property
     def name(self) -> str: ...
 
     @property
@@ -187,6 +210,9 @@ class _Simulated(Protocol):
     def parameters(self) -> tuple[str, ...]: ...
 
     @property
+    def state_names(self) -> list[str]: ...
+
+    @property
     def declaration(self) -> schema.ModelDeclaration: ...
 
     @property
@@ -194,9 +220,22 @@ class _Simulated(Protocol):
 
     def values(self) -> Array: ...
 
-    def initial_state(self, given: Mapping[str, float]) -> Array: ...
+    def with_parameters(self, **values: float) -> Self: ...
+
+    def initial_state(self, given: Mapping[str, float | Array]) -> Array: ...
+
+    def simulate(
+        self,
+        times: Array,
+        initial: Mapping[str, float],
+        inputs: Inputs,
+        tolerance: float,
+    ) -> Trajectory: ...
 
     def declared_as(self, declaration: schema.ModelDeclaration) -> Self: ...
+
+
+Simulated = _Simulated
 
 
 def driven(

@@ -226,7 +226,7 @@ def study(recording: Recording) -> Study:
     motions = {name: recording[f"{prefix}.{name}"] for name in oscillators}
     periods = [period(tau, motion) for motion in motions.values()]
     mean_period = next((p for p in periods if math.isfinite(p)), math.nan)
-    reason = _no_phase(manifest, motions, recording.array(prefix) if names else np.zeros((1, 1)), periods)
+    reason = why_no_phase(manifest, motions, recording.array(prefix) if names else np.zeros((1, 1)), periods)
     # The sum is a measure of synchronisation also where the oscillators are too many or too still to have one phase.
     total = sum(motions.values()) if len(motions) > 1 and manifest.get("oscillators") else None
     return Study(
@@ -241,7 +241,7 @@ def study(recording: Recording) -> Study:
         sum_peak=None
         if reason or total is None
         else running_peak(tau, np.abs(total), SUM_WINDOW_PERIODS * mean_period),
-        anti_phase=None if reason else _anti_phase(tau, motions),
+        anti_phase=None if reason else anti_phase_of(tau, motions),
         inputs=input_uses(recording),
         no_phase=reason,
         budget=_budget(recording),
@@ -286,7 +286,7 @@ def ends(tau: Array, mean_period: float) -> tuple[NDArray[np.bool_], NDArray[np.
     return tau <= tau[0] + few, tau >= tau[-1] - max(few, _END * length)
 
 
-def _no_phase(manifest: Mapping[str, Any], motions: Mapping[str, Array], all_: Array, periods: list[float]) -> str:
+def why_no_phase(manifest: Mapping[str, Any], motions: Mapping[str, Array], all_: Array, periods: list[float]) -> str:
     """Say why a phase difference cannot be given; "" where it can."""
     if not manifest.get("oscillators"):
         return "the record does not say which coordinates are oscillators"
@@ -309,14 +309,15 @@ def _pairs(tau: Array, motions: Mapping[str, Array], mean_period: float) -> tupl
     for name in rest:
         series = phase_difference(tau, motions[first], motions[name])
         (start, steady_start), (end, steady_end) = mean_phase(series[head]), mean_phase(series[tail])
-        verdict = _verdict(tau, motions, (first, name), mean_period)
+        verdict = verdict_of(tau, motions, (first, name), mean_period)
         pairs.append(PhasePair(first, name, series, start, end, steady_start, steady_end, verdict))
     return tuple(pairs)
 
 
-def _verdict(
+def verdict_of(
     tau: Array, motions: Mapping[str, Array], names: tuple[str, str], mean_period: float
 ) -> Synchronisation | None:
+    """Say in which way two oscillators are synchronised at the end; None where the record is too short to tell."""
     rows = slice(None, None, max(1, int(mean_period / _ROWS * (len(tau) - 1) / (tau[-1] - tau[0]))))
     try:
         return synchronisation(tau[rows], motions[names[0]][rows], motions[names[1]][rows], names=names)
@@ -324,7 +325,8 @@ def _verdict(
         return None
 
 
-def _anti_phase(tau: Array, motions: Mapping[str, Array]) -> AntiPhase | None:
+def anti_phase_of(tau: Array, motions: Mapping[str, Array]) -> AntiPhase | None:
+    """Fit definition 5.3 to the end of two oscillations; None where it does not apply."""
     if len(motions) != 2:
         return None
     a, b = motions.values()

@@ -107,8 +107,8 @@ def basins_figure(found: Basins, words: tuple[str, str, str]) -> CaptionedFigure
         words: name of the figure, title and caption.
     """
     figure, (axes,) = style.sheet([4.6], top=LEGEND)
-    edges = [_edges(found.first), _edges(found.second)]
-    axes.pcolormesh(*edges, found.ends.T, cmap=ListedColormap(list(_BASIN_COLOURS)), vmin=-0.5, vmax=len(LABELS) - 0.5)
+    sides = [edges(found.first), edges(found.second)]
+    axes.pcolormesh(*sides, found.ends.T, cmap=ListedColormap(list(_BASIN_COLOURS)), vmin=-0.5, vmax=len(LABELS) - 0.5)
     axes.grid(visible=False)
     axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
     axes.set(xlabel=f"initial {style.symbol(found.names[0])}", ylabel=f"initial {style.symbol(found.names[1])}")
@@ -122,7 +122,7 @@ def basins_figure(found: Basins, words: tuple[str, str, str]) -> CaptionedFigure
     return CaptionedFigure(*words, figure)
 
 
-def _edges(values: Sequence[float] | Array) -> Array:
+def edges(values: Sequence[float] | Array) -> Array:
     """Return the edges of cells around values (m + 1,)."""
     v = np.asarray(values, dtype=float)
     between = 0.5 * (v[1:] + v[:-1])

@@ -268,11 +268,11 @@ class Experiment:
         if declaration.stop is None:
             return None
         initial = self.virtual_start
-        step = 1.0 / self._rows_per_unit if rate is None else self.every / (rate * self.time_scale)
+        step = 1.0 / self.rows_per_unit if rate is None else self.every / (rate * self.time_scale)
         return StopCondition.of(declaration.stop, self.virtual, initial, step=step, duration=declaration.duration)
 
     @cached_property
-    def _rows_per_unit(self) -> float:
+    def rows_per_unit(self) -> float:
         """Return the rows per unit of virtual time of a record."""
         declared = self.declaration.record.rate if self.declaration.record else self.declaration.controller.rate
         if declared is not None:
@@ -327,7 +327,7 @@ class Experiment:
         _ = self.stop_condition, self.inputs.series
 
     def _check_size(self) -> list[Problem]:
-        rows = cross_checks.recorded_rows(self.declaration, self.time_scale, self._rows_per_unit)
+        rows = cross_checks.recorded_rows(self.declaration, self.time_scale, self.rows_per_unit)
         columns = cross_checks.count_columns(self.assembly.plant_model, self.assembly.virtual_model)
         if self.has_observer:
             columns += len(self.twin.state_names) + 3 * len(self.twin.actuators) + len(self.twin.sensors)
@@ -386,7 +386,7 @@ class Experiment:
             return partial(
                 run_sampled, self.loop, state, rate=rate, duration=duration, every=self.every, schedule=schedule
             )
-        times = np.linspace(0.0, duration, max(2, round(self._rows_per_unit * declaration.duration) + 1))
+        times = np.linspace(0.0, duration, max(2, round(self.rows_per_unit * declaration.duration) + 1))
         if declaration.record:
             times = np.arange(int(duration * declaration.record.rate * (1.0 + 1e-12)) + 1) / declaration.record.rate
         return partial(run_continuous, self.loop, state, times, tolerance=declaration.tolerance, schedule=schedule)

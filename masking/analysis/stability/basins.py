@@ -90,7 +90,7 @@ def basins(
             except (IntegrationError, SingularityError):
                 found.append(LABELS.index("lost"))
             else:
-                found.append(_end(run[pair[0]][1:], run[pair[1]][1:], near, rest * size))
+                found.append(end_of(run[pair[0]][1:], run[pair[1]][1:], near, rest * size))
         return found
 
     ends = np.zeros((len(a), len(b)), dtype=np.int64)
@@ -102,8 +102,15 @@ def basins(
     return Basins((first[0], second[0]), a, b, ends)
 
 
-def _end(a: Array, b: Array, near: float, rest: float) -> int:
-    """Return the label of the last part of two oscillations (m,)."""
+def end_of(a: Array, b: Array, near: float, rest: float) -> int:
+    """Return the index into `LABELS` of the last part of two oscillations.
+
+    Args:
+        a: one oscillation (m,), any unit.
+        b: the other, same unit.
+        near: as `basins` has it.
+        rest: size below which both are at rest, same unit.
+    """
     if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b))):
         return LABELS.index("lost")
     a, b = a - np.mean(a), b - np.mean(b)

@@ -1,0 +1,112 @@
+"""Ensembles: many runs of one model, each with its own parameters and initial state."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from masking.codegen.kernels import Trajectory
+from masking.declaration.expression import Expression
+from masking.errors import IntegrationError, ModelError, SingularityError, nearest
+from masking.modelling.series import Inputs, Simulated, row_of_times
+from masking.numerics.arrays import Array
+
+
+def simulate(
+    model: Simulated,
+    times: Array,
+    ensemble: Mapping[str, Sequence[float] | Array],
+    *,
+    initial: Mapping[str, float],
+    inputs: Inputs,
+    tolerance: float,
+    threads: int | None = None,
+) -> Trajectory:
+    """Integrate a model once for each run of an ensemble, as `Model.simulate` does.
+
+    Args:
+        model: the model.
+        times: monotone times (m,).
+        ensemble: values of each run (runs,) by the name of a parameter or a state, in the declared units.
+        initial: values of states that all runs have.
+        inputs: of all runs.
+        tolerance: local relative error.
+        threads: that share the runs; by default as many as there are cores.
+
+    Raises:
+        ModelError: a name is no parameter or state, or the values are not as many for each.
+        DeclarationError: a parameter is out of its bounds.
+    """
+    times, columns = row_of_times(times), _columns(model, ensemble)
+    runs = len(next(iter(columns.values())))
+    parameters = {name: values for name, values in columns.items() if name in model.parameters}
+    states = {name: values for name, values in columns.items() if name not in model.parameters}
+    for pick in (np.min, np.max):  # bounds are intervals
+        model.with_parameters(**{name: float(pick(values)) for name, values in parameters.items()})
+    if isinstance(inputs, Mapping) or not _is_separable(model, parameters):
+
+        def one(changed: Simulated, start: Mapping[str, float]) -> Trajectory:
+            return changed.simulate(times, {**initial, **start}, inputs, tolerance)
+
+        return _one_by_one(model, parameters, states, one)
+    y = np.broadcast_to(model.initial_state({**initial, **states}), (runs, len(model.initial_state(initial))))
+    u = np.zeros(len(model.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
+    share = max(1, min(threads or os.cpu_count() or 1, runs))
+    p = _parameters(model, parameters, runs)
+    return model.kernels.integrate_each(times, y, u, p, tolerance=tolerance, threads=share)
+
+
+def _columns(model: Simulated, ensemble: Mapping[str, Sequence[float] | Array]) -> dict[str, Array]:
+    columns = {name: np.atleast_1d(np.asarray(values, dtype=float)) for name, values in ensemble.items()}
+    known = [*model.parameters, *model.state_names]
+    for name, values in columns.items():
+        if name not in known:
+            raise ModelError(f"ensemble: {model.name} has no parameter or state '{name}'; {nearest(name, known)}")
+        if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
+            raise ModelError(f"ensemble: {name} has one finite value for each run, in one row; got {values.shape}")
+    if len({len(values) for values in columns.values()}) != 1:
+        sizes = ", ".join(f"{name} {len(values)}" for name, values in columns.items())
+        raise ModelError(f"ensemble: give as many values for each name, one for each run; got {sizes or 'none'}")
+    return columns
+
+
+def _is_separable(model: Simulated, varied: Mapping[str, Array]) -> bool:
+    """Tell whether what varies changes nothing but its own entry, and a run needs no Python on its way."""
+    declared = [p.value for p in model.declaration.parameters.values()]
+    declared += [scale.value for scale in model.declaration.scales.values()] if model.is_dimensionless else []
+    meta = model.kernels.meta
+    depends = any(isinstance(value, Expression) and value.names & varied.keys() for value in declared)
+    return not (depends or meta["lags"] or meta["events"])
+
+
+def _parameters(model: Simulated, varied: Mapping[str, Array], runs: int) -> Array:
+    """Return the parameter arrays (runs, parameters)."""
+    found = np.tile(model.values(), (runs, 1))
+    scales = model.units.scale_values(model.overrides) if model.is_dimensionless else {}
+    for name, values in varied.items():
+        unit = model.units.conversions[model.declaration.parameters[name].unit]
+        column = values * unit.factor
+        found[:, model.parameters.index(name)] = column / unit.scale(scales) if model.is_dimensionless else column
+    return found
+
+
+def _one_by_one(
+    model: Simulated, parameters: Mapping[str, Array], states: Mapping[str, Array], run: Callable[..., Trajectory]
+) -> Trajectory:
+    """Integrate runs that need Python on their way: events, delays, inputs that are series."""
+    found, errors = list[Trajectory | None](), dict[int, str]()
+    for i in range(len(next(iter({**parameters, **states}.values())))):
+        changed = model.with_parameters(**{name: float(values[i]) for name, values in parameters.items()})
+        try:
+            found.append(run(changed, {name: float(values[i]) for name, values in states.items()}))
+        except (IntegrationError, SingularityError) as error:
+            errors[i] = str(error)
+            found.append(None)
+    whole = [one for one in found if one is not None]
+    if not whole:
+        raise IntegrationError(f"no run of the ensemble could be made; the first: {errors[0]}")
+    first, steps = whole[0], sum(one.steps for one in whole)
+    out = np.array([np.full_like(first.states, np.nan) if one is None else one.states for one in found])
+    return Trajectory(first.times, out, first.coordinates, steps, first.internal, errors=errors)

@@ -1,0 +1,199 @@
+"""Figures of a sweep: curves with bands, maps, bifurcation diagrams, and distributions of what was measured."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.colors import ListedColormap
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from masking.numerics.arrays import Array
+from masking.records.chunks import Columns
+from masking.reports import figure_parts as parts
+from masking.reports import style
+from masking.reports.run_measures import MEANINGS
+from masking.reports.stability_figures import edges
+from masking.reports.style import BAND, BARE, COLOURS, INK, LEGEND, MUTED, CaptionedFigure
+from masking.reports.text import capital
+
+_KINDS: Final = {
+    "in phase": "#0072B2", "rest": "#5b6470", "other": "#CC79A7",
+    "anti-phase": "#D55E00", "in-phase": "#0072B2", "locked": "#009E73", "beating": "#E69F00", "death": "#5b6470",
+    "not synchronised": "#CC79A7", "unknown": "#d9d9d9", "": "#ffffff",
+}  # fmt: skip
+_QUANTILES: Final = (0.1, 0.5, 0.9)
+_BINS: Final = 40
+
+
+def figures(facts: Mapping[str, Any], columns: Columns) -> list[CaptionedFigure]:
+    """Draw what a sweep measured over what it varied.
+
+    Args:
+        facts: of the sweep: `over`, `measures`.
+        columns: of its rows.
+    """
+    grid = [one["name"] for one in facts["over"] if one["grid"] is not None and len(one["grid"]) > 1]
+    factors = {one["name"] for one in facts["over"] if one["factor"]}
+    labels = {name: _label(name) + " / declared" * (name in factors) for name in grid}
+    found = []
+    for name in facts["measures"]:
+        column = columns[name]
+        if not isinstance(column, np.ndarray) and len(column) and not isinstance(column[0], str):
+            found.append(_diagram(name, grid, labels, columns))
+        elif len(grid) >= 2:
+            found.append(_map(name, grid, labels, columns))
+        elif len(grid) == 1:
+            found.append(_curve(name, grid[0], labels, columns))
+        else:
+            found.append(_distribution(name, column))
+    return found
+
+
+def _label(name: str) -> str:
+    return ", ".join(style.symbol(one) for one in name.split(","))
+
+
+def _words(name: str) -> str:
+    return MEANINGS.get(name, name)
+
+
+def _numbers(column: Any) -> Array:  # noqa: ANN401  # a column of any kind
+    """Return a column as numbers: of words, the place of each among `_KINDS`."""
+    if isinstance(column, np.ndarray):
+        return column.astype(float)
+    return np.array([[*_KINDS].index(text) if text in _KINDS else math.nan for text in column])
+
+
+def _diagram(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns) -> CaptionedFigure:
+    """Draw several values of each run over what varies last: a bifurcation diagram."""
+    at = np.asarray(columns[grid[-1]] if grid else columns["run"], dtype=float)
+    rows, ways = columns[name], columns.get("way")
+    figure, (axes,) = style.sheet([4.2], top=LEGEND if ways else BARE)
+    for way, colour in zip(("up", "down") if ways else ("",), COLOURS, strict=False):
+        chosen = [i for i in range(len(at)) if not ways or ways[i] == way]
+        x = np.concatenate([np.full(len(rows[i]), at[i]) for i in chosen] or [np.empty(0)])
+        y = np.concatenate([np.asarray(rows[i]) for i in chosen] or [np.empty(0)])
+        axes.plot(x, y, ".", ms=1.8 if way != "down" else 0.9, color=colour, rasterized=True)
+    if ways:
+        parts.legend(figure, None, [parts.marker_key(way, c) for way, c in zip(("up", "down"), COLOURS, strict=False)])
+    kind, _, of = name.partition(".")
+    what = f"maxima of {style.symbol(of)}" if kind == "maxima" else f"{of.replace('@', ' where it crosses 0: ')}"
+    axes.set(xlabel=labels[grid[-1]] if grid else "run", ylabel=what)
+    more = " Followed up and down: each run begins where the one before it ended." if ways else ""
+    caption = f"{capital(kind)} over the second half of each run.{more}"
+    return CaptionedFigure(f"diagram_{_file(name)}", "Bifurcation diagram", caption, figure)
+
+
+def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) -> CaptionedFigure:
+    """Draw a measure over one parameter: the middle, and a band where there are several runs at each value."""
+    at, column = np.asarray(columns[over], dtype=float), columns[name]
+    values = np.unique(at)
+    figure, (axes,) = style.sheet([3.2], top=BARE if isinstance(column, np.ndarray) else LEGEND)
+    if not isinstance(column, np.ndarray):
+        _shares(figure, axes, at, values, [str(text) for text in column])
+        axes.set(xlabel=labels[over], ylabel="part of the runs", ylim=(0.0, 1.0))
+        caption = f"{capital(_words(name))}, over {over}: the part of the runs."
+        return CaptionedFigure(f"curve_{_file(name)}", f"{capital(name)} over {over}", caption, figure)
+    with np.errstate(all="ignore"):
+        groups = [column[at == value] for value in values]
+        groups = [group[np.isfinite(group)] for group in groups]
+        low, middle, high = np.array([np.quantile(g, _QUANTILES) if len(g) else [math.nan] * 3 for g in groups]).T
+    axes.plot(values, middle, "o-" if len(values) < 30 else "-", ms=3, color=COLOURS[0], lw=1.6)
+    has_band = max(map(len, groups)) > 1
+    if has_band:
+        axes.fill_between(values, low, high, color=COLOURS[0], alpha=BAND, lw=0)
+    if _is_wide(middle):
+        parts.logarithmic(axes, "y")
+    axes.set(xlabel=labels[over], ylabel=_label(name))
+    caption = f"{capital(_words(name))}, over {over}"
+    caption += ": the median, and a band from 10 % to 90 % of the runs." if has_band else "."
+    return CaptionedFigure(f"curve_{_file(name)}", f"{capital(name)} over {over}", caption, figure)
+
+
+def _is_wide(values: Array) -> bool:
+    finite = values[np.isfinite(values)]
+    return bool(len(finite)) and bool(finite.min() > 0.0) and bool(finite.max() > 300.0 * finite.min())
+
+
+def _shares(figure: Any, axes: Any, at: Array, values: Array, words: list[str]) -> None:  # noqa: ANN401  # matplotlib's own
+    kinds = [kind for kind in _KINDS if kind in words and kind]
+    shares = [
+        [np.mean([w == kind for w, a in zip(words, at, strict=True) if a == v]) for v in values] for kind in kinds
+    ]
+    axes.stackplot(values, shares, colors=[_KINDS[kind] for kind in kinds], step="mid")
+    parts.legend(figure, None, [Patch(facecolor=_KINDS[kind], label=kind) for kind in kinds])
+
+
+def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns) -> CaptionedFigure:
+    """Draw a measure over two parameters: the median, or the commonest word."""
+    x, y, column = np.asarray(columns[grid[0]]), np.asarray(columns[grid[1]]), columns[name]
+    across, up = np.unique(x), np.unique(y)
+    places = np.searchsorted(across, x) * len(up) + np.searchsorted(up, y)
+    numbers, cells = _numbers(column), np.full(len(across) * len(up), np.nan)
+    order = np.argsort(places, kind="stable")
+    for group in np.split(order, np.flatnonzero(np.diff(places[order])) + 1):
+        of_cell = numbers[group][np.isfinite(numbers[group])]
+        if len(of_cell):
+            is_number = isinstance(column, np.ndarray)
+            cells[places[group[0]]] = (
+                np.median(of_cell) if is_number else Counter(of_cell.tolist()).most_common(1)[0][0]
+            )
+    is_word = not isinstance(column, np.ndarray)
+    figure, (axes,) = style.sheet([4.8], top=LEGEND if is_word else BARE)
+    table = cells.reshape(len(across), len(up)).T
+    if is_word:
+        chosen = [kind for kind in _KINDS if kind and kind in column]
+        axes.pcolormesh(edges(across), edges(up), table, cmap=ListedColormap(list(_KINDS.values())), vmin=-0.5,
+                        vmax=len(_KINDS) - 0.5, rasterized=True)  # fmt: skip
+        share = Counter(text for text in column if text)
+        total = sum(share.values())
+        keys = [Patch(facecolor=_KINDS[k], edgecolor=MUTED, label=f"{k} {share[k] / total:.0%}") for k in chosen]
+        parts.legend(figure, None, keys)
+    else:
+        drawn = axes.pcolormesh(edges(across), edges(up), table, cmap="viridis", rasterized=True)
+        bar = figure.colorbar(drawn, ax=axes, pad=0.02)
+        bar.set_label(_label(name), color=INK)
+    axes.grid(visible=False)
+    axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
+    axes.set(xlabel=labels[grid[0]], ylabel=labels[grid[1]])
+    several = len(column) > len(across) * len(up)
+    middle = (
+        ": the commonest of the runs at each point" if is_word else ": the median of the runs at each point"
+    ) * several
+    more = f", whatever {' and '.join(grid[2:])}" if len(grid) > 2 else ""
+    title = f"{capital(name)} over {grid[0]} and {grid[1]}"
+    return CaptionedFigure(f"map_{_file(name)}", title, f"{capital(_words(name))}{middle}{more}.", figure)
+
+
+def _distribution(name: str, column: Any) -> CaptionedFigure:  # noqa: ANN401  # a column of any kind
+    """Draw how often each value or word came out."""
+    title, file = f"Distribution of {name}", f"distribution_{_file(name)}"
+    if isinstance(column, np.ndarray):
+        finite = column[np.isfinite(column)]
+        if not len(finite):
+            return style.absent(file, title, "no run has a value")
+        figure, (axes,) = style.sheet([2.6], top=BARE)
+        axes.hist(finite, bins=min(_BINS, max(5, len(finite) // 10)), color=COLOURS[0])
+        low, middle, high = np.quantile(finite, _QUANTILES)
+        for value in (low, middle, high):
+            axes.axvline(value, color=INK, lw=0.9, ls=style.DASHED)
+        axes.set(xlabel=_label(name), ylabel="runs")
+        caption = f"{capital(_words(name))}: median {middle:.4g}, from {low:.4g} to {high:.4g} in 80 % of the runs."
+        return CaptionedFigure(file, title, caption, figure)
+    counts = Counter(text for text in column if text)
+    if not counts:
+        return style.absent(file, title, "no run has a value")
+    figure, (axes,) = style.sheet([0.5 + 0.3 * len(counts)], top=BARE)
+    kinds, total = [*counts], sum(counts.values())
+    axes.barh(kinds, [counts[kind] / total for kind in kinds], color=[_KINDS.get(kind, MUTED) for kind in kinds])
+    axes.set(xlabel="part of the runs", xlim=(0.0, 1.0))
+    return CaptionedFigure(file, title, f"{capital(_words(name))}: the part of the runs.", figure)
+
+
+def _file(name: str) -> str:
+    return "".join(c if c.isalnum() else "_" for c in name)

@@ -1,0 +1,86 @@
+"""Page of a sweep: what happened in a sentence, its pictures, and the runs that failed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from masking.records.chunks import Columns
+from masking.reports import html, sweep_figures
+from masking.reports.html import Tile
+from masking.reports.text import listed
+
+PAGE: Final = "sweep.html"
+_SHOWN: Final = 20  # failures
+
+
+def sentence(facts: Mapping[str, Any], columns: Columns) -> str:
+    """Say how many runs were made, and what came out of them.
+
+    Args:
+        facts: of the sweep, as its file has them.
+        columns: of its rows.
+    """
+    done, failed = len(columns["run"]), sum(bool(text) for text in columns["error"])
+    said = (
+        f"{facts['name']}: {done} of {facts['rows']} runs" if done < facts["rows"] else f"{facts['name']}: {done} runs"
+    )
+    over = [one["name"] for one in facts["over"]]
+    said += f" over {listed(over)}" if over else ""
+    said += f", {failed} failed ({_cause(columns)})" if failed else ""
+    found = [words for name in facts["measures"] if (words := _words(name, columns[name]))]
+    return f"{said}; {'; '.join(found)}." if found else f"{said}."
+
+
+def _cause(columns: Columns) -> str:
+    """Return the commonest reason of failures, up to the place where it differs."""
+    cause, _ = Counter(
+        str(text).partition(",")[0].partition(" at t =")[0] for text in columns["error"] if text
+    ).most_common(1)[0]
+    return cause
+
+
+def _words(name: str, column: Any) -> str:  # noqa: ANN401  # a column of any kind
+    if isinstance(column, np.ndarray):
+        finite = column[np.isfinite(column)]
+        if not len(finite):
+            return ""
+        low, middle, high = np.quantile(finite, (0.0, 0.5, 1.0))
+        return f"{name} {low:.4g} to {high:.4g}, median {middle:.4g}" if high > low else f"{name} {low:.4g}"
+    if column and isinstance(column[0], str):
+        counts = Counter(text for text in column if text)
+        total = sum(counts.values())
+        return ", ".join(f"{kind} {count / total:.1%}" for kind, count in counts.most_common(4))
+    return ""
+
+
+def save(facts: Mapping[str, Any], columns: Columns, said: str, folder: Path) -> Path:
+    """Write `sweep.html` and its pictures into a folder; return the page.
+
+    Args:
+        facts: of the sweep.
+        columns: of its rows.
+        said: the sentence on top.
+        folder: of the results.
+
+    Raises:
+        RecordError: a file cannot be written.
+    """
+    failures = [(str(run), text) for run, text in zip(columns["run"], columns["error"], strict=True) if text]
+    tiles = [Tile("runs", str(len(columns["run"]))), Tile("failed", str(len(failures)), is_wrong=bool(failures))]
+    html.save(
+        folder / PAGE,
+        "sweep",
+        sweep_figures.figures(facts, columns),
+        title=f"sweep of {facts['name']}",
+        tiles=tiles,
+        names=[*(name for one in facts["over"] for name in one["name"].split(",")), *facts["measures"]],
+        lead=said,
+        failures=failures[:_SHOWN],
+        more=max(0, len(failures) - _SHOWN),
+    )
+    return folder / PAGE
