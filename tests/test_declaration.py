@@ -14,7 +14,7 @@ from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.json_schema import json_schema
 from masking.declaration.schema import KINDS, ExperimentDeclaration, ModelDeclaration
 from masking.declaration.strict_yaml import load, loads
-from masking.declaration.units import conversion, describe, dimension_of, factor_of
+from masking.declaration.units import USUAL, conversion, describe, dimension_of, factor_of, named_by_pint
 from masking.errors import DeclarationError, Place, Problem
 from masking.modelling.scales import Units
 
@@ -831,3 +831,8 @@ def test_a_problem_as_json():
     assert Problem(None, "", "is wrong").as_dict() == {
         "file": None, "line": None, "column": None, "path": "", "message": "is wrong", "mend": "",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", USUAL)
+def test_units_that_are_read_without_pint_are_those_of_pint(name):
+    assert USUAL[name] == named_by_pint(name)

@@ -8,7 +8,7 @@ Source: Rijlaarsdam (2008), chapter 6, (6.1)-(6.3).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -23,6 +23,7 @@ from masking.errors import ActuationError, ModelError
 from masking.modelling.gradient import jacobian, rate
 from masking.modelling.lowering import LoweredEquations
 from masking.modelling.model import Model
+from masking.numerics.arrays import Array
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -69,19 +70,46 @@ class Transform:
         q = self.rig.equations.symbols.q
         matrix, expressions = self.declaration.matrix, self.declaration.expressions
         if matrix is None and expressions is None:
-            chosen = transforms.selected(self.rig.coordinates, self.virtual.coordinates)
-            if chosen is None:
-                raise ModelError(
-                    "transform: identity takes rig coordinates by the names of the virtual ones, or all in order; "
-                    f"{self.virtual.name} has {', '.join(self.virtual.coordinates)}, {self.rig.name} has "
-                    f"{', '.join(self.rig.coordinates)}; declare a matrix or expressions"
-                )
-            return sp.ImmutableMatrix([q[i] for i in chosen])
+            return sp.ImmutableMatrix([q[i] for i in self._selected])
         known = {s.name: s for s in (*q, *self.parameter_symbols)}
         if expressions is not None:
             return sp.ImmutableMatrix([expressions[c].to_sympy(known) for c in self.virtual.coordinates])
         rows = [[e.to_sympy(known) for e in row] for row in matrix or ()]
         return sp.ImmutableMatrix(sp.Matrix(rows) * sp.Matrix(q))
+
+    @property
+    def _selected(self) -> tuple[int, ...]:
+        """Return the indices of the rig coordinates that the identity takes.
+
+        Raises:
+            ModelError: it finds neither the names of the virtual coordinates in the rig nor as many.
+        """
+        chosen = transforms.selected(self.rig.coordinates, self.virtual.coordinates)
+        if chosen is None:
+            raise ModelError(
+                "transform: identity takes rig coordinates by the names of the virtual ones, or all in order; "
+                f"{self.virtual.name} has {', '.join(self.virtual.coordinates)}, {self.rig.name} has "
+                f"{', '.join(self.rig.coordinates)}; declare a matrix or expressions"
+            )
+        return chosen
+
+    def slope(self, parameters: Mapping[str, float]) -> Array:
+        """Return J at zero coordinates (k, n); without sympy where T is linear.
+
+        Args:
+            parameters: values of the transform's own parameters.
+
+        Raises:
+            ModelError: as `expressions`.
+        """
+        matrix, expressions = self.declaration.matrix, self.declaration.expressions
+        if expressions is not None:
+            known = dict.fromkeys(self.rig.equations.symbols.q, 0)
+            known |= {symbol: parameters[symbol.name] for symbol in self.parameter_symbols}
+            return np.array(self.jacobian.subs(known).evalf().tolist(), dtype=float)
+        if matrix is None:
+            return np.eye(len(self.rig.coordinates))[list(self._selected)]
+        return np.array([[entry.evaluate(parameters) for entry in row] for row in matrix], dtype=float)
 
     @cached_property
     def passive(self) -> tuple[int, ...]:

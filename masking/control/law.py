@@ -62,9 +62,7 @@ class Controller:
     @property
     def driven(self) -> Array:
         """Return the slope of the virtual coordinates by those of the rig at zero (k, n), per SI unit of the latter."""
-        zero = dict.fromkeys(self.transform.rig.equations.symbols.q, 0)
-        known = zero | {s: self.transform_parameters[s.name] for s in self.transform.parameter_symbols}
-        slope = np.array(self.transform.jacobian.subs(known).evalf().tolist(), dtype=float)
+        slope = self.transform.slope(self.transform_parameters)
         return np.asarray(slope / self.lengths, dtype=np.float64)
 
     def values(self) -> Array:

@@ -40,6 +40,24 @@ BASES: dict[str, str] = {
     "luminosity": "cd",
 }
 PLURALS = {"rads": "rad"}  # angles, which pint would read as doses of radiation
+# Units that files use most, which are read without pint: factor to SI, and powers of `BASES`.
+USUAL: dict[str, tuple[float, dict[str, int]]] = {
+    "m": (1.0, {"length": 1}),
+    "mm": (0.001, {"length": 1}),
+    "kg": (1.0, {"mass": 1}),
+    "g": (0.001, {"mass": 1}),
+    "s": (1.0, {"time": 1}),
+    "ms": (0.001, {"time": 1}),
+    "Hz": (1.0, {"time": -1}),
+    "kHz": (1000.0, {"time": -1}),
+    "rad": (1.0, {}),
+    "A": (1.0, {"current": 1}),
+    "V": (1.0, {"mass": 1, "length": 2, "time": -3, "current": -1}),
+    "N": (1.0, {"mass": 1, "length": 1, "time": -2}),
+    "J": (1.0, {"mass": 1, "length": 2, "time": -2}),
+    "W": (1.0, {"mass": 1, "length": 2, "time": -3}),
+    "ohm": (1.0, {"mass": 1, "length": 2, "time": -3, "current": -2}),
+}
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NONE: Dimension = (Fraction(0),) * len(BASES)
 TIME: Dimension = tuple(Fraction(int(base == "time")) for base in BASES)
@@ -142,10 +160,23 @@ def _registry() -> Any:  # noqa: ANN401  (pint's registry is built at run time)
     return pint.UnitRegistry(cache_folder=None)
 
 
-@functools.cache
 def _named(name: str) -> tuple[float, dict[str, Fraction]]:
     """Return the factor of a unit to SI, and its powers of `BASES`."""
-    registry, name = _registry(), PLURALS.get(name, name)
+    name = PLURALS.get(name, name)
+    if name not in USUAL:
+        return named_by_pint(name)
+    factor, powers = USUAL[name]
+    return factor, {base: Fraction(power) for base, power in powers.items()}
+
+
+@functools.cache
+def named_by_pint(name: str) -> tuple[float, dict[str, Fraction]]:
+    """Return the factor of a unit to SI, and its powers of `BASES`, as pint has them.
+
+    Raises:
+        LookupError: pint does not know it, or it is no multiple of an SI unit.
+    """
+    registry = _registry()
     try:
         one = registry.Quantity(1.0, name).to_base_units()
         two = registry.Quantity(2.0, name).to_base_units()

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from masking.codegen.kernels import Kernels, linked
 from masking.errors import PlantMismatchError
+from masking.numerics import safety_tables
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import LARGEST, TIME
 
@@ -157,10 +158,10 @@ class Rules:
         sensors: their names.
         actuators: their names.
         commands: table of limits of the actuators (actuators, 4), as `masking.numerics.sizes` has its columns.
-        readings: table of the sensors (sensors, 8), as `masking.numerics.safety` has its columns.
+        readings: table of the sensors (sensors, 8), as `masking.numerics.safety_tables` has its columns.
         motion: second derivative of each reading by readings and commands (sensors, sensors + actuators).
         limited: what is limited, in words, a rate as that of the expression.
-        limits: table of what is limited (limits, 4), as `masking.numerics.safety` has its columns.
+        limits: table of what is limited (limits, 4), as `masking.numerics.safety_tables` has its columns.
         weights: of the readings in each (limits, sensors).
         estimated: of the states of the controller's estimate in each (limits, states).
         half: samples of half the window in which a response is compared; 0 where none is.
@@ -203,8 +204,8 @@ class Rules:
 
 def unknown(sensors: int) -> Array:
     """Return the table (sensors, 8) of sensors of which nothing is known: any finite reading is plausible."""
-    table = np.zeros((sensors, safety.SENSOR_COLUMNS))
-    table[:, safety.LEAST], table[:, [safety.MOST, safety.STEP]] = -np.inf, np.inf
+    table = np.zeros((sensors, safety_tables.SENSOR_COLUMNS))
+    table[:, safety_tables.LEAST], table[:, [safety_tables.MOST, safety_tables.STEP]] = -np.inf, np.inf
     return table
 
 
@@ -234,14 +235,14 @@ class Chain:
             raise PlantMismatchError(f"{max(sensed, channels)} channels are more than the safety chain's 64")
         self._values, self._demanded, self.applied = np.zeros(sensed), np.zeros(channels), np.zeros(channels)
         self._missed, self._found = np.zeros(1, dtype=np.int64), np.zeros(3)
-        self._counts = np.zeros(safety.COUNTS, dtype=np.int64)
+        self._counts = np.zeros(safety_tables.COUNTS, dtype=np.int64)
         self._late = self._late_in_a_row = 0
         self._late_since, self._late_at = -math.inf, -math.inf
         h, settings = np.array([1.0 / rate]), self._settings()
-        spans = max([2 * rules.half, *rules.readings[:, safety.SPAN], *rules.limits[:, safety.OVER]])
+        spans = max([2 * rules.half, *rules.readings[:, safety_tables.SPAN], *rules.limits[:, safety_tables.OVER]])
         past = np.zeros((int(spans) + rules.delay + 4, sensed))
-        sent, seen = np.zeros((len(past), channels)), np.zeros((sensed, safety.SEEN_COLUMNS))
-        seen[:, safety.FINEST] = np.inf
+        sent, seen = np.zeros((len(past), channels)), np.zeros((sensed, safety_tables.SEEN_COLUMNS))
+        seen[:, safety_tables.FINEST] = np.inf
         known = np.zeros(rules.estimated.shape[1]) if estimate is None else estimate
         self._watch = kernels().watch.bind(
             self._missed, h, self._values, known, _whole(rules.readings), seen, _whole(rules.motion), past, sent,
@@ -255,17 +256,17 @@ class Chain:
 
     def _settings(self) -> NDArray[np.int64]:
         rules, rate = self.rules, self.rules.rate
-        settings = np.zeros(safety.SETTINGS, dtype=np.int64)
-        settings[[safety.HALF, safety.DELAY]] = rules.half, rules.delay
-        settings[safety.HELD], settings[safety.SECOND_OF] = max(3, int(_HELD * rate)), max(1, round(rate))
-        settings[safety.CUTS] = max(1, round(_CUT * rate))
-        settings[safety.PER_BUCKET] = max(1, round(rules.commands[:, TIME].max(initial=1.0) * rate / BUCKETS))
+        settings = np.zeros(safety_tables.SETTINGS, dtype=np.int64)
+        settings[[safety_tables.HALF, safety_tables.DELAY]] = rules.half, rules.delay
+        settings[safety_tables.HELD], settings[safety_tables.SECOND_OF] = max(3, int(_HELD * rate)), max(1, round(rate))
+        settings[safety_tables.CUTS] = max(1, round(_CUT * rate))
+        settings[safety_tables.PER_BUCKET] = max(1, round(rules.commands[:, TIME].max(initial=1.0) * rate / BUCKETS))
         return settings
 
     @property
     def clamped(self) -> int:
         """Return how many commands were made smaller."""
-        return int(self._counts[safety.CLAMPED])
+        return int(self._counts[safety_tables.CLAMPED])
 
     def watch(self, tick: int, values: Array, missed: int = 0) -> Trip | None:
         """Look at the readings (sensors,) of a tick, before which a number of samples were missed."""

@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jinja2
+import lazy_loader as lazy
 import markupsafe
 from markupsafe import Markup
 
@@ -23,7 +23,11 @@ from masking.errors import RecordError
 from masking.records.json_text import json_text
 
 if TYPE_CHECKING:  # drawing is loaded by what draws
+    import jinja2
+
     from masking.reports.style import CaptionedFigure
+else:
+    jinja2 = lazy.load("jinja2")
 
 _TEMPLATES = Path(__file__).with_name("templates")
 # Short words and units that may be names, too: symbols where a value follows, or where they do not stand as units.

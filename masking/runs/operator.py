@@ -8,24 +8,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self, final
+from typing import Any, Final, Protocol, Self, final
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.control.step import SampledStep
 from masking.errors import OperatorError
+from masking.numerics import safety_tables
 from masking.numerics.sizes import LARGEST, POWER
 from masking.plants.safety import Cause, Chain, Rules, Trip
 from masking.records.ring import Ring, cells
 from masking.records.switch import Presser, Switch
 from masking.runs.experiment import Experiment
 from masking.runs.realtime import ANSWERED, INDEX, LOOP, Row
-
-if TYPE_CHECKING:
-    from masking.numerics import safety
-else:
-    safety = lazy.load("masking.numerics.safety", suppress_warning=True)
 
 ABSENCE: Final = 2.0  # s without the page, which an attended run bears
 _FILE: Final = 10_000_000  # ns between looks at the file that stops a run
@@ -200,7 +195,7 @@ def _bounds(controller: SampledStep, rules: Rules) -> Iterator[dict[str, Any]]:
     sensors = [f"sensor.{name}" for name in known.sensors]
     positions, rates = ({e.text: x for e, x in given.items()} for given in (declared.coordinates, declared.velocities))
     for name, row, weights, estimated in zip(rules.limited, rules.limits, rules.weights, rules.estimated, strict=True):
-        is_rate, is_estimated = row[safety.OVER] > 0.0, row[safety.ESTIMATED] > 0.0
+        is_rate, is_estimated = row[safety_tables.OVER] > 0.0, row[safety_tables.ESTIMATED] > 0.0
         limit = (rates if is_rate else positions)[name]
         size = known.factors[limit.unit]
         columns = zip(rig, estimated, strict=False) if is_estimated else zip(sensors, weights, strict=True)
@@ -209,10 +204,10 @@ def _bounds(controller: SampledStep, rules: Rules) -> Iterator[dict[str, Any]]:
             "label": f"rate of {name}" if is_rate else name,
             "unit": limit.unit,
             "bound": limit.max,
-            "trip": float(row[safety.BOUND]) / size,
-            "zero": float(row[safety.AT_ZERO]) / size,
+            "trip": float(row[safety_tables.BOUND]) / size,
+            "zero": float(row[safety_tables.AT_ZERO]) / size,
             "weights": {column: float(weight) / size for column, weight in columns if weight},
-            "over": 0 if is_estimated else int(row[safety.OVER]),
+            "over": 0 if is_estimated else int(row[safety_tables.OVER]),
         }
     for name, row in zip(known.actuators, rules.commands, strict=True):
         unit = known.unit(name)

@@ -10,23 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.control.instruments import Instruments
 from masking.declaration.expression import Expression
 from masking.declaration.instruments import Limit
+from masking.numerics import safety_tables
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import LARGEST
 from masking.plants.safety import OFF, Rules, unknown
 from masking.rig.twin import Twin
-
-if TYPE_CHECKING:
-    from masking.numerics import safety
-else:
-    safety = lazy.load("masking.numerics.safety", suppress_warning=True)
 
 _EXACT: Final = 1e-6  # relative: of a linear expression, and of what readings determine
 _MARGIN: Final = 1.1  # of the largest speed that follows from the limits
@@ -79,8 +74,8 @@ def without_model(rules: Rules) -> Rules:
     What follows from how the model moves is not watched, nor what only an estimate gives.
     """
     readings = rules.readings.copy()
-    readings[:, safety.SPAN] = 0.0
-    kept = rules.limits[:, safety.ESTIMATED] == 0.0
+    readings[:, safety_tables.SPAN] = 0.0
+    kept = rules.limits[:, safety_tables.ESTIMATED] == 0.0
     return replace(
         rules,
         readings=readings,
@@ -130,7 +125,7 @@ class _Builder:
     def limits(self) -> Rules:
         """Return the rules of what is limited alone: readings are finite and within their range."""
         self._declared()
-        self.table[:, safety.STEP], self.table[:, safety.NOISE] = np.inf, 0.0
+        self.table[:, safety_tables.STEP], self.table[:, safety_tables.NOISE] = np.inf, 0.0
         return self._within()
 
     def _within(self) -> Rules:
@@ -143,7 +138,7 @@ class _Builder:
             self.rate, self.instruments.sensors, self.instruments.actuators, self.commands, self.table,
             np.zeros((sensors, sensors + len(self.commands))),
             limited=tuple(names),
-            limits=np.array(limits).reshape(len(names), safety.LIMIT_COLUMNS),
+            limits=np.array(limits).reshape(len(names), safety_tables.LIMIT_COLUMNS),
             weights=np.array(weights).reshape(len(names), sensors),
             estimated=np.array(estimated).reshape(len(names), states),
             missed=1.0 if declared.missed is None else declared.missed,
@@ -173,11 +168,11 @@ class _Builder:
         """Fill in what the plant file says of its sensors."""
         for row, (name, sensor) in zip(self.table, self.instruments.plant.sensors.items(), strict=True):
             if sensor.range is not None:
-                row[safety.LEAST], row[safety.MOST] = sensor.range
+                row[safety_tables.LEAST], row[safety_tables.MOST] = sensor.range
             if sensor.jump is not None:
-                row[safety.STEP] = sensor.jump
-            row[safety.NOISE] = self.instruments.noise.get(name, 0.0)
-            row[safety.OFF] = OFF * row[safety.NOISE]
+                row[safety_tables.STEP] = sensor.jump
+            row[safety_tables.NOISE] = self.instruments.noise.get(name, 0.0)
+            row[safety_tables.OFF] = OFF * row[safety_tables.NOISE]
 
     def _motion(self) -> tuple[Array, Array]:
         """Return the second derivatives of readings, and the largest that commands make in each (sensors,).
@@ -200,11 +195,11 @@ class _Builder:
         unexplained[known] += np.abs(self.sensing) @ self._unexplained(dynamics)
         for i in known:
             row, found = self.table[i], self.read[i]
-            row[safety.ORIGIN] = 0.0 if found is None else found.zero
-            row[safety.UNEXPLAINED] = unexplained[i]
-            if row[safety.OFF] > 0.0 and unexplained[i] > 0.0:
-                span = math.sqrt(2.0 * row[safety.OFF] / unexplained[i])
-                row[safety.SPAN] = max(1, round(min(span, _LONGEST) * self.rate))
+            row[safety_tables.ORIGIN] = 0.0 if found is None else found.zero
+            row[safety_tables.UNEXPLAINED] = unexplained[i]
+            if row[safety_tables.OFF] > 0.0 and unexplained[i] > 0.0:
+                span = math.sqrt(2.0 * row[safety_tables.OFF] / unexplained[i])
+                row[safety_tables.SPAN] = max(1, round(min(span, _LONGEST) * self.rate))
         return motion, pushed
 
     def _unexplained(self, dynamics: Array) -> Array:
@@ -251,25 +246,25 @@ class _Builder:
         ]
         for i, name in enumerate(self.instruments.sensors):
             row, found = self.table[i], self.read[i]
-            if math.isfinite(row[safety.STEP]):
+            if math.isfinite(row[safety_tables.STEP]):
                 continue
             speed = math.inf
             if found is not None:
                 speed = _reached(found.slopes[:n], rates)
                 far = min(
                     _reached(found.slopes[:n], reaches),
-                    max(abs(row[safety.LEAST] - found.zero), abs(row[safety.MOST] - found.zero)),
+                    max(abs(row[safety_tables.LEAST] - found.zero), abs(row[safety_tables.MOST] - found.zero)),
                 )
                 speed = min(speed, math.sqrt(fastest**2 * far**2 + 4.0 * pushed[i] * far))
             if math.isfinite(speed):
-                row[safety.STEP] = _MARGIN * speed / self.rate + 2.0 * row[safety.OFF]
+                row[safety_tables.STEP] = _MARGIN * speed / self.rate + 2.0 * row[safety_tables.OFF]
             else:
                 self.notes.append(f"jumps of {name} are not watched: give sensors.{name}.jump")
 
     def _sticking(self) -> None:
         """Say which sensors may stick without being seen."""
         for name, row in zip(self.instruments.sensors, self.table, strict=True):
-            if not row[safety.SPAN] and not row[safety.NOISE]:
+            if not row[safety_tables.SPAN] and not row[safety_tables.NOISE]:
                 self.notes.append(f"whether {name} sticks is not watched: declare its noise")
 
     def _limited(
@@ -278,27 +273,29 @@ class _Builder:
         """Give for each limit its name, its row of the table, and its weights in readings and in the estimate."""
         for expression, limit in declared.items():
             found, bound = self._linear(expression), limit.max * self.instruments.factors[limit.unit]
-            row, weights = np.zeros(safety.LIMIT_COLUMNS), np.zeros(len(self.table))
+            row, weights = np.zeros(safety_tables.LIMIT_COLUMNS), np.zeros(len(self.table))
             estimated, slopes = np.zeros(max(1, self.states)), np.zeros(2 * self.count)
-            row[safety.BOUND] = bound
+            row[safety_tables.BOUND] = bound
             if found is not None:
                 slopes = found.slopes
-                row[safety.AT_ZERO] = 0.0 if is_rate else found.zero
+                row[safety_tables.AT_ZERO] = 0.0 if is_rate else found.zero
                 if self.known and not slopes[self.count :].any():
                     weights[self.known] = np.linalg.pinv(self.sensing.T) @ slopes[: self.count]
             left = np.abs(weights[self.known] @ self.sensing - slopes[: self.count]).max(initial=0.0)
             by_readings = weights.any() and left <= _EXACT * np.abs(slopes).max()
             if by_readings:
-                row[safety.AT_ZERO] -= 0.0 if is_rate else sum(weights[i] * self.read[i].zero for i in self.known)  # type: ignore[union-attr]
-                noise = float(np.abs(weights) @ self.table[:, safety.OFF])
-                row[safety.BOUND] += 0.0 if is_rate else noise  # which is no motion
+                row[safety_tables.AT_ZERO] -= (
+                    0.0 if is_rate else sum(weights[i] * self.read[i].zero for i in self.known)
+                )  # type: ignore[union-attr]
+                noise = float(np.abs(weights) @ self.table[:, safety_tables.OFF])
+                row[safety_tables.BOUND] += 0.0 if is_rate else noise  # which is no motion
                 least = math.ceil(noise / (_NOISY * bound) * self.rate)
-                row[safety.OVER] = max(1, min(least, round(_LONGEST * self.rate))) if is_rate else 0
+                row[safety_tables.OVER] = max(1, min(least, round(_LONGEST * self.rate))) if is_rate else 0
             elif found is not None and self.states >= 2 * self.count:
                 weights[:] = 0.0
                 first = self.count if is_rate else 0
                 estimated[first : 2 * self.count] = slopes[: 2 * self.count - first]
-                row[safety.ESTIMATED], row[safety.OVER] = 1.0, float(is_rate)
+                row[safety_tables.ESTIMATED], row[safety_tables.OVER] = 1.0, float(is_rate)
             else:
                 what = f"the rate of {expression.text}" if is_rate else expression.text
                 self.notes.append(f"{what} is limited and not watched: neither the sensors nor an estimate give it")
@@ -311,9 +308,12 @@ class _Builder:
         spans = []
         for j, largest in enumerate(self.commands[:, LARGEST]):
             own = [
-                8.0 * safety.CLEAR * self.table[i, safety.OFF] / (_PART * largest * abs(motion[i, sensors + j]))
+                8.0
+                * safety_tables.CLEAR
+                * self.table[i, safety_tables.OFF]
+                / (_PART * largest * abs(motion[i, sensors + j]))
                 for i in range(sensors)
-                if self.table[i, safety.SPAN] and motion[i, sensors + j]
+                if self.table[i, safety_tables.SPAN] and motion[i, sensors + j]
             ]
             if own:
                 spans.append(math.sqrt(min(own)))

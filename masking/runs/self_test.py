@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.control.instruments import Instruments
 from masking.declaration.schema import EffectChange
 from masking.errors import MaskingError, PlantError, PlantMismatchError
+from masking.numerics import safety_tables
 from masking.numerics.arrays import Array
 from masking.numerics.sizes import LARGEST
 from masking.plants.interface import Plant
@@ -25,11 +25,6 @@ from masking.plants.simulated import SimulatedPlant
 from masking.rig.twin import Twin
 from masking.runs import protection
 from masking.runs.realtime import check_channels, run_rig
-
-if TYPE_CHECKING:
-    from masking.numerics import safety
-else:
-    safety = lazy.load("masking.numerics.safety", suppress_warning=True)
 
 SIZE: Final = 0.05  # of the largest command
 RATE: Final = 500.0  # Hz
@@ -169,8 +164,8 @@ def _held(rules: Rules, size: float) -> Rules:
 def part_moved(rules: Rules, read: Array) -> float:
     """Return the largest part of a limited coordinate over which readings (samples, sensors) went."""
     far = np.ptp(read @ rules.weights.T, axis=0) if len(rules.weights) else np.zeros(0)
-    is_position = rules.limits[:, safety.OVER] == 0.0
-    return float(np.max((far / rules.limits[:, safety.BOUND])[is_position], initial=0.0))
+    is_position = rules.limits[:, safety_tables.OVER] == 0.0
+    return float(np.max((far / rules.limits[:, safety_tables.BOUND])[is_position], initial=0.0))
 
 
 def _predicted(ideal: Twin, rules: Rules, at: int, seconds: float) -> Array:

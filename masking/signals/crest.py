@@ -22,13 +22,20 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+import lazy_loader as lazy
 import numpy as np
-from scipy import fft, linalg
 
 from masking.numerics.arrays import Array, Complex
 from masking.signals.arguments import count, positive
 from masking.signals.lines import TURN, Multisine, check_size, crest_factor, periodic, schroeder_phases, wave
+
+if TYPE_CHECKING:
+    from scipy import fft, linalg
+else:
+    fft = lazy.load("scipy.fft", suppress_warning=True)
+    linalg = lazy.load("scipy.linalg", suppress_warning=True)
 
 Progress = Callable[[float], object]
 
