@@ -94,10 +94,11 @@ def _job(problem: EstimationProblem, candidate: Candidate, starts: Sequence[Effe
         return fitting.cost(problem, (instance,), begun.theta, begun.start)
 
     def made(rival: float) -> Explanation:
-        fits = []
+        fits = list[Hypothesis]()
         for one in sorted(ready, key=cost)[:FITTED]:
+            least = min([rival, *(known.cost for known in fits)])  # a start that no longer comes near it is left
             with suppress(IntegrationError):
-                fits.append(fitting.fit(problem, (one,), theta=begun.theta, start=begun.start, rival=rival))
+                fits.append(fitting.fit(problem, (one,), theta=begun.theta, start=begun.start, rival=least))
         if not fits:
             raise IntegrationError("the simulated motion is no longer finite")
         return Explanation("effects", (candidate.key,), min(fits, key=lambda fit: fit.cost))
