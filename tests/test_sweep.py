@@ -2,11 +2,6 @@
 
 import contextlib
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -18,6 +13,7 @@ from masking.errors import DeclarationError, RecordError
 from masking.runs.design import Design
 from masking.runs.experiment import Experiment
 from masking.workflows import sweep_work
+from tests.benchmarks.killed_sweeps import RUNS, compared, killed
 
 BEAM = {"mu1": 0.0, "mu2": 0.0}  # of Huygens' clocks: the beam alone is a linear oscillator
 
@@ -83,38 +79,9 @@ def test_rows_are_bit_equal_for_any_number_of_processes_and_parts(tmp_path):
 
 
 def test_a_sweep_that_is_killed_goes_on_without_repeating_or_losing_a_run(tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "masking",
-        "sweep",
-        "huygens",
-        "--over",
-        "z=0.1:0.3:40",
-        "--over",
-        "th2=-0.7:0.7:15",
-    ]
-    command += ["--duration", "40", "--virtual", "--measure", "alpha", "--out", str(tmp_path / "killed")]
-    out, generator, kills = tmp_path / "killed", np.random.default_rng(1), 0
-    for workers in ("2", "1"):
-        before = len([*out.glob("rows/rows-*")])
-        with subprocess.Popen(
-            [*command, "--workers", workers], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        ) as process:
-            until = time.monotonic() + 300.0
-            while process.poll() is None and len([*out.glob("rows/rows-*")]) == before and time.monotonic() < until:
-                time.sleep(0.01)
-            time.sleep(generator.uniform(0.0, 0.3))
-            if process.poll() is None:
-                kills += 1
-                os.kill(process.pid, signal.SIGKILL)
-    assert kills
-    subprocess.run([*command, "--workers", "1"], check=True, capture_output=True)
-    undisturbed = {"over": {"z": "0.1:0.3:40", "th2": "-0.7:0.7:15"}, "duration": 40, "virtual": True, "workers": 1}
-    found = load_sweep(out)
-    assert found["run"].tolist() == [*range(600)]
-    assert sum(pq.ParquetFile(file).metadata.num_rows for file in out.glob("rows/rows-*")) == 600
-    equal(found, sweep("huygens", **undisturbed, measure=["alpha"], out=tmp_path / "undisturbed"))
+    given = {**RUNS, "over": {"z": "0.1:0.3:40", "th2": "-0.7:0.7:15"}, "duration": 40.0}
+    assert killed(tmp_path / "killed", given, workers=(2, 1))
+    assert compared(tmp_path / "killed", given, tmp_path / "undisturbed") == 600
 
 
 def test_a_run_that_fails_is_a_row_with_a_reason(tmp_path):
