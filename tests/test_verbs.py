@@ -25,7 +25,7 @@ VERBS = (
         "refine",
         "report",
     ),
-    *("run", "show", "simulate", "stability"),
+    *("run", "show", "simulate", "stability", "sweep", "merge_sweeps", "load_sweep"),
 )
 
 

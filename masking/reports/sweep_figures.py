@@ -81,6 +81,7 @@ def _diagram(name: str, grid: list[str], labels: Mapping[str, str], columns: Col
         axes.plot(x, y, ".", ms=1.8 if way != "down" else 0.9, color=colour, rasterized=True)
     if ways:
         parts.legend(figure, None, [parts.marker_key(way, c) for way, c in zip(("up", "down"), COLOURS, strict=False)])
+    parts.ticks(axes)
     kind, _, of = name.partition(".")
     what = f"maxima of {style.symbol(of)}" if kind == "maxima" else f"{of.replace('@', ' where it crosses 0: ')}"
     axes.set(xlabel=labels[grid[-1]] if grid else "run", ylabel=what)
@@ -97,6 +98,7 @@ def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) ->
     if not isinstance(column, np.ndarray):
         _shares(figure, axes, at, values, [str(text) for text in column])
         axes.set(xlabel=labels[over], ylabel="part of the runs", ylim=(0.0, 1.0))
+        parts.ticks(axes)
         caption = f"{capital(_words(name))}, over {over}: the part of the runs."
         return CaptionedFigure(f"curve_{_file(name)}", f"{capital(name)} over {over}", caption, figure)
     with np.errstate(all="ignore"):
@@ -109,10 +111,22 @@ def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) ->
         axes.fill_between(values, low, high, color=COLOURS[0], alpha=BAND, lw=0)
     if _is_wide(middle):
         parts.logarithmic(axes, "y")
+    else:
+        parts.ticks(axes)
+        axes.set_ylim(*_range(np.concatenate([low, high])))
     axes.set(xlabel=labels[over], ylabel=_label(name))
     caption = f"{capital(_words(name))}, over {over}"
     caption += ": the median, and a band from 10 % to 90 % of the runs." if has_band else "."
     return CaptionedFigure(f"curve_{_file(name)}", f"{capital(name)} over {over}", caption, figure)
+
+
+def _range(values: Array) -> tuple[float, float]:
+    """Return the ends of an axis that shows values (m,), of which some may be none."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return 0.0, 1.0
+    room = 0.06 * float(np.ptp(finite)) or 0.06 * abs(float(finite[0])) or 1.0
+    return float(finite.min()) - room, float(finite.max()) + room
 
 
 def _is_wide(values: Array) -> bool:
@@ -182,7 +196,8 @@ def _distribution(name: str, column: Any) -> CaptionedFigure:  # noqa: ANN401  #
         low, middle, high = np.quantile(finite, _QUANTILES)
         for value in (low, middle, high):
             axes.axvline(value, color=INK, lw=0.9, ls=style.DASHED)
-        axes.set(xlabel=_label(name), ylabel="runs")
+        parts.ticks(axes)
+        axes.set(xlabel=_label(name), ylabel="runs", ylim=(0.0, None))
         caption = f"{capital(_words(name))}: median {middle:.4g}, from {low:.4g} to {high:.4g} in 80 % of the runs."
         return CaptionedFigure(file, title, caption, figure)
     counts = Counter(text for text in column if text)

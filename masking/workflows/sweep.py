@@ -143,14 +143,16 @@ def sweep(
     _begin(folder, facts, overwrite=overwrite)
     missing = chunks.missing(chunks.done(folder / ROWS), first, last)
     count = min(workers or os.cpu_count() or 1, max(1, sum(b - a for a, b in missing) // plan.chain))
-    begun, done, todo = time.monotonic(), 0, sum(b - a for a, b in missing)
+    begun, before, done, todo = 0.0, 0, 0, sum(b - a for a, b in missing)
     for a, b, columns, _ in work(plan, missing, workers=count, dask=dask):
         chunks.write(folder / ROWS, a, b, columns)
         done += b - a
+        begun, before = (begun, before) if begun else (time.monotonic(), done)  # the first chunk waits for compilers
         if tell is not None:
-            left = (time.monotonic() - begun) * (todo - done) / done
+            left = (time.monotonic() - begun) * (todo - done) / max(done - before, 1)
             finished = last - first - todo + done
-            tell(f"{finished} of {last - first} runs, {_clock(left)} left", finished / (last - first))
+            more = f", {_clock(left)} left" if done > before else ""
+            tell(f"{finished} of {last - first} runs{more}", finished / (last - first))
     return _result(folder, facts)
 
 
