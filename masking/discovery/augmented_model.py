@@ -429,10 +429,9 @@ class AugmentedModel:
             instances: the effects.
             theta: free parameters of imperfections and of these, one after the other (f,).
         """
-        channels, used, states = len(self.twin.actuators), len(self.names), 0
-        seats = len(self._seats)
-        acts, late = np.zeros(seats + channels, dtype=np.int64), np.zeros(channels)
-        late_columns = np.full(channels, -1)
+        channels, seats, used, states = len(self.twin.actuators), len(self._seats), len(self.names), 0
+        acts = np.zeros(seats + channels, dtype=np.int64)
+        late, late_columns = np.zeros(channels), np.full(channels, -1)
         rows, columns, supports, values = [], [], [], list[float]()
         for instance in (*self.imperfections, *instances):
             first, estimated = len(values), [-1] * MOST_PARAMETERS
@@ -459,14 +458,13 @@ class AugmentedModel:
                 rows.append((number, kind, seat, first, state if of_effect else -1))
                 columns.append(estimated if of_effect else [-1] * MOST_PARAMETERS)
                 supports.append(laws.support(instance.effect if of_effect else "", instance.values))
-        # Sensors last: they may read what the others do.
-        order = sorted(range(len(rows)), key=lambda i: rows[i][1] == SENSOR)
+        order = sorted(range(len(rows)), key=lambda i: rows[i][1] == SENSOR)  # these may read what the others do
         # Laws read as many parameters as they have from where theirs begin.
         read = np.array([*values, *np.zeros(MOST_PARAMETERS)])
         table = np.array([rows[i] for i in order], dtype=np.int64).reshape(-1, len(COLUMNS))
         found = np.array([columns[i] for i in order], dtype=np.int64).reshape(-1, MOST_PARAMETERS)
-        within = np.array([supports[i] for i in order]).reshape(-1, 4)
-        return Instances(table, found, read, within, acts, late, late_columns, states)
+        support = np.array(supports).reshape(-1, 4)[order]
+        return Instances(table, found, read, support, acts, late, late_columns, states)
 
     def along(self, instance: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
         """Return what an effect gives along a known motion, and its derivatives by some parameters (m, 1 + c).
