@@ -16,6 +16,7 @@ from masking.reports.text import listed
 
 PAGE: Final = "sweep.html"
 _SHOWN: Final = 20  # failures
+_NAMED: Final = 4  # of what varies, that the sentence names
 
 
 def sentence(facts: Mapping[str, Any], columns: Columns) -> str:
@@ -30,7 +31,7 @@ def sentence(facts: Mapping[str, Any], columns: Columns) -> str:
         f"{facts['name']}: {done} of {facts['rows']} runs" if done < facts["rows"] else f"{facts['name']}: {done} runs"
     )
     over = [one["name"] for one in facts["over"]]
-    said += f" over {listed(over)}" if over else ""
+    said += f" over {listed(over) if len(over) <= _NAMED else f'{len(over)} quantities'}" if over else ""
     said += f", {failed} failed ({_cause(columns)})" if failed else ""
     found = [words for name in facts["measures"] if (words := _words(name, columns[name]))]
     return f"{said}; {'; '.join(found)}." if found else f"{said}."

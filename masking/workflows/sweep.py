@@ -234,7 +234,6 @@ def _facts(plan: Plan) -> dict[str, Any]:
     return {
         "name": experiment.declaration.name, "identity": identity, "rows": plan.rows, "runs": design.runs,
         "seed": design.seed, "sampling": design.sampling, "over": over, "measures": names, **kind,
-        "unit": experiment.virtual.units.is_plain,
     }  # fmt: skip
 
 
