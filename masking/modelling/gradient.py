@@ -16,10 +16,17 @@ else:
 def gradient(expression: sp.Expr, symbols: Sequence[sp.Symbol]) -> list[sp.Expr]:
     """Return the derivatives of an expression; each differentiates only the terms that hold its symbol."""
     zero, holding = sp.Integer(0), dict[sp.Symbol, list[sp.Expr]]()
+    asked = frozenset(symbols)
     for term in sp.Add.make_args(expression):
-        for symbol in term.free_symbols:
-            holding.setdefault(symbol, []).append(term)
-    return [sp.Add(*(sp.diff(term, s) for term in holding[s])) if s in holding else zero for s in symbols]
+        factor, inner = term.as_independent(*symbols, as_Add=False) if term.is_Mul else (None, term)
+        if factor not in {None, 1} and inner.is_Add:  # a constant before a long sum
+            for symbol, slope in zip(symbols, gradient(inner, symbols), strict=True):
+                if slope != 0:
+                    holding.setdefault(symbol, []).append(factor * slope)
+            continue
+        for symbol in term.free_symbols & asked:
+            holding.setdefault(symbol, []).append(sp.diff(term, symbol))
+    return [sp.Add(*holding[s]) if s in holding else zero for s in symbols]
 
 
 def jacobian(expressions: Iterable[sp.Expr], symbols: Sequence[sp.Symbol]) -> sp.Matrix:
