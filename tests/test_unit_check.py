@@ -6,6 +6,7 @@ from scipy import signal
 from scipy.integrate import solve_ivp
 
 import masking
+from masking.discovery.unit_check import UnitDoubt
 from masking.reports import discovery_text
 
 M, C, K, RATE = 2.0, 4.0, 300.0, 100.0
@@ -119,3 +120,18 @@ def test_a_level_that_moves_little_about_its_mean_says_nothing_of_the_clock(tmp_
     found = masking.discover(tmp_path / "record.npz", model=tmp_path / "model.yaml")
     assert found.unit is None
     assert [(one.name, one.on) for one in found.effects] == [("saturation", "u")]
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "unit", "times", "expected"),
+    [
+        ("sensor", "sensor_gain", "rpm", 30.0 / np.pi, True),  # a speed in rpm reads 9.5 times as much as in rad/s
+        ("sensor", "sensor_gain", "rpm", np.pi / 30.0, False),
+        ("actuator", "actuator_gain", "kN", 1e3, True),  # a command in kN does a thousand times as much as in N
+        ("actuator", "actuator_gain", "kN", 300.0, False),
+    ],
+)
+def test_a_gain_that_is_a_factor_between_units_is_that_unit(kind, name, unit, times, expected):
+    factor = {"rpm": np.pi / 30.0, "kN": 1e3}[unit]
+    doubt = UnitDoubt(("s",), kind, unit, "as declared", factor, otherwise=(((name, "s"), times),))
+    assert doubt.is_gain is expected

@@ -36,6 +36,7 @@ STEPS = 64  # of integration between samples at most
 FAR = 3.0  # times what is declared, from which a gain or a parameter is far off: the least factor between usual units
 DEVIATIONS = 3.0  # of its prior, from which a parameter is
 GAINS = {name for name in GAINS_AND_ZEROS if name.endswith("gain")}
+LIKE = 1.2  # times the factor between units, up to which a gain is like it: a law may be mistaken for the rest
 NO_WORSE, MUCH_LESS = 1.05, 0.5  # times the error on unseen data as declared, in another unit that is taken
 ALIKE = 0.05  # relative difference of errors or sizes from which two units do the same for a record
 
@@ -63,6 +64,15 @@ class UnitDoubt:
     error: tuple[float, float] = (np.inf, np.inf)
     otherwise: tuple[tuple[Key, float], ...] = ()
     alike: tuple[UnitDoubt, ...] = ()
+
+    @property
+    def is_gain(self) -> bool:
+        """Return whether the record would need a gain of the one channel that is about the factor of its unit."""
+        known = {
+            on: times if self.kind == "actuator" else 1.0 / times for (_, on), times in self.otherwise if on and times
+        }
+        by = known.get(self.names[0], 0.0) / self.factor if len(self.names) == 1 else 0.0
+        return 1.0 / LIKE < by < LIKE
 
     def as_dict(self) -> dict[str, Any]:
         """Return the doubt as JSON can hold it."""
@@ -113,6 +123,8 @@ def doubted(problem: EstimationProblem) -> UnitDoubt | None:
 def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None:
     """Return the unit that makes readings and simulation one size, which they are not in the declared one; or None.
 
+    A law may change the size of a motion by itself: a gain that is as large as a factor between units counts, too.
+
     Args:
         problem: the record and the rig, simulated whole.
         found: what explains the record in the declared unit.
@@ -127,7 +139,7 @@ def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None
             tried.append(replace(one, error=errors, otherwise=otherwise))
             sizes.append(_apart(after, other))
     best, least = _best(tried, sizes)
-    return best if best and FAR * least < _apart(before, few) else None
+    return best if best and FAR * least < _apart(before, few) else next((one for one in tried if one.is_gain), None)
 
 
 def far_off(problem: EstimationProblem, found: Hypothesis) -> tuple[tuple[Key, float], ...]:
