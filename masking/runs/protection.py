@@ -284,9 +284,9 @@ class _Builder:
             left = np.abs(weights[self.known] @ self.sensing - slopes[: self.count]).max(initial=0.0)
             by_readings = weights.any() and left <= _EXACT * np.abs(slopes).max()
             if by_readings:
-                row[safety_tables.AT_ZERO] -= (
-                    0.0 if is_rate else sum(weights[i] * self.read[i].zero for i in self.known)
-                )  # type: ignore[union-attr]
+                if not is_rate:
+                    zeros = (weights[i] * self.read[i].zero for i in self.known)  # type: ignore[union-attr]
+                    row[safety_tables.AT_ZERO] -= sum(zeros)
                 noise = float(np.abs(weights) @ self.table[:, safety_tables.OFF])
                 row[safety_tables.BOUND] += 0.0 if is_rate else noise  # which is no motion
                 least = math.ceil(noise / (_NOISY * bound) * self.rate)
