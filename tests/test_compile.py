@@ -18,7 +18,7 @@ import sympy as sp
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from masking.codegen import content, store
+from masking.codegen import content, llvm_text, store, templates
 from masking.codegen.c import EXTREMES
 from masking.codegen.files import write_whole
 from masking.codegen.graph import Graph
@@ -254,10 +254,9 @@ def series_of(equations, start, order=14, time=0.0):
     printed.add_coefficients(
         graph, states, derivatives, time=known[symbols["t"]], health=graph.number(1.0), loads=loads, order=order
     )
-    space = {"math": math, "np": np, "Vector": np.ndarray, "Matrix": np.ndarray}
-    exec(printed.functions[0].partition("\n")[2], space)  # noqa: S102  (as above, without its decorator)
-    c = np.zeros((order + 1, len(equations)))
-    assert space["coefficients"](time, start, [], [], c) == 1.0
+    c, none = np.zeros((order + 1, len(equations))), np.zeros(0)
+    generated = store.load(store.key({"test": printed.text()}), lambda: printed)
+    assert generated.function("coefficients")(time, np.array(start, dtype=float), none, none, c) == 1.0
     return c
 
 
@@ -486,27 +485,29 @@ def printed(**others):
     made.add("slope(t: float, y, u, p, dy)", graph, [("dy[0]", graph.apply("sin", x))], {"x": "y[0]"})
     made.add("energy(t: float, y)", graph, [], {"x": "y[0]"}, returns=graph.mul(x, x))
     made.add_factory("advance", integrators.steps_of_runge_kutta_4, "slope", others.get("size", 1), work=(5, 1))
-    return content.contents(made.text(), made.meta["functions"])
+    made.add_factory("solve", integrators.runge_kutta, "slope", 1, work=(24, 1))
+    return store.described(made)[0]
 
 
 def test_what_a_function_is_made_of_is_its_content_and_nothing_else(package, monkeypatch):
     copy, forget = package
     before = printed()
     assert printed() == before
-    for name in ("integrators", "dop853"):  # the kernel's own source, and one that it imports
+    for name in ("integrators", "dop853"):  # a table that a kernel imports, and where that takes it from
         file = copy / "numerics" / f"{name}.py"
         text = file.read_bytes()
         file.write_bytes(text + b"\n")
         forget()
-        assert {name for name, found in printed().items() if found != before[name]} == {"advance"}
+        assert {name for name, found in printed().items() if found != before[name]} == {"solve"}
         file.write_bytes(text)
     (copy / "rig" / "twin.py").write_text("", encoding="utf-8")
     forget()
     assert printed() == before
     assert {name for name, found in printed(size=2).items() if found != before[name]} == {"advance"}
-    monkeypatch.setitem(PYTHON.templates, "sin", "math.cos({0})")
-    assert {name for name, found in printed().items() if found != before[name]} == {"slope", "advance"}
-    monkeypatch.setattr(content, "versions", lambda: "another numba")
+    monkeypatch.setitem(llvm_text.INTRINSICS, "sin", "llvm.cos.f64")
+    assert {name for name, found in printed().items() if found != before[name]} == {"slope", "advance", "solve"}
+    for user in (store, templates):
+        monkeypatch.setattr(user, "versions", lambda: "another numba")
     assert not set(printed().values()) & set(before.values())
 
 

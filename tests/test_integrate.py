@@ -3,7 +3,6 @@
 import math
 from types import SimpleNamespace
 
-import numba
 import numpy as np
 import pytest
 import scipy.integrate
@@ -51,17 +50,18 @@ def testbed(declared):
             loads=loads,
             order=order,
         )
-        generated = store.load(store.key({"test": module.text()}), lambda module=module: module).module()
-        found[f"taylor_{order}"] = with_work(integrators.taylor(generated.coefficients, order, 2), (order + 1, 2))
+        module.add_factory("solve", integrators.taylor, "coefficients", order, 2, work=(order + 1, 2))
+        found[f"taylor_{order}"] = compiled(module, "solve")
     found["taylor_14"] = found["taylor"]
-    advance = integrators.runge_kutta_4(model.kernels.generated.module().derivative, 2)
+    module = Module("test", {})
+    results = [("dy[0]", states[1]), ("dy[1]", lowered.accelerations[0])]
+    module.add("derivative(t: float, y, u, p, dy)", lowered.graph, results, loads)
+    module.add_factory("advance", integrators.steps_of_runge_kutta_4, "derivative", 2, work=(5, 2))
+    advance = compiled(module, "advance")
 
-    @numba.njit
     def classical(t, y, times, u, p, tolerance, fixed_step, out):  # noqa: PLR0917  (the arguments of all kernels)
-        k, state = np.zeros((4, 2)), np.zeros(2)
         steps = round((times[-1] - t) / fixed_step)
-        for i in range(steps):
-            advance(t + i * fixed_step, y, u, p, fixed_step, k, state)
+        advance(t, y, u, p, steps * fixed_step, steps)
         out[-1] = y
         return 0, times[-1], steps
 
@@ -69,9 +69,9 @@ def testbed(declared):
     return SimpleNamespace(model=model, methods=found)
 
 
-def with_work(kernel, shape):
-    """Return a kernel that is given its work space."""
-    return lambda *arguments: kernel(*arguments, np.empty(shape))
+def compiled(module, name):
+    """Return a function of a module."""
+    return store.load(store.key({"test": module.text(), "for": name}), lambda: module).function(name)
 
 
 def parameters(**values):

@@ -204,12 +204,9 @@ def test_five_pendula_take_no_more_than_a_declaration(declared):
         right[n] = np.sum(mu / 3 * v**2 * np.sin(th) / w**2) - 1.3034**2 * x - 2 * 0.2041 * 1.3034 * vx
         return np.concatenate([v, [vx], np.linalg.solve(matrix, right)])
 
-    # this is about the equations, and compiling an integrator for them takes many seconds
-    interpreted = model.kernels.generated.module().derivative.py_func
-
     def by_declaration(t, y):
         dy = np.empty(2 * n + 2)
-        interpreted(t, y, np.zeros(0), model.values(), dy)
+        model.kernels.derivative(t, y, np.zeros(0), model.values(), dy)
         return dy
 
     times = np.linspace(0.0, 20.0, 11)

@@ -17,7 +17,8 @@ import masking
 from masking.codegen import files, native, store
 from masking.codegen.files import read_sealed, write_sealed
 from masking.codegen.graph import Graph
-from masking.codegen.source import DECORATOR, Module
+from masking.codegen.native import DECORATOR
+from masking.codegen.source import Module
 
 RUN = """
 import sys, numpy as np
@@ -114,7 +115,8 @@ def test_a_file_that_does_not_hold_what_its_name_says_is_made_anew(tmp_path, mon
 CHILD = """
 import json, sys
 from masking.codegen import store
-from masking.codegen.source import DECORATOR, Module
+from masking.codegen.native import DECORATOR
+from masking.codegen.source import Module
 
 def number():
     module = Module("test", {})

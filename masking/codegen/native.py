@@ -8,17 +8,17 @@ another function, is compiled anew.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import hashlib
 import itertools
 import re
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
@@ -43,6 +43,9 @@ NUMBA_TYPES |= {
 }
 LLVM_TYPES = {"float": "double", "int": "i64"}
 ENTRY = "masking_entry"
+# No liberty is taken with floating point: NaN, infinity and the order of operations are kept, so that every path
+# computes the same numbers. measured: fused multiply-add makes the sampled loop slower, not faster.
+DECORATOR = '@numba.njit(nogil=True, error_model="numpy")'
 RESULTS = 4  # room for the results of a function
 
 
@@ -72,7 +75,7 @@ class NativeFunction:
         arguments: the types of its arguments by their names, such as `float` or `Matrix`.
         results: the types of its results: none, or `float` and `int`.
         work: the shape of its work space, which callers need not give; None if it has none.
-        source: imports the generated module.
+        assembled: returns LLVM code in which `ENTRY` is the function behind a C interface, not optimised yet.
         stem: path of its machine code, which the processor and an ending follow.
         links: functions whose machine code it calls, by the names that it has for them.
     """
@@ -81,7 +84,7 @@ class NativeFunction:
     arguments: Mapping[str, str]
     results: Sequence[str]
     work: tuple[int, int] | None
-    source: Callable[[], ModuleType]
+    assembled: Callable[[], Any]
     stem: Path
     links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
     _call: Any = field(default=None, repr=False)
@@ -200,7 +203,7 @@ class NativeFunction:
         return int(ctypes.cast(self.prepare(), ctypes.c_void_p).value or 0)
 
     def _load(self) -> Callable[..., None]:
-        path = self.stem.with_name(f"{self.stem.name}.{_processor()}.o")
+        path = self.stem.with_name(f"{self.stem.name}.{processor()}.o")
         code = files.find(path)
         if code is not None:
             try:
@@ -219,22 +222,64 @@ class NativeFunction:
 
     def _compile(self) -> bytes:
         """Return the machine code of the function behind a C interface."""
-        types = [NUMBA_TYPES[kind] for kind in self.arguments.values()]
-        signature = f"void({', '.join(types)}, CPointer(f8))"
-        interface = getattr(self.source(), f"{self.name}_c")
-        for name in self.links:  # numba links what it compiles at once, although it is not called there
-            llvm.add_symbol(symbol(name), _stop())
-        made = numba.cfunc(signature, error_model="numpy")(interface)
-        module = llvm.parse_assembly(_without_aliases(made.inspect_llvm()))
+        module = self.assembled()
         # Names are kept inside: numba gives functions of different processes the same ones.
         for value in (*module.functions, *module.global_variables):
-            if not value.is_declaration and not value.name.startswith("llvm."):
+            if not value.is_declaration and not value.name.startswith("llvm.") and value.name != ENTRY:
                 value.linkage = "internal"
-        entry = module.get_function(made.native_name)
-        entry.linkage, entry.name = "external", ENTRY
-        _optimise(module)
+        for _ in range(2):  # measured: what the first unrolls, the second unrolls further; a third changes nothing
+            _optimise(module)
         code: bytes = _machine().emit_object(module)
         return code
+
+
+def compiled_by_numba(interface: Callable[..., None], arguments: Iterable[str], symbols: Iterable[str]) -> Any:  # noqa: ANN401
+    """Return the LLVM code of a function's C interface, as `ENTRY`.
+
+    Args:
+        interface: as `interface` prints it.
+        arguments: types of the function's arguments.
+        symbols: that are linked later.
+    """
+    signature = f"void({', '.join(NUMBA_TYPES[kind] for kind in arguments)}, CPointer(f8))"
+    for name in symbols:  # numba links what it compiles at once, although it is not called there
+        llvm.add_symbol(name, _stop())
+    made = numba.cfunc(signature, error_model="numpy")(interface)
+    module = parsed(_without_aliases(made.inspect_llvm()))
+    module.get_function(made.native_name).name = ENTRY
+    return module
+
+
+@contextlib.contextmanager
+def lightly_optimised() -> Iterator[None]:
+    """Let numba leave its code as it is: only with what a template is linked with is it known how loops unroll.
+
+    measured: optimised before, loops over states stay loops, and the Runge-Kutta method takes 2.8 times as long.
+    """
+    config: Any = numba.config
+    names = {"OPT": type(config.OPT)(0), "LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
+    before = {name: getattr(config, name) for name in names}
+    try:
+        for name, value in names.items():
+            setattr(config, name, value)
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(config, name, value)
+
+
+def parsed(text: str) -> Any:  # noqa: ANN401
+    """Return LLVM code of a text."""
+    _initialise()
+    return llvm.parse_assembly(text)
+
+
+def linked_template(bitcode: bytes, text: str) -> Any:  # noqa: ANN401
+    """Return a template, as LLVM bitcode, together with the functions that are linked to it."""
+    _initialise()
+    module = llvm.parse_bitcode(bitcode)
+    module.link_in(llvm.parse_assembly(text))
+    return module
 
 
 def interface(name: str, arguments: Mapping[str, str], results: Sequence[str]) -> str:
@@ -263,6 +308,16 @@ def interface(name: str, arguments: Mapping[str, str], results: Sequence[str]) -
     return "\n".join(lines)
 
 
+def passed(arguments: Mapping[str, str]) -> tuple[list[str], list[str]]:
+    """Return the types in numba by which arguments go to machine code, and the texts that are passed."""
+    types, texts = [], []
+    for argument, kind in arguments.items():
+        axes = [f"{argument}.shape[{axis}]" for axis in range(DIMENSIONS.get(kind, 0))]
+        types.append(re.sub(r"\b([fi]8)", r"numba.\1", NUMBA_TYPES[kind].replace("CPointer(", "numba.types.CPointer(")))
+        texts += [f"{argument}.ctypes", *axes] if axes else [argument]
+    return types, texts
+
+
 def link(name: str, arguments: Mapping[str, str]) -> str:
     """Return the source of a function that calls machine code of its own, which is linked when it is loaded.
 
@@ -270,22 +325,18 @@ def link(name: str, arguments: Mapping[str, str]) -> str:
         name: of the function.
         arguments: their types by their names; one at least is an array.
     """
-    types, passed = [], []
-    for argument, kind in arguments.items():
-        axes = [f"{argument}.shape[{axis}]" for axis in range(DIMENSIONS.get(kind, 0))]
-        types.append(NUMBA_TYPES[kind].replace("CPointer(", "numba.types.CPointer("))
-        passed += [f"{argument}.ctypes", *axes] if axes else [argument]
+    types, given = passed(arguments)
     unused = next(f"{argument}.ctypes" for argument, kind in arguments.items() if kind in DIMENSIONS)
-    signature = re.sub(r"\b([fi]8)", r"numba.\1", f"numba.void({', '.join(types)}, numba.types.CPointer(f8))")
+    signature = f"numba.void({', '.join(types)}, numba.types.CPointer(numba.f8))"
     typed = ", ".join(f"{argument}: {kind}" for argument, kind in arguments.items())
     return "\n".join(
         [
             f'_{name} = numba.types.ExternalFunction("{symbol(name)}", {signature})',
             "",
             "",
-            '@numba.njit(nogil=True, error_model="numpy")',
+            DECORATOR,
             f"def {name}({typed}) -> None:",
-            f"    _{name}({', '.join([*passed, unused])})",
+            f"    _{name}({', '.join([*given, unused])})",
         ]
     )
 
@@ -328,7 +379,7 @@ def _initialise() -> None:
 
 
 @cache
-def _processor() -> str:
+def processor() -> str:
     """Return a short name of this processor and its features; machine code of another is not used."""
     features = f"{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}"
     return hashlib.sha256(features.encode()).hexdigest()[:8]

@@ -1,4 +1,4 @@
-"""Functions and modules of generated Python, compiled by numba when first called.
+"""Modules of generated functions, compiled when first called: by LLVM what prints nodes, and by numba kernels.
 
 A module is made of two kinds of functions. Both say the types of their arguments in their signature: `float`, `int`,
 `Vector` and `Matrix` (C-contiguous arrays of float64), `IntVector` and `IntMatrix` (of int64).
@@ -22,17 +22,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
 from typing import Any
 
-from masking.codegen import native
+from masking.codegen import llvm_text, native
 from masking.codegen.graph import Graph, Node
-from masking.codegen.printers import PYTHON, Language, needed, statements
+from masking.codegen.printers import PYTHON, Language, needed
 from masking.codegen.taylor import coefficients
-
-# No liberty is taken with floating point: NaN, infinity and the order of operations are kept, so that every path
-# computes the same numbers. measured: fused multiply-add makes the sampled loop slower, not faster.
-DECORATOR = '@numba.njit(nogil=True, error_model="numpy")'
-# measured: sums of products in a free order make Taylor coefficients 1.6 times faster; the solution's error is
-# that of the order and tolerance, whatever the order of summation.
-FREE_DECORATOR = '@numba.njit(nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})'
 
 # measured: the work of a step grows with the square of the order, so that dynamics of many products want a lower
 # order: Duffing oscillators (4 products) are fastest at 14 from errors of 1e-6 to 1e-12, pendula (15) at 12.
@@ -83,6 +76,8 @@ class Made:
 class Module:
     """A generated module: what it was made from, what it says of itself, and the text of its functions.
 
+    `functions` are Python for numba, in a module of kernels to which functions of a model are linked by their
+    addresses; `definitions` are LLVM code, by name, in all others.
     `meta["functions"]` holds for each exported function the types of its arguments and results and the shape of its
     work space, as `native` reads them; `parts` holds what functions were made of, for other printers.
     """
@@ -90,11 +85,14 @@ class Module:
     title: str
     meta: dict[str, Any]
     functions: list[str] = field(default_factory=list)
+    definitions: dict[str, str] = field(default_factory=dict)
     parts: dict[str, Expressions | Made] = field(default_factory=dict)
     _imports: set[str] = field(default_factory=set)
 
     def text(self) -> str:
-        """Return the whole source."""
+        """Return the whole source, Python or LLVM code."""
+        if not self.functions:
+            return "\n\n".join([f"; Generated from {self.title!r}; do not edit.", *self.definitions.values()]) + "\n"
         return "\n\n".join([HEADER.format(title=self.title) + "".join(sorted(self._imports)), *self.functions]) + "\n"
 
     def add(
@@ -114,13 +112,7 @@ class Module:
             loads: for each symbol text, the text that reads it from the arguments.
             returns: the node whose value is returned, if any.
         """
-        name, types = _read(signature)
-        self.parts[name] = Expressions(types, graph, results, loads, returns)
-        pairs = [*results, ("result", returns)] if returns is not None else list(results)
-        body = reads(graph, [node for _, node in pairs], loads) + statements(graph, pairs)
-        if returns is not None:
-            body.append("return result")
-        self._function(signature, body)
+        self._define(signature, Expressions(_read(signature)[1], graph, results, loads, returns))
 
     def add_coefficients(
         self,
@@ -144,12 +136,12 @@ class Module:
             loads: how each symbol is read.
             order: highest k.
         """
-        body = [f"y{i}_0 = y[{i}]" for i in range(len(states))]
-        body += reads(graph, [*derivatives, health], loads)
-        body += coefficients(graph, states, derivatives, time, order)
-        body += [f"c[{k}, {i}] = y{i}_{k}" for k in range(order + 1) for i in range(len(states))]
-        body += statements(graph, [("health", health)])
-        self._function("coefficients(t: float, y, u, p, c: Matrix)", [*body, "return health"], FREE_DECORATOR)
+        rows = coefficients(graph, states, derivatives, time, order)
+        results = [(f"c[{k}, {i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
+        signature = "coefficients(t: float, y, u, p, c: Matrix)"
+        # measured: sums of products in a free order make Taylor coefficients 1.6 times faster; the solution's error is
+        # that of the order and tolerance, whatever the order of summation.
+        self._define(signature, Expressions(_read(signature)[1], graph, results, loads, health), llvm_text.FREE)
 
     def add_factory(
         self,
@@ -169,8 +161,9 @@ class Module:
             exported: whether the function is called from outside of the module.
         """
         self.parts[name] = Made(factory, given)
-        written = [one if isinstance(one, str) else self._written(one) for one in given]
-        self.functions.append(f"{name} = {self._name(factory)}({', '.join(written)})")
+        if "links" in self.meta:
+            written = [one if isinstance(one, str) else self._written(one) for one in given]
+            self.functions.append(f"{name} = {self._name(factory)}({', '.join(written)})")
         if exported:
             function = factory(*(None if isinstance(one, str) else one for one in given)).py_func
             types = {argument: str(kind) for argument, kind in inspect.get_annotations(function).items()}
@@ -204,23 +197,23 @@ class Module:
         self.functions.append(text)
         self._export(*_read(signature), signature.partition(" -> ")[2] or "None")
 
-    def _function(self, signature: str, body: Sequence[str], decorator: str = DECORATOR) -> None:
-        returned = "float" if body and body[-1].startswith("return") else "None"
-        name, types = _read(signature)
-        typed = ", ".join(f"{argument}: {kind}" for argument, kind in types.items())
-        lines = [decorator, f"def {name}({typed}) -> {returned}:", *(f"    {line}" for line in body or ["pass"])]
-        self.functions.append("\n".join(lines))
-        self._export(name, types, returned)
+    def _define(self, signature: str, part: Expressions, free: str = "") -> None:
+        name, returned = _read(signature)[0], "None" if part.returns is None else "float"
+        self.parts[name] = part
+        self._export(name, part.types, returned)
+        given = (part.types, part.graph, part.results, part.loads, part.returns)
+        self.definitions[name] = llvm_text.function(native.symbol(name), *given, free)
 
     def _export(
         self, name: str, arguments: Mapping[str, str], returned: str, work: tuple[int, int] | None = None
     ) -> None:
-        """Add the C interface of a function, and tell of it in `meta`."""
+        """Tell of a function in `meta`, and add its C interface where it is Python."""
         for argument, kind in arguments.items():
             if kind not in native.C_TYPES:
                 raise TypeError(f"{name}: {argument} is of the type '{kind}'; give {', '.join(native.C_TYPES)}")
         results = [] if returned == "None" else re.findall(r"float|int", returned)
-        self.functions.append(native.interface(name, arguments, results))
+        if self.functions:
+            self.functions.append(native.interface(name, arguments, results))
         self.meta.setdefault("functions", {})[name] = {"arguments": arguments, "results": results, "work": work}
 
 

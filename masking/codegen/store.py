@@ -18,17 +18,18 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import platformdirs
 
-from masking.codegen import files
-from masking.codegen.content import contents, digest, sources
+from masking.codegen import files, llvm_text, native
+from masking.codegen.content import contents, digest, sources, versions
 from masking.codegen.native import NativeFunction
 from masking.codegen.source import Module
+from masking.codegen.templates import size_symbol, template
 
 KEPT = 60 * 86400.0  # seconds that a file is kept without being used
 _importing = threading.Lock()
@@ -57,6 +58,7 @@ class Generated:
         text: Python, as it is executed; never read again from the disk.
         meta: what it says of itself.
         objects: the content hash of each function.
+        kernels: of each kernel that has a template, the hashes of that, its whole numbers and the functions it calls.
         links: functions of other modules that it calls, by the names that it has for them.
         work: the shape of the work space of functions that do not say it.
     """
@@ -65,22 +67,68 @@ class Generated:
     text: str = field(repr=False)
     meta: Mapping[str, Any]
     objects: Mapping[str, str] = field(repr=False)
+    kernels: Mapping[str, Any] = field(repr=False)
     links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
     work: tuple[int, int] | None = None
 
     def module(self) -> ModuleType:
-        """Import the module, and numba with it."""
-        with _importing:  # of another thread, half a module would be seen
-            return self._imported()
+        """Import the module, if it is Python, and numba with it."""
+        return _imported(self.path, self.text)
 
-    def _imported(self) -> ModuleType:
-        name = self.path.stem
+    def function(self, name: str) -> NativeFunction:
+        """Return a function of the module, compiled when it is first called."""
+        described = self.meta["functions"][name]
+        types = described["arguments"], described["results"]
+        work = tuple(described["work"]) if described["work"] else self.work if "work" in types[0] else None
+        stem = self.path.parent.parent / "objects" / self.objects[name]
+        return NativeFunction(name, *types, work, partial(self._assembled, name), stem, self.links)
+
+    def _assembled(self, name: str) -> Any:  # noqa: ANN401  (llvmlite has no types)
+        """Return the LLVM code of a function behind its C interface, not optimised yet."""
+        described = self.meta["functions"][name]
+        if "links" in self.meta or not self.text.startswith(";"):
+            interface = getattr(self.module(), f"{name}_c")
+            return native.compiled_by_numba(interface, described["arguments"].values(), map(native.symbol, self.links))
+        if name not in self.kernels:
+            symbol = native.symbol(name)
+            returns = bool(described["results"])
+            parts = [llvm_text.definition(self.text, symbol)]
+            parts.append(llvm_text.entry(native.ENTRY, symbol, described["arguments"], returns=returns))
+            return native.parsed("\n\n".join([llvm_text.declarations(parts[0]), *parts]))
+        kernel = self.kernels[name]
+        parts = [llvm_text.definition(self.text, native.symbol(one)) for one in kernel["uses"]]
+        parts += [llvm_text.constant(size_symbol(i), size) for i, size in enumerate(kernel["sizes"])]
+        declared = llvm_text.declarations("\n".join(parts))
+        return native.linked_template(self._bitcode(name, kernel), "\n\n".join([declared, *parts]))
+
+    def _bitcode(self, name: str, kernel: Mapping[str, Any]) -> bytes:
+        """Return the template of a kernel as LLVM bitcode; numba makes it if it is not on disk yet."""
+        path = self.path.parent.parent / "kernels" / f"{kernel['content']}.{native.processor()}.bc"
+        found = files.find(path)
+        if found is None:
+            text_path = _text_path(kernel["text"])
+            text = files.find(text_path)
+            if text is None:
+                raise ImportError(f"the generated text {text_path} is no longer there; start again")
+            symbols = [*map(native.symbol, kernel["uses"]), *map(size_symbol, range(len(kernel["sizes"])))]
+            arguments = self.meta["functions"][name]["arguments"].values()
+            with native.lightly_optimised():
+                interface = getattr(_imported(text_path, text.decode()), f"{name}_c")
+                found = bytes(native.compiled_by_numba(interface, arguments, symbols).as_bitcode())
+            files.keep(path, found)
+        return found
+
+
+def _imported(path: Path, text: str) -> ModuleType:
+    """Import a generated module, and numba with it."""
+    with _importing:  # of another thread, half a module would be seen
+        name = path.stem
         if name in sys.modules:
             return sys.modules[name]
-        loader = _Checked(self.path, self.text)
+        loader = _Checked(path, text)
         specification = importlib.util.spec_from_loader(name, loader)
         if specification is None:
-            raise ImportError(f"cannot import the generated module {self.path}")
+            raise ImportError(f"cannot import the generated module {path}")
         module = importlib.util.module_from_spec(specification)
         sys.modules[name] = module  # numba looks functions up by the name of their module
         try:
@@ -89,14 +137,6 @@ class Generated:
             del sys.modules[name]
             raise
         return module
-
-    def function(self, name: str) -> NativeFunction:
-        """Return a function of the module, compiled when it is first called."""
-        described = self.meta["functions"][name]
-        types = described["arguments"], described["results"]
-        work = tuple(described["work"]) if described["work"] else self.work if "work" in types[0] else None
-        stem = self.path.parent.parent / "objects" / self.objects[name]
-        return NativeFunction(name, *types, work, self.module, stem, self.links)
 
 
 @dataclass(frozen=True)
@@ -142,18 +182,37 @@ def _made(name: str, build: Callable[[], Module]) -> Generated:
     made = build()
     _forget(directory())
     text = made.text()
-    objects = contents(text, made.meta.get("functions", ()))
+    objects, kernels, templates = described(made)
+    for one in templates:
+        files.keep(_text_path(digest(one)), one.encode())
     files.keep(_text_path(digest(text)), text.encode())
-    described = json.dumps({"text": digest(text), "meta": made.meta, "objects": objects})
-    files.keep(_path(name), described.encode())  # last: if it is there, all is
-    return _generated(described, text)
+    content = json.dumps({"text": digest(text), "meta": made.meta, "objects": objects, "kernels": kernels})
+    files.keep(_path(name), content.encode())  # last: if it is there, all is
+    return _generated(content, text)
+
+
+def described(made: Module) -> tuple[dict[str, str], dict[str, Any], list[str]]:
+    """Return the content hashes of a module's functions, what is linked to its kernels, and the texts of templates."""
+    names, texts = made.meta.get("functions", ()), list[str]()
+    if made.functions:
+        return contents(made.text(), names), {}, texts
+    objects, kernels = dict[str, str](), dict[str, Any]()
+    for name in names:
+        if name in made.definitions:
+            objects[name] = digest(versions(), name, made.definitions[name])
+            continue
+        one = template(made, name)
+        kernels[name] = {"text": digest(one.text), "content": one.content, "sizes": one.sizes, "uses": one.uses}
+        objects[name] = digest(one.content, repr(one.sizes), *(made.definitions[use] for use in one.uses))
+        texts.append(one.text)
+    return objects, kernels, texts
 
 
 @cache
 def _forget(folder: Path) -> None:
     """Remove what was not used for long, once in a process; what is wanted again is made again."""
     oldest = time.time() - KEPT
-    for part in ("modules", "texts", "objects"):
+    for part in ("modules", "texts", "objects", "kernels"):
         for file in (folder / part).glob("*"):
             with contextlib.suppress(OSError):  # another process was first, or it is not this user's
                 if max(file.stat().st_atime, file.stat().st_mtime) < oldest:
@@ -168,7 +227,7 @@ def _read(name: str) -> Generated | None:
 
 def _generated(described: str | bytes, text: str) -> Generated:
     found = json.loads(described)
-    return Generated(_text_path(found["text"]), text, found["meta"], found["objects"])
+    return Generated(_text_path(found["text"]), text, found["meta"], found["objects"], found["kernels"])
 
 
 def _path(name: str) -> Path:

@@ -1,4 +1,4 @@
-"""Taylor coefficients of a solution, printed as straight-line code.
+"""Taylor coefficients of a solution, as nodes of the graph that holds its derivatives.
 
 For y' = f(t, y) the coefficients of y at a point follow from those of f by y_(k+1) = f_k / (k + 1), and those
 of f from the coefficients of its parts by one recurrence for each elementary operation.
@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from masking.codegen.graph import NOT_ANALYTIC, Graph, Node
-from masking.codegen.printers import arguments, needed, number, statements
+from masking.codegen.printers import arguments, needed
 
 # Operations whose recurrence needs a companion series: sin with cos, sinh with cosh, tanh and tan with 1 -+ y^2.
 COMPANION = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}
@@ -64,11 +64,8 @@ def cost(graph: Graph, nodes: Sequence[Node]) -> int:
 
 def coefficients(
     graph: Graph, states: Sequence[Node], derivatives: Sequence[Node], time: Node, order: int
-) -> list[str]:
-    """Return statements that compute the Taylor coefficients 1 ... `order` of each state.
-
-    The statements read the state symbols' order 0 from the names `y0_0, y1_0, ...` and write
-    `y0_1 ... y0_order, y1_1 ...`; the constant parts and the time are read by their own names.
+) -> list[list[Node]]:
+    """Return the Taylor coefficients 0 ... `order` of each state, one row for each order, as new nodes of the graph.
 
     Args:
         graph: the graph that holds all nodes.
@@ -77,7 +74,7 @@ def coefficients(
         time: the symbol of the time.
         order: highest order.
     """
-    return _Series(graph, states, derivatives, time).write(order)
+    return _Series(graph, states, derivatives, time).rows(order)
 
 
 def _is_scaling(graph: Graph, node: Node) -> bool:
@@ -89,202 +86,122 @@ def _is_scaling(graph: Graph, node: Node) -> bool:
 
 
 class _Series:
+    """The series of each varying node, `a[node]`, and of what goes with it in its recurrence, `b[node]`."""
+
     def __init__(self, graph: Graph, states: Sequence[Node], derivatives: Sequence[Node], time: Node) -> None:
         self.graph = graph
         self.derivatives = list(derivatives)
-        self.time = time
-        self.state_of = {node: i for i, node in enumerate(states)}
-        order = needed(graph, self.derivatives)
-        self.varying = [n for n in order if graph.varying[n]]
-        self.constant: dict[Node, str] = {}
-        self.companion = self._companions()
-        self.rules: dict[str, Callable[..., str]] = {
-            "neg": lambda n, k, a: f"-{self.at(a, k)}",
-            "add": self._add,
-            "sub": self._sub,
+        self.varying = [n for n in needed(graph, self.derivatives) if graph.varying[n]]
+        self.zero = graph.number(0.0)
+        self.a: dict[Node, list[Node]] = {node: [node] for node in states}
+        self.a[time] = [time, graph.number(1.0)]
+        self.b: dict[Node, list[Node]] = {}
+        self.rules: dict[str, Callable[..., Node]] = {
+            "neg": lambda n, k, x: graph.apply("neg", self.at(x, k)),
+            "add": lambda n, k, x, y: graph.add(self.at(x, k), self.at(y, k)),
+            "sub": lambda n, k, x, y: graph.sub(self.at(x, k), self.at(y, k)),
             "mul": self._mul,
             "div": self._div,
             "pow": self._pow,
-            "sqrt": self._sqrt,
-            "exp": lambda n, k, a: self._integral(k, a, n),
-            "log": self._log,
-            **dict.fromkeys(
-                ("sin", "sinh", "cosh", "tan", "tanh"), lambda n, k, a: self._integral(k, a, self.companion[n])
-            ),
-            "cos": lambda n, k, a: "-" + self._integral(k, a, self.companion[n]),
-            "atan": self._inverse,
-            "asin": self._inverse,
-            "acos": lambda n, k, a: self._inverse(n, k, a, sign="-"),
+            "sqrt": lambda n, k, x: self._root(self.a[n], self.at(x, k), k),
+            "exp": lambda n, k, x: self._integral(k, x, self.a[n]),
+            "log": lambda n, k, x: graph.div(self._less_weighted(self.at(x, k), self.a[n], x, k), self.at(x, 0)),
+            **dict.fromkeys(("sin", "sinh", "cosh", "tan", "tanh"), lambda n, k, x: self._integral(k, x, self.b[n])),
+            "cos": lambda n, k, x: graph.apply("neg", self._integral(k, x, self.b[n])),
+            "atan": lambda n, k, x: self._inverse(n, k, self.at(x, k)),
+            "asin": lambda n, k, x: self._inverse(n, k, self.at(x, k)),
+            "acos": lambda n, k, x: self._inverse(n, k, graph.apply("neg", self.at(x, k))),
         }
 
-    def _companions(self) -> dict[Node, Node | str]:
-        """Return, for each sin, cos, ... of the graph, the node (or the name) of the series that goes with it."""
-        by_operation = {self.graph.operations[n]: n for n in self.varying}
-        return {
-            n: by_operation.get(
-                (COMPANION.get(str(self.graph.operations[n][0]), ""), *self.graph.operations[n][1:]), f"b{n}"
-            )
-            for n in self.varying
-        }
-
-    def write(self, order: int) -> list[str]:
-        lines = self._constants()
+    def rows(self, order: int) -> list[list[Node]]:
+        graph = self.graph
+        states = list(self.a)[:-1]
         for k in range(order):
             for node in self.varying:
-                name = self.graph.operations[node][0]
-                if name == "symbol":
-                    continue
-                if k == 0:
-                    lines += self._first(node)
-                else:
-                    lines += self._next(node, k)
-            for i, derivative in enumerate(self.derivatives):
-                value = self.at(derivative, k)
-                lines.append(f"y{i}_{k + 1} = {value}" + (f" * {1.0 / (k + 1)!r}" if k else ""))
-        return lines
+                name, *rest = graph.operations[node]
+                if name != "symbol":
+                    inner = [int(r) for r in rest]
+                    self.a.setdefault(node, []).append(self.rules[str(name)](node, k, *inner) if k else node)
+                    self._follow(node, str(name), inner[0], k)
+            for state, derivative in zip(states, self.derivatives, strict=True):
+                self.a[state].append(graph.mul(self.at(derivative, k), graph.number(1.0 / (k + 1))))
+        return [[self.a[state][k] for state in states] for k in range(order + 1)]
 
-    def at(self, node: Node | str, k: int) -> str:
-        """Return the text of coefficient k of a node (or of a companion series, given by name)."""
-        if isinstance(node, str):
-            return f"{node}_{k}"
-        if node in self.state_of:
-            return f"y{self.state_of[node]}_{k}"
-        if node == self.time:
-            return str(self.graph.operations[node][1]) if k == 0 else "1.0" if k == 1 else "0.0"
+    def at(self, node: Node, k: int) -> Node:
+        """Return coefficient k of a node."""
         if not self.graph.varying[node]:
-            return self.constant[node] if k == 0 else "0.0"
-        return f"a{node}_{k}"
+            return node if k == 0 else self.zero
+        series = self.a[node]
+        return series[k] if k < len(series) else self.zero
 
-    def _constants(self) -> list[str]:
-        used: list[Node] = []
-        for node in self.varying:
-            name, *rest = self.graph.operations[node]
-            if name != "symbol":
-                used += [int(r) for r in rest if not self.graph.varying[int(r)]]
-        used += [d for d in self.derivatives if not self.graph.varying[d]]
-        results = []
-        for node in sorted(set(used)):
-            name, *rest = self.graph.operations[node]
-            if name == "number":
-                self.constant[node] = number(float(rest[0]))
-            else:
-                self.constant[node] = f"k{node}"
-                results.append((f"k{node}", node))
-        return statements(self.graph, results)
-
-    def _first(self, node: Node) -> list[str]:
-        name, *rest = self.graph.operations[node]
-        a = [self.at(int(r), 0) for r in rest]
-        here = f"a{node}_0"
-        infix = {"add": "+", "sub": "-", "mul": "*", "div": "/", "pow": "**"}
-        if name in infix:
-            return [f"{here} = {a[0]} {infix[str(name)]} {a[1]}"]
-        if name == "neg":
-            return [f"{here} = -{a[0]}"]
-        lines = [f"{here} = math.{name}({a[0]})"]
-        if name in COMPANION and isinstance(self.companion[node], str):
-            lines.append(f"b{node}_0 = math.{COMPANION[str(name)]}({a[0]})")
-        elif name == "tan":
-            lines.append(f"b{node}_0 = 1.0 + {here} * {here}")
-        elif name == "tanh":
-            lines.append(f"b{node}_0 = 1.0 - {here} * {here}")
-        elif name == "atan":
-            lines.append(f"b{node}_0 = 1.0 + {a[0]} * {a[0]}")
+    def _follow(self, node: Node, name: str, x: Node, k: int) -> None:
+        """Add coefficient k of what goes with a node: of sin, cos; of tan, 1 + y^2; of asin, sqrt(1 - x^2)."""
+        graph, series = self.graph, self.b.setdefault(node, [])
+        one = graph.number(1.0)
+        if name in COMPANION and k == 0:
+            series.append(graph.apply(COMPANION[name], x))
+        elif name in COMPANION:
+            found = self._integral(k, x, self.a[node])
+            series.append(graph.apply("neg", found) if name == "sin" else found)
+        elif name in {"tan", "atan", "tanh"}:
+            square = self._square([self.at(x if name == "atan" else node, i) for i in range(k + 1)], k)
+            signed = graph.apply("neg", square) if name == "tanh" else square
+            series.append(signed if k else graph.add(one, signed))
         elif name in {"asin", "acos"}:
-            lines.append(f"b{node}_0 = math.sqrt(1.0 - {a[0]} * {a[0]})")
-        return lines
+            inner = graph.apply("neg", self._square([self.at(x, i) for i in range(k + 1)], k))
+            series.append(self._root(series, inner, k) if k else graph.apply("sqrt", graph.add(one, inner)))
 
-    def _next(self, node: Node, k: int) -> list[str]:
-        name, *rest = self.graph.operations[node]
-        lines = [f"a{node}_{k} = {self.rules[str(name)](node, k, *map(int, rest))}"]
-        a = int(rest[0])
-        if name in COMPANION and not isinstance(self.companion[node], str):
-            return lines
-        if name in {"sin", "cos"}:
-            sign = "-" if name == "sin" else ""
-            lines.append(f"b{node}_{k} = {sign}{self._integral(k, a, node)}")
-        elif name in {"sinh", "cosh"}:
-            lines.append(f"b{node}_{k} = {self._integral(k, a, node)}")
-        elif name in {"tan", "tanh"}:
-            sign = "" if name == "tan" else "-"
-            lines.append(f"b{node}_{k} = {sign}({self._square(node, k)})")
-        elif name == "atan":
-            lines.append(f"b{node}_{k} = {self._square(a, k)}")
-        elif name in {"asin", "acos"}:
-            # b = sqrt(1 - a^2): b_k = (-(a^2)_k - sum_(0<i<k) b_i b_(k-i)) / (2 b_0)
-            inner = self._middle_square(f"b{node}", k)
-            lines.append(f"b{node}_{k} = (-({self._square(a, k)}){' - ' + inner if inner else ''}) / (2.0 * b{node}_0)")
-        return lines
+    def _mul(self, node: Node, k: int, x: Node, y: Node) -> Node:
+        if not self.graph.varying[x] or not self.graph.varying[y]:
+            x, y = (y, x) if self.graph.varying[x] else (x, y)
+            return self.graph.mul(x, self.at(y, k))
+        one, two = ([self.at(z, i) for i in range(k + 1)] for z in (x, y))
+        return self._square(one, k) if x == y else self._product(one, two, range(k + 1), k)
 
-    def _add(self, node: Node, k: int, a: Node, b: Node) -> str:
-        return self._sum_of([self.at(a, k), self.at(b, k)])
+    def _div(self, node: Node, k: int, x: Node, y: Node) -> Node:
+        if not self.graph.varying[y]:
+            return self.graph.div(self.at(x, k), y)
+        below = [self.at(y, i) for i in range(k + 1)]
+        rest = self._product(below, self.a[node], range(1, k + 1), k)
+        return self.graph.div(self.graph.sub(self.at(x, k), rest), below[0])
 
-    def _sub(self, node: Node, k: int, a: Node, b: Node) -> str:
-        left, right = self.at(a, k), self.at(b, k)
-        if right == "0.0":
-            return left
-        return f"-{right}" if left == "0.0" else f"{left} - {right}"
+    def _root(self, series: list[Node], inner: Node, k: int) -> Node:
+        """Return c_k of c = sqrt(x): (x_k - sum_(0<i<k) c_i c_(k-i)) / (2 c_0)."""
+        rest = self._product(series, series, range(1, k), k)
+        twice = self.graph.mul(self.graph.number(2.0), series[0])
+        return self.graph.div(self.graph.sub(inner, rest), twice)
 
-    def _mul(self, node: Node, k: int, a: Node, b: Node) -> str:
-        if not self.graph.varying[a]:
-            return f"{self.at(a, 0)} * {self.at(b, k)}"
-        if not self.graph.varying[b]:
-            return f"{self.at(b, 0)} * {self.at(a, k)}"
-        return self._square(a, k) if a == b else self._product(a, b, range(k + 1), k)
+    def _pow(self, node: Node, k: int, x: Node, power: Node) -> Node:
+        # c = x^b with constant b: c_k = sum_(0<=i<k) (k b - i (b + 1)) x_(k-i) c_i / (k x_0)
+        graph, terms = self.graph, []
+        for i in range(k):
+            more = graph.mul(graph.number(i), graph.add(power, graph.number(1.0)))
+            weight = graph.sub(graph.mul(graph.number(k), power), more)
+            terms.append(graph.mul(graph.mul(weight, self.at(x, k - i)), self.a[node][i]))
+        return graph.div(graph.total(terms), graph.mul(graph.number(k), self.at(x, 0)))
 
-    def _div(self, node: Node, k: int, a: Node, b: Node) -> str:
-        if not self.graph.varying[b]:
-            return f"{self.at(a, k)} / {self.at(b, 0)}"
-        return f"({self.at(a, k)} - ({self._product(b, node, range(1, k + 1), k)})) / {self.at(b, 0)}"
+    def _inverse(self, node: Node, k: int, numerator: Node) -> Node:
+        # c' = +-x' / b: k c_k b_0 = +-k x_k - sum_(0<i<k) i c_i b_(k-i)
+        terms = [self._weighted(i, self.a[node][i], self.b[node][k - i]) for i in range(1, k)]
+        rest = self.graph.mul(self.graph.total(terms), self.graph.number(1.0 / k))
+        return self.graph.div(self.graph.sub(numerator, rest), self.b[node][0])
 
-    def _sqrt(self, node: Node, k: int, a: Node) -> str:
-        inner = self._middle_square(node, k)
-        return f"({self.at(a, k)}{' - ' + inner if inner else ''}) / (2.0 * {self.at(node, 0)})"
+    def _less_weighted(self, first: Node, series: list[Node], x: Node, k: int) -> Node:
+        terms = [self._weighted(i, series[i], self.at(x, k - i)) for i in range(1, k)]
+        return self.graph.sub(first, self.graph.mul(self.graph.total(terms), self.graph.number(1.0 / k)))
 
-    def _pow(self, node: Node, k: int, a: Node, b: Node) -> str:
-        # c = a^b with constant b: c_k = sum_(0<=i<k) (k b - i (b + 1)) a_(k-i) c_i / (k a_0)
-        power = self.constant[b]
-        terms = [
-            f"({float(k)!r} * {power} - {float(i)!r} * ({power} + 1.0)) * {self.at(a, k - i)} * {self.at(node, i)}"
-            for i in range(k)
-        ]
-        return f"({self._sum_of(terms)}) / ({float(k)!r} * {self.at(a, 0)})"
+    def _integral(self, k: int, x: Node, series: list[Node]) -> Node:
+        """Return (1/k) sum_(0<i<=k) i x_i b_(k-i), the k-th coefficient of the integral of x' b."""
+        terms = [self._weighted(i, self.at(x, i), series[k - i]) for i in range(1, k + 1)]
+        return self.graph.mul(self.graph.total(terms), self.graph.number(1.0 / k))
 
-    def _log(self, node: Node, k: int, a: Node) -> str:
-        terms = [f"{float(i)!r} * {self.at(node, i)} * {self.at(a, k - i)}" for i in range(1, k)]
-        inner = f" - ({self._sum_of(terms)}) * {1.0 / k!r}" if terms else ""
-        return f"({self.at(a, k)}{inner}) / {self.at(a, 0)}"
+    def _weighted(self, i: int, x: Node, y: Node) -> Node:
+        return self.graph.mul(self.graph.mul(self.graph.number(i), x), y)
 
-    def _inverse(self, node: Node, k: int, a: Node, sign: str = "") -> str:
-        # c' = +-a' / b: k c_k b_0 = +-k a_k - sum_(0<i<k) i c_i b_(k-i)
-        terms = [f"{float(i)!r} * {self.at(node, i)} * b{node}_{k - i}" for i in range(1, k)]
-        inner = f" - ({self._sum_of(terms)}) * {1.0 / k!r}" if terms else ""
-        return f"({sign}{self.at(a, k)}{inner}) / b{node}_0"
+    def _product(self, x: list[Node], y: list[Node], indices: range, k: int) -> Node:
+        return self.graph.total([self.graph.mul(x[i], y[k - i]) for i in indices])
 
-    def _integral(self, k: int, a: Node, b: Node | str) -> str:
-        """Return the text of (1/k) sum_(0<i<=k) i a_i b_(k-i), the k-th coefficient of the integral of a' b."""
-        terms = []
-        for i in range(1, k + 1):
-            if self.at(a, i) != "0.0":
-                weight = "" if i == 1 else f"{float(i)!r} * "
-                terms.append(f"{weight}{self.at(a, i)} * {self.at(b, k - i)}")
-        return f"({self._sum_of(terms)}) * {1.0 / k!r}"
-
-    def _product(self, a: Node, b: Node, indices: range, k: int) -> str:
-        return self._sum_of([f"{self.at(a, i)} * {self.at(b, k - i)}" for i in indices])
-
-    def _square(self, a: Node | str, k: int) -> str:
-        terms = [f"{self.at(a, i)} * {self.at(a, k - i)}" for i in range((k + 1) // 2)]
-        twice = f"2.0 * ({self._sum_of(terms)})" if terms else ""
-        middle = f"{self.at(a, k // 2)} * {self.at(a, k // 2)}" if k % 2 == 0 else ""
-        return " + ".join(part for part in (twice, middle) if part)
-
-    def _middle_square(self, a: Node | str, k: int) -> str:
-        """Return the text of sum_(0<i<k) a_i a_(k-i), or nothing where the sum is empty."""
-        terms = [f"{self.at(a, i)} * {self.at(a, k - i)}" for i in range(1, k)]
-        return f"({self._sum_of(terms)})" if terms else ""
-
-    @staticmethod
-    def _sum_of(terms: list[str]) -> str:
-        kept = [t for t in terms if t != "0.0" and not t.startswith("0.0 *") and not t.endswith("* 0.0")]
-        return " + ".join(kept) if kept else "0.0"
+    def _square(self, x: list[Node], k: int) -> Node:
+        graph = self.graph
+        twice = graph.mul(graph.number(2.0), graph.total([graph.mul(x[i], x[k - i]) for i in range((k + 1) // 2)]))
+        return twice if k % 2 else graph.add(twice, graph.mul(x[k // 2], x[k // 2]))

@@ -18,9 +18,9 @@ import numpy as np
 from masking import effects
 from masking.codegen import store
 from masking.codegen.graph import Graph
-from masking.codegen.native import NativeFunction
+from masking.codegen.native import DECORATOR, NativeFunction
 from masking.codegen.printers import statements
-from masking.codegen.source import DECORATOR, Module
+from masking.codegen.source import Module
 from masking.codegen.tangent import derivatives
 from masking.declaration.dictionary import MOST_PARAMETERS, MOST_STATES
 from masking.declaration.expression import Expression

@@ -1,0 +1,171 @@
+"""Graph nodes printed as functions of LLVM code, without any liberty in floating point but what is asked for."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Mapping, Sequence
+
+from masking.codegen.graph import Graph, Node
+from masking.codegen.printers import arguments, needed
+
+# Sums of products in a free order, and quotients by products with the inverse.
+FREE = "contract reassoc nsz arcp"
+INFIX = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
+COMPARED = {"lt": "olt", "le": "ole"}
+INTRINSICS = {"abs": "llvm.fabs.f64"} | {
+    f: f"llvm.{f}.f64" for f in ("sqrt", "sin", "cos", "exp", "log", "floor", "pow")
+}
+LIBRARY = ("tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "atan2")
+AXES = {"Vector": 1, "Matrix": 2}
+
+
+def parameters(types: Mapping[str, str], *, named: bool = True) -> list[str]:
+    """Return the parameters of a function in LLVM: an array is its address and its shape.
+
+    Args:
+        types: of its arguments by their names, such as `float` or `Matrix`.
+        named: whether they have names, as in a definition.
+    """
+    found = []
+    for name, kind in types.items():
+        axes = AXES.get(kind.removeprefix("Int"), 0)
+        first = "ptr noalias" if axes else {"float": "double", "int": "i64"}[kind]
+        names = [name, *(f"{name}.{axis}" for axis in range(axes))] if named else [""] * (1 + axes)
+        found += [f"{t} %{n}" if named else t for t, n in zip([first, *["i64"] * axes], names, strict=True)]
+    return found
+
+
+def function(  # noqa: PLR0917  (what a function is made of)
+    symbol: str,
+    types: Mapping[str, str],
+    graph: Graph,
+    results: Sequence[tuple[str, Node]],
+    loads: Mapping[str, str],
+    returns: Node | None = None,
+    free: str = "",
+) -> str:
+    """Return the definition of a function that computes nodes: it reads all that it needs, and then writes results.
+
+    Args:
+        symbol: what it is called.
+        types: of its arguments by their names.
+        graph: the graph that holds the nodes.
+        results: elements of arrays, such as `out[0]`, and the nodes that they get.
+        loads: for each symbol of the graph an argument or an element of an array.
+        returns: the node whose value is returned, if any.
+        free: the liberties that are taken with floating point.
+    """
+    body = _Body(types, free)
+    for node in needed(graph, [node for _, node in results] + ([] if returns is None else [returns])):
+        name, *rest = graph.operations[node]
+        if name == "symbol":
+            body.values[node] = body.read(loads.get(str(rest[0]), str(rest[0])))
+        elif name == "number":
+            body.values[node] = number(float(rest[0]))
+        else:
+            body.values[node] = body.apply(str(name), [body.values[a] for a in arguments(graph, node)])
+    for target, node in results:
+        body.lines.append(f"store double {body.values[node]}, ptr {body.element(target)}")
+    body.lines.append("ret void" if returns is None else f"ret double {body.values[returns]}")
+    kind = "void" if returns is None else "double"
+    lines = [f"define {kind} @{symbol}({', '.join(parameters(types))}) {{", *(f"  {line}" for line in body.lines), "}"]
+    return "\n".join(lines)
+
+
+def entry(symbol: str, called: str, types: Mapping[str, str], *, returns: bool) -> str:
+    """Return the definition of a C interface, which writes what a function returns through its last argument."""
+    given = ", ".join(part.replace(" noalias", "") for part in parameters(types))
+    call = (
+        [f"%r = call double @{called}({given})", "store double %r, ptr %found"]
+        if returns
+        else [f"call void @{called}({given})"]
+    )
+    head = f"define void @{symbol}({', '.join([*parameters(types), 'ptr noalias %found'])}) {{"
+    return "\n".join([head, *(f"  {line}" for line in (*call, "ret void")), "}"])
+
+
+def constant(symbol: str, value: int) -> str:
+    """Return the definition of a function that returns a whole number."""
+    return f"define i64 @{symbol}() alwaysinline {{\n  ret i64 {value}\n}}"
+
+
+def definition(text: str, symbol: str) -> str:
+    """Return the definition of one function in a text."""
+    found = re.search(rf"^define [a-z]+ @{re.escape(symbol)}\(.*?^}}$", text, re.MULTILINE | re.DOTALL)
+    return found[0] if found else ""
+
+
+def declarations(text: str) -> str:
+    """Return the declarations of all functions of mathematics that LLVM code calls."""
+    called = sorted(set(re.findall(r"call [a-z ]*double @([\w.]+)\(([^)]*)\)", text)))
+    found = {name: f"declare double @{name}({', '.join(['double'] * given.count('double'))})" for name, given in called}
+    return "\n".join(text for name, text in found.items() if name.startswith("llvm.") or name in LIBRARY)
+
+
+def number(value: float) -> str:
+    """Return a constant, to the last bit."""
+    return f"0x{struct.unpack('<Q', struct.pack('<d', value))[0]:016X}"
+
+
+class _Body:
+    """The lines of a function on their way."""
+
+    def __init__(self, types: Mapping[str, str], free: str) -> None:
+        self.types, self.free = types, f"{free} " if free else ""
+        self.lines: list[str] = []
+        self.values: dict[Node, str] = {}
+        self._count = 0
+
+    def new(self, text: str) -> str:
+        """Return a new name for what a line computes."""
+        self._count += 1
+        self.lines.append(f"%x{self._count} = {text}")
+        return f"%x{self._count}"
+
+    def read(self, text: str) -> str:
+        """Return an argument, an element of an array, or a number."""
+        if self.types.get(text) == "float":
+            return f"%{text}"
+        return self.new(f"load double, ptr {self.element(text)}")
+
+    def element(self, text: str) -> str:
+        """Return the address of an element, such as `y[3]` or `c[2, 0]`."""
+        name, _, inner = text.rstrip("]").partition("[")
+        first, *rest = (int(index) for index in inner.split(","))
+        if not rest:
+            return self.new(f"getelementptr double, ptr %{name}, i64 {first}")
+        row = self.new(f"mul i64 %{name}.1, {first}")
+        return self.new(f"getelementptr double, ptr %{name}, i64 {self.new(f'add i64 {row}, {rest[0]}')}")
+
+    def apply(self, name: str, given: Sequence[str]) -> str:
+        """Return the value of an operation."""
+        x, zero, one = given[0], number(0.0), number(1.0)
+        match name:
+            case "add" | "sub" | "mul" | "div":
+                found = self.new(f"{INFIX[name]} {self.free}double {x}, {given[1]}")
+            case "neg":
+                found = self.new(f"fneg {self.free}double {x}")
+            case "lt" | "le":
+                found = self._is(COMPARED[name], *given)
+            case "where":
+                found = self._choice(*given)
+            case "min" | "max":
+                found = self._choice(self._is("olt" if name == "min" else "ogt", given[1], x), given[1], x)
+            case "sign":  # 0 of both zeros, and no number of what is none
+                middle = self._choice(self._is("oeq", x, zero), zero, x)
+                below = self._choice(self._is("olt", x, zero), number(-1.0), middle)
+                found = self._choice(self._is("ogt", x, zero), one, below)
+            case "heaviside":
+                below = self._choice(self._is("oeq", x, zero), number(0.5), zero)
+                found = self._choice(self._is("ogt", x, zero), one, below)
+            case _:
+                called = INTRINSICS.get(name, name)
+                found = self.new(f"call {self.free}double @{called}({', '.join(f'double {x}' for x in given)})")
+        return found
+
+    def _is(self, relation: str, a: str, b: str) -> str:
+        return self.new(f"fcmp {relation} double {a}, {b}")
+
+    def _choice(self, condition: str, a: str, b: str) -> str:
+        return self.new(f"select i1 {condition}, double {a}, double {b}")
