@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from masking.codegen.python import PythonFunctions
 from masking.control.step import LawStep, SampledStep
 from masking.runs.experiment import Experiment
 from tests.benchmarks.table import Row, limited, missing, told
@@ -122,8 +123,10 @@ def buffered(law: LawStep, state: np.ndarray) -> tuple[Any, ...]:
     n, m, p = len(law.loop.plant.coordinates), len(law.inputs), law.loop.values()
     symbols: Any = casadi.SX.sym("y", 2 * n)
     u: list[Any] = [None] * m
-    source = law.loop.kernels.generated.module().step.py_func
-    source(0.0, [symbols[i] for i in range(n)], [symbols[n + i] for i in range(n)], u, p.tolist())
+    functions, scope = PythonFunctions(law.loop._build()), dict[str, Any](math=casadi, np=np)
+    name = functions.add("step")
+    exec(functions.text(), scope)  # noqa: S102
+    scope[name](0.0, [symbols[i] for i in range(n)], [symbols[n + i] for i in range(n)], u, p.tolist())
     made = casadi.Function("law", [symbols], [casadi.vertcat(*u)])
     buffer, evaluate = made.buffer()
     inputs = np.zeros(m)

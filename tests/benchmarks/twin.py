@@ -80,7 +80,7 @@ class Loop(Whole):
 
     def __init__(self, found: Experiment) -> None:
         super().__init__(found)
-        self.made = found.sampled_loop.kernels.generated.module()
+        self.made = found.sampled_loop.kernels
         sizes = self.sampled.sizes
         self.h, self.delay = 1.0 / self.sampled.rate, self.sampled.delay
         self.n, self.size, self.order = sizes.coordinates, sizes.states, sizes.order
