@@ -145,7 +145,7 @@ def test_after_commands_that_are_not_finite_they_are_zero_until_a_reset():
 
 
 def test_a_law_stops_where_its_matrix_is_singular():
-    bent = {"expressions": {"x1": "x1 - x1**3/3", "x2": "x2", "x3": "x3"}}
+    bent = {"expressions": {"x1": "x1 - x1**3/three", "x2": "x2", "x3": "x3"}, "parameters": {"three": 3.0}}
     step = masking.Experiment.load("duffing").changed(transform=bent).controller()
     state = np.array([0.5 * LENGTH, 0.0, 0.0, 0.0, 0.0, 0.0])
     found = step(0.0, state).copy()
