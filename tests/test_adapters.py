@@ -30,6 +30,8 @@ from masking.runs import hardware
 from masking.runs.experiment import Experiment
 from tests import nidaqmx_stub
 
+pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+
 MASS, STIFFNESS, DAMPING = 0.5, 200.0, 0.4
 RATE = 500.0
 MODEL = {

@@ -23,7 +23,10 @@ from tests.test_adapters import experiment, folder
 __all__ = ["experiment", "folder"]  # fixtures
 
 pytest.importorskip("serial", reason="pyserial is not installed: pip install 'masking[serial]'")
-pytestmark = pytest.mark.skipif(not (arduino.COMPILER and arduino.EMULATOR), reason=arduino.MISSING)
+pytestmark = [
+    pytest.mark.flaky(reruns=2),
+    pytest.mark.skipif(not (arduino.COMPILER and arduino.EMULATOR), reason=arduino.MISSING),
+]
 AFTER = 250  # samples since the release
 PATIENCE = 60.0  # s
 # The readings of a loop in float are off by roundings of commands and estimates, half a unit of the last place each.

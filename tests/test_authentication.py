@@ -20,6 +20,8 @@ from masking.plants.wire import Kind
 from masking.records.recording import Recording
 from masking.runs.realtime import run_rig
 
+pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+
 SECRET, OTHER = b"a key for the tests of the rig", b"another key, which nobody has here"
 PEER = ("10.0.0.1", 5)
 

@@ -26,7 +26,8 @@ from masking.records.switch import Presser, switches
 from masking.rig.twin import Twin
 from masking.runs import batch as plans
 from masking.workflows import batch
-from tests.busy import repeated
+
+pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
 
 EXPERIMENT = {
     "name": "Duffing oscillators",
@@ -173,7 +174,6 @@ def test_energy_is_that_of_the_plants_own_record(bench, tmp_path):
     assert spent > 0.0
 
 
-@repeated
 def test_a_batch_that_is_killed_in_a_run_goes_on_and_repeats_nothing(tmp_path_factory):
     folder = tmp_path_factory.mktemp("killed")
     plan, out = written(folder, {"vary": VARIED}, duration=60), folder / "out"
@@ -201,7 +201,6 @@ def test_a_batch_that_is_killed_in_a_run_goes_on_and_repeats_nothing(tmp_path_fa
     assert len(lines(out)) == 11  # the plan, five begun, five ended: nothing was made again
 
 
-@repeated
 def test_a_run_whose_process_is_killed_is_kept_and_made_again(bench, tmp_path_factory):
     folder = tmp_path_factory.mktemp("controller")
     plan = {"vary": {"initial.x1": [-0.55]}, "retries": 1}

@@ -554,12 +554,12 @@ FELT += "equations: {m*y'': F}\n"
     ("transform", "source", "expected"),
     [
         ("x + l*phi", "{sensor: s, factor: 30}", []),
-        ("x + phi", "{sensor: s, factor: 30}", ["transform.expressions.y: adds a number without unit to m"]),
+        ("x + 20*phi", "{sensor: s, factor: 30}", []),
         ("2*x", "{sensor: s}", ["inputs.F: s measures x in m, and the input F of Felt is in N; "
          "give a factor, which multiplies what the sensor measures, or take another sensor"]),
     ],
 )  # fmt: skip
-def test_a_transform_and_live_inputs_have_units(folder, transform, source, expected):
+def test_live_inputs_have_units_and_numbers_of_a_transform_any(folder, transform, source, expected):
     write(folder, "pendulum.yaml", PENDULUM)
     write(folder, "felt.yaml", FELT)
     write(folder, "bench.yaml", "model: pendulum.yaml\nsensors: {s: {measures: x, unit: m}, a: {measures: phi}}\n")

@@ -32,7 +32,8 @@ from masking.runs.realtime import run_rig
 from masking.workflows.operator import attend
 from tests import chromium
 from tests.benchmarks.operator_page import run
-from tests.busy import repeated
+
+pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
 
 RUN = {"rate": 1000.0, "limits": np.array([0.2, 0.4])}
 
@@ -101,7 +102,6 @@ def test_a_pressed_switch_trips_within_two_ticks(presser, said):
     assert not ran.applied[-1].any()
 
 
-@repeated
 def test_a_file_trips(tmp_path):
     file = tmp_path / "STOP"
     file.unlink(missing_ok=True)
@@ -118,7 +118,6 @@ def test_a_file_trips(tmp_path):
         Operator(stop_file=file)
 
 
-@repeated
 def test_an_attended_run_trips_where_nobody_looks():
     gone = threading.Event()
 
@@ -144,7 +143,6 @@ def test_an_attended_run_trips_where_nobody_looks():
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "stalled"])
 @pytest.mark.parametrize("attended", [False, True], ids=["", "attended"])
-@repeated
 def test_a_page_that_is_gone_stops_attended_runs_alone(cart, number, attended):
     attendants, threads, gone, over = [], [], [], threading.Event()
 
@@ -214,7 +212,6 @@ def test_an_attended_run_needs_a_page(capsys, tmp_path):
 
 
 @pytest.mark.skipif(chromium.PATH is None, reason="needs Chromium; on Debian 'apt-get install chromium'")
-@repeated
 def test_a_served_rig_is_run_and_stopped_from_the_page(cart, tmp_path):
     run(cart, None, 0.1)  # compiled
     masking = [sys.executable, "-m", "masking", "rig"]

@@ -35,6 +35,8 @@ from masking.plants.wire import Kind
 from masking.records.recording import Recording
 from masking.runs.realtime import run_rig
 
+pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+
 LOCKSTEP = Settings(rate=1000.0, lockstep=True)
 NOWHERE = "udp://127.0.0.1:0"
 SLOW = Allowed(watchdog=5.0)

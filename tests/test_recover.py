@@ -27,6 +27,8 @@ from masking.runs.loop_rows import StreamedRows
 from masking.workflows.recover import recover
 from masking.workflows.run import report
 
+pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+
 
 @pytest.fixture(scope="module")
 def experiment(tmp_path_factory):

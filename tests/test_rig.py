@@ -37,6 +37,8 @@ from masking.runs import hardware
 from masking.runs.experiment import Experiment
 from masking.workflows.recover import recover
 
+pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+
 RATE = 1000.0
 WATCHDOG = 20  # samples
 LIMIT = 0.42  # V

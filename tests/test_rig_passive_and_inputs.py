@@ -16,6 +16,8 @@ from masking.records.recording import Recording
 from masking.runs import hardware
 from masking.runs.experiment import Experiment
 
+pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+
 HELD = {"rate": "500 Hz", "observer": "disturbance", "homing": 1}
 FELT = {**HELD, "external": "felt"}
 SEEN = ("sensor", "input", "demanded", "virtual_input", "ideal")

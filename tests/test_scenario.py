@@ -15,6 +15,8 @@ from masking.plants.interface import Sample
 from masking.runs import hardware
 from masking.runs.experiment import Experiment
 
+pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+
 PLANT, SEED = "linear_rig", 3
 CONTROLLER = {"rate": "1 kHz", "observer": {"kind": "disturbance", "noise": 1e-7}, "homing": 1}
 

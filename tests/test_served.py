@@ -33,6 +33,8 @@ from masking.rig.twin import Twin
 from masking.runs import hardware
 from masking.runs.realtime import run_rig
 
+pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+
 RATE, WATCHDOG = 1000.0, 0.02
 OLDEST = WATCHDOG + 2.0 / RATE  # s, of a command that may be in force
 

@@ -19,6 +19,8 @@ from masking.errors import RecordError
 from masking.records import pages, recorder, ring, stream, stream_content
 from masking.records.recorder import Recorder
 
+pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+
 WIDTH = 5
 TABLE = np.random.default_rng(3).standard_normal((400, WIDTH))
 COLUMNS = {f"c{i}": {"unit": "V", "meaning": ""} for i in range(WIDTH)}

@@ -21,7 +21,8 @@ from masking.plants.simulated import SimulatedPlant
 from masking.rig.twin import Twin
 from masking.runs import hardware
 from masking.runs.experiment import Experiment
-from tests.busy import repeated
+
+pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
 
 W0, WC, FIRST = 10.0, 3.0, 0.01
 
@@ -86,7 +87,6 @@ def test_one_plant_is_in_another_process_and_one_in_this():
     assert found.manifest["rig"]["end"] == "finished"
 
 
-@repeated
 def test_in_real_time_one_plant_is_simulated_here_and_one_has_a_clock_of_its_own():
     """The one with a clock does not wait: where a sample of it is missed, the simulated one is late by it."""
     with serving("cart") as (_, address):

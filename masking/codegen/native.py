@@ -95,16 +95,8 @@ class NativeFunction:
         Raises:
             TypeError: an array is not C-contiguous, of the right type and dimension, or one is missing.
         """
-        call = self.prepare()
-        passed: list[object] = []
-        for (name, kind), value in zip(self.arguments.items(), self._completed(given), strict=True):
-            if kind in DIMENSIONS:
-                self._check(name, kind, DIMENSIONS[kind], value)
-                passed += [value.ctypes.data, *value.shape]
-            else:
-                passed.append(value)
-        found = (ctypes.c_double * RESULTS)()
-        call(*passed, found)
+        call, values, found = self.prepare(), self._completed(given), (ctypes.c_double * RESULTS)()
+        call(*self._passed(values), found)
         read = [int(x) if kind == "int" else x for kind, x in zip(self.results, found, strict=False)]
         return None if not read else read[0] if len(read) == 1 else tuple(read)
 
@@ -125,16 +117,8 @@ class NativeFunction:
         call, results = self.prepare(), np.zeros((runs, RESULTS))
 
         def part(first: int, last: int) -> None:
-            passed, moved = list[Any](), list[tuple[int, int, int]]()
-            for (name, kind), value in zip(self.arguments.items(), self._completed(given), strict=True):
-                if kind not in DIMENSIONS:
-                    passed.append(value)
-                    continue
-                axes = np.ndim(value) - DIMENSIONS[kind]
-                self._check(name, kind, DIMENSIONS[kind] + (axes == 1), value)
-                if axes == 1:
-                    moved.append((len(passed), value.ctypes.data, value.strides[0]))
-                passed += [value.ctypes.data, *value.shape[axes:]]
+            values, moved = self._completed(given), list[tuple[int, int, int]]()
+            passed = self._passed(values, moved)
             moved.append((len(passed), results.ctypes.data, results.strides[0]))
             passed.append(0)
             for run in range(first, last):
@@ -172,6 +156,26 @@ class NativeFunction:
             library = code.link(_linker(), f"bound {next(_numbers)}")
         call = ctypes.PYFUNCTYPE(None)(library[ENTRY])
         return BoundFunction(call, results, arrays, (library, self))
+
+    def _passed(self, values: Sequence[Any], moved: list[tuple[int, int, int]] | None = None) -> list[Any]:
+        """Return what goes through the C interface: numbers, and addresses and shapes of arrays that a caller holds.
+
+        Args:
+            values: all arguments.
+            moved: gets the place, address and stride of each array with one axis more than the function takes, whose
+                rows are passed one by one; by default no array may have one.
+        """
+        passed = list[Any]()
+        for (name, kind), value in zip(self.arguments.items(), values, strict=True):
+            if kind not in DIMENSIONS:
+                passed.append(value)
+                continue
+            axes = int(moved is not None and np.ndim(value) == DIMENSIONS[kind] + 1)
+            self._check(name, kind, DIMENSIONS[kind] + axes, value)
+            if moved is not None and axes:
+                moved.append((len(passed), value.ctypes.data, value.strides[0]))
+            passed += [value.ctypes.data, *value.shape[axes:]]
+        return passed
 
     def _completed(self, given: Sequence[Any]) -> Sequence[Any]:
         """Return all arguments for those that a caller has given."""

@@ -116,21 +116,14 @@ def _unwritten(plant: PlantDeclaration, path: str, limit: Limit, unit: str) -> I
 def check_experiment_units(
     experiment: ExperimentDeclaration, plant: PlantDeclaration, rig: ModelDeclaration, virtual: ModelDeclaration
 ) -> list[Problem]:
-    """List what has no unit or the wrong one where a rig and a virtual system meet: transform and live inputs.
+    """List live inputs whose sensors measure in another dimension; those that are multiplied by a factor may.
 
-    Numbers and parameters of a transform have the units that its terms need; inputs that are multiplied by a factor
-    likewise.
+    Numbers of a transform have the units that its terms need, so that it is not checked.
     """
     symbols = symbol_dimensions(rig)
     if symbols is None or is_plain(rig):
         return []
-    problems, moving = list[Problem](), {name: symbols[name] for name in rig.coordinates}
-    known = moving | dict.fromkeys(experiment.transform.parameters)
-    for entry in (experiment.transform.expressions or {}).values():
-        try:
-            dimension_in(entry, known)
-        except DeclarationError as error:
-            problems += error.problems
+    problems = list[Problem]()
     for name, source in experiment.inputs.items() if not is_plain(virtual) else ():
         sensor = plant.sensors.get(source.sensor or "")
         if sensor is None or "factor" in source.model_fields_set:

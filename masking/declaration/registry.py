@@ -271,7 +271,7 @@ def _read_file(
     found = kind_of_keys(node.value if isinstance(node.value, dict) else ())
     if found not in {None, kind}:
         raise DeclarationError(wrong_kind(kind, str(found), shown, reference, node))
-    node, counts = repeated(node, reference.counts)
+    node, counts = (node, dict[str, int]()) if kind == "batch" else repeated(node, reference.counts)
     return node, hashlib.sha256(data).hexdigest(), counts
 
 

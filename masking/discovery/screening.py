@@ -18,7 +18,7 @@ from masking.discovery import laws
 from masking.discovery.augmented_model import MOST_COLUMNS, EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.fitting import Hypothesis, bounds
-from masking.discovery.following import follow, followed
+from masking.discovery.following import FINEST, follow
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import Motion
 from masking.discovery.thinning import thinned, thinning
@@ -220,8 +220,8 @@ class Screen:
             return np.hstack([late, (later - late) / half]), np.concatenate([at, at])
         x, rate, column = self._subject(instance)
         instance = self.rig.at_step(instance, 1.0 / self.record.rate)  # a motion that is known is followed in samples
-        free, period = instance.free, 1.0 / self.record.rate
-        made = followed(self.rig, instance, x, rate, period=period, steps=self.steps, free=free)
+        by, period, steps = instance.free, 1.0 / self.record.rate, self.steps
+        made = follow(self.rig, instance, x, rate, period=period, steps=steps, free=by, finest=FINEST)
         if instance.where != "element":
             made[:, 0] -= x
         return made, np.full(made.shape[1], column)

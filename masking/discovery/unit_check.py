@@ -129,14 +129,13 @@ def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None
         problem: the record and the rig, simulated whole.
         found: what explains the record in the declared unit.
     """
-    few = _part(problem)
+    few, otherwise = _part(problem), far_off(problem, found)
     before = _simulated(few)
-    tried, sizes = list[UnitDoubt](), list[float]()
+    error, tried, sizes = _error(before, few), list[UnitDoubt](), list[float]()
     for one, other in _converted(few):
         if one.kind != "clock":
             after = _simulated(other)
-            errors, otherwise = (_error(before, few), _error(after, other)), far_off(problem, found)
-            tried.append(replace(one, error=errors, otherwise=otherwise))
+            tried.append(replace(one, error=(error, _error(after, other)), otherwise=otherwise))
             sizes.append(_apart(after, other))
     best, least = _best(tried, sizes)
     return best if best and FAR * least < _apart(before, few) else next((one for one in tried if one.is_gain), None)

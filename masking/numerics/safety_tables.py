@@ -22,7 +22,7 @@ SEEN_COLUMNS: Final = 11
 BOUND, AT_ZERO, OVER, ESTIMATED = range(4)
 LIMIT_COLUMNS: Final = 4
 # Counts (6): samples since the last gap and since the beginning; the row of the latest reading and command; commands
-# that were cut for their heat, and that were clamped; samples in the buckets of energy.
+# that were cut for their mean power, and that were clamped; samples in the buckets of energy.
 WHOLE, TOTAL, ROW, CUT, CLAMPED, BUCKET = range(6)
 COUNTS: Final = 6
 # Settings (6), in samples: half the window of a response, the delay, readings that are equal for too long, a second,

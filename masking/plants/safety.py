@@ -33,7 +33,7 @@ OFF: Final = 8.0  # standard deviations of its noise that a reading may be off
 BUCKETS: Final = 200  # of the time over which a power is a mean: it may exceed its limit by a part of 1/200
 _LATE_IN_A_ROW: Final = 5
 _HELD: Final = 0.045  # s that a reading may stay the same while it would change
-_CUT: Final = 0.25  # s of commands that are cut for their heat
+_CUT: Final = 0.25  # s of commands that are cut for their mean power
 _LOST: Final = 4  # samples of silence that are borne
 
 

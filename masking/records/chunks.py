@@ -91,11 +91,10 @@ def missing(ranges: Sequence[tuple[int, int]], first: int, last: int) -> list[tu
     return found
 
 
-def clear(folder: Path, *, all_of_it: bool = False) -> None:
-    """Remove what processes that were killed had begun, or all rows."""
-    for pattern in (_PARTIAL, *(["rows-*.parquet"] if all_of_it else [])):
-        for file in folder.glob(pattern):
-            file.unlink(missing_ok=True)
+def clear(folder: Path) -> None:
+    """Remove what processes that were killed had begun."""
+    for file in folder.glob(_PARTIAL):
+        file.unlink(missing_ok=True)
 
 
 def read(folder: Path) -> Columns:

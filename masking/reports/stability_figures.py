@@ -17,7 +17,7 @@ from masking.reports import style
 from masking.reports.style import BARE, COLOURS, INK, LEGEND, MUTED, SIZE, CaptionedFigure, Series
 
 _MOST = len(COLOURS)
-_BASIN_COLOURS = ("#5b6470", "#0072B2", "#D55E00", "#E69F00", "#ffffff")
+_BASIN_COLOURS = (MUTED, COLOURS[0], COLOURS[1], COLOURS[5], "#ffffff")
 
 
 def figures(found: Stability) -> list[CaptionedFigure]:

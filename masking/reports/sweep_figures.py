@@ -22,9 +22,9 @@ from masking.reports.style import BAND, BARE, COLOURS, INK, LEGEND, MUTED, Capti
 from masking.reports.text import capital
 
 _KINDS: Final = {
-    "in phase": "#0072B2", "rest": "#5b6470", "other": "#CC79A7",
-    "anti-phase": "#D55E00", "in-phase": "#0072B2", "locked": "#009E73", "beating": "#E69F00", "death": "#5b6470",
-    "not synchronised": "#CC79A7", "unknown": "#d9d9d9", "": "#ffffff",
+    "in phase": COLOURS[0], "rest": MUTED, "other": COLOURS[3],
+    "anti-phase": COLOURS[1], "in-phase": COLOURS[0], "locked": COLOURS[2], "beating": COLOURS[5], "death": MUTED,
+    "not synchronised": COLOURS[3], "unknown": "#d9d9d9", "": "#ffffff",
 }  # fmt: skip
 _QUANTILES: Final = (0.1, 0.5, 0.9)
 _BINS: Final = 40

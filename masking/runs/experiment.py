@@ -280,6 +280,11 @@ class Experiment:
         return record_rate.rows_per_unit(self.virtual, self.virtual_start)
 
     @property
+    def samples(self) -> int:
+        """Return the instants of a record that has no rate of its own."""
+        return max(2, round(self.rows_per_unit * self.declaration.duration) + 1)
+
+    @property
     def virtual_start(self) -> Array:
         """Return the initial state of the virtual system, in its units."""
         given, free = self.declaration.initial, self.law.transform.passive
@@ -386,7 +391,7 @@ class Experiment:
             return partial(
                 run_sampled, self.loop, state, rate=rate, duration=duration, every=self.every, schedule=schedule
             )
-        times = np.linspace(0.0, duration, max(2, round(self.rows_per_unit * declaration.duration) + 1))
+        times = np.linspace(0.0, duration, self.samples)
         if declaration.record:
             times = np.arange(int(duration * declaration.record.rate * (1.0 + 1e-12)) + 1) / declaration.record.rate
         return partial(run_continuous, self.loop, state, times, tolerance=declaration.tolerance, schedule=schedule)

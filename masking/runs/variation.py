@@ -13,11 +13,8 @@ from masking.modelling.model import Model
 from masking.runs.experiment import Experiment
 
 _NUMBERS: Final = ("duration", "seed", "tolerance", "time_scale")  # of an experiment
-_LIGHT: Final = {
-    "parameters",
-    "initial",
-    "seed",
-}  # what needs no declaration to be read anew: values are checked by a run
+# What needs no declaration to be read anew: values are checked by a run.
+_LIGHT: Final = {"parameters", "initial", "seed"}
 PLANT: Final = "plant"  # parameters of its model
 
 

@@ -171,9 +171,7 @@ class Plan:
     @cached_property
     def _times(self) -> Array:
         """Return the instants at which the virtual system is looked at, in its time."""
-        experiment = self.experiment
-        samples = max(2, round(experiment.rows_per_unit * experiment.declaration.duration) + 1)
-        return np.linspace(0.0, experiment.declaration.duration, samples)
+        return np.linspace(0.0, self.experiment.declaration.duration, self.experiment.samples)
 
     def _virtual_rows(self, numbers: Rows) -> list[dict[str, Measured]]:
         """Run the virtual system by itself for some rows: all of a chain one after the other, or all together."""
