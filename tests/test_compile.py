@@ -2,7 +2,6 @@
 
 import ctypes
 import json
-import math
 import os
 import shutil
 import subprocess
@@ -11,7 +10,6 @@ import threading
 from dataclasses import replace
 
 import mpmath
-import numba
 import numpy as np
 import pytest
 import sympy as sp
@@ -86,10 +84,16 @@ def python_source(texts):
     return "\n".join(["def f(v, out):", *(f"    {line}" for line in body)])
 
 
-def run_numba(texts, points):
-    space = {"math": math, "np": np}
-    exec(python_source(texts), space)  # noqa: S102  (the program's own output, which is what is tested)
-    return evaluate(numba.njit(error_model="numpy", fastmath={"contract"})(space["f"]), texts, points)
+def run_llvm(texts, points):
+    graph, nodes = lowered(texts)
+    results = [(f"out[{i}]", node) for i, node in enumerate(nodes)]
+
+    def build():
+        made = Module("test", {})
+        made.add("f(v, out)", graph, results, {name: f"v[{i}]" for i, name in enumerate(NAMES)})
+        return made
+
+    return evaluate(store.load(store.key({"test": texts}), build).function("f"), texts, points)
 
 
 def run_c(texts, points, folder):
@@ -134,8 +138,8 @@ BATCH = settings(max_examples=4, deadline=None, derandomize=True, phases=[Phase.
 
 @BATCH
 @given(st.lists(trees(), min_size=30, max_size=30, unique=True))
-def test_printed_for_numba_expressions_keep_their_values(texts):
-    assert_same(run_numba(texts, POINTS), truth(texts, POINTS), texts)
+def test_printed_for_llvm_expressions_keep_their_values(texts):
+    assert_same(run_llvm(texts, POINTS), truth(texts, POINTS), texts)
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc to compile the printed C with")
@@ -143,9 +147,22 @@ def test_printed_as_c_expressions_keep_their_values(tmp_path_factory):
     @BATCH
     @given(st.lists(trees(), min_size=30, max_size=30, unique=True))
     def check(texts):
-        assert_same(run_c(texts, POINTS, tmp_path_factory.mktemp("c")), truth(texts, POINTS), texts)
+        found = run_c(texts, POINTS, tmp_path_factory.mktemp("c"))
+        assert_same(found, truth(texts, POINTS), texts)
+        assert np.array_equal(found, run_llvm(texts, POINTS))  # to the last bit: what is exported is what ran here
 
     check()
+
+
+def test_names_of_arguments_are_free():
+    def build():
+        made, graph = Module("test", {}), Graph()
+        x = [graph.symbol(name, varying=True) for name in ("r", "x1", "value", "found")]
+        total = graph.apply("add", x[0], graph.apply("mul", graph.apply("sub", x[1], x[2]), x[3]))
+        made.add("f(r: float, x1: float, value: float, found: float)", graph, [], {}, total)
+        return made
+
+    assert store.load(store.key({"test": "names"}), build).function("f")(1.0, 7.0, 2.0, 3.0) == 16.0
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)
@@ -171,7 +188,7 @@ class Quiet:
         return getattr(np, {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2"}.get(name, name))
 
 
-def test_every_function_of_declarations_is_printed_in_both_languages(tmp_path):
+def test_every_function_of_declarations_is_printed_in_every_language(tmp_path):
     two = {"atan2": "x, z", "min": "x, y, z", "max": "x, y, z", "where": "x < y, x, z"}
     two |= dict.fromkeys(("interpolate", "interpolate_monotone"), "x, -1, 0.3, 0.2, 1, 0.5, 0.4, 2, -1")
     printed = sorted({*FUNCTIONS} - {"delay"})  # the past is read by the integrators
@@ -182,7 +199,7 @@ def test_every_function_of_declarations_is_printed_in_both_languages(tmp_path):
     assert PYTHON.templates.keys() == C.templates.keys()
     points = [(0.7, -1.3, 0.25), (0.3, 0.9, 0.35)]
     expected = truth(texts, points)
-    np.testing.assert_allclose(run_numba(texts, points), expected, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(run_llvm(texts, points), expected, rtol=1e-12, atol=1e-15)
     if shutil.which("gcc"):
         np.testing.assert_allclose(run_c(texts, points, tmp_path), expected, rtol=1e-12, atol=1e-15)
 

@@ -77,11 +77,11 @@ def entry(symbol: str, called: str, types: Mapping[str, str], *, returns: bool) 
     """Return the definition of a C interface, which writes what a function returns through its last argument."""
     given = ", ".join(part.replace(" noalias", "") for part in parameters(types))
     call = (
-        [f"%r = call double @{called}({given})", "store double %r, ptr %found"]
+        [f"%.value = call double @{called}({given})", "store double %.value, ptr %.found"]
         if returns
         else [f"call void @{called}({given})"]
     )
-    head = f"define void @{symbol}({', '.join([*parameters(types), 'ptr noalias %found'])}) {{"
+    head = f"define void @{symbol}({', '.join([*parameters(types), 'ptr noalias %.found'])}) {{"
     return "\n".join([head, *(f"  {line}" for line in (*call, "ret void")), "}"])
 
 
@@ -120,8 +120,8 @@ class _Body:
     def new(self, text: str) -> str:
         """Return a new name for what a line computes."""
         self._count += 1
-        self.lines.append(f"%x{self._count} = {text}")
-        return f"%x{self._count}"
+        self.lines.append(f"%.{self._count} = {text}")
+        return f"%.{self._count}"
 
     def read(self, text: str) -> str:
         """Return an argument, an element of an array, or a number."""

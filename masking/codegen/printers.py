@@ -1,4 +1,4 @@
-"""Graph nodes printed as statements of Python (for numba) or C."""
+"""Graph nodes printed as statements of Python or C, in the order of their operations, to the last bit."""
 
 from __future__ import annotations
 
@@ -147,8 +147,7 @@ class _Statements:
             return f"-{self._at_least(texts[0], UNARY)}", UNARY
         if name in INFIX:
             level, sign = INFIX[str(name)]
-            right = level if name == "add" else level + 1
-            return f"{self._at_least(texts[0], level)} {sign} {self._at_least(texts[1], right)}", level
+            return f"{self._at_least(texts[0], level)} {sign} {self._at_least(texts[1], level + 1)}", level
         template = self.language.templates[str(name)]
         inner = [self._at_least(t, ATOM) for t in texts] if template[-1] != ")" else [t for t, _ in texts]
         if name in {"lt", "le", "where", "heaviside", "sign"}:
