@@ -29,6 +29,7 @@ CONVERGED = 0.01  # of a difference of scores that separates nothing: what a fit
 STUCK = 4.0  # cost per reading of a validation from which another initial state is sought
 STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
 REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
+NEARER = 0.7  # of what effects left before, to go on with their approach
 DAMPING = Damping(1e-6, least=1e-13, most=1e8)
 
 
@@ -219,6 +220,34 @@ def together(
     """
     start = np.concatenate([known.start, validated(other, known).start])
     return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
+
+
+def approached(problem: EstimationProblem, instances: Sequence[EffectInstance], known: Hypothesis) -> Hypothesis:
+    """Return effects on the way from what is known of a rig: what they leave counts as noise, while that goes down.
+
+    Far from the values of an effect, parameters of the rig take whatever value stands best for it, and none leads from
+    there to the effect. With a residual that is weighted by its own size they stay as near as their prior holds them.
+
+    Args:
+        problem: the record and the rig.
+        instances: effects with values to begin from.
+        known: the rig's parameters and initial states to begin from.
+
+    Raises:
+        IntegrationError: the motion is not finite from where it begins.
+    """
+    begun, left, size = _Begun(tuple(instances), known.theta, known.start), np.inf, problem.record.readings.size
+    found, now = None, cost(problem, instances, known.theta, known.start)
+    while 1.0 < now / size < NEARER * left:
+        left = now / size
+        made = _solved(replace(problem, sigma=np.sqrt(left) * problem.sigma), begun)
+        if made is None:
+            break
+        now = cost(problem, made.instances, made.theta, made.start)
+        begun, found = _Begun.at(made), replace(made, cost=now)
+    if found is None:
+        raise IntegrationError("the simulated motion is no longer finite")
+    return found
 
 
 def tempered(problem: EstimationProblem, known: Hypothesis, penalty: Array | None = None) -> Hypothesis:

@@ -21,7 +21,6 @@ from masking.declaration.units import Dimension, describe
 from masking.discovery import laws
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.explanation import Explanation
-from masking.discovery.following import FINEST, follow
 from masking.discovery.places import is_of_one
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.search import SearchResult
@@ -203,8 +202,7 @@ def along(found: Explained, instance: EffectInstance, x: Array, rate: Array) -> 
     if instance.effect == laws.DELAY:
         t = np.arange(len(x)) / found.record.rate
         return np.asarray(np.interp(t - instance.values[0], t, x))
-    dt, steps = found.problem.dt, found.problem.substeps
-    return follow(found.rig, instance, x, rate, period=dt, steps=steps, finest=FINEST)[:, 0]
+    return np.asarray(found.rig.along(instance, x, rate, found.problem.dt)[:, 0])
 
 
 def smoothed(found: Explained) -> Smoothed:

@@ -128,21 +128,26 @@ class Localisation:
         }
 
 
-def localise(found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whiteness | None]]) -> Localisation:
+def localise(
+    found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whiteness | None]], names: Mapping[str, str]
+) -> Localisation:
     """Localise the model error of a record.
 
     Args:
         found: the record with its explanation.
         whiteness: of the validation residual of each sensor, before and after.
+        names: of the places that are told, by those that the rig has: further places are none of their own.
     """
     seen, periods = found.smoothed, Periods.of(found.record.commands, found.record.rate)
-    latent = _latent_forces(found, seen.before, seen.error, periods)
+    latent = _latent_forces(found, seen.before, seen.error, periods, names)
     residuals = found.explanation.hypothesis.residuals
-    left = None if seen.after is None else _latent_forces(found, seen.after, residuals, periods)
+    left = None if seen.after is None else _latent_forces(found, seen.after, residuals, periods, names)
     return Localisation(latent, left, whiteness)
 
 
-def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Periods | None) -> LatentForces:
+def _latent_forces(
+    found: Explained, motion: Motion, error: Array, periods: Periods | None, names: Mapping[str, str]
+) -> LatentForces:
     """Return the latent forces along a motion whose readings differ by an error (m, sensors) from the simulation."""
     rig, theta, repeats = found.rig, found.explanation.hypothesis.theta, None if periods is None else periods.length
     ratios = (motion.forces**2).mean(axis=0) / np.maximum(motion.deviation, 1e-150) ** 2
@@ -155,11 +160,13 @@ def _latent_forces(found: Explained, motion: Motion, error: Array, periods: Peri
     at = [latent_force.projected(motion, latent_force.directions(rig, theta, column)) for column in rig.columns[1]]
     places = []
     for place, x, rate, (force, deviation) in zip(rig.places, motion.displacement.T, motion.rate.T, at, strict=True):
+        if place.name not in names:
+            continue
         drawn = decompose(x, rate, force, deviation, repeats)
         harmonics = None if periods is None or drawn.parts is None else periods.harmonics(force)
         units = latent_force.element_units(rig, place.name)
         frequency = cycle(rate, found.record.rate)
-        places.append(LocatedForce(place.name, share(force, deviation), drawn, harmonics, units, frequency))
+        places.append(LocatedForce(names[place.name], share(force, deviation), drawn, harmonics, units, frequency))
     actuators = {}
     for name, command, column in zip(found.twin.actuators, found.record.acting.T, rig.columns[2], strict=True):
         force, deviation = latent_force.projected(motion, latent_force.directions(rig, theta, column))

@@ -18,7 +18,6 @@ from masking.discovery import laws
 from masking.discovery.augmented_model import MOST_COLUMNS, EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.fitting import Hypothesis, bounds
-from masking.discovery.following import FINEST, follow
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import Motion
 from masking.discovery.thinning import thinned, thinning
@@ -110,7 +109,6 @@ class Screen:
         rig, record, prior, sigma = problem.rig, problem.record, problem.prior, problem.sigma
         self.thin, self.every = thinning(problem)
         self.blocks = len(record) // self.every
-        self.steps = problem.substeps if rig.twin.is_fed else 1  # of states of effects, between samples
         self.interval_samples = problem.interval_samples // self.thin if problem.interval else len(record)
         self._states = thinned(motion.states, self.thin)
         self._commands = thinned(record.acting, self.thin)
@@ -220,8 +218,7 @@ class Screen:
             return np.hstack([late, (later - late) / half]), np.concatenate([at, at])
         x, rate, column = self._subject(instance)
         instance = self.rig.at_step(instance, 1.0 / self.record.rate)  # a motion that is known is followed in samples
-        by, period, steps = instance.free, 1.0 / self.record.rate, self.steps
-        made = follow(self.rig, instance, x, rate, period=period, steps=steps, free=by, finest=FINEST)
+        made = self._follows(instance, x, rate, instance.free)
         if instance.where != "element":
             made[:, 0] -= x
         return made, np.full(made.shape[1], column)
@@ -385,7 +382,7 @@ class Screen:
 
     def _follows(self, instance: EffectInstance, x: Array, rate: Array, free: tuple[int, ...] = ()) -> Array:
         """Return what an effect makes of a motion (m, 1 + f), with its slopes by some of its parameters."""
-        return follow(self.rig, instance, x, rate, period=1.0 / self.record.rate, steps=self.steps, free=free)
+        return self.rig.along(instance, x, rate, 1.0 / self.record.rate, free)
 
     def _late(self, instance: EffectInstance) -> tuple[Array, Array]:
         """Return what a delay changes of each command (m, actuators), and the columns where these act (actuators,)."""

@@ -98,7 +98,8 @@ def _job(problem: EstimationProblem, candidate: Candidate, starts: Sequence[Effe
         for one in sorted(ready, key=cost)[:FITTED]:
             least = min([rival, *(known.cost for known in fits)])  # a start that no longer comes near it is left
             with suppress(IntegrationError):
-                fits.append(fitting.fit(problem, (one,), theta=begun.theta, start=begun.start, rival=least))
+                near = fitting.approached(problem, (one,), begun)
+                fits.append(fitting.fit(problem, near.instances, theta=near.theta, start=near.start, rival=least))
         if not fits:
             raise IntegrationError("the simulated motion is no longer finite")
         return Explanation("effects", (candidate.key,), min(fits, key=lambda fit: fit.cost))

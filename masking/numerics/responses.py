@@ -8,6 +8,7 @@ these forces in the parameter array. Functions of a rig are those of `variationa
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +20,7 @@ from masking.numerics.variational import take
 Kernel = Callable[..., Any]
 
 NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives
+ROUNDED = 1e-15  # exponent below which its exponential is linear to the last bit
 PIECES = 4  # of a sample, in which the state of an effect is integrated
 
 
@@ -81,11 +83,18 @@ def readings_along(sensed: Kernel) -> Kernel:
     return read
 
 
+@compiled
+def relaxed(h: float, decay: float) -> float:
+    """Return the integral of exp(decay s) over s from 0 to h."""
+    return math.expm1(decay * h) / decay if abs(decay * h) > ROUNDED else h
+
+
 def law_along(law: Kernel) -> Kernel:
     """Make the value of a law along a motion, and its derivatives by parameters.
 
-    The state of an effect is integrated by half a step of Heun, then a whole one, in the middle of each piece: second
-    order, and stable where the state decays.
+    The state of an effect is integrated by the exponential midpoint rule, with the law linearised in the middle of each
+    piece: second order, exact where the law is linear in its state, and stable however fast that decays.
+    Source: Hochbruck and Ostermann (2010), Acta Numerica 19, 209-286, section 2.
 
     Returns:
         `follow(count, dt, number, has_state, x, rate, parameters, values, features, work)`, which writes `features`
@@ -112,11 +121,13 @@ def law_along(law: Kernel) -> Kernel:
                     px = x[index] + share * (x[index + 1] - x[index])
                     pr = rate[index] + share * (rate[index + 1] - rate[index])
                     law(number, t + share * dt, px, pr, z, values, later)
-                    half = z + 0.5 * h * later[1, VALUE]
+                    half = z + relaxed(0.5 * h, later[1, BY_STATE]) * later[1, VALUE]
                     law(number, t + share * dt, px, pr, half, values, later)
+                    decay = later[1, BY_STATE]
+                    span = relaxed(h, decay)
                     for j in range(1, many):
-                        dz[j] += h * (later[1, BY_STATE] * dz[j] + later[1, BY_PARAMETER + parameters[j - 1]])
-                    z += h * later[1, VALUE]
+                        dz[j] += span * (decay * dz[j] + later[1, BY_PARAMETER + parameters[j - 1]])
+                    z += span * (later[1, VALUE] + decay * (z - half))
 
     return follow
 

@@ -91,8 +91,8 @@ def _of_rest(found: Discovery, place: LocatedForce, rest: str) -> Iterator[str]:
 
 def _of_places(found: Discovery, latent: LatentForces) -> Iterator[str]:
     """Say what would tell places apart that explain the model error alike."""
-    best, motion = latent.best, found.as_written.smoothed.before
-    names = [place.name for place in found.as_written.rig.places]
+    best, motion = latent.best, found.search.motion
+    names = [place.name for place in found.rig.places]
 
     def moves(name: str) -> Array:
         return motion.displacement[:, names.index(name)]
@@ -115,8 +115,8 @@ def _of_places(found: Discovery, latent: LatentForces) -> Iterator[str]:
 
 def _of_range(found: Discovery, name: str) -> str:
     """Say how far a record moves a place, beyond which another would tell more."""
-    at = [place.name for place in found.as_written.rig.places].index(name)
-    motion, (_, length, speed) = found.as_written.smoothed.before, latent_force.element_units(found.written_rig, name)
+    at = [place.name for place in found.rig.places].index(name)
+    motion, (_, length, speed) = found.search.motion, latent_force.element_units(found.rig, name)
     x, fastest = motion.displacement[:, at], float(np.abs(motion.rate[:, at]).max())
     far = _between(float(x.min()), float(x.max()), length)
     return (
