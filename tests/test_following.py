@@ -10,7 +10,6 @@ import pytest
 
 from masking.discovery import latent_force
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
-from masking.discovery.following import follow
 from masking.rig.twin import Twin
 
 FORCE, LENGTH, RATE = 3.0, 2e-6, 100.0
@@ -40,21 +39,22 @@ def zigzag():
     return x, np.gradient(x) * RATE
 
 
-def dahl(x):
+def dahl(x, length):
     """Return the friction along straight pieces between samples (m,)."""
     z = np.zeros(len(x))
     for i, step in enumerate(np.diff(x)):
-        z[i + 1] = np.sign(step) + (z[i] - np.sign(step)) * np.exp(-abs(step) / LENGTH)
+        z[i + 1] = np.sign(step) + (z[i] - np.sign(step)) * np.exp(-abs(step) / length)
     return FORCE * z
 
 
-def test_a_force_that_builds_up_between_samples_is_followed_in_finer_steps(rig):
-    x, rate = zigzag()
-    instance = EffectInstance("dahl_friction", "guide", (FORCE, LENGTH), (0,))
-    truth, turns = dahl(x), np.abs(np.diff(np.sign(np.diff(x)), prepend=0.0, append=0.0)) > 0.0
-    force, slope = follow(rig, instance, x, rate, period=1.0 / RATE, steps=32, free=(0,)).T
-    away = ~(turns | np.roll(turns, 1))  # about a turn, the rate goes through zero in the samples beside it
-    assert np.abs(force - truth)[away].max() < 1e-3 * FORCE
+@pytest.mark.parametrize("length", [LENGTH, 100 * LENGTH])
+def test_a_force_that_builds_up_over_any_length_is_followed_in_steps_of_samples(rig, length):
+    turns = np.pi * np.arange(201) / 20.0
+    x, rate = 5e-4 * (1.0 - np.cos(turns)), 5e-4 * np.pi / 20.0 * RATE * np.sin(turns)
+    instance = EffectInstance("dahl_friction", "guide", (FORCE, length), (0,))
+    force, slope = rig.along(instance, x, rate, 1.0 / RATE, (0,)).T
+    slides = np.abs(np.sin(turns)) > 1e-6  # where it turns, the force depends on the rate's last digit
+    assert np.abs(force - dahl(x, length))[slides].max() < 0.01 * FORCE
     np.testing.assert_allclose(slope, force / FORCE, atol=1e-9)
 
 

@@ -27,6 +27,7 @@ import scipy.io
 import scipy.signal
 
 import masking
+from masking.declaration import registry
 from masking.errors import IntegrationError, ModelError
 from masking.reports import discovery_page
 from masking.reports.discovery_files import Origin
@@ -249,8 +250,8 @@ def below(seconds: float) -> str:
 
 def estimated(twin: Twin, case: Case) -> list[str]:
     """Return what discover estimated: parameters with a deviation, and those of effects of sensors and actuators."""
-    known = twin.base.parameters
-    held = {*known} - {*case.search.get("parameters", known)}
+    known, declared = twin.base.parameters, registry.load_model(ROOT / "examples" / "measured" / f"{case.name}.yaml")
+    held = {*declared.parameters} - {*case.search.get("parameters", declared.parameters)}
     of_model = [n for n in twin.equation_parameters() if known[n].std and n not in held]
     return [*of_model, *(n for n, effect in twin.parameter_names.items() if effect is not None)]
 
