@@ -7,6 +7,7 @@ from masking.discovery import fitting
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.prior import prior_of
 from masking.discovery.problem import EstimationProblem
+from masking.discovery.tempered_fits import approached
 from masking.estimation.data import Data
 from masking.rig.twin import Twin
 
@@ -58,7 +59,7 @@ def test_friction_is_reached_from_half_and_twice_its_force(problem, part):
     """Without an approach, parameters of the rig go off to stand for it, which leaves up to 12 times the noise."""
     known = fitting.fit(problem, theta=problem.prior.mean, frozen=True)
     assert known.cost > 1e8 * problem.record.readings.size
-    near = fitting.approached(problem, (friction(problem, part * FRICTION),), known)
+    near = approached(problem, (friction(problem, part * FRICTION),), known)
     assert (np.abs(near.theta / problem.prior.mean - 1.0) < 0.1).all()
     found = fitting.fit(problem, near.instances, theta=near.theta, start=near.start)
     assert found.cost < 1.2 * problem.record.readings.size

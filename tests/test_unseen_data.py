@@ -11,6 +11,7 @@ from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.exclusion import is_excluded
 from masking.discovery.prior import prior_of, train_validation_split
 from masking.discovery.rules import RULES
+from masking.discovery.tempered_fits import tempered
 from masking.discovery.verdict import is_worse
 from masking.estimation.data import Data
 from masking.reports import discovery_text
@@ -83,7 +84,7 @@ def test_no_parameter_is_known_worse_than_before_the_record(models):
     rig, prior = asked.rig, prior_of(asked.rig.twin, asked.rig, 0.05)
     asked = replace(asked, record=small, prior=prior, sigma=1e-7 * np.ones(1))
     free = fitting.fit(asked)
-    held = fitting.tempered(asked, free)
+    held = tempered(asked, free)
     cubic = rig.names.index("c")
     assert abs(free.theta[cubic] - prior.mean[cubic]) > 10.0 * prior.deviation[cubic]
     assert abs(held.theta[cubic] - prior.mean[cubic]) < 3.0 * prior.deviation[cubic]

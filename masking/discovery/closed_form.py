@@ -24,6 +24,7 @@ from masking.discovery.fitting import Hypothesis
 from masking.discovery.free_law import KINDS, FreeLaw
 from masking.discovery.grammar import MOST_SHAPES, Atom, atoms, evaluated
 from masking.discovery.problem import EstimationProblem
+from masking.discovery.tempered_fits import tempered
 from masking.effects import Effect, EffectParameter
 from masking.errors import IntegrationError
 from masking.numerics import decompositions
@@ -292,13 +293,13 @@ class ClosedForm:
     score: float
 
     def tempered(self, problem: EstimationProblem, validation: EstimationProblem) -> ClosedForm:
-        """Return the form with the record weighted as its residual allows, see `fitting.tempered`.
+        """Return the form with the record weighted as its residual allows, see `tempered_fits.tempered`.
 
         Raises:
             IntegrationError: the motion is not finite on the validation record.
         """
         instances = self.hypothesis.instances
-        found = fitting.tempered(knowing(problem, instances), self.hypothesis)
+        found = tempered(knowing(problem, instances), self.hypothesis)
         return replace(self, hypothesis=found, validated=fitting.validated(knowing(validation, instances), found))
 
     @property

@@ -28,6 +28,7 @@ from masking.discovery.rules import DecisionRules
 from masking.discovery.search import SearchResult, Tell
 from masking.discovery.settings import DiscoverySettings
 from masking.discovery.smoothing import centred
+from masking.discovery.tempered_fits import tempered
 from masking.discovery.unit_check import UnitDoubt
 from masking.discovery.verdict import Scored
 from masking.discovery.work import Work
@@ -327,7 +328,7 @@ def _no_worse(
 def _tempered(explanation: Explanation, problem: EstimationProblem) -> Explanation:
     """Return an explanation with its parameters where the prior holds those that the record hardly determines."""
     return replace(
-        explanation, hypothesis=fitting.tempered(explanation.with_prior(problem), explanation.hypothesis), joint=None
+        explanation, hypothesis=tempered(explanation.with_prior(problem), explanation.hypothesis), joint=None
     )
 
 

@@ -29,7 +29,6 @@ CONVERGED = 0.01  # of a difference of scores that separates nothing: what a fit
 STUCK = 4.0  # cost per reading of a validation from which another initial state is sought
 STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
 REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
-NEARER = 0.7  # of what effects left before, to go on with their approach
 DAMPING = Damping(1e-6, least=1e-13, most=1e8)
 
 
@@ -114,17 +113,17 @@ def fit(
         IntegrationError: the motion is not finite from where it begins.
     """
     x = problem.prior.mean if theta is None else theta
-    begun = _Begun(tuple(instances), x, initial_states.first(problem, x) if start is None else start)
-    solved = partial(_solved, problem, rounds=rounds, rival=rival, penalty=penalty)
-    found, is_fresh = solved(begun, frozen=frozen), start is None and not frozen
+    begun = Begun(tuple(instances), x, initial_states.first(problem, x) if start is None else start)
+    ended = partial(solved, problem, rounds=rounds, rival=rival, penalty=penalty)
+    found, is_fresh = ended(begun, frozen=frozen), start is None and not frozen
     if is_fresh:  # the initial states that suit the parameters to begin from best count
-        first = solved(begun, frozen=True)
+        first = ended(begun, frozen=True)
         if first is not None and _better(first, found) is first:
-            found = _better(first, solved(_Begun.at(first)))
+            found = _better(first, ended(Begun.at(first)))
     for fixed in (False, True) if is_fresh else (frozen,):
         if found is None or _is_doubtful(problem, found, fresh=is_fresh and not fixed):
             nearer = _continued(problem, begun, frozen=fixed)
-            found = _better(found, solved(nearer, frozen=frozen) if nearer else None)
+            found = _better(found, ended(nearer, frozen=frozen) if nearer else None)
     if found is None:
         raise IntegrationError("the simulated motion is no longer finite")
     return found
@@ -140,7 +139,7 @@ def _is_doubtful(problem: EstimationProblem, found: Hypothesis, *, fresh: bool) 
 
 
 @dataclass(frozen=True)
-class _Begun:
+class Begun:
     """Values that a fit begins from: effects, parameters of the rig (k,) and initial states (w, states)."""
 
     instances: tuple[EffectInstance, ...]
@@ -148,14 +147,14 @@ class _Begun:
     start: Array
 
     @classmethod
-    def at(cls, known: Hypothesis) -> _Begun:
+    def at(cls, known: Hypothesis) -> Begun:
         """Return those of a hypothesis."""
         return cls(known.instances, known.theta, known.start)
 
 
-def _solved(
+def solved(
     problem: EstimationProblem,
-    begun: _Begun,
+    begun: Begun,
     *,
     rounds: int = MOST_ROUNDS,
     frozen: bool = False,
@@ -177,7 +176,7 @@ def _better(one: Hypothesis | None, other: Hypothesis | None) -> Hypothesis | No
     return other if other.cost < one.cost else one
 
 
-def _continued(problem: EstimationProblem, begun: _Begun, *, frozen: bool) -> _Begun | None:
+def _continued(problem: EstimationProblem, begun: Begun, *, frozen: bool) -> Begun | None:
     """Return where a fit in growing shooting intervals ends; None if the intervals cannot be shorter."""
     stages = [*continuation.stages(problem), problem]
     if len(stages) == 1:
@@ -185,19 +184,19 @@ def _continued(problem: EstimationProblem, begun: _Begun, *, frozen: bool) -> _B
     states = list[Array]()
     for part in continuation.parts(stages[0]):  # the parameters are those of the first
         guess = initial_states.first(part, begun.theta, max(4, min(20, part.interval_samples // continuation.LINE)))
-        found = _solved(part, replace(begun, start=guess), rounds=continuation.ROUNDS, frozen=frozen or bool(states))
+        found = solved(part, replace(begun, start=guess), rounds=continuation.ROUNDS, frozen=frozen or bool(states))
         states.append(guess if found is None else found.start)
-        begun = begun if found is None else _Begun.at(found)
+        begun = begun if found is None else Begun.at(found)
     every = np.concatenate(states)
     for before, stage in itertools.pairwise(stages):
         every = continuation.grown(every, before, stage)
         if stage is not problem:
             part = next(continuation.parts(stage))
-            found = _solved(
+            found = solved(
                 part, replace(begun, start=every[: part.intervals]), rounds=continuation.ROUNDS, frozen=frozen
             )
             if found is not None:
-                begun, every[: part.intervals] = _Begun.at(found), found.start
+                begun, every[: part.intervals] = Begun.at(found), found.start
     return replace(begun, start=every)
 
 
@@ -220,58 +219,6 @@ def together(
     """
     start = np.concatenate([known.start, validated(other, known).start])
     return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
-
-
-def approached(problem: EstimationProblem, instances: Sequence[EffectInstance], known: Hypothesis) -> Hypothesis:
-    """Return effects on the way from what is known of a rig: what they leave counts as noise, while that goes down.
-
-    Far from the values of an effect, parameters of the rig take whatever value stands best for it, and none leads from
-    there to the effect. With a residual that is weighted by its own size they stay as near as their prior holds them.
-
-    Args:
-        problem: the record and the rig.
-        instances: effects with values to begin from.
-        known: the rig's parameters and initial states to begin from.
-
-    Raises:
-        IntegrationError: the motion is not finite from where it begins.
-    """
-    begun, left, size = _Begun(tuple(instances), known.theta, known.start), np.inf, problem.record.readings.size
-    found, now = None, cost(problem, instances, known.theta, known.start)
-    while 1.0 < now / size < NEARER * left:
-        left = now / size
-        made = _solved(replace(problem, sigma=np.sqrt(left) * problem.sigma), begun)
-        if made is None:
-            break
-        now = cost(problem, made.instances, made.theta, made.start)
-        begun, found = _Begun.at(made), replace(made, cost=now)
-    if found is None:
-        raise IntegrationError("the simulated motion is no longer finite")
-    return found
-
-
-def tempered(problem: EstimationProblem, known: Hypothesis, penalty: Array | None = None) -> Hypothesis:
-    """Return a hypothesis with the record weighted as its residual allows, and the prior as it is.
-
-    The cost takes all of a residual for white noise. What a missing force leaves is far larger, and its likelihood is
-    divided by the tempering factor. Directions that the record hardly determines then go back to the prior.
-
-    Args:
-        problem: the record and the rig.
-        known: the hypothesis, fitted.
-        penalty: as in `fit`.
-    """
-    factor = problem.tempering(known.residuals)
-    if factor <= problem.rules.slow_excess:
-        return known
-    begun = _Begun.at(known)
-    found = _solved(replace(problem, sigma=np.sqrt(factor) * problem.sigma), begun, penalty=penalty)
-    if found is None:
-        return known
-    pull = (found.theta - problem.prior.mean) / problem.prior.deviation
-    rough = 0.0 if penalty is None else float(found.added @ penalty @ found.added)
-    cost = float(found.squares @ problem.weights + pull @ pull) + rough
-    return replace(found, cost=cost, covariance=found.covariance / factor)
 
 
 def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.inf) -> Hypothesis:
@@ -314,8 +261,8 @@ def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:
     Raises:
         IntegrationError: the motion is not finite.
     """
-    solved = partial(fit, instances=hypothesis.instances, theta=hypothesis.theta, frozen=True)
-    found, record = solved(problem), problem.record
+    fitted = partial(fit, instances=hypothesis.instances, theta=hypothesis.theta, frozen=True)
+    found, record = fitted(problem), problem.record
     if problem.interval or found.cost < STUCK * record.readings.size:
         return found
     folded = [problem.rig.index(one) for one in hypothesis.instances if exclusion.folds(problem, one)]
@@ -328,8 +275,8 @@ def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:
             for part in PARTS:
                 if part * len(record) >= FIRST_READINGS:
                     begin = replace(problem, record=record.first(part * len(record) / record.rate))
-                    start = solved(begin, start=start).start
-            found = min(found, solved(problem, start=start), key=lambda one: one.cost)
+                    start = fitted(begin, start=start).start
+            found = min(found, fitted(problem, start=start), key=lambda one: one.cost)
         if found.cost < STUCK * record.readings.size:
             break
     return found

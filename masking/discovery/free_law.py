@@ -24,6 +24,7 @@ from masking.discovery.places import Place
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import COLLINEAR, Screen
 from masking.discovery.smoothing import Motion, smooth
+from masking.discovery.tempered_fits import tempered
 from masking.discovery.work import Work
 from masking.errors import IntegrationError
 from masking.numerics import decompositions
@@ -121,8 +122,8 @@ class FreeLaw:
         return self.hypothesis.covariance[-self.size :, -self.size :]
 
     def tempered(self) -> FreeLaw:
-        """Return the law with the record weighted as its residual allows, see `fitting.tempered`."""
-        return replace(self, hypothesis=fitting.tempered(self.problem, self.hypothesis, self.penalty))
+        """Return the law with the record weighted as its residual allows, see `tempered_fits.tempered`."""
+        return replace(self, hypothesis=tempered(self.problem, self.hypothesis, self.penalty))
 
     def rows(self, x: Array, rate: Array) -> Array:
         """Return what the factors are multiplied by at displacements and rates (m, f)."""

@@ -136,7 +136,7 @@ def localise(
     Args:
         found: the record with its explanation.
         whiteness: of the validation residual of each sensor, before and after.
-        names: of the places that are told, by those that the rig has: further places are none of their own.
+        names: of the places that count, by their names in this rig: further places are none of their own.
     """
     seen, periods = found.smoothed, Periods.of(found.record.commands, found.record.rate)
     latent = _latent_forces(found, seen.before, seen.error, periods, names)

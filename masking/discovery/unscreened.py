@@ -20,6 +20,7 @@ from masking.discovery.explanation import Explanation, Job
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.ground import Ground
 from masking.discovery.problem import EstimationProblem
+from masking.discovery.tempered_fits import approached
 from masking.errors import IntegrationError
 
 # Levels of a law that has two, in parts of that of dry friction, which lies between them.
@@ -98,7 +99,7 @@ def _job(problem: EstimationProblem, candidate: Candidate, starts: Sequence[Effe
         for one in sorted(ready, key=cost)[:FITTED]:
             least = min([rival, *(known.cost for known in fits)])  # a start that no longer comes near it is left
             with suppress(IntegrationError):
-                near = fitting.approached(problem, (one,), begun)
+                near = approached(problem, (one,), begun)
                 fits.append(fitting.fit(problem, near.instances, theta=near.theta, start=near.start, rival=least))
         if not fits:
             raise IntegrationError("the simulated motion is no longer finite")

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from masking.declaration.quantities import percent
+from masking.declaration.units import pretty
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
 from masking.estimation.fit import Fit
@@ -123,7 +124,7 @@ def _over_time(made: Simulated, lines: Sequence[Line], spans: Sequence[tuple[flo
     widths = _WHOLE if len(spans) == 1 else _HALVES
     figure, rows = style.panels(len(names), 1.35, widths, heading=heading)
     for i, (name, row) in enumerate(zip(names, rows, strict=True)):
-        by, unit = parts.shown(made.units[i], made.record.readings[:, i])
+        by, unit = parts.shown(pretty(made.units[i]), made.record.readings[:, i])
         for axes, (first, last) in zip(row, spans, strict=True):
             part = (made.times >= first) & (made.times <= last)
             for line in lines:
@@ -157,7 +158,7 @@ def fit(made: Simulated, which: Which) -> CaptionedFigure:
     seconds = _span(made)
     part = made.times <= seconds
     for i, (name, (motion, rest, spectrum)) in enumerate(zip(names, rows, strict=True)):
-        unit = made.units[i]
+        unit = pretty(made.units[i])
         t, measured = made.times[part], made.record.readings[part, i]
         by, y_unit = parts.shown(unit, measured)
         motion.plot(*style.thin(t, by * measured), color=COLOURS[0], lw=1.8)
@@ -225,7 +226,7 @@ def estimates(found: KalmanFit) -> CaptionedFigure:
         axes.set(xlim=(t[0], t[-1]), ylim=(low - pad, high + pad))
         parts.ticks(axes, 4)
         unit = known[name].unit if name in known else ""
-        axes.set_ylabel(style.with_unit(style.symbol(name), "" if unit == "1" else unit))
+        axes.set_ylabel(style.with_unit(style.symbol(name), pretty(unit)))
         axes.set_title(f"{found.values[i]:.5g} ± {2.0 * found.std[i]:.2g}", loc="left", fontsize=SIZE - 1,
                        color=LIMIT if not np.isfinite(found.values[i]) else MUTED, pad=2)  # fmt: skip
     for axes in cells[len(names) :]:
