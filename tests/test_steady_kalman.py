@@ -15,6 +15,14 @@ def test_noise_over_a_sample_is_that_of_an_integrated_random_walk():
     np.testing.assert_allclose(noise, q * np.array([[h**3 / 3.0, h**2 / 2.0], [h**2 / 2.0, h]]), rtol=1e-12)
 
 
+@pytest.mark.parametrize("decay", [1e-3, 10.0, 1e7])
+def test_noise_of_a_state_that_decays_at_any_rate_is_the_closed_form(decay):
+    step, noise = discretised(np.array([[-decay, 0.0], [0.0, 0.0]]), np.array([2.0, 3.0]), 0.01)
+    expected = np.diag([2.0 * -np.expm1(-2.0 * decay * 0.01) / (2.0 * decay), 0.03])
+    np.testing.assert_allclose(noise, expected, rtol=1e-10, atol=1e-300)
+    np.testing.assert_allclose(step, np.diag([np.exp(-decay * 0.01), 1.0]), rtol=1e-10, atol=1e-300)
+
+
 def test_the_covariances_are_scipys():
     rng = np.random.default_rng(5)
     step, reading = rng.normal(size=(4, 4)) / 2.0, rng.normal(size=(2, 4))

@@ -50,10 +50,13 @@ def discretised(flow: Array, density: Array, period: float) -> tuple[Array, Arra
         period: time between samples.
     """
     n = len(flow)
+    halvings = max(0, int(np.ceil(np.log2(max(np.linalg.norm(flow, 1) * period, 1.0)))))
     block = np.block([[-flow, np.diag(density)], [np.zeros((n, n)), flow.T]])
-    exponential = linalg.expm(block * period)
+    exponential = linalg.expm(block * period / 2.0**halvings)  # of what decays fast, the inverse would be infinite
     step = exponential[n:, n:].T
     noise = step @ exponential[:n, n:]
+    for _ in range(halvings):
+        step, noise = step @ step, noise + step @ noise @ step.T
     return step, 0.5 * (noise + noise.T)
 
 
