@@ -9,6 +9,8 @@ from scipy import optimize, signal
 from masking.declaration import catalogue, registry
 from masking.declaration.checks import beyond_ordinary
 from masking.declaration.dimensions import is_plain
+from masking.declaration.expression import Expression
+from masking.declaration.schema import Element
 from masking.discovery import fitting, initial_states, shooting
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.candidates import candidates
@@ -358,3 +360,18 @@ def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, problem,
 )
 def test_laws_of_one_kind_at_one_place_are_a_patchwork(rig, causes, patched):
     assert are_composite(causes, rig) is patched
+
+
+def test_further_places_of_a_law_take_no_place_of_a_coordinate(tmp_path):
+    """A law at a coordinate may follow another one, as its displacement or its rate."""
+    (tmp_path / "model.yaml").write_text(
+        "name: pair\ncoordinates: {x1: {unit: m}, x2: {unit: m}}\nparameters: {k: {value: 9, unit: 1/s**2}}\n"
+        "equations: {x1'': -k*x1, x2'': -k*x2}\n"
+    )
+    base = registry.load_model(tmp_path / "model.yaml")
+    own = Element(displacement=Expression("x2"), rate=Expression("x1/2"), acts={"x2": Expression("-1")})
+    other = Element(displacement=Expression("x1"), acts={"x2": Expression("-1")})
+    further = base.model_copy(update={"elements": {**base.elements, "own": own, "other": other}})
+    known = {place.name: place.coordinate for place in places(further)}
+    assert {**known, "x1": "x1", "x2": "x2"} == known
+    assert (known["own"], known["other"]) == (None, None)

@@ -237,10 +237,7 @@ class Discovery(Explained):
         after = whiteness_of(self.validation, self.unseen.residuals)
         has_finding = self.effects or self.law
         pairs = {name: (before[name], after[name] if has_finding else None) for name in self.twin.sensors}
-        names = {place.name: place.name for place in self.rig.places}
-        if self.law is not None and self.law.place not in {place.name for place in self.written_rig.places}:
-            names[self.law.free.place.name] = self.law.place  # a coordinate, whose place the further one has taken
-        return localise(self.as_written, pairs, names)
+        return localise(self.as_written, pairs, [place.name for place in self.rig.places])
 
     @property
     def is_at_noise_floor(self) -> bool:

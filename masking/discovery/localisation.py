@@ -8,7 +8,7 @@ Source: see `smoothing`, `force_decomposition`, `harmonics` and `masking.estimat
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -129,14 +129,14 @@ class Localisation:
 
 
 def localise(
-    found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whiteness | None]], names: Mapping[str, str]
+    found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whiteness | None]], names: Collection[str]
 ) -> Localisation:
     """Localise the model error of a record.
 
     Args:
         found: the record with its explanation.
         whiteness: of the validation residual of each sensor, before and after.
-        names: of the places that count, by their names in this rig: further places are none of their own.
+        names: of the places that count: further places are none of their own.
     """
     seen, periods = found.smoothed, Periods.of(found.record.commands, found.record.rate)
     latent = _latent_forces(found, seen.before, seen.error, periods, names)
@@ -146,7 +146,7 @@ def localise(
 
 
 def _latent_forces(
-    found: Explained, motion: Motion, error: Array, periods: Periods | None, names: Mapping[str, str]
+    found: Explained, motion: Motion, error: Array, periods: Periods | None, names: Collection[str]
 ) -> LatentForces:
     """Return the latent forces along a motion whose readings differ by an error (m, sensors) from the simulation."""
     rig, theta, repeats = found.rig, found.explanation.hypothesis.theta, None if periods is None else periods.length
@@ -166,7 +166,7 @@ def _latent_forces(
         harmonics = None if periods is None or drawn.parts is None else periods.harmonics(force)
         units = latent_force.element_units(rig, place.name)
         frequency = cycle(rate, found.record.rate)
-        places.append(LocatedForce(names[place.name], share(force, deviation), drawn, harmonics, units, frequency))
+        places.append(LocatedForce(place.name, share(force, deviation), drawn, harmonics, units, frequency))
     actuators = {}
     for name, command, column in zip(found.twin.actuators, found.record.acting.T, rig.columns[2], strict=True):
         force, deviation = latent_force.projected(motion, latent_force.directions(rig, theta, column))

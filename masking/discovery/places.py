@@ -216,6 +216,8 @@ def _degree(model: ModelDeclaration, element: Element) -> str | None:
     name, *others = element.acts
     if others or name in driven_outputs(model):
         return None if others else name
+    if name in model.coordinates and element.rate is not None and _text(element.rate) != f"{name}'":
+        return None
     texts = {_text(element.displacement)} | ({_text(element.rate)} if name in model.states else set())
     return name if name in texts else None
 
