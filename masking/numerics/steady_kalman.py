@@ -7,6 +7,7 @@ equation.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -50,7 +51,7 @@ def discretised(flow: Array, density: Array, period: float) -> tuple[Array, Arra
         period: time between samples.
     """
     n = len(flow)
-    halvings = max(0, int(np.ceil(np.log2(max(np.linalg.norm(flow, 1) * period, 1.0)))))
+    halvings = math.ceil(math.log2(max(float(np.linalg.norm(flow, 1)) * period, 1.0)))
     block = np.block([[-flow, np.diag(density)], [np.zeros((n, n)), flow.T]])
     exponential = linalg.expm(block * period / 2.0**halvings)  # of what decays fast, the inverse would be infinite
     step = exponential[n:, n:].T
