@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 else:
     linalg = lazy.load("scipy.linalg", suppress_warning=True)
 
+MOST_SIZE = 1e300  # of a flow over a sample
 MOST_DOUBLINGS = 60  # of the samples that are covered
 SETTLED = 1e-15  # relative change of the covariance by the last doubling
 
@@ -51,13 +52,15 @@ def discretised(flow: Array, density: Array, period: float) -> tuple[Array, Arra
         period: time between samples.
     """
     n = len(flow)
-    halvings = math.ceil(math.log2(max(float(np.linalg.norm(flow, 1)) * period, 1.0)))
+    size = min(max(1.0, float(np.linalg.norm(flow, 1)) * period), MOST_SIZE)  # 1 of what is no number
+    halvings = math.ceil(math.log2(size))
     block = np.block([[-flow, np.diag(density)], [np.zeros((n, n)), flow.T]])
-    exponential = linalg.expm(block * period / 2.0**halvings)  # of what decays fast, the inverse would be infinite
-    step = exponential[n:, n:].T
-    noise = step @ exponential[:n, n:]
-    for _ in range(halvings):
-        step, noise = step @ step, noise + step @ noise @ step.T
+    with np.errstate(over="ignore", invalid="ignore"):  # of what grows fast, a step is infinite
+        exponential = linalg.expm(block * period / 2.0**halvings)  # of what decays fast, the inverse would be infinite
+        step = exponential[n:, n:].T
+        noise = step @ exponential[:n, n:]
+        for _ in range(halvings):
+            step, noise = step @ step, noise + step @ noise @ step.T
     return step, 0.5 * (noise + noise.T)
 
 
