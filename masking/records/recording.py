@@ -7,22 +7,28 @@ Column names: `t` (time of the plant), `rig.<coord>` and `rig.<coord>'` (the pla
 `virtual.<coord>` and `virtual.<coord>'` (the same motion seen through the transform T), `ideal.<coord>` and
 `ideal.<coord>'` (the virtual system integrated by itself), `input.<name>`; further columns are kept as they are.
 Each column of the table has its unit and its meaning in the metadata of its field.
+
+A long recording stays on disk: `between` reads a part of it, `chunks` one part after the other.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RENAMED, RecordError, nearest
+from masking.records import thinned
 from masking.records.json_text import json_text
+from masking.records.stored import StoredColumns, read
+from masking.records.time_slice import Part
 
 if TYPE_CHECKING:
     from masking.display.axes import NotebookFigure
@@ -34,6 +40,7 @@ else:
 FORMAT: Final = "masking recording 1"
 TABLE: Final = "recording.parquet"
 MANIFEST: Final = "manifest.json"
+_DRAWN: Final = 2**15  # samples of a recording on disk that a picture in a notebook has
 _MEND = f"give a folder that holds {TABLE}, such as results/duffing"
 
 
@@ -42,7 +49,8 @@ class Recording:
     """The series of one run and its manifest.
 
     `columns` are 1-D, equally long, finite and kept as read-only float64; `t` is one of them and strictly increasing.
-    Anything else is a `RecordError` that names the column and the first bad row (rows count from 0).
+    Anything else is a `RecordError` that names the column and the first bad row (rows count from 0). Those of a
+    recording that would take more than 256 MiB stay on disk when it is loaded, and are checked when they are read.
     `manifest` holds whatever JSON can hold; numpy scalars and arrays become numbers and lists when it is saved, and
     numbers that JSON lacks become the texts "inf", "-inf" and "nan", which `float()` reads back.
     `notes` are sentences about how it was read, which the report repeats; they are not saved.
@@ -53,6 +61,8 @@ class Recording:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if isinstance(self.columns, StoredColumns):
+            return
         object.__setattr__(self, "columns", {name: _column(name, values) for name, values in self.columns.items()})
         _check(self.columns)
 
@@ -65,19 +75,31 @@ class Recording:
             raise RecordError(message) from None
 
     def __len__(self) -> int:
-        return len(self.columns["t"])
+        return self.columns.rows if isinstance(self.columns, StoredColumns) else len(self.columns["t"])
 
     def __repr__(self) -> str:
         name = self.manifest.get("name", "without a name")
         size = f"{len(self)} samples of {len(self.columns)} columns"
-        return f"<Recording {name}: {size}, t = {self.t[0]:g} to {self.t[-1]:g}>"
+        first, last = self.span
+        return f"<Recording {name}: {size}, t = {first:g} to {last:g}>"
 
     def _repr_html_(self) -> str:
         chi = self.manifest.get("masking_error") or {}
         errors = ", ".join(f"{name} {float(value):.2g}" for name, value in chi.items())
-        size = f"{len(self)} samples, t = {self.t[0]:g} to {self.t[-1]:g} {self.units.get('t', '')}".rstrip()
+        first, last = self.span
+        size = f"{len(self)} samples, t = {first:g} to {last:g} {self.units.get('t', '')}".rstrip()
         subtitle = f"{size}; masking error chi: {errors}" if errors else size
-        return views.card(self.name or "Recording", subtitle, self.columns, self.units, self.meanings)
+        return views.card(self.name or "Recording", subtitle, self._drawn.columns, self.units, self.meanings)
+
+    @property
+    def _drawn(self) -> Recording:
+        """Return it with as many samples as a picture shows, where it is on disk."""
+        return self.thinned(_DRAWN) if self.is_on_disk else self
+
+    @property
+    def is_on_disk(self) -> bool:
+        """Tell whether its columns are on disk, and read where they are asked for."""
+        return isinstance(self.columns, StoredColumns)
 
     @property
     def name(self) -> str:
@@ -104,6 +126,61 @@ class Recording:
     def t(self) -> NDArray[np.float64]:
         """Time of the plant, shape (samples,)."""
         return self.columns["t"]
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time."""
+        if isinstance(self.columns, StoredColumns):
+            return self.columns.spans[0][0], self.columns.spans[-1][-1]
+        return float(self.t[0]), float(self.t[-1])
+
+    def between(self, start: float | None = None, end: float | None = None) -> Recording:
+        """Return a part of it, in memory: the samples from one time on, and before another; times stay as they are.
+
+        Args:
+            start: s; None for its beginning.
+            end: s; None for its end.
+
+        Raises:
+            RecordError: it does not reach so far, or no sample lies between them.
+        """
+        words = ["" if time is None else f"{time:.9g}" for time in (start, end)]
+        part, (first, last) = Part(f"{self.name or 'the recording'}@{':'.join(words)}", Path(), start, end), self.span
+        step = (last - first) / max(1, len(self) - 1)
+        limits = part.within(first, last, step)
+        if isinstance(self.columns, StoredColumns):
+            found = self.columns.between(*limits)
+        else:
+            rows = slice(*np.searchsorted(self.t, limits, side="left"))
+            found = {name: column[rows] for name, column in self.columns.items()}
+        if not len(found["t"]):
+            raise part.empty(first, last, step)
+        return replace(self, columns=found)
+
+    def chunks(self, names: Sequence[str] | None = None) -> Iterator[Mapping[str, NDArray[np.float64]]]:
+        """Give columns by name, one stretch of time after the other: one that is in memory is a single one.
+
+        Args:
+            names: of the columns; by default all.
+        """
+        if isinstance(self.columns, StoredColumns):
+            yield from self.columns.chunks(names)
+        else:
+            yield {name: self[name] for name in (self.columns if names is None else names)}
+
+    def thinned(self, most: int, sampled: Collection[str] = (), names: Sequence[str] | None = None) -> Recording:
+        """Return it with fewer samples, evenly in time, in memory; one that has no more than `most` as it is.
+
+        Args:
+            most: samples.
+            sampled: names of columns that are sampled; of the others, the least and the greatest value of each stretch
+                of time are kept, as a picture shows them.
+            names: of the columns, the clock among them; by default all.
+        """
+        step = thinned.step_for(len(self), most)
+        if step == 1:
+            return self
+        return replace(self, columns=thinned.thinned(self.chunks(names), step, {"t", *sampled}))
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -178,10 +255,10 @@ class Recording:
         rows = []
         for name in columns or usual:
             if name not in self.columns and name not in prefixes:
-                allowed = {**prefixes, **self.columns}
+                allowed = [*prefixes, *self.columns]
                 raise RecordError(f"the recording has no column or prefix '{name}'; {nearest(name, allowed)}")
             rows.append([name] if name in self.columns else [f"{name}.{short}" for short in self.names(name)])
-        return views.figure(self.columns, self.units, rows, self.name)
+        return views.figure(self._drawn.columns, self.units, rows, self.name)
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write both files into `folder`, made if need be, and return it; after an error the folder is as it was.
@@ -194,19 +271,17 @@ class Recording:
             RecordError: it cannot be written, or holds a recording that may not be replaced.
         """
         folder = Path(folder)
-        held = next((name for name in (TABLE, MANIFEST) if (folder / name).exists()), None)
-        if held and not overwrite:
-            raise RecordError(
-                f"{folder} holds an earlier recording, {held}; name another folder, or give overwrite=True"
-            )
-        text = json_text({"format": FORMAT, **self.manifest})
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with parquet.replacing(folder / MANIFEST) as manifest, parquet.replacing(folder / TABLE) as table:
-                manifest.write(text.encode())
-                parquet.write(table, self.columns, text.encode(), {"unit": self.units, "meaning": self.meanings})
-        except OSError as error:
-            raise RecordError(f"{folder}: the recording cannot be written: {error.strerror or error}") from error
+        facts = {"unit": self.units, "meaning": self.meanings}
+        with writing(folder, overwrite=overwrite) as (manifest, table):
+            text = json_text({"format": FORMAT, **self.manifest}).encode()
+            manifest.write(text)
+            if self.is_on_disk:
+                writer = parquet.Writer(table, self.columns, facts)
+                for chunk in self.chunks():
+                    writer.add(chunk)
+                writer.close(text)
+            else:
+                parquet.write(table, self.columns, text, facts)
         return folder
 
     @classmethod
@@ -225,7 +300,7 @@ class Recording:
         if not path.is_file():
             mend = "" if path.parent.is_dir() else f"; the folder {path.parent} does not exist"
             raise RecordError(f"{path}: no such recording{mend}; {_MEND}")
-        columns, text = parquet.read(path)
+        columns, text = read(path)
         if text is None:
             raise RecordError(f"{path}: not a recording: the table carries no manifest")
         try:
@@ -245,6 +320,28 @@ class Recording:
             return cls(columns, manifest, _notes(path, manifest))
         except RecordError as error:
             raise RecordError(f"{path}: {error}") from error
+
+
+@contextmanager
+def writing(folder: Path, *, overwrite: bool = False) -> Iterator[tuple[BinaryIO, BinaryIO]]:
+    """Give the streams of both files of a recording, manifest and table; after an error the folder is as it was.
+
+    Args:
+        folder: where to, made if need be.
+        overwrite: whether a recording that is there may be replaced.
+
+    Raises:
+        RecordError: it cannot be written, or holds a recording that may not be replaced.
+    """
+    held = next((name for name in (TABLE, MANIFEST) if (folder / name).exists()), None)
+    if held and not overwrite:
+        raise RecordError(f"{folder} holds an earlier recording, {held}; name another folder, or give overwrite=True")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with parquet.replacing(folder / MANIFEST) as manifest, parquet.replacing(folder / TABLE) as table:
+            yield manifest, table
+    except OSError as error:
+        raise RecordError(f"{folder}: the recording cannot be written: {error.strerror or error}") from error
 
 
 def _notes(table: Path, manifest: Mapping[str, Any]) -> tuple[str, ...]:

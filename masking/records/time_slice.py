@@ -76,20 +76,39 @@ class Part:
         if (self.start is None and self.end is None) or not len(known):
             return chosen
         step = max(0.0, float(np.median(np.diff(known)))) if len(known) > 1 else 0.0
-        near, first, last = _NEAR * step, float(known.min()), float(known.max())
-        limits = (first - near, last + step + near)
-        if any(time is not None and not limits[0] <= time <= limits[1] for time in (self.start, self.end)):
-            raise RecordError(f"{self.name}: the record goes from {first:.9g} s to {last:.9g} s; name a part of it")
+        first, last = float(known.min()), float(known.max())
+        start, end = self.within(first, last, step)
         if self.start is not None:
-            chosen &= t >= self.start - near
+            chosen &= t >= start
         if self.end is not None:
-            chosen &= t < self.end - near
+            chosen &= t < end
         if not chosen.any():
-            raise RecordError(
-                f"{self.name}: no sample lies in this part; the record goes from {first:.9g} s to {last:.9g} s, with "
-                f"{step:.9g} s between samples"
-            )
+            raise self.empty(first, last, step)
         return chosen
+
+    def within(self, first: float, last: float, step: float) -> tuple[float, float]:
+        """Return the times of a record that the part goes from and until; infinite where none is given.
+
+        Args:
+            first: time of the first sample of the record, s.
+            last: time of its last sample, s.
+            step: time between samples, s.
+
+        Raises:
+            RecordError: the part reaches out of the record.
+        """
+        near = _NEAR * step
+        if any(time is not None and not first - near <= time <= last + step + near for time in (self.start, self.end)):
+            raise RecordError(f"{self.name}: the record goes from {first:.9g} s to {last:.9g} s; name a part of it")
+        start, end = self.limits
+        return start - near, end - near
+
+    def empty(self, first: float, last: float, step: float) -> RecordError:
+        """Return the error of a part without a sample; the arguments are those of `within`."""
+        return RecordError(
+            f"{self.name}: no sample lies in this part; the record goes from {first:.9g} s to {last:.9g} s, with "
+            f"{step:.9g} s between samples"
+        )
 
 
 def exists(path: Path) -> bool:
