@@ -35,10 +35,9 @@ def _add_report(sub: argparse.ArgumentParser) -> None:
 def _run(chosen: argparse.Namespace) -> int:
     """Run an experiment, save its recording and write its report."""
     from masking.reports import run_report
-    from masking.runs import error_budget
     from masking.runs.experiment import Experiment
     from masking.workflows.outputs import RUN, check_folder
-    from masking.workflows.run import save
+    from masking.workflows.run import record, save
 
     changes = dict(change(text) for text in chosen.set)
     made = Experiment.load(chosen.experiment, plant=chosen.plant, changes=changes)
@@ -50,7 +49,7 @@ def _run(chosen: argparse.Namespace) -> int:
     raise_interrupts()
     try:
         with Bar("running") as bar:
-            recording = error_budget.run(made, chosen.budget, bar)
+            recording = record(made, out, chosen.budget, bar)
     except MaskingError:
         if before:
             print(f"{out} still holds the run of {before}", file=sys.stderr)

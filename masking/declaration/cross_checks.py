@@ -18,7 +18,8 @@ from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration, Transform
 from masking.errors import Problem, nearest
 
-LARGEST_RECORDING = 2**31
+LARGEST_RECORDING = 2**31  # bytes of one that is in memory
+LARGEST_ON_DISK = 2**36
 _PROPOSED_DIVISORS = (1, 2, 4, 5, 10)
 
 
@@ -160,16 +161,19 @@ def count_columns(rig: ModelDeclaration, virtual: ModelDeclaration) -> int:
     return 1 + 2 * moving + len(rig.inputs)
 
 
-def check_size(experiment: ExperimentDeclaration, rows: float, columns: int) -> list[Problem]:
-    """Refuse a duration whose recording, of 8 bytes a number, would be larger than 2 GiB.
+def check_size(
+    experiment: ExperimentDeclaration, rows: float, columns: int, largest: float = LARGEST_RECORDING
+) -> list[Problem]:
+    """Refuse a duration whose recording, of 8 bytes a number, would be too large.
 
     Args:
         experiment: what is recorded.
         rows: of the recording.
         columns: of the recording.
+        largest: size that is not refused, in bytes; by default 2 GiB.
     """
     size = rows * columns * 8.0
-    if size <= LARGEST_RECORDING:
+    if size <= largest:
         return []
     message = f"{_short(experiment.duration)} units are {_short(rows)} rows, {_short(size / 2**30)} GiB"
     mend = "shorten duration or " + ("lower record.rate" if experiment.record else "record less: 'record: {rate: ...}'")

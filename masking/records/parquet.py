@@ -75,21 +75,22 @@ class Writer:
 
     Args:
         stream: what is written to.
-        names: of the columns.
-        facts: texts for the metadata of fields, such as their units, by key and column.
     """
 
-    def __init__(self, stream: BinaryIO, names: Iterable[str], facts: Mapping[str, Mapping[str, str]]) -> None:
-        self._schema = _schema(names, facts)
-        self._writer = pq.ParquetWriter(stream, self._schema, **_WRITTEN)
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._writer: Any = None  # of pyarrow
 
-    def add(self, columns: Mapping[str, NDArray[np.float64]]) -> None:
+    def add(self, columns: Mapping[str, NDArray[np.float64]], facts: Mapping[str, Mapping[str, str]]) -> None:
         """Write rows behind those that are there.
 
         Args:
-            columns: (samples,) each, contiguous.
+            columns: (samples,) each, contiguous; the same ones each time.
+            facts: texts for the metadata of fields, such as their units, by key and column; the first ones count.
         """
-        self._writer.write_table(_table(columns, self._schema), row_group_size=ROWS)
+        if self._writer is None:
+            self._writer = pq.ParquetWriter(self._stream, _schema(columns, facts), **_WRITTEN)
+        self._writer.write_table(_table(columns, self._writer.schema), row_group_size=ROWS)
 
     def close(self, manifest: bytes) -> None:
         """Write the manifest, which is JSON, and the end of the table."""
@@ -154,7 +155,9 @@ def outline(path: Path) -> Outline:
 def _range(group: pq.RowGroupMetaData, column: int | None) -> tuple[float, float]:
     """Return the least and the greatest number of a column in a group, as its statistics say."""
     known = None if column is None else group.column(column).statistics
-    return (float(known.min), float(known.max)) if known is not None and known.has_min_max else (math.nan, math.nan)
+    if known is None or not known.has_min_max:
+        return math.nan, math.nan
+    return float(known.min) + 0.0, float(known.max) + 0.0  # a zero has a sign there
 
 
 def groups(table: Outline, which: Sequence[int], names: Sequence[str]) -> Iterator[dict[str, NDArray[np.float64]]]:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError, nearest
-from masking.records import loggers, matlab_5, numpy_files, text_table
+from masking.records import loggers, matlab_5, numpy_files, stored, text_table
 from masking.records.hold import Names
 from masking.records.nested import vectors, without_doubles
 from masking.records.recording import MANIFEST, TABLE, Recording
@@ -76,7 +76,8 @@ def read(
     if dt is not None and not (np.isfinite(dt) and dt > 0.0):
         raise RecordError(f"{file}: the time between samples is {dt:g} s; give a positive number of seconds")
     heading = tuple(names) if names and not isinstance(names, Mapping) else ()
-    columns, text = _columns(file, heading)
+    is_timed = dt is None and not (isinstance(names, Mapping) and CLOCK in names)
+    columns, text = _columns(file, heading, part if is_timed else None)
     names = names if isinstance(names, Mapping) else {}
     columns = _renamed(file, columns, names)
     if dt is not None:
@@ -127,18 +128,23 @@ def mapping(text: str) -> dict[str, str]:
     return found
 
 
-def _columns(file: Path, heading: Sequence[str]) -> tuple[dict[str, Column], bytes | None]:
+def _columns(file: Path, heading: Sequence[str], part: Part | None) -> tuple[dict[str, Column], bytes | None]:
     """Return the columns of a file, and the manifest of one of our own.
 
     Args:
         file: to be read.
         heading: names of the columns of a text that has none; empty for all else.
+        part: of a long record, which is read with what lies around it; None where its clock is not its own.
     """
     kind = file.suffix.lower()
     if heading and kind not in _TEXT:
         raise RecordError(f"{file}: its columns have names; rename them, such as --map t=time, in place of --columns")
     if kind == ".parquet":
-        return parquet.read(file)
+        found, text = parquet.read(file) if part is None else stored.read(file)
+        if not isinstance(found, stored.StoredColumns) or part is None:
+            return dict(found), text
+        (first, last), rows = (found.spans[0][0], found.spans[-1][-1]), found.rows
+        return found.around(*part.within(first, last, (last - first) / max(1, rows - 1))), text
     if kind in _TEXT:
         return text_table.read(file, heading), None
     if kind in _NESTED:

@@ -102,6 +102,11 @@ class Recording:
         return isinstance(self.columns, StoredColumns)
 
     @property
+    def path(self) -> Path | None:
+        """File that its columns are read from where they are asked for; None where they are in memory."""
+        return self.columns.table.path if isinstance(self.columns, StoredColumns) else None
+
+    @property
     def name(self) -> str:
         """Name of the run, "" where it has none."""
         return str(self.manifest.get("name") or "")
@@ -178,7 +183,7 @@ class Recording:
             names: of the columns, the clock among them; by default all.
         """
         step = thinned.step_for(len(self), most)
-        if step == 1:
+        if step == 1 and not self.is_on_disk:
             return self
         return replace(self, columns=thinned.thinned(self.chunks(names), step, {"t", *sampled}))
 
@@ -276,9 +281,9 @@ class Recording:
             text = json_text({"format": FORMAT, **self.manifest}).encode()
             manifest.write(text)
             if self.is_on_disk:
-                writer = parquet.Writer(table, self.columns, facts)
+                writer = parquet.Writer(table)
                 for chunk in self.chunks():
-                    writer.add(chunk)
+                    writer.add(chunk, facts)
                 writer.close(text)
             else:
                 parquet.write(table, self.columns, text, facts)

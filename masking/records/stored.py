@@ -39,13 +39,14 @@ class StoredColumns(Mapping[str, Column]):
     def __init__(self, table: parquet.Outline) -> None:
         self.table, self._kept = table, weakref.WeakValueDictionary[str, Column]()
         if CLOCK not in table.names:
-            raise RecordError(f"the recording has no column '{CLOCK}'; {nearest(CLOCK, table.names)}")
+            raise RecordError(f"{table.path}: the recording has no column '{CLOCK}'; {nearest(CLOCK, table.names)}")
         if not self.rows:
-            raise RecordError("the recording has no samples")
+            raise RecordError(f"{table.path}: the recording has no samples")
         for number, ((_, last), (first, _)) in enumerate(pairwise(self.spans), 1):
             if not last < first:
                 row = table.edges[number]
-                raise RecordError(f"column 't' must increase strictly: row {row} is {first:.9g} after {last:.9g}")
+                words = f"column 't' must increase strictly: row {row} is {first:.9g} after {last:.9g}"
+                raise RecordError(f"{table.path}: {words}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return StoredColumns, (self.table,)
@@ -94,14 +95,17 @@ class StoredColumns(Mapping[str, Column]):
                 _check(self.table.path, name, column, begin)
             yield part
 
+    def around(self, start: float, end: float) -> dict[str, Column]:
+        """Read all groups of rows that have one between two times."""
+        which = [number for number, (first, last) in enumerate(self.spans) if last >= start and first < end]
+        parts = [*parquet.groups(self.table, which, self.table.names)]
+        return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in self.table.names}
+
     def between(self, start: float, end: float) -> dict[str, Column]:
         """Read what lies between two times: from `start` on, and before `end`."""
-        which = [number for number, (first, last) in enumerate(self.spans) if last >= start and first < end]
-        parts = []
-        for part in parquet.groups(self.table, which, self.table.names):
-            rows = slice(*np.searchsorted(part[CLOCK], [start, end], side="left"))
-            parts.append({name: column[rows].copy() for name, column in part.items()})
-        return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in self.table.names}
+        found = self.around(start, end)
+        rows = slice(*np.searchsorted(found[CLOCK], [start, end], side="left"))
+        return {name: column[rows].copy() for name, column in found.items()}
 
 
 def _check(path: Path, name: str, column: Column, begin: int) -> None:
@@ -118,6 +122,6 @@ def read(path: Path) -> tuple[Mapping[str, Column], bytes | None]:
         RecordError: it cannot be read, or is no table of numbers.
     """
     table = parquet.outline(path)
-    if 8 * table.edges[-1] * len(table.names) <= LARGE:
+    if CLOCK not in table.names or 8 * table.edges[-1] * len(table.names) <= LARGE:
         return parquet.read(path)
     return StoredColumns(table), table.manifest

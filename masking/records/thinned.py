@@ -33,10 +33,7 @@ def thinned(chunks: Iterable[Columns], step: int, sampled: Collection[str]) -> d
         parts.append({name: _kept(column[:length], step, name in sampled) for name, column in whole.items()})
         rest = {name: column[length:].copy() for name, column in whole.items()}
     if rest and len(next(iter(rest.values()))):
-        last = {name: np.pad(column, (0, -len(column) % (2 * step)), mode="edge") for name, column in rest.items()}
-        kept = {name: _kept(column, step, name in sampled) for name, column in last.items()}
-        count = -(-len(next(iter(rest.values()))) // step)
-        parts.append({name: column[:count] for name, column in kept.items()})
+        parts.append({name: _last(column, step, name in sampled) for name, column in rest.items()})
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
@@ -47,3 +44,12 @@ def _kept(column: Column, step: int, is_sampled: bool) -> Column:
     least, greatest = stretches.argmin(axis=1), stretches.argmax(axis=1)
     both = np.sort(np.column_stack([least, greatest]), axis=1)
     return np.ascontiguousarray(np.take_along_axis(stretches, both, axis=1).ravel())
+
+
+def _last(column: Column, step: int, is_sampled: bool) -> Column:
+    """Return what is kept of samples that are too few for a stretch; the largest, where that is a single one."""
+    if is_sampled:
+        return column[::step].copy()
+    if len(column) <= step:
+        return np.atleast_1d(column[np.abs(column).argmax()])
+    return np.asarray(column[np.sort([column.argmin(), column.argmax()])])

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.analysis.masking_error import masking_error
+from masking.analysis.masking_error import ErrorSum
 from masking.analysis.synchronisation import (
     AntiPhase,
     Synchronisation,
@@ -36,6 +36,7 @@ SUM_WINDOW_PERIODS = 3
 _END = 0.05  # part of the record over which its last phase is stated
 _ROWS = 64  # of a period, which tell as much as thousands
 _ROUNDING = 1e-9
+_MOST = 2**21  # samples that are studied at once: 24 in a period of a second over a day
 _AT_REST = 1e-12  # of the largest coordinate: below this a coordinate has not moved
 
 
@@ -146,17 +147,21 @@ class Parameter:
 class Study:
     """Everything the figures, the tables and the summary say about one recording.
 
-    `prefix` is "virtual", or "rig" for a record without a virtual system. `chi` is the masking error by coordinate.
+    `recording` has fewer samples than `whole` where that is on disk: motions are sampled, and inputs keep the least and
+    the greatest value of each stretch. `prefix` is "virtual", or "rig" for a record without a virtual system. `chi` is
+    the masking error by coordinate, and `errors` the largest distance from the ideal motion.
     `period` is the mean period of the first oscillator that has one (in units of `tau`), else NaN. `sum_peak` is
     the running peak of |sum of the oscillators|. `no_phase` says why there is no phase difference, "" if there is.
     """
 
     recording: Recording
+    whole: Recording
     tau: Array
     prefix: str
     oscillators: tuple[str, ...]
     others: tuple[str, ...]
     chi: dict[str, float]
+    errors: dict[str, float]
     period: float
     pairs: tuple[PhasePair, ...]
     sum_peak: Array | None
@@ -172,6 +177,23 @@ class Study:
     def ideal(self, coordinate: str) -> Array | None:
         """Give the coordinate of the virtual system by itself, where it was recorded."""
         return self.recording.columns.get(f"ideal.{coordinate}")
+
+    @property
+    def time_scale(self) -> float:
+        """Seconds of the rig per unit of `tau`."""
+        return float(self.recording.manifest.get("time_scale") or 1.0)
+
+    @property
+    def length(self) -> float:
+        """Time from the first sample to the last, in units of `tau`."""
+        first, last = self.whole.span
+        return (last - first) / self.time_scale
+
+    def between(self, start: float | None, end: float | None) -> Study:
+        """Give what lies between two times in units of `tau`, with all its samples, for a picture of it."""
+        limits = (None if at is None else at * self.time_scale for at in (start, end))
+        part = self.whole.between(*limits)
+        return replace(self, recording=part, whole=part, tau=part.t / self.time_scale)
 
     def unit(self, column: str) -> str:
         """Give the declared unit of a column; "" where it is dimensionless or not declared."""
@@ -202,7 +224,7 @@ class Study:
     @property
     def is_scaled(self) -> bool:
         """Tell whether `tau` is another time than that of the plant."""
-        return float(self.recording.manifest.get("time_scale") or 1.0) != 1.0
+        return self.time_scale != 1.0
 
     @property
     def worst(self) -> str | None:
@@ -212,6 +234,7 @@ class Study:
 
 def study(recording: Recording) -> Study:
     """Work out what a recording shows."""
+    whole, recording = recording, drawn(recording)
     manifest = recording.manifest
     prefix = "virtual" if recording.coordinates else "rig"
     names = recording.names(prefix)
@@ -229,42 +252,60 @@ def study(recording: Recording) -> Study:
     reason = why_no_phase(manifest, motions, recording.array(prefix) if names else np.zeros((1, 1)), periods)
     # The sum is a measure of synchronisation also where the oscillators are too many or too still to have one phase.
     total = sum(motions.values()) if len(motions) > 1 and manifest.get("oscillators") else None
+    sums = _error_sums(whole)
     return Study(
         recording=recording,
+        whole=whole,
         tau=tau,
         prefix=prefix,
         oscillators=oscillators,
         others=others,
-        chi=masking_errors(recording),
+        chi=masking_errors(whole, sums),
+        errors={name: one.largest for name, one in sums.items()},
         period=mean_period,
         pairs=() if reason else _pairs(tau, motions, mean_period),
         sum_peak=None
         if reason or total is None
         else running_peak(tau, np.abs(total), SUM_WINDOW_PERIODS * mean_period),
         anti_phase=None if reason else anti_phase_of(tau, motions),
-        inputs=input_uses(recording),
+        inputs=input_uses(whole, recording),
         no_phase=reason,
         budget=_budget(recording),
     )
 
 
-def input_uses(recording: Recording) -> tuple[InputUse, ...]:
-    """Tell how much of each input was used."""
-    return tuple(_use(recording, name) for name in recording.inputs)
+def drawn(recording: Recording) -> Recording:
+    """Return a recording with as many samples as are studied at once: one that is on disk, with fewer and in memory."""
+    if not recording.is_on_disk:
+        return recording
+    prefix = "virtual" if recording.coordinates else "rig"
+    moving = [f"{kind}.{name}" for kind in (prefix, "ideal") for name in recording.names(kind)]
+    more = [n for n in recording.columns if n.partition(".")[0] in {"input", "demanded", "power"}]
+    passive = (recording.manifest.get("passive") or {}).get("coordinates") or ()
+    more += [f"rig.{name}" for name in passive if f"rig.{name}" not in moving]
+    return recording.thinned(_MOST, moving, ["t", *moving, *more])
 
 
-def masking_errors(recording: Recording) -> dict[str, float]:
+def input_uses(recording: Recording, shown: Recording | None = None) -> tuple[InputUse, ...]:
+    """Tell how much of each input was used; `shown` is what is drawn of the recording, if that is known."""
+    shown = shown or drawn(recording)
+    return tuple(_use(recording, name, shown) for name in recording.inputs)
+
+
+def _error_sums(recording: Recording) -> dict[str, ErrorSum]:
+    names = recording.coordinates or recording.names("rig")
+    sums = {n: ErrorSum() for n in names if {f"ideal.{n}", f"virtual.{n}"} <= recording.columns.keys()}
+    for chunk in recording.chunks([f"{kind}.{name}" for name in sums for kind in ("virtual", "ideal")]):
+        for name, one in sums.items():
+            one.add(chunk[f"virtual.{name}"], chunk[f"ideal.{name}"])
+    return sums
+
+
+def masking_errors(recording: Recording, sums: Mapping[str, ErrorSum] | None = None) -> dict[str, float]:
     """Masking error from the columns; what the run itself stated stands in where the ideal motion was not recorded."""
-    stated = recording.manifest.get("masking_error") or {}
-    chi: dict[str, float] = {}
-    for name in recording.coordinates or recording.names("rig"):
-        ideal = recording.columns.get(f"ideal.{name}")
-        virtual = recording.columns.get(f"virtual.{name}")
-        if ideal is not None and virtual is not None:
-            chi[name] = masking_error(virtual, ideal)
-        elif name in stated:
-            chi[name] = float(stated[name])
-    return chi
+    stated, sums = recording.manifest.get("masking_error") or {}, sums or _error_sums(recording)
+    names = recording.coordinates or recording.names("rig")
+    return {n: sums[n].value if n in sums else float(stated[n]) for n in names if n in sums or n in stated}
 
 
 def parameters(recording: Recording) -> tuple[Parameter, ...]:
@@ -336,30 +377,35 @@ def anti_phase_of(tau: Array, motions: Mapping[str, Array]) -> AntiPhase | None:
         return None
 
 
-def _use(recording: Recording, name: str) -> InputUse:
-    series = recording[f"input.{name}"]
+def _use(recording: Recording, name: str, shown: Recording) -> InputUse:
+    series = shown[f"input.{name}"]
     declared = _entry(recording.manifest, "limits", name)
     limit = abs(float(declared["max"])) if declared.get("max") is not None else None
     peak = float(np.abs(series).max())
     unit = str(declared.get("unit") or _entry(recording.manifest, "columns", f"input.{name}").get("unit") or "")
-    demanded, power = recording.columns.get(f"demanded.{name}"), recording.columns.get(f"power.{name}")
-    saturated = throttled = 0.0
-    if demanded is not None:
-        cut = np.abs(demanded - series) > _ROUNDING * max(peak, limit or 0.0)
-        at_limit = np.abs(series) >= (limit or 0.0) * (1.0 - _ROUNDING)
-        saturated, throttled = float(np.mean(cut & at_limit)), float(np.mean(cut & ~at_limit))
+    demanded, power = shown.columns.get(f"demanded.{name}"), shown.columns.get(f"power.{name}")
+    squares, saturated, throttled = 0.0, 0, 0
+    kinds = ("input",) if demanded is None else ("input", "demanded")
+    for chunk in recording.chunks([f"{kind}.{name}" for kind in kinds]):
+        applied = chunk[f"input.{name}"]
+        squares += float(np.sum(applied**2))
+        if demanded is not None:
+            cut = np.abs(chunk[f"demanded.{name}"] - applied) > _ROUNDING * max(peak, limit or 0.0)
+            at_limit = np.abs(applied) >= (limit or 0.0) * (1.0 - _ROUNDING)
+            saturated += int(np.count_nonzero(cut & at_limit))
+            throttled += int(np.count_nonzero(cut & ~at_limit))
     most = _entry(recording.manifest, "declarations", "plant", "limits", "power").get("value")
     return InputUse(
         name,
         series,
         "" if unit == "1" else unit,
         peak,
-        float(np.sqrt(np.mean(series**2))),
+        math.sqrt(squares / len(recording)),
         limit,
         peak / limit if limit else None,
         demanded,
-        saturated,
-        throttled,
+        saturated / len(recording),
+        throttled / len(recording),
         None if power is None else float(power.max()),
         None if power is None or most is None else float(most),
     )

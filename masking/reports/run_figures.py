@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
-from numpy.typing import NDArray
 
 from masking.analysis.synchronisation import principal, running_peak
 from masking.declaration.quantities import percent
@@ -47,12 +46,14 @@ def _displacements(study: Study) -> CaptionedFigure:
     time_label(rows[len(names) - 1], study)
     if zoom:
         span = _ZOOM_PERIODS * study.period
-        head, tail = study.tau <= study.tau[0] + span, study.tau >= study.tau[-1] - span
+        first, last = study.whole.span
+        head = study.between(None, first / study.time_scale + span)
+        tail = study.between(last / study.time_scale - span, None)
         for axes, part, text in zip(rows[len(names) :], (head, tail), ("first", "last"), strict=True):
             for name, colour in zip(names, COLOURS, strict=False):
-                _lines(axes, study, name, colour, part)
-            symmetric(axes, [study.motion(name)[part] for name in names])
-            axes.set_xlim(study.tau[part][0], study.tau[part][-1])
+                _lines(axes, part, name, colour)
+            symmetric(axes, [part.motion(name) for name in names])
+            axes.set_xlim(part.tau[0], part.tau[-1])
             axes.set_title(f"{text} {_ZOOM_PERIODS} periods", loc="left", fontsize=SIZE, color=MUTED)
             time_label(axes, study)
     _legend(figure, study, [(style.symbol(name), colour) for name, colour in zip(names, COLOURS, strict=False)])
@@ -291,11 +292,11 @@ def _band_words(study: Study) -> str:
     return " Each band runs from trough to crest." if _cycles(study) > _ENVELOPE_PERIODS else ""
 
 
-def _lines(axes: Axes, study: Study, name: str, colour: str, part: NDArray[np.bool_]) -> None:
-    axes.plot(*style.thin(study.tau[part], study.motion(name)[part]), color=colour, lw=1.6)
+def _lines(axes: Axes, study: Study, name: str, colour: str) -> None:
+    axes.plot(*style.thin(study.tau, study.motion(name)), color=colour, lw=1.6)
     ideal = study.ideal(name)
     if ideal is not None:
-        axes.plot(*style.thin(study.tau[part], ideal[part]), color=INK, lw=0.9, ls=DASHED)
+        axes.plot(*style.thin(study.tau, ideal), color=INK, lw=0.9, ls=DASHED)
 
 
 def _log_peaks(axes: Axes, tau: Series, values: Series, colour: str, label: str | None = None) -> None:

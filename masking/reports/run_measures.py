@@ -15,7 +15,7 @@ from masking.analysis.synchronisation import AntiPhase, Synchronisation, period
 from masking.errors import DeclarationError, Problem, nearest
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
-from masking.reports.run_facts import anti_phase_of, input_uses, masking_errors, verdict_of, why_no_phase
+from masking.reports.run_facts import anti_phase_of, drawn, input_uses, masking_errors, verdict_of, why_no_phase
 
 Measured = float | str | Array  # a number, a word, or several numbers (k,)
 _FIFTH, _NEAR, _REST = 0.2, 0.1, 1e-3  # of the record, of the larger amplitude, of the largest displacement
@@ -26,7 +26,11 @@ _LAST: Final = 0.5  # part of the record, at its end, whose maxima and crossings
 class _Run:
     """What measures of one run share, each computed once."""
 
-    recording: Recording
+    whole: Recording
+
+    @cached_property
+    def recording(self) -> Recording:
+        return drawn(self.whole)
 
     @cached_property
     def tau(self) -> Array:
@@ -69,17 +73,19 @@ class _Run:
 
     @cached_property
     def chi(self) -> dict[str, float]:
-        return masking_errors(self.recording)
+        return masking_errors(self.whole)
 
     def peak(self, name: str) -> float:
         return float(np.abs(self.recording[f"input.{name}"]).max())
 
     @cached_property
     def used(self) -> float:
-        return max((use.used for use in input_uses(self.recording) if use.used is not None), default=math.nan)
+        return max(
+            (use.used for use in input_uses(self.whole, self.recording) if use.used is not None), default=math.nan
+        )
 
     def last(self, name: str) -> Array:
-        series = self.recording[f"virtual.{name}"]
+        series = self.whole[f"virtual.{name}"]
         return series[int((1.0 - _LAST) * (len(series) - 1)) :]
 
     def maxima(self, name: str) -> Array:

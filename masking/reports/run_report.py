@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import lazy_loader as lazy
-import numpy as np
 
 from masking.declaration.quantities import number, percent
 from masking.records.recording import MANIFEST, TABLE, Recording
@@ -186,8 +185,8 @@ def _errors(facts: Study) -> list[tuple[str, str, str, str]]:
     """Return chi and the largest error of each coordinate: (name, meaning, chi, largest error)."""
     rows = []
     for name, chi in facts.chi.items():
-        ideal, unit = facts.ideal(name), facts.unit(f"virtual.{name}")
-        error = "" if ideal is None else number(np.abs(facts.motion(name) - ideal).max(), 2)
+        unit = facts.unit(f"virtual.{name}")
+        error = number(facts.errors[name], 2) if name in facts.errors else ""
         rows.append((name, facts.meaning(name), number(chi, 3), f"{error} {unit}".strip()))
     return rows
 

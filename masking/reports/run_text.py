@@ -299,9 +299,9 @@ def declared(parameter: Parameter) -> str:
 
 def record_words(facts: Study) -> str:
     """Say how long the record is, and how and how often it was taken."""
-    manifest, t = facts.recording.manifest, facts.recording.t
-    unit = facts.unit("t")
-    words = f"{len(t)} samples, {number(t[-1] - t[0])} {unit}".rstrip() + " of the rig"
+    manifest, unit = facts.recording.manifest, facts.unit("t")
+    first, last = facts.whole.span
+    words = f"{len(facts.whole)} samples, {number(last - first)} {unit}".rstrip() + " of the rig"
     if manifest.get("rate"):
         words += f", {manifest.get('mode') or 'sampled'} at {rate_words(manifest['rate'])}"
     elif manifest.get("mode"):
@@ -354,7 +354,7 @@ def _duration(facts: Study) -> str:
 def length(facts: Study) -> tuple[str, str]:
     """Give the length of the record and its unit."""
     unit = "" if facts.is_scaled else facts.unit("t")
-    return number(facts.tau[-1] - facts.tau[0], 4), unit or "units of time"
+    return number(facts.length, 4), unit or "units of time"
 
 
 def rate_words(rate: Any) -> str:  # noqa: ANN401  # a number of the manifest

@@ -239,7 +239,7 @@ class _Bench:
         except MaskingError as error:
             return Row(cause, effects, dict.fromkeys(names, math.inf), remedy, str(error)), None
         with np.errstate(all="ignore"):  # a run that is about to grow without bound
-            columns = self.experiment.sampled_columns(run).columns
+            columns = self.experiment.columns(run)[0].columns
             found = {name: masking_error(columns[f"virtual.{name}"], columns[f"ideal.{name}"]) for name in names}
         chi = {name: value if math.isfinite(value) else math.inf for name, value in found.items()}
         return Row(cause, effects, chi, remedy, note), run

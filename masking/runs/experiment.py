@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from masking.analysis.masking_error import masking_error
 from masking.control.blocks import Transform, check_actuation
 from masking.control.closed_loop import ClosedLoop
 from masking.control.instruments import Instruments
@@ -20,18 +20,18 @@ from masking.control.sampled import SampledController, SampledLoop
 from masking.control.step import LawStep, SampledStep
 from masking.declaration import cross_checks, registry, schema
 from masking.declaration.catalogue import Reference
-from masking.display import fragments
 from masking.errors import DeclarationError, ModelError, Problem
-from masking.modelling import series
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
 from masking.rig.twin import PlacedEffect, Twin
-from masking.runs import manifest, record_rate
+from masking.runs import card, manifest, offline, record_rate
 from masking.runs.columns import Columns
-from masking.runs.offline import Mapped, Run, TwinRun, cut, loop_state, rig_state, run_continuous, run_sampled, run_twin
+from masking.runs.ideal import Ideal, Reached
+from masking.runs.offline import Mapped, Run, TwinRun
 from masking.runs.passive import Passive
-from masking.runs.stopping import SYNCHRONISED, StopCondition
+from masking.runs.stopping import StopCondition
+from masking.runs.summary import Summary
 from masking.runs.virtual_inputs import VirtualInputs, live_inputs
 
 
@@ -42,30 +42,10 @@ class Experiment:
     assembly: registry.Assembly
 
     def __repr__(self) -> str:
-        return f"<Experiment {self.declaration.name}: {self._in_words}>"
+        return f"<Experiment {self.declaration.name}: {card.in_words(self.assembly)}>"
 
     def _repr_html_(self) -> str:
-        d = self.declaration
-        observer = f", {self.observer_settings.kind} observer" if d.controller.rate is not None else ""
-        rows = [
-            ("plant", self.assembly.plant.name),
-            ("virtual system", self.assembly.virtual_model.name),
-            ("controller", f"{self._rate_in_words}{observer}"),
-            ("initial", ", ".join(f"{name} = {value:g}" for name, value in d.initial.items())),
-            ("parameters", ", ".join(f"{name} = {value:g}" for name, value in d.parameters.items())),
-            ("duration", f"{d.duration:g} units of virtual time"),
-        ]
-        return fragments.card(d.name, d.description or "", fragments.table(("", ""), [row for row in rows if row[1]]))
-
-    @property
-    def _rate_in_words(self) -> str:
-        rate = self.declaration.controller.rate
-        return "in continuous time" if rate is None else f"at {rate:g} Hz"
-
-    @property
-    def _in_words(self) -> str:
-        plant, virtual = self.assembly.plant.name, self.assembly.virtual_model.name
-        return f"{plant} as {virtual}, {self._rate_in_words}, {self.declaration.duration:g} units of virtual time"
+        return card.html(self.assembly, self.observer_settings.kind)
 
     @classmethod
     def load(
@@ -299,7 +279,7 @@ class Experiment:
 
     def rig_start(self, loop: Mapped) -> Array:
         """Return coordinates and velocities of the rig (2 n,) at the start, by a loop's transform."""
-        return rig_state(loop, self.virtual_start, passive=self.passive.initial() if self.passive else None)
+        return offline.rig_state(loop, self.virtual_start, passive=self.passive.initial() if self.passive else None)
 
     @property
     def stem(self) -> str:
@@ -322,7 +302,8 @@ class Experiment:
             model.validate()
         self.twin.validate()
         _ = self.assumed_effects
-        problems = [*registry.check_units(self.assembly), *self._check_size()]
+        largest = cross_checks.LARGEST_RECORDING if self.ideal.needs_memory else cross_checks.LARGEST_ON_DISK
+        problems = [*registry.check_units(self.assembly), *self._check_size(largest)]
         if problems:
             raise DeclarationError(problems)
         check_actuation(self.law.model, self.law.transform)
@@ -331,12 +312,17 @@ class Experiment:
             _ = self.sampled.gain
         _ = self.stop_condition, self.inputs.series
 
-    def _check_size(self) -> list[Problem]:
+    def _check_size(self, largest: float) -> list[Problem]:
+        return cross_checks.check_size(self.declaration, *self.table_size, largest)
+
+    @property
+    def table_size(self) -> tuple[float, int]:
+        """Return the rows and the columns of the recording."""
         rows = cross_checks.recorded_rows(self.declaration, self.time_scale, self.rows_per_unit)
         columns = cross_checks.count_columns(self.assembly.plant_model, self.assembly.virtual_model)
         if self.has_observer:
             columns += len(self.twin.state_names) + 3 * len(self.twin.actuators) + len(self.twin.sensors)
-        return cross_checks.check_size(self.declaration, rows, columns)
+        return rows, columns
 
     def run(self, progress: Callable[[float], None] | None = None) -> Recording:
         """Run the closed loop, integrate the virtual system by itself, and compare.
@@ -351,24 +337,30 @@ class Experiment:
             IntegrationError: the run could not go on.
         """
         stages = [time.perf_counter()]
-        problems = [*self._check_size(), *([] if self.is_compiled else registry.check_units(self.assembly))]
-        if problems:
-            raise DeclarationError(problems)
-        self._prepare_kernels()
+        self.prepare(cross_checks.LARGEST_RECORDING)
         stages.append(time.perf_counter())
-        simulate = self._sampled_run() if self.has_observer else self._exact_run()
+        simulate = self.simulation()
         stages.append(time.perf_counter())
-        run, condition = simulate(progress=progress), self.stop_condition
-        row = condition.row(self._seen(run)) if condition else None
-        run = run if row is None else cut(run, row + 1)
+        run, condition = offline.joined([*simulate(progress=progress)]), self.stop_condition
+        row = condition.watch()(self.seen(run)) if condition else None
+        run = run if row is None else offline.cut(run, row + 1)
         stages.append(time.perf_counter())
-        columns = self.sampled_columns(run) if isinstance(run, TwinRun) else self._exact_columns(run)
+        columns, _ = self.columns(run)
         stages.append(time.perf_counter())
         timing = zip(("compilation", "preparation", "run", "ideal"), np.diff(stages).tolist(), strict=True)
-        return self._record(columns, dict(timing), is_stopped=row is not None)
+        return self.recording(columns, dict(timing), is_stopped=row is not None)
 
-    def _prepare_kernels(self) -> None:
-        """Compile or load what a run calls."""
+    def prepare(self, largest: float) -> None:
+        """Compile or load what a run calls, if its recording is not too large.
+
+        Args:
+            largest: size of a recording, in bytes.
+
+        Raises:
+            DeclarationError: it is larger, or a unit of the plant does not fit.
+        """
+        if problems := [*self._check_size(largest), *([] if self.is_compiled else registry.check_units(self.assembly))]:
+            raise DeclarationError(problems)
         virtual = self.virtual.kernels
         wanted = [(virtual, [f"solve_{virtual.meta['method']}"])]
         if self.has_observer:
@@ -382,30 +374,25 @@ class Experiment:
             for name in names:
                 getattr(kernels, name).prepare()
 
-    def _exact_run(self) -> Callable[..., Run]:
-        """Return the run of a controller that knows the true state, ready to be started."""
+    def simulation(self, most: int | None = None) -> Callable[..., Iterator[Run | TwinRun]]:
+        """Return the run, ready to be started: called with `progress`, it gives chunks of at most `most` rows."""
         declaration, rate = self.declaration, self.declaration.controller.rate
-        state = loop_state(self.loop, self.virtual_start, self.rig_start(self.loop))
-        duration, schedule = declaration.duration * self.time_scale, self.inputs.of_rig(self.time_scale)
+        duration, every = declaration.duration * self.time_scale, self.every
+        if self.has_observer:
+            _, loop, end = self.sampled.gain, self.sampled_loop, self.sampled.end
+            chunks = partial(offline.twin_chunks, loop, end, duration=duration, seed=declaration.seed, every=every)
+            return partial(chunks, most=most)
+        state = offline.loop_state(self.loop, self.virtual_start, self.rig_start(self.loop))
+        schedule = self.inputs.of_rig(self.time_scale)
         if rate is not None:
-            return partial(
-                run_sampled, self.loop, state, rate=rate, duration=duration, every=self.every, schedule=schedule
-            )
-        times = np.linspace(0.0, duration, self.samples)
-        if declaration.record:
-            times = np.arange(int(duration * declaration.record.rate * (1.0 + 1e-12)) + 1) / declaration.record.rate
-        return partial(run_continuous, self.loop, state, times, tolerance=declaration.tolerance, schedule=schedule)
+            sampled = partial(offline.sampled_chunks, self.loop, state, rate=rate, duration=duration, every=every)
+            return partial(sampled, schedule=schedule, most=most)
+        declared = declaration.record.rate if declaration.record else None
+        rows, instants = record_rate.instants(duration, self.samples, declared)
+        continuous = partial(offline.continuous_chunks, self.loop, state, rows, instants)
+        return partial(continuous, tolerance=declaration.tolerance, schedule=schedule)
 
-    def _sampled_run(self) -> Callable[..., TwinRun]:
-        """Return the run of a controller with an observer, ready to be started."""
-        declaration, sampled = self.declaration, self.sampled
-        _ = sampled.gain
-        duration = declaration.duration * self.time_scale
-        return partial(
-            run_twin, self.sampled_loop, sampled.end, duration=duration, seed=declaration.seed, every=self.every
-        )
-
-    def _seen(self, run: Run | TwinRun) -> Array:
+    def seen(self, run: Run | TwinRun) -> Array:
         """Return the virtual motion that may end a run: what the controller takes for it, as on a rig."""
         return self._virtual(run.times, run.estimates) if isinstance(run, TwinRun) else run.virtual
 
@@ -415,26 +402,29 @@ class Experiment:
         self.sampled.kernels.transforms(times, np.ascontiguousarray(states), self.sampled.values(), virtual)
         return virtual
 
-    def sampled_columns(self, run: TwinRun) -> Columns:
-        """Return the columns of a sampled run; where a rig's true states are not known, `states` are estimates."""
-        times, states, live = run.times, run.states, live_inputs(self.sampled, run, self.inputs)
-        virtual = np.hstack([self._virtual(times, states), run.estimates[:, self.sampled.sizes.memory]])
-        columns = self._columns().add_motion(times, states, virtual, self._ideal(times, live))
-        columns.add_inputs(self.inputs.columns(times / self.time_scale, live))
+    def columns(self, run: Run | TwinRun, reached: Reached | None = None) -> tuple[Columns, Reached]:
+        """Return the columns of a run, or of a chunk of it, and what the virtual system by itself has reached then.
+
+        Args:
+            run: where a rig's true states are not known, `states` are estimates.
+            reached: what it has reached before; None for a run from its beginning.
+        """
+        live = live_inputs(self.sampled, run, self.inputs) if isinstance(run, TwinRun) else {}
+        states, reached = self.ideal.along(run.times, live, reached or (0.0, self.virtual_start))
+        columns, inputs = (
+            Columns(self.assembly, self.plant, self.virtual),
+            self.inputs.columns(run.times / self.time_scale, live),
+        )
+        if isinstance(run, Run):
+            columns.add_motion(run.times, run.rig, run.virtual, states).add_inputs(inputs)
+            return columns.add_actuators("input", run.inputs @ self.instruments.allocation_inverse.T), reached
+        virtual = self._virtual(run.times, run.states), run.estimates[:, self.sampled.sizes.memory]
+        columns.add_motion(run.times, run.states, np.hstack(virtual), states).add_inputs(inputs)
         columns.add_sensors(run.readings)
         columns.add_actuators("input", run.applied).add_actuators("demanded", run.demanded)
         if self.assembly.plant.limits.power is not None:
             columns.add_power(run.power)
-        return columns
-
-    def _exact_columns(self, run: Run) -> Columns:
-        commands = run.inputs @ self.instruments.allocation_inverse.T
-        columns = self._columns().add_motion(run.times, run.rig, run.virtual, self._ideal(run.times))
-        columns.add_inputs(self.inputs.columns(run.times / self.time_scale, {}))
-        return columns.add_actuators("input", commands)
-
-    def _columns(self) -> Columns:
-        return Columns(self.assembly, self.plant, self.virtual)
+        return columns, reached
 
     @property
     def every(self) -> int:
@@ -442,54 +432,50 @@ class Experiment:
         rate, record = self.declaration.controller.rate, self.declaration.record
         return max(1, round(rate / record.rate)) if rate is not None and record else 1
 
-    def _ideal(self, times: Array, live: Mapping[str, Array] | None = None) -> Array:
-        """Return the virtual system integrated by itself from time 0, at times of the rig (m,), as states (m, 2 k)."""
-        found = series.integrate(
-            self.virtual.kernels,
-            np.concatenate([[0.0], times]) / self.time_scale,
-            self.virtual_start,
-            np.zeros(len(self.virtual.inputs)),
-            self.virtual.values(),
-            schedule=self.inputs.along(times / self.time_scale, live or {}),
-            tolerance=min(self.declaration.tolerance, 1e-12),
-        )
-        return found.states[1:]
+    @cached_property
+    def ideal(self) -> Ideal:
+        """Return the motion that the rig should have."""
+        return Ideal(self.virtual, self.inputs, self.time_scale, min(self.declaration.tolerance, 1e-12))
 
-    def record_rig(self, run: TwinRun, *, lockstep: bool, outcome: Mapping[str, object]) -> Recording:
-        """Return the recording of a run on a plant that runs by itself.
+    def recording(self, made: Columns, timing: Mapping[str, float], *, is_stopped: bool) -> Recording:
+        """Return the recording of a run; the arguments are those of `manifest`."""
+        summary = self.summary()
+        summary.add(made.columns)
+        return Recording(made.columns, self.manifest(made, summary, timing, is_stopped=is_stopped))
+
+    def summary(self) -> Summary:
+        """Return what gathers the numbers of a run for its manifest."""
+        return Summary(self.virtual.coordinates, self.plant.coordinates, self.passive)
+
+    def manifest(
+        self, made: Columns, summary: Summary, timing: Mapping[str, float], *, is_stopped: bool
+    ) -> dict[str, Any]:
+        """Return the manifest of a run.
 
         Args:
-            run: what happened since the release; `states` are estimates.
-            lockstep: whether controller and plant waited for each other.
-            outcome: how the run ended and what was counted, for the manifest.
+            made: its columns, or a chunk of them.
+            summary: of all its rows.
+            timing: seconds that each stage took.
+            is_stopped: whether its stop condition ended it.
         """
-        made = self._record(self.sampled_columns(run), {}, is_stopped=outcome["end"] == SYNCHRONISED)
-        made.manifest.update(mode="lockstep" if lockstep else "real time", states="estimated", rig=dict(outcome))
-        return made
-
-    def _record(self, made: Columns, timing: Mapping[str, float], *, is_stopped: bool) -> Recording:
-        columns = made.columns
-        at = float(columns["t"][-1]) / self.time_scale if is_stopped else None
-        stop = {"stop": self.stop_condition.entry(at)} if self.stop_condition else {}
-        chi = {c: masking_error(columns[f"virtual.{c}"], columns[f"ideal.{c}"]) for c in self.virtual.coordinates}
+        at = summary.last / self.time_scale if is_stopped else None
         entries = {
             "columns": dict(made.units),
             "time_scale": self.time_scale,
             "limits": manifest.limits(self.assembly.plant, self.instruments),
             "effects": {effect.label: effect.enabled and self._acts(effect) for effect in self.twin.effects},
             "observer": manifest.observer(self.sampled, self.observer_settings.kind) if self.has_observer else None,
-            "masking_error": chi,
+            "masking_error": summary.masking_error,
             "timing": dict(timing),
         }
-        if self.passive:
-            names = [f"rig.{c}{d}" for d in ("", "'") for c in self.plant.coordinates]
-            entries["passive"] = self.passive.entry(np.column_stack([columns[name] for name in names]))
+        if summary.passive:
+            entries["passive"] = summary.passive
         if self.declaration.inputs:
             entries["inputs"] = self.inputs.entry()
         if self.declaration.controller.homing is not None:
-            entries["start"] = manifest.start(self.virtual.coordinates, self.virtual_start, columns)
-        entries |= stop
-        return Recording(columns, manifest.content(self.assembly, self.virtual, entries))
+            entries["start"] = manifest.start(self.virtual_start, summary.first)
+        entries |= {"stop": self.stop_condition.entry(at)} if self.stop_condition else {}
+        return manifest.content(self.assembly, self.virtual, entries)
 
     def _acts(self, effect: PlacedEffect) -> bool:
         """Tell whether an effect acts in a run: one outside the rig does not, where the true state is known."""

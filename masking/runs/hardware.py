@@ -193,7 +193,7 @@ def run(
         outcome |= {"trip": ran.trip.as_dict()} if ran.trip is not None else {}
         if streamed is not None and streamed.recorder.note:
             outcome |= {"recorder": streamed.recorder.as_dict()}
-        return experiment.record_rig(RowLayout(experiment).run(ran.table, after), lockstep=lockstep, outcome=outcome)
+        return RowLayout(experiment).recording(ran.table, after, lockstep=lockstep, outcome=outcome)
 
     def on_end(ran: RigRun) -> None:
         ended.append(ran)

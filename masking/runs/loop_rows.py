@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,10 +17,12 @@ from masking.control.step import SampledStep
 from masking.numerics.arrays import Array
 from masking.records import stream
 from masking.records.recorder import Recorder
+from masking.records.recording import Recording
 from masking.runs import manifest
 from masking.runs.experiment import Experiment
 from masking.runs.offline import TwinRun
 from masking.runs.realtime import ANSWERED, INDEX, LOOP
+from masking.runs.stopping import SYNCHRONISED
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,20 @@ class RowLayout:
             parts["disturbance"] if has_disturbances else None,
             parts["lasting"][:1] if len(kept) else np.empty((1, parts["lasting"].shape[1])),
         )
+
+    def recording(self, table: Array, after: int, *, lockstep: bool, outcome: Mapping[str, object]) -> Recording:
+        """Return the recording of a run on a plant that runs by itself.
+
+        Args:
+            table: rows since the first sample, or a part of them.
+            after: samples from the release on.
+            lockstep: whether controller and plant waited for each other.
+            outcome: how the run ended and what was counted, for the manifest.
+        """
+        columns, _ = self.experiment.columns(self.run(table, after))
+        made = self.experiment.recording(columns, {}, is_stopped=outcome["end"] == SYNCHRONISED)
+        made.manifest.update(mode="lockstep" if lockstep else "real time", states="estimated", rig=dict(outcome))
+        return made
 
 
 def samples_after(experiment: Experiment, sampled: SampledController) -> int:

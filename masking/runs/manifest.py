@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import platform
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -56,16 +56,14 @@ def content(assembly: registry.Assembly, virtual: Model, entries: Mapping[str, A
     }
 
 
-def start(names: Sequence[str], wanted: Array, columns: Mapping[str, Array]) -> dict[str, Any]:
+def start(wanted: Array, reached: Mapping[str, float]) -> dict[str, Any]:
     """Return where homing should have brought the rig, and where it did.
 
     Args:
-        names: of the virtual coordinates.
-        wanted: their initial state.
-        columns: of the recording.
+        wanted: initial state of the virtual coordinates.
+        reached: what they were at first, by name.
     """
-    reached = {name: float(columns[f"virtual.{name}"][0]) for name in names}
-    return {"wanted": dict(zip(names, map(float, wanted), strict=False)), "reached": reached}
+    return {"wanted": dict(zip(reached, map(float, wanted), strict=False)), "reached": dict(reached)}
 
 
 def observer(sampled: SampledController, kind: str) -> dict[str, Any]:

@@ -1,12 +1,15 @@
-"""Loop: a closed loop run from an initial state, in continuous time, at a controller's rate, or around a twin."""
+"""Loop: a closed loop run from an initial state, in continuous time, at a controller's rate, or around a twin.
+
+Each is run whole, or in chunks of rows whose state is handed on: together they are the same numbers to the last bit.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 
@@ -22,6 +25,9 @@ from masking.runs.stopping import check_status
 Progress = Callable[[float], None]
 
 PIECES = 100
+CHUNK: Final = (
+    2**16
+)  # rows after which an integrator with step size control begins anew, also within a run in one piece
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,29 @@ def cut(run: _AnyRun, rows: int) -> _AnyRun:
     return replace(run, **{name: part[:rows] for name, part in parts.items() if part is not None})
 
 
+def joined(runs: Sequence[_AnyRun]) -> _AnyRun:
+    """Return chunks of a run as one."""
+    if len(runs) == 1:
+        return runs[0]
+    names = [
+        part.name for part in fields(runs[0]) if getattr(runs[0], part.name) is not None and part.name != "lasting"
+    ]
+    parts: dict[str, Any] = {name: np.concatenate([getattr(run, name) for run in runs]) for name in names}
+    return replace(runs[0], **parts)
+
+
+def chunks(kernels: Kernels, rows: int) -> range:
+    """Return the first row of each chunk in which compiled dynamics are integrated.
+
+    What jumps, or depends on its past, is integrated in one.
+
+    Args:
+        kernels: of the dynamics.
+        rows: of the run.
+    """
+    return range(0, rows, max(1, rows) if kernels.meta.get("lags") or kernels.meta.get("events") else CHUNK)
+
+
 def run_continuous(
     loop: ClosedLoop,
     state: Array,
@@ -100,13 +129,61 @@ def run_continuous(
         SingularityError: the decoupling matrix became singular; holds the state.
         IntegrationError: the integrator could not go on.
     """
+
+    def instants(first: int, last: int) -> Array:
+        return times[first:last]
+
+    return joined(
+        [
+            *continuous_chunks(
+                loop, state, len(times), instants, tolerance=tolerance, schedule=schedule, progress=progress
+            )
+        ]
+    )
+
+
+def continuous_chunks(
+    loop: ClosedLoop,
+    state: Array,
+    rows: int,
+    instants: Callable[[int, int], Array],
+    *,
+    tolerance: float,
+    schedule: Schedule | None = None,
+    progress: Progress | None = None,
+) -> Iterator[Run]:
+    """Run a closed loop as `run_continuous` does, in chunks of `CHUNK` rows.
+
+    Args:
+        loop: controller and plant.
+        state: rig coordinates then velocities (2 n,) at the first time.
+        rows: to record.
+        instants: returns the times of the rows from one number to before another.
+        tolerance: local relative error of the integrator.
+        schedule: parameters of the control law that change on the way.
+        progress: called with the part done.
+
+    Raises:
+        SingularityError: the decoupling matrix became singular; holds the state.
+        IntegrationError: the integrator could not go on.
+    """
     p, _ = loop.values(), loop.controller.virtual.delays()
-    inputs = np.zeros(len(loop.plant.inputs))
-    found = integrate(
-        loop.kernels, times, state, inputs, p,
-        schedule=schedule, tolerance=tolerance, progress=progress, pieces=PIECES,
-    )  # fmt: skip
-    return complete(loop, times, found.states, p, schedule)
+    inputs, y, before = np.zeros(len(loop.plant.inputs)), state, np.empty(0)
+    starts = chunks(loop.kernels, rows)
+    for begin in starts:
+        times = instants(begin, min(begin + starts.step, rows))
+        found = integrate(
+            loop.kernels, np.concatenate([before, times]), y, inputs, p,
+            schedule=schedule, tolerance=tolerance, progress=_within(progress, begin, len(times), rows), pieces=PIECES,
+        )  # fmt: skip
+        states = found.states[len(before) :]
+        y, before = states[-1, : len(state)].copy(), times[-1:]
+        yield complete(loop, times, states, p, schedule)
+
+
+def _within(progress: Progress | None, begin: int, count: int, rows: int) -> Progress | None:
+    """Return what reports the part of a run that is done, from the part of a chunk that is."""
+    return None if progress is None else lambda part: progress((begin + part * count) / rows)
 
 
 def run_sampled(
@@ -137,6 +214,29 @@ def run_sampled(
         SingularityError: the decoupling matrix became singular; holds the state.
         IntegrationError: the state or the inputs are no longer finite.
     """
+    return joined(
+        [
+            *sampled_chunks(
+                loop, state, rate=rate, duration=duration, every=every, substeps=substeps, schedule=schedule,
+                progress=progress,
+            )
+        ]
+    )  # fmt: skip
+
+
+def sampled_chunks(
+    loop: ClosedLoop,
+    state: Array,
+    *,
+    rate: float,
+    duration: float,
+    every: int = 1,
+    substeps: int | None = None,
+    schedule: Schedule | None = None,
+    progress: Progress | None = None,
+    most: int | None = None,
+) -> Iterator[Run]:
+    """Run a closed loop as `run_sampled` does, in chunks of at most `most` rows; its other arguments are the same."""
     loop.controller.virtual.check_ordinary("a controller with 'observer: exact'")
     if not (rate > 0.0 and duration > 0.0 and every >= 1 and (substeps is None or substeps >= 1)):
         raise ModelError(
@@ -144,16 +244,16 @@ def run_sampled(
         )
     substeps = substeps or _substeps(loop, state, rate)
     samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
-    rows = np.arange(0, samples, every)
-    out_y, out_u = np.empty((len(rows), len(state))), np.empty((len(rows), len(loop.plant.inputs)))
-    y, u, p, first = np.array(state, dtype=float), np.zeros(out_u.shape[1]), loop.values(), 0.0
+    y, u, p, first = np.array(state, dtype=float), np.zeros(len(loop.plant.inputs)), loop.values(), 0.0
     changes = [] if schedule is None else np.ceil(schedule.instants * rate * (1.0 - 1e-12)).astype(int).tolist()
-    cuts = {samples * piece // PIECES for piece in range(PIECES + 1)} | {i for i in changes if 0 < i < samples}
-    bounds = sorted(cuts)
+    span = every * (most or samples)
     mend = f"sampled at {rate:g} Hz, inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
-    for begin, end in itertools.pairwise(bounds):
+    for begin, end in itertools.pairwise(_bounds(0, samples, span, changes)):
+        if begin % span == 0:
+            rows = np.arange(begin, min(begin + span, samples), every)
+            out_y, out_u = np.empty((len(rows), len(y))), np.empty((len(rows), len(u)))
         count = end - begin
-        row = -(-begin // every)
+        row = -(-(begin % span) // every)
         if schedule is not None:
             schedule.set(begin / rate * (1.0 + 1e-12), p)
         status, done, first = loop.kernels.run_sampled(
@@ -161,9 +261,16 @@ def run_sampled(
         )
         check_status(loop.kernels, status, (begin + done) / rate, y, mend)
         if progress is not None:
-            progress((begin + count) / samples)
-    found = complete(loop, rows / rate, out_y, p, schedule)
-    return Run(found.times, found.rig, found.virtual, out_u)
+            progress(end / samples)
+        if end % span == 0 or end == samples:
+            found = complete(loop, rows / rate, out_y, p, schedule)
+            yield Run(found.times, found.rig, found.virtual, out_u)
+
+
+def _bounds(first: int, samples: int, span: int, cuts: Iterable[int] = ()) -> list[int]:
+    """Return where the pieces of a run begin and end: those of progress, of chunks of a span, and cuts besides."""
+    pieces = {first + (samples - first) * piece // PIECES for piece in range(PIECES + 1)}
+    return sorted(pieces | {*range(0, samples, span)} | {cut for cut in cuts if 0 < cut < samples})
 
 
 def run_twin(
@@ -192,12 +299,26 @@ def run_twin(
         SingularityError: the decoupling matrix became singular; holds the state.
         IntegrationError: the state or the commands are no longer finite.
     """
+    return joined([*twin_chunks(loop, start, duration=duration, seed=seed, every=every, progress=progress)])
+
+
+def twin_chunks(
+    loop: SampledLoop,
+    start: Array,
+    *,
+    duration: float,
+    seed: int,
+    every: int = 1,
+    progress: Progress | None = None,
+    most: int | None = None,
+) -> Iterator[TwinRun]:
+    """Run a controller around a twin as `run_twin` does, in chunks of at most `most` rows; the rest is the same."""
     sampled, twin, kernels = loop.sampled, loop.twin, loop.kernels
     rate, sizes, p = sampled.rate, sampled.sizes, twin.values()
     generator = np.random.default_rng(seed)
     before = sampled.before
     samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
-    rows = np.arange(0, samples, every)
+    span = every * (most or samples)
     y, first, substeps = twin.unpowered() if sampled.homing else twin.rest(start), 0.0, twin.substeps(rate)
     noise = generator.standard_normal((1, len(twin.sensors)))
     reading = np.empty(len(twin.sensors))
@@ -206,17 +327,18 @@ def run_twin(
     late = twin.late(rate)
     queue = np.tile(memory.holding, (1 + math.ceil(late.max(initial=0.0)), 1))
     widths = (len(y), len(memory.x), len(twin.sensors), sizes.actuators, sizes.actuators)
-    out = [np.empty((len(rows), width)) for width in widths]
-    bounds = sorted({0, *(-before + (samples + before) * piece // PIECES for piece in range(PIECES + 1))})
     lasting = np.empty((1, 0))
     mend = "lower controller.observer.bandwidth, correct controller.model, or raise controller.rate"
-    for begin, end in itertools.pairwise(bounds):
+    for begin, end in itertools.pairwise(_bounds(-before, samples, span)):
+        if begin == -before or begin % span == 0:
+            rows = np.arange(max(0, begin), min(max(0, begin) + span, samples), every)
+            out = [np.empty((len(rows), width)) for width in widths]
         count = end - begin
         if begin == 0:
             lasting = sampled.feed.lasting(memory.p)
         more = generator.standard_normal((count - len(noise), len(twin.sensors)))
         noise = np.concatenate([noise, more]) if len(noise) else more
-        row = max(0, -(-begin // every))
+        row = max(0, -(-(begin % span) // every)) if begin > 0 else 0
         status, done, first = kernels.run(
             begin, count, 1.0 / rate, substeps, every, y, memory.x, p, memory.p, sampled.gain, sampled.limits, queue,
             late, noise, first, *(table[row:] for table in out),
@@ -225,10 +347,12 @@ def run_twin(
         noise = noise[:0]
         if progress is not None:
             progress((end + before) / (samples + before))
-    states, memories, readings, demanded, applied = out
-    estimates, power = memories[:, : sizes.states], memories[:, sizes.power]
-    disturbances = memories[:, sizes.states : sizes.states + sizes.coordinates] if sizes.order else None
-    return TwinRun(rows / rate, states, estimates, readings, demanded, applied, power, disturbances, lasting)
+        if end > 0 and (end % span == 0 or end == samples):
+            states, memories, readings, demanded, applied = out
+            estimates, power = memories[:, : sizes.states], memories[:, sizes.power]
+            disturbed = slice(sizes.states, sizes.states + sizes.coordinates)
+            disturbances = memories[:, disturbed] if sizes.order else None
+            yield TwinRun(rows / rate, states, estimates, readings, demanded, applied, power, disturbances, lasting)
 
 
 def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:

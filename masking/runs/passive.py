@@ -103,6 +103,15 @@ class Passive:
             }
         return found
 
+    @staticmethod
+    def merged(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the entry of a run from those of two chunks, one behind the other."""
+        found = {**before, "peak": {name: max(peak, after["peak"][name]) for name, peak in before["peak"].items()}}
+        if "energy" in before:
+            peak = max(before["energy"]["peak"], after["energy"]["peak"])
+            found["energy"] = {**before["energy"], "end": after["energy"]["end"], "peak": peak}
+        return found
+
     def _energy_unit(self) -> str:
         """Return the unit of the energy in SI units."""
         model = self.plant.declaration

@@ -1,8 +1,9 @@
-"""Rate of a recording that follows the motion of the virtual system, where none is declared."""
+"""Rate of a recording: its instants, and where none is declared, a rate that follows the virtual motion."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -13,6 +14,27 @@ from masking.numerics.arrays import Array
 FEWEST: Final = 10.0  # rows per unit of virtual time
 PER_PERIOD: Final = 40.0  # rows in a period of the fastest oscillation
 _STEP: Final = 1e-6  # of a size of each state, for differences
+
+
+def instants(duration: float, samples: int, rate: float | None) -> tuple[int, Callable[[int, int], Array]]:
+    """Return how many rows a recording in continuous time has, and what gives the times from one row to before another.
+
+    Args:
+        duration: s.
+        samples: rows, evenly from its beginning to its end, where there is no rate.
+        rate: rows per second, if declared.
+    """
+    if rate is not None:
+        return int(duration * rate * (1.0 + 1e-12)) + 1, lambda first, last: np.arange(float(first), last) / rate
+    step = duration / (samples - 1)
+
+    def evenly(first: int, last: int) -> Array:
+        times = np.arange(float(first), last) * step
+        if last == samples:
+            times[-1] = duration
+        return times
+
+    return samples, evenly
 
 
 def rows_per_unit(virtual: Model, initial: Array) -> float:

@@ -6,6 +6,7 @@ A run on a rig ends for one of `REASONS`, the `rig.end` of its manifest. A simul
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -116,11 +117,18 @@ class StopCondition:
         )
         return cls(settings, (first, second), columns, detector)
 
-    def row(self, virtual: Array) -> int | None:
-        """Return the row of virtual coordinates (m, .) at which the run ends, None where it goes on to its end."""
+    def watch(self) -> Callable[[Array], int | None]:
+        """Return a function that takes virtual coordinates (m, .), one chunk of a run after the other.
+
+        It returns the row at which the run ends, None where it goes on.
+        """
         step = self.detector.begin().step
-        a, b = (virtual[:, column].tolist() for column in self.columns)
-        return next((i for i, (x, y) in enumerate(zip(a, b, strict=True)) if step(x, y)), None)
+
+        def row(virtual: Array) -> int | None:
+            a, b = (virtual[:, column].tolist() for column in self.columns)
+            return next((i for i, (x, y) in enumerate(zip(a, b, strict=True)) if step(x, y)), None)
+
+        return row
 
     def entry(self, at: float | None) -> dict[str, Any]:
         """Return why the run ended, for the manifest; `at` is the virtual time of synchronisation, None for none."""

@@ -180,12 +180,12 @@ def _run(
         layout = RowLayout(experiment)
         if [*layout.columns.items()] != [*found.manifest["columns"].items()]:
             return None, "another version of this program has written it; recover it with that version"
-        run = layout.run(table, samples_after(experiment, experiment.sampled))
+        after = samples_after(experiment, experiment.sampled)
         counters = {"late": int(np.count_nonzero(column["late"])), "missed": int(np.sum(np.diff(column["tick"]) - 1.0))}
         is_lockstep = bool(found.manifest["lockstep"])
         clock = {} if is_lockstep else {"lateness": column["lateness"]}
         times = timing(column["tick"].astype(np.int64), **clock, controller=column["duration"])
         outcome = {"end": KILLED, "counters": counters, "recovered": dict(lost), "timing": times}
-        return experiment.record_rig(run, lockstep=is_lockstep, outcome=outcome), ""
+        return layout.recording(table, after, lockstep=is_lockstep, outcome=outcome), ""
     except MaskingError as error:
         return None, f"the run since the release could not be made: {error}"

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from masking.errors import ModelError
 from masking.records import stream
-from masking.records.recording import Recording
+from masking.records.recording import TABLE, Recording
 from masking.reports import animation, html, run_report
-from masking.runs import error_budget
+from masking.runs import error_budget, long_run
 from masking.runs.experiment import Experiment
 from masking.workflows.outputs import RUN, beside, check_folder
 
@@ -39,10 +40,37 @@ def run(
     """
     wanted = Experiment.load(name_or_path, plant=plant, changes=changes)
     check_folder(out, *RUN, overwrite=overwrite)
-    made = error_budget.run(wanted, budget, progress)
+    made = record(wanted, out, budget, progress)
     if out is not None:
         save(made, Path(out))
     return made
+
+
+def record(
+    experiment: Experiment,
+    out: str | Path | None,
+    budget: bool | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Recording:
+    """Return the recording of a run; one that is long goes into its folder while it runs.
+
+    Args:
+        experiment: to run.
+        out: folder, in which an earlier recording is replaced; None where nothing is saved.
+        budget: whether to make an error budget, by further runs; by default if these take a few seconds.
+        progress: called with the fraction done.
+
+    Raises:
+        MaskingError: the run could not go on, or a budget is wanted of a long one.
+    """
+    if out is None or not long_run.is_long(experiment):
+        return error_budget.run(experiment, budget, progress)
+    if budget:
+        raise ModelError(
+            f"{experiment.declaration.name}: the runs of a budget stay in memory, and this one is too long for that; "
+            "make the budget of a shorter duration"
+        )
+    return long_run.run(experiment, out, overwrite=True, progress=progress)
 
 
 def save(recording: Recording, folder: Path) -> run_report.Report:
@@ -55,7 +83,8 @@ def save(recording: Recording, folder: Path) -> run_report.Report:
     Raises:
         RecordError: the folder cannot be written.
     """
-    recording.save(folder, overwrite=True)
+    if recording.path != folder / TABLE:
+        recording.save(folder, overwrite=True)
     with html.writing(folder):
         stream.remove(folder)
         (folder / animation.PAGE).unlink(missing_ok=True)
