@@ -36,7 +36,7 @@ SUM_WINDOW_PERIODS = 3
 _END = 0.05  # part of the record over which its last phase is stated
 _ROWS = 64  # of a period, which tell as much as thousands
 _ROUNDING = 1e-9
-_MOST = 2**21  # samples that are studied at once: 24 in a period of a second over a day
+_MOST = 3 * 2**19  # samples that are studied at once: 15 in each second of a day
 _AT_REST = 1e-12  # of the largest coordinate: below this a coordinate has not moved
 
 
