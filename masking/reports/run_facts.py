@@ -26,6 +26,7 @@ from masking.declaration.virtual_inputs import internals
 from masking.errors import MaskingError, RecordError
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
+from masking.reports.long_record import deviation, drawn
 
 if TYPE_CHECKING:
     from masking.declaration import units
@@ -35,8 +36,8 @@ else:  # only a table of parameters with units needs it
 SUM_WINDOW_PERIODS = 3
 _END = 0.05  # part of the record over which its last phase is stated
 _ROWS = 64  # of a period, which tell as much as thousands
+_LAST = 0.2  # part of the record over which alpha and eps are stated
 _ROUNDING = 1e-9
-_MOST = 3 * 2**19  # samples that are studied at once: 15 in each second of a day
 _AT_REST = 1e-12  # of the largest coordinate: below this a coordinate has not moved
 
 
@@ -267,23 +268,11 @@ def study(recording: Recording) -> Study:
         sum_peak=None
         if reason or total is None
         else running_peak(tau, np.abs(total), SUM_WINDOW_PERIODS * mean_period),
-        anti_phase=None if reason else anti_phase_of(tau, motions),
+        anti_phase=None if reason else anti_phase_of(tau, motions, whole, prefix),
         inputs=input_uses(whole, recording),
         no_phase=reason,
         budget=_budget(recording),
     )
-
-
-def drawn(recording: Recording) -> Recording:
-    """Return a recording with as many samples as are studied at once: one that is on disk, with fewer and in memory."""
-    if not recording.is_on_disk:
-        return recording
-    prefix = "virtual" if recording.coordinates else "rig"
-    moving = [f"{kind}.{name}" for kind in (prefix, "ideal") for name in recording.names(kind)]
-    more = [n for n in recording.columns if n.partition(".")[0] in {"input", "demanded", "power"}]
-    passive = (recording.manifest.get("passive") or {}).get("coordinates") or ()
-    more += [f"rig.{name}" for name in passive if f"rig.{name}" not in moving]
-    return recording.thinned(_MOST, moving, ["t", *moving, *more])
 
 
 def input_uses(recording: Recording, shown: Recording | None = None) -> tuple[InputUse, ...]:
@@ -366,15 +355,31 @@ def verdict_of(
         return None
 
 
-def anti_phase_of(tau: Array, motions: Mapping[str, Array]) -> AntiPhase | None:
-    """Fit definition 5.3 to the end of two oscillations; None where it does not apply."""
+def anti_phase_of(
+    tau: Array, motions: Mapping[str, Array], whole: Recording | None = None, prefix: str = "virtual"
+) -> AntiPhase | None:
+    """Fit definition 5.3 to the end of two oscillations; None where it does not apply.
+
+    Args:
+        tau: times (m,).
+        motions: by name (m,).
+        whole: the recording that they are of, in which eps is looked for if it is on disk.
+        prefix: of their columns.
+    """
     if len(motions) != 2:
         return None
     a, b = motions.values()
     try:
-        return anti_phase(tau, a, b)
+        found = anti_phase(tau, a, b)
     except RecordError:  # fewer than three periods in the last fifth: there is nothing to state
         return None
+    if whole is None or not whole.is_on_disk or not math.isfinite(found.alpha):
+        return found
+    first, last = whole.span
+    first_name, second_name = (f"{prefix}.{name}" for name in motions)
+    scale = float(whole.manifest.get("time_scale") or 1.0)
+    eps = deviation(whole, (first_name, second_name), found, last - _LAST * (last - first), scale)
+    return replace(found, eps=eps)
 
 
 def _use(recording: Recording, name: str, shown: Recording) -> InputUse:

@@ -15,7 +15,8 @@ from masking.analysis.synchronisation import AntiPhase, Synchronisation, period
 from masking.errors import DeclarationError, Problem, nearest
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
-from masking.reports.run_facts import anti_phase_of, drawn, input_uses, masking_errors, verdict_of, why_no_phase
+from masking.reports.long_record import drawn
+from masking.reports.run_facts import anti_phase_of, input_uses, masking_errors, verdict_of, why_no_phase
 
 Measured = float | str | Array  # a number, a word, or several numbers (k,)
 _FIFTH, _NEAR, _REST = 0.2, 0.1, 1e-3  # of the record, of the larger amplitude, of the largest displacement
@@ -56,7 +57,7 @@ class _Run:
 
     @cached_property
     def anti_phase(self) -> AntiPhase | None:
-        return anti_phase_of(self.tau, self.motions) if self.has_phase else None
+        return anti_phase_of(self.tau, self.motions, self.whole) if self.has_phase else None
 
     @cached_property
     def verdict(self) -> Synchronisation | None:
