@@ -170,7 +170,7 @@ class Law:
         k = len(made.virtual.coordinates)
         virtual, inputs = np.empty((len(times), 2 * k)), np.empty((len(times), self.commands.shape[1]))
         loop.kernels.along(times, out, loop.values(), virtual, inputs)
-        ideal = made._ideal(times)
+        ideal, _ = made.ideal.along(times, {}, (0.0, made.virtual_start))
         return max(masking_error(virtual[:, i], ideal[:, i]) for i in range(k))
 
 
@@ -245,7 +245,8 @@ class Sampled:
 
         states, _, _ = around_a_twin(made, step, unit.init, before + count)
         times, live = np.arange(count) / made.sampled.rate, dict(zip(names, felt[:, before:], strict=True))
-        virtual, ideal = made._virtual(times, states[before:]), made._ideal(times, live)
+        virtual = made._virtual(times, states[before:])
+        ideal, _ = made.ideal.along(times, live, (0.0, made.virtual_start))
         return max(masking_error(virtual[:, i], ideal[:, i]) for i in range(len(made.virtual.coordinates)))
 
 
