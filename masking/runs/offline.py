@@ -25,9 +25,7 @@ from masking.runs.stopping import check_status
 Progress = Callable[[float], None]
 
 PIECES = 100
-CHUNK: Final = (
-    2**16
-)  # rows after which an integrator with step size control begins anew, also within a run in one piece
+CHUNK: Final = 2**16  # rows after which an integrator with step size control begins anew, in whatever chunks it runs
 
 
 @dataclass(frozen=True)
