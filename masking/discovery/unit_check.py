@@ -141,6 +141,21 @@ def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None
     return best if best and FAR * least < _apart(before, few) else next((one for one in tried if one.is_gain), None)
 
 
+def possible(problem: EstimationProblem) -> UnitDoubt | None:
+    """Return the unit in which a model can be simulated that cannot as declared, most nearly of the readings' size.
+
+    Args:
+        problem: the record and the rig, simulated whole; its motion is not finite as declared.
+    """
+    few, tried, sizes = _part(problem), list[UnitDoubt](), list[float]()
+    for one, other in _converted(few):
+        after = _simulated(other)
+        if after is not None:
+            tried.append(replace(one, error=(np.inf, _error(after, other))))
+            sizes.append(_apart(after, other))
+    return _best(tried, sizes)[0]
+
+
 def far_off(problem: EstimationProblem, found: Hypothesis) -> tuple[tuple[Key, float], ...]:
     """Return gains (effect, place) and parameters (name, '') that are several times what is declared, and how many.
 
