@@ -96,15 +96,7 @@ def _discovered(rig: AugmentedModel, train: Data, unseen: Data, settings: Discov
     with threadpool_limits(1):
         whole = centred(whole)
         doubt = unit_check.doubted(whole)
-    try:
-        found, substeps = _in_unit(doubt, whole, unseen, settings, say)
-    except IntegrationError:
-        with threadpool_limits(1):
-            possible = unit_check.possible(whole) if doubt is None else None
-        if possible is None:
-            raise
-        doubt = possible
-        found, substeps = _in_unit(doubt, whole, unseen, settings, say)
+    found, substeps = _in_unit(doubt, whole, unseen, settings, say)
     if doubt is None and (found.verdict == "unknown" or _far_off(found)):
         with threadpool_limits(1):
             other = unit_check.suspected(whole, found.explanation.hypothesis)
