@@ -114,7 +114,8 @@ def doubted(problem: EstimationProblem) -> UnitDoubt | None:
         problem: the record and the rig, simulated whole.
     """
     few, rules = _part(problem), problem.rules
-    before = _error(_simulated(few), few)
+    declared = _simulated(few)
+    before = _error(declared, few)
     if before < rules.phase_loss:
         return None
     tried, sizes = list[UnitDoubt](), list[float]()
@@ -129,7 +130,7 @@ def doubted(problem: EstimationProblem) -> UnitDoubt | None:
         return None
     clocks = [(size, one) for size, one in zip(sizes, tried, strict=True) if one.kind == "clock"]
     size, best = min(clocks, key=lambda pair: pair[0])
-    return best if size < FAR and best.error[1] < before else None
+    return best if size < min(FAR, _apart(declared, few)) else None
 
 
 def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None:
