@@ -14,7 +14,7 @@ from masking.declaration.dimensions import check_dimensions, check_scales
 from masking.declaration.json_schema import json_schema
 from masking.declaration.schema import KINDS, ExperimentDeclaration, ModelDeclaration
 from masking.declaration.strict_yaml import load, loads
-from masking.declaration.units import USUAL, conversion, describe, dimension_of, factor_of, named_by_pint
+from masking.declaration.units import USUAL, coherent, conversion, describe, dimension_of, factor_of, named_by_pint
 from masking.errors import DeclarationError, Place, Problem
 from masking.modelling.scales import Units
 
@@ -441,6 +441,8 @@ def test_units_and_conversion():
     assert describe(dimension_of("N*s/m**2")) == "kg/m/s"
     assert describe(dimension_of("V")) == "kg*m**2/s**3/A"
     assert dimension_of("rad") == dimension_of("1")
+    written = {"deg/s": "rad/s", "rpm": "rad/s", "N*mm": "N*m", "kN": "N", "bar": "Pa", "mm/s**2": "m/s**2", "": ""}
+    assert {unit: coherent(unit) for unit in written} == written
     assert (factor_of("rads/s"), describe(dimension_of("rads/s"))) == (1.0, "1/s")  # angles, no doses of radiation
     assert factor_of("mm") == pytest.approx(1e-3, rel=1e-15)
     assert factor_of("km/h") == pytest.approx(1 / 3.6, rel=1e-15)

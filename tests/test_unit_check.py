@@ -6,8 +6,11 @@ from scipy import signal
 from scipy.integrate import solve_ivp
 
 import masking
+from masking.discovery.augmented_model import AugmentedModel
+from masking.discovery.latent_force import element_units
 from masking.discovery.unit_check import UnitDoubt
 from masking.reports import discovery_text
+from masking.workflows import inputs
 
 M, C, K, RATE = 2.0, 4.0, 300.0, 100.0
 MODEL = """
@@ -62,6 +65,52 @@ def test_units_that_are_right_are_not_suspected(tmp_path, record):
     found = discovered(tmp_path, record)
     assert found.unit is None
     assert found.as_dict()["unit"] is None
+
+
+def test_a_clock_by_which_the_model_moves_for_periods_between_samples_is_in_ms(tmp_path):
+    damping, count = 0.3, 1500  # N s/m: it rings long, and the model's stiffness is 20 % off
+    t = np.arange(count) / RATE
+    f = 5.0 * signal.sosfiltfilt(signal.butter(4, 0.12, output="sos"), np.random.default_rng(3).standard_normal(count))
+    a, b = np.array([[0.0, 1.0], [-K / M, -damping / M]]), np.array([[0.0], [1.0 / M]])
+    rig = signal.cont2discrete((a, b, np.array([[1.0, 0.0]]), np.zeros((1, 1))), 1.0 / RATE)
+    x = signal.dlsim((*rig[:4], 1.0 / RATE), f)[1][:, 0]
+    x += 1e-3 * x.std() * np.random.default_rng(4).standard_normal(count)
+    np.savez(tmp_path / "record.npz", t=1e3 * t, f=f, x=x)
+    known = "m: {value: 2, unit: kg}, c: {value: 0.3, unit: N*s/m}, k: {value: 360, unit: N/m}"
+    text = "name: mass\ncoordinates: {x: {unit: m}}\ninputs: {f: {unit: N}}\nparameters: {" + known + "}\n"
+    (tmp_path / "model.yaml").write_text(text + "equations: {m*x'': f - c*x' - k*x}\n")
+    found = masking.discover(tmp_path / "record.npz", model=tmp_path / "model.yaml")
+    assert discovery_text.sentence(found).startswith("'t' looks as if it were in ms, not s: give the times in s")
+    assert found.verdict == "parameter"
+    assert [(one.name, one.parameters["k"][0]) for one in found.effects] == [("k", pytest.approx(K, rel=1e-2))]
+
+
+def test_a_motion_that_is_faster_than_the_record_samples_is_no_other_clock_and_simulated(tmp_path):
+    m, c, k, rate = 1.35, 390.0, 5.3e4, 50.0  # of 200 rad/s: classical Runge-Kutta steps of a sample diverge
+    u = np.repeat(np.random.default_rng(5).standard_normal(200), 5)
+    rig = signal.cont2discrete(
+        (np.array([[0, 1], [-k / m, -c / m]]), np.array([[0], [1 / m]]), np.array([[1.0, 0]]), np.zeros((1, 1))),
+        1 / rate,
+    )
+    x = signal.dlsim((*rig[:4], 1 / rate), u)[1][:, 0]
+    x += 1e-3 * x.std() * np.random.default_rng(6).standard_normal(len(x))
+    np.savez(tmp_path / "record.npz", t=np.arange(len(u)) / rate, u=u, x=x)
+    known = "m: {value: 1.35, unit: kg}, c: {value: 392, unit: N*s/m}, k: {value: 5.7e4, unit: N/m}"
+    text = "name: valve\ncoordinates: {x: {unit: m}}\ninputs: {u: {unit: N}}\nparameters: {" + known + "}\n"
+    (tmp_path / "model.yaml").write_text(text + "equations: {m*x'': u - c*x' - k*x}\n")
+    found = masking.discover(tmp_path / "record.npz", model=tmp_path / "model.yaml")
+    assert (found.unit, found.verdict) == (None, "parameter")
+    assert [(one.name, one.parameters["k"][0]) for one in found.effects] == [("k", pytest.approx(k, rel=1e-2))]
+
+
+def test_quantities_at_an_element_are_in_the_units_of_their_values(tmp_path):
+    turning = "name: disc\ncoordinates: {th: {unit: deg}}\ninputs: {u: {unit: N*mm}}\n"
+    turning += "parameters: {J: {value: 2, unit: g*m**2}}\nequations: {J*th'': u}\n"
+    turning += "elements: {bearing: {displacement: th, unit: N*mm, acts: {th: -1}}}\n"
+    (tmp_path / "model.yaml").write_text(turning)
+    twin = inputs.rig(tmp_path / "model.yaml", None)
+    rig = AugmentedModel(twin, tuple(twin.equation_parameters()))
+    assert element_units(rig, "bearing") == ("N*m", "rad", "rad/s")
 
 
 HARD = 2.5e5  # N/m^3

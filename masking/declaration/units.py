@@ -39,6 +39,15 @@ BASES: dict[str, str] = {
     "substance": "mol",
     "luminosity": "cd",
 }
+ANGLES = {
+    "deg": "rad",
+    "degree": "rad",
+    "degrees": "rad",
+    "turn": "rad",
+    "rev": "rad",
+    "revolution": "rad",
+    "rpm": "rad/s",
+}
 PLURALS = {"rads": "rad"}  # angles, which pint would read as doses of radiation
 # Units that files use most, which are read without pint: factor to SI, and powers of `BASES`.
 USUAL: dict[str, tuple[float, dict[str, int]]] = {
@@ -58,6 +67,7 @@ USUAL: dict[str, tuple[float, dict[str, int]]] = {
     "W": (1.0, {"mass": 1, "length": 2, "time": -3}),
     "ohm": (1.0, {"mass": 1, "length": 2, "time": -3, "current": -2}),
 }
+_PLAIN = ("N", "J", "W", "V", "ohm", "Pa")  # that SI values are given in, rather than in products of base units
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NONE: Dimension = (Fraction(0),) * len(BASES)
 TIME: Dimension = tuple(Fraction(int(base == "time")) for base in BASES)
@@ -83,6 +93,19 @@ def dimension_of(unit: str) -> Dimension:
 def factor_of(unit: str) -> float:
     """Give how many SI base units one of this unit is."""
     return _unit(unit)[0]
+
+
+def coherent(unit: str) -> str:
+    """Write the unit of the SI values of what is declared in a unit: rad/s for deg/s, N*m for kN*mm."""
+    return combined(unit, {name: _coherent(name) for name in _powers(unit)}) if unit else ""
+
+
+def _coherent(name: str) -> str:
+    factor, dimension = _unit(name)
+    if factor == 1.0:
+        return name
+    plain = (one for one in _PLAIN if dimension_of(one) == dimension)
+    return ANGLES.get(name) or next(plain, describe(dimension))
 
 
 def describe(dimension: Dimension) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 
 from masking.declaration.dimensions import dimension_in, displacement_dimension, is_plain, symbol_dimensions
 from masking.declaration.expression import Expression
-from masking.declaration.units import Dimension, describe
+from masking.declaration.units import Dimension, coherent, describe
 from masking.discovery import laws
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.explanation import Explanation
@@ -274,7 +274,7 @@ def command_unit(found: Explained, name: str) -> str:
 
 
 def element_units(rig: AugmentedModel, name: str) -> tuple[str, str, str]:
-    """Return the units of force, displacement and rate of a place; '' in a model without units."""
+    """Return the SI units of force, displacement and rate of a place; '' in a model without units."""
     base = rig.twin.base
     element = next(place.element for place in rig.places if place.name == name)
     symbols = symbol_dimensions(base)
@@ -285,7 +285,8 @@ def element_units(rig: AugmentedModel, name: str) -> tuple[str, str, str]:
     if not moved and rate:
         dimension = displacement_dimension(element, symbols)
         moved = rate.removesuffix("/s") if rate.endswith("/s") else describe(dimension) if dimension else ""
-    return element.unit, moved, rate or _per_second(moved)
+    force, moved, rate = coherent(element.unit), coherent(moved), coherent(rate)
+    return force, moved, rate or _per_second(moved)
 
 
 def _written(

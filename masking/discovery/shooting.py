@@ -102,10 +102,7 @@ def finer(problem: EstimationProblem, found: Hypothesis, least: int) -> int:
     def residuals(number: int) -> Array:
         fine = replace(problem, substeps=number)
         instances = [problem.rig.at_step(one, fine.dt / number) for one in found.instances]
-        try:
-            return fitting.fit(fine, instances, theta=found.theta, start=found.start, frozen=True).residuals
-        except IntegrationError:  # larger steps held a motion that runs away
-            return np.full_like(found.residuals, np.nan)
+        return fitting.fit(fine, instances, theta=found.theta, start=found.start, frozen=True).residuals
 
     rules, left = problem.rules, np.maximum(problem.sigma, np.sqrt((found.residuals**2).mean(axis=0)))
     most, allowed = rules.most_refinement * least, rules.law_error * left

@@ -1,7 +1,8 @@
 """Unit check: channels whose unit is probably another than declared, before anything is searched, and after it.
 
 If the model as declared follows hardly anything of a record, and nearly all of it where a channel is converted from
-another usual unit of its dimension, that unit is suspected. Nothing is fitted but the initial state.
+another usual unit of its dimension, that unit is suspected. Nothing is fitted but the initial state. A clock
+by which the model would move for periods between samples is suspected where readings and simulation are alike in ms.
 
 A law that the model lacks may hide that. So a unit is suspected, too, where what was found needs a gain or a parameter
 that is several times what is declared, or is unknown, and readings and simulation are of one size in another unit:
@@ -32,6 +33,7 @@ USUAL = (
 )
 TIMES = ("ms", "us")
 SAMPLES = 4000  # of the record that are simulated
+SLOW = 500  # steps of integration between samples, some periods of the fastest motion, from which a clock is doubted
 STEPS = 64  # of integration between samples at most
 FAR = 3.0  # times what is declared, from which a gain or a parameter is far off: the least factor between usual units
 DEVIATIONS = 3.0  # of its prior, from which a parameter is
@@ -112,12 +114,23 @@ def doubted(problem: EstimationProblem) -> UnitDoubt | None:
         problem: the record and the rig, simulated whole.
     """
     few, rules = _part(problem), problem.rules
-    before = _error(_simulated(few), few)
+    declared = _simulated(few)
+    before = _error(declared, few)
     if before < rules.phase_loss:
         return None
-    tried = [replace(one, error=(before, _error(_simulated(other), other))) for one, other in _converted(few)]
+    tried, sizes = list[UnitDoubt](), list[float]()
+    for one, other in _converted(few):
+        after = _simulated(other)
+        tried.append(replace(one, error=(before, _error(after, other))))
+        sizes.append(_apart(after, other))
     best, least = _best(tried, [one.error[1] for one in tried])
-    return best if best and least < rules.unit_error * min(before, 1.0) else None
+    if best and least < rules.unit_error * min(before, 1.0):
+        return best
+    if problem.substeps < SLOW:
+        return None
+    clocks = [(size, one) for size, one in zip(sizes, tried, strict=True) if one.kind == "clock"]
+    size, best = min(clocks, key=lambda pair: pair[0])
+    return best if size < min(FAR, _apart(declared, few)) else None
 
 
 def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None:

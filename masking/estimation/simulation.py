@@ -125,10 +125,7 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
     state, found = nearest(sensing, theta, beginning, weights)
 
     def simulated(first: Array, number: int) -> Array:
-        try:
-            return sensing.normal_equations(basis, first, beginning, weights, number).simulated
-        except IntegrationError:
-            return np.full_like(beginning.readings, np.nan)
+        return sensing.normal_equations(basis, first, beginning, weights, number).simulated
 
     allowed, enough = STEP_ERROR * np.maximum(record.noise, np.sqrt(found.squares / len(beginning))), steps
     for begun in (state, first_start(sensing, beginning)):  # where larger steps have led, less may move
@@ -195,7 +192,15 @@ def refined(simulated: Callable[[int], Array], least: int, most: int, allowed: A
         allowed: change of the readings, rms (sensors,).
         ahead: factor of the smaller steps.
     """
-    made, steps = cache(simulated), least
+
+    @cache
+    def made(number: int) -> Array:  # too large steps diverge, or hold a motion that runs away
+        try:
+            return simulated(number)
+        except IntegrationError:
+            return np.full_like(allowed, np.nan)
+
+    steps = least
     while steps < most:
         change = made(min(ahead * steps, ahead * most // 2)) - made(steps)
         if bool((np.sqrt((change**2).mean(axis=0)) < allowed).all()):
