@@ -48,6 +48,10 @@ from masking.numerics.arrays import Matrix, Vector
 '''
 
 
+# measured: vectors of 8 numbers; a processor whose registers hold fewer takes several of these for each.
+LANES = 8
+
+
 def taylor_order(products: int) -> int:
     """Return the order of the Taylor series for dynamics with this number of products of series."""
     return TAYLOR_ORDERS[products > MOST_PRODUCTS_OF_HIGH_ORDER]
@@ -127,6 +131,9 @@ class Module:
     ) -> None:
         """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` of order k of state i.
 
+        `lane_coefficients(t, y, u, p, c, health)` does so for several runs, a column each, and `lane_states(x, c, y)`
+        writes their states at the times x from there; c[k n + i] is a row.
+
         Args:
             graph: the graph that holds all nodes.
             states: symbols of the states.
@@ -142,6 +149,14 @@ class Module:
         # measured: sums of products in a free order make Taylor coefficients 1.6 times faster; the solution's error is
         # that of the order and tolerance, whatever the order of summation.
         self._define(signature, Expressions(_read(signature)[1], graph, results, loads, health), llvm_text.FREE)
+        size = len(states)
+        flat = [(f"c[{k * size + i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
+        read = {**loads, str(graph.operations[time][1]): "t[0]"}
+        signature = f"lane_coefficients({', '.join(f'{name}: Matrix' for name in ('t', 'y', 'u', 'p', 'c', 'health'))})"
+        part = Expressions(_read(signature)[1], graph, [*flat, ("health[0]", health)], read, None)
+        self._define(signature, part, llvm_text.FREE, LANES)
+        signature = "lane_states(x: Matrix, c: Matrix, y: Matrix)"
+        self._define(signature, polynomials(_read(signature)[1], order, size), "contract", LANES)
 
     def add_factory(
         self,
@@ -197,12 +212,12 @@ class Module:
         self.functions.append(text)
         self._export(*_read(signature), signature.partition(" -> ")[2] or "None")
 
-    def _define(self, signature: str, part: Expressions, free: str = "") -> None:
+    def _define(self, signature: str, part: Expressions, free: str = "", lanes: int = 1) -> None:
         name, returned = _read(signature)[0], "None" if part.returns is None else "float"
         self.parts[name] = part
         self._export(name, part.types, returned)
         given = (part.types, part.graph, part.results, part.loads, part.returns)
-        self.definitions[name] = llvm_text.function(native.symbol(name), *given, free)
+        self.definitions[name] = llvm_text.function(native.symbol(name), *given, free, lanes)
 
     def _export(
         self, name: str, arguments: Mapping[str, str], returned: str, work: tuple[int, int] | None = None
@@ -215,6 +230,24 @@ class Module:
         if self.functions:
             self.functions.append(native.interface(name, arguments, results))
         self.meta.setdefault("functions", {})[name] = {"arguments": arguments, "results": results, "work": work}
+
+
+def polynomials(types: Mapping[str, str], order: int, size: int) -> Expressions:
+    """Return the values at x of polynomials with the coefficients `c[k * size + i]`, by Horner's rule.
+
+    Args:
+        types: of the arguments x, c and y by their names.
+        order: of the polynomials.
+        size: how many there are.
+    """
+    graph, results = Graph(), list[tuple[str, Node]]()
+    x = graph.symbol("x[0]", varying=True)
+    for i in range(size):
+        value, *rest = (graph.symbol(f"c[{k * size + i}]", varying=True) for k in range(order, -1, -1))
+        for coefficient in rest:
+            value = graph.add(graph.mul(value, x), coefficient)
+        results.append((f"y[{i}]", value))
+    return Expressions(types, graph, results, {}, None)
 
 
 def _read(signature: str) -> tuple[str, dict[str, str]]:
