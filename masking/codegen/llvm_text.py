@@ -11,10 +11,13 @@ import struct
 from collections.abc import Mapping, Sequence
 
 from masking.codegen.graph import Graph, Node
+from masking.codegen.lane_functions import sine_and_cosine
 from masking.codegen.printers import arguments, needed
 
 # Sums of products in a free order, and quotients by products with the inverse.
 FREE = "contract reassoc nsz arcp"
+STRICT = "contract "  # where an order of operations counts: what is fused is rounded less
+TURNS = ("sin", "cos")
 INFIX = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 COMPARED = {"lt": "olt", "le": "ole"}
 INTRINSICS = {"abs": "fabs"} | {f: f for f in ("sqrt", "sin", "cos", "exp", "log", "floor", "pow")}
@@ -121,6 +124,7 @@ class _Body:
         self.type, self.truth = ("double", "i1") if lanes == 1 else (f"<{lanes} x double>", f"<{lanes} x i1>")
         self.lines: list[str] = []
         self.values: dict[Node, str] = {}
+        self._turns: dict[str, tuple[str, str]] = {}  # sines and cosines by their angles
         self._count = 0
 
     def new(self, text: str) -> str:
@@ -175,6 +179,8 @@ class _Body:
 
     def _call(self, name: str, given: Sequence[str]) -> str:
         """Return the value of a function of mathematics: LLVM's own takes lanes, one of the library each by itself."""
+        if name in TURNS and self.lanes > 1:
+            return self._turn(given[0])[TURNS.index(name)]
         if name in INTRINSICS:
             kind = "f64" if self.lanes == 1 else f"v{self.lanes}f64"
             return self._called(f"llvm.{INTRINSICS[name]}.{kind}", self.type, given)
@@ -186,6 +192,13 @@ class _Body:
             value = self._called(name, "double", parts)
             found = self.new(f"insertelement {self.type} {found}, double {value}, i64 {lane}")
         return found
+
+    def _turn(self, x: str) -> tuple[str, str]:
+        if x not in self._turns:
+            free, self.free = self.free, STRICT
+            self._turns[x] = sine_and_cosine(lambda name, *given: self.apply(name, given), self.number, x)
+            self.free = free
+        return self._turns[x]
 
     def _called(self, name: str, kind: str, given: Sequence[str]) -> str:
         return self.new(f"call {self.free}{kind} @{name}({', '.join(f'{kind} {x}' for x in given)})")
