@@ -20,6 +20,7 @@ import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
+from functools import reduce
 from typing import Any
 
 from masking.codegen import llvm_text, native
@@ -155,6 +156,8 @@ class Module:
         signature = f"lane_coefficients({', '.join(f'{name}: Matrix' for name in ('t', 'y', 'u', 'p', 'c', 'health'))})"
         part = Expressions(_read(signature)[1], graph, [*flat, ("health[0]", health)], read, None)
         self._define(signature, part, llvm_text.FREE, LANES)
+        signature = "lane_terms(c: Matrix, terms: Matrix)"
+        self._define(signature, largest_terms(_read(signature)[1], order, size), lanes=LANES)
         signature = "lane_states(x: Matrix, c: Matrix, y: Matrix)"
         self._define(signature, polynomials(_read(signature)[1], order, size), "contract", LANES)
 
@@ -230,6 +233,28 @@ class Module:
         if self.functions:
             self.functions.append(native.interface(name, arguments, results))
         self.meta.setdefault("functions", {})[name] = {"arguments": arguments, "results": results, "work": work}
+
+
+def largest_terms(types: Mapping[str, str], order: int, size: int) -> Expressions:
+    """Return what the length of a step follows from: sizes of terms of the series of all states.
+
+    They are the sum of the last two terms of all; and the largest state, the largest terms of the highest order, of that
+    before, and of each second order from half the highest on.
+
+    Args:
+        types: of the arguments c and terms by their names.
+        order: the highest.
+        size: number of states.
+    """
+    graph = Graph()
+
+    def sizes(k: int) -> list[Node]:
+        return [graph.apply("abs", graph.symbol(f"c[{k * size + i}]", varying=True)) for i in range(size)]
+
+    nodes = [graph.total([*sizes(order), *sizes(order - 1)])]
+    for k in (0, order, order - 1, *range(order // 2 + 2, order - 1, 2)):
+        nodes.append(reduce(lambda a, b: graph.apply("max", a, b), sizes(k)))
+    return Expressions(types, graph, [(f"terms[{i}]", node) for i, node in enumerate(nodes)], {}, None)
 
 
 def polynomials(types: Mapping[str, str], order: int, size: int) -> Expressions:

@@ -184,7 +184,7 @@ def module(equations: Equations) -> Module:
         module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined, order=order)
         module.add_factory("solve_taylor", taylor.taylor, "coefficients", order, size, work=(order + 1, size))
         counts = (order, size, inputs, len(s.p), LANES)
-        linked = ("lane_coefficients", "lane_states")
+        linked = ("lane_coefficients", "lane_terms", "lane_states")
         module.add_factory("solve_in_lanes", lanes.taylor, *linked, *counts, work=lane_work(*counts))
     added = Added(lowered.lagged, lowered.delays, lowered.conditions, equations.events.targets)
     add_runge_kutta(module, graph, added, joined, (size, inputs))

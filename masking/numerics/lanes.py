@@ -20,12 +20,13 @@ Kernel = Callable[..., Any]
 
 
 def taylor(  # noqa: PLR0913  (sizes of a model)
-    coefficients: Kernel, evaluate: Kernel, order: int, size: int, inputs: int, parameters: int, lanes: int
+    coefficients: Kernel, measure: Kernel, evaluate: Kernel, order: int, size: int, inputs: int, parameters: int, lanes: int
 ) -> Kernel:
     """Make the integrator of many runs, with the steps of `masking.numerics.taylor`.
 
     Args:
         coefficients: `coefficients(t, y, u, p, c, health)` writes Taylor coefficients of all lanes.
+        measure: `measure(c, terms)` writes what the length of a step follows from.
         evaluate: `evaluate(x, c, y)` writes the states of all lanes at times x from where the coefficients hold.
         order: their highest order.
         size: number n of states.
@@ -38,7 +39,7 @@ def taylor(  # noqa: PLR0913  (sizes of a model)
         but a row of `y` (runs, n), `p` (runs, k) and `ends` (runs, 3), and m rows of `states` (runs m, n) for each
         run; `ends` gets the status, the time reached and the number of steps. At least one run.
     """
-    first_c = 12
+    first_c = 8 + 4 + (order - order // 2 - 2) // 2
     first_y = first_c + (order + 1) * size
     first_sample = first_y + size
     first_u = first_sample + size
@@ -53,28 +54,12 @@ def taylor(  # noqa: PLR0913  (sizes of a model)
             values[i, lane] = p[run, i]
 
     @compiled
-    def measure(c, total, largest, last, before):
-        for lane in range(lanes):
-            total[0, lane] = 0.0
-            largest[0, lane] = SMALLEST_STEP
-            last[0, lane] = 0.0
-            before[0, lane] = 0.0
-        for i in range(size):
-            for lane in range(lanes):
-                highest, other = abs(c[order * size + i, lane]), abs(c[(order - 1) * size + i, lane])
-                total[0, lane] += highest + other
-                largest[0, lane] = max(largest[0, lane], abs(c[i, lane]))
-                last[0, lane] = max(last[0, lane], highest)
-                before[0, lane] = max(before[0, lane], other)
-
-    @compiled
-    def length(c, lane, total, largest, last, before, tolerance, part):
+    def length(terms, lane, tolerance, part):
+        largest = max(SMALLEST_STEP, terms[1, lane])
+        total, last, before = terms[0, lane], terms[2, lane], terms[3, lane]
         radius = longest_step(total, largest, last, before, tolerance, order) / part
         for k in range(order // 2 + 2, order - 1, 2):
-            term = 0.0
-            for i in range(size):
-                term = max(term, abs(c[k * size + i, lane]))
-            radius = shortened(radius, k, term, largest)
+            radius = shortened(radius, k, terms[4 + (k - order // 2) // 2 - 1, lane], largest)
         return part * radius
 
     @compiled
@@ -86,7 +71,7 @@ def taylor(  # noqa: PLR0913  (sizes of a model)
         now, x, health, first, number, sample, steps, reached = (
             work[0:1], work[1:2], work[2:3], work[3:4], work[4:5], work[5:6], work[6:7], work[7:8],
         )  # fmt: skip
-        total, largest, last, before = work[8:9], work[9:10], work[10:11], work[11:12]
+        terms = work[8:first_c]
         c, state, found = work[first_c:first_y], work[first_y:first_sample], work[first_sample:first_u]
         given, values = work[first_u:first_p], work[first_p:rows]
         end = times[m - 1]
@@ -118,15 +103,13 @@ def taylor(  # noqa: PLR0913  (sizes of a model)
             if active == 0:
                 return
             coefficients(now, state, given, values, c, health)
-            measure(c, total, largest, last, before)
+            measure(c, terms)
             for lane in range(lanes):
                 x[0, lane] = 0.0
                 if number[0, lane] >= 0.0:
                     if steps[0, lane] == 0.0:
                         first[0, lane] = health[0, lane]
-                    h = length(
-                        c, lane, total[0, lane], largest[0, lane], last[0, lane], before[0, lane], tolerance, part
-                    )
+                    h = length(terms, lane, tolerance, part)
                     remaining = abs(end - now[0, lane])
                     status = obstacle(now[0, lane], h, remaining, health[0, lane], first[0, lane], steps[0, lane])
                     if status != REACHED:
