@@ -8,16 +8,24 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
+from masking.codegen import lane_functions
 from masking.codegen.graph import Graph, Node
-from masking.codegen.lane_functions import sine_and_cosine
 from masking.codegen.printers import arguments, needed
 
 # Sums of products in a free order, and quotients by products with the inverse.
 FREE = "contract reassoc nsz arcp"
-STRICT = "contract "  # where an order of operations counts: what is fused is rounded less
-TURNS = ("sin", "cos")
+FUSED = "contract"  # a product and a sum in one, rounded once
+PAIR = ("sin", "cos")
+VECTORS: Mapping[str, Callable[..., Any]] = {
+    **dict.fromkeys(PAIR, lane_functions.sine_and_cosine),
+    "exp": lane_functions.exponential,
+    "log": lane_functions.logarithm,
+}
+FRACTION, BIAS = 52, 1023  # bits of a number's fraction, and what its exponent is stored with
+(ROOT_HALF,) = struct.unpack("<q", struct.pack("<d", 0.5**0.5))
 INFIX = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 COMPARED = {"lt": "olt", "le": "ole"}
 INTRINSICS = {"abs": "fabs"} | {f: f for f in ("sqrt", "sin", "cos", "exp", "log", "floor", "pow")}
@@ -124,7 +132,7 @@ class _Body:
         self.type, self.truth = ("double", "i1") if lanes == 1 else (f"<{lanes} x double>", f"<{lanes} x i1>")
         self.lines: list[str] = []
         self.values: dict[Node, str] = {}
-        self._turns: dict[str, tuple[str, str]] = {}  # sines and cosines by their angles
+        self._known: dict[tuple[str, str], str] = {}  # functions in lanes, by their names and arguments
         self._count = 0
 
     def new(self, text: str) -> str:
@@ -173,14 +181,16 @@ class _Body:
             case "heaviside":
                 below = self._choice(self._is("oeq", x, zero), self.number(0.5), zero)
                 found = self._choice(self._is("ogt", x, zero), one, below)
+            case "power_of_two" | "exponent" | "significand":
+                found = self._bits(name, x)
             case _:
                 found = self._call(name, given)
         return found
 
     def _call(self, name: str, given: Sequence[str]) -> str:
         """Return the value of a function of mathematics: LLVM's own takes lanes, one of the library each by itself."""
-        if name in TURNS and self.lanes > 1:
-            return self._turn(given[0])[TURNS.index(name)]
+        if name in VECTORS and self.lanes > 1:
+            return self._in_lanes(name, given[0])
         if name in INTRINSICS:
             kind = "f64" if self.lanes == 1 else f"v{self.lanes}f64"
             return self._called(f"llvm.{INTRINSICS[name]}.{kind}", self.type, given)
@@ -193,12 +203,31 @@ class _Body:
             found = self.new(f"insertelement {self.type} {found}, double {value}, i64 {lane}")
         return found
 
-    def _turn(self, x: str) -> tuple[str, str]:
-        if x not in self._turns:
-            free, self.free = self.free, STRICT
-            self._turns[x] = sine_and_cosine(lambda name, *given: self.apply(name, given), self.number, x)
+    def _in_lanes(self, name: str, x: str) -> str:
+        if (name, x) not in self._known:
+            free, self.free = self.free, f"{FUSED} "
+            found = VECTORS[name](lambda name, *given: self.apply(name, given), self.number, x)
+            self._known |= dict(zip([(n, x) for n in PAIR], found, strict=True)) if name in PAIR else {(name, x): found}
             self.free = free
-        return self._turns[x]
+        return self._known[name, x]
+
+    def _bits(self, name: str, x: str) -> str:
+        """Return 2^x of a whole number x; or the exponent of x, or its significand in [sqrt(1/2), sqrt(2))."""
+        whole = self.type.replace("double", "i64")
+
+        def constant(value: int) -> str:
+            return f"<{', '.join([f'i64 {value}'] * self.lanes)}>"
+
+        if name == "power_of_two":
+            raised = self.new(f"add {whole} {self.new(f'fptosi {self.type} {x} to {whole}')}, {constant(BIAS)}")
+            shifted = self.new(f"shl {whole} {raised}, {constant(FRACTION)}")
+            return self.new(f"bitcast {whole} {shifted} to {self.type}")
+        bits = self.new(f"bitcast {self.type} {x} to {whole}")
+        above = self.new(f"sub {whole} {bits}, {constant(ROOT_HALF)}")
+        if name == "exponent":
+            return self.new(f"sitofp {whole} {self.new(f'ashr {whole} {above}, {constant(FRACTION)}')} to {self.type}")
+        power = self.new(f"and {whole} {above}, {constant(-(2**FRACTION))}")
+        return self.new(f"bitcast {whole} {self.new(f'sub {whole} {bits}, {power}')} to {self.type}")
 
     def _called(self, name: str, kind: str, given: Sequence[str]) -> str:
         return self.new(f"call {self.free}{kind} @{name}({', '.join(f'{kind} {x}' for x in given)})")

@@ -20,13 +20,12 @@ import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
-from functools import reduce
 from typing import Any
 
 from masking.codegen import llvm_text, native
 from masking.codegen.graph import Graph, Node
 from masking.codegen.printers import PYTHON, Language, needed
-from masking.codegen.taylor import coefficients
+from masking.codegen.taylor import coefficients, polynomials, step_terms
 
 # measured: the work of a step grows with the square of the order, so that dynamics of many products want a lower
 # order: Duffing oscillators (4 products) are fastest at 14 from errors of 1e-6 to 1e-12, pendula (15) at 12.
@@ -132,8 +131,9 @@ class Module:
     ) -> None:
         """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` of order k of state i.
 
-        `lane_coefficients(t, y, u, p, c, health)` does so for several runs, a column each, and `lane_states(x, c, y)`
-        writes their states at the times x from there; c[k n + i] is a row.
+        For several runs, a column each, `lane_coefficients(t, y, u, p, c, health)` does so, where c[k n + i] is a row;
+        `lane_terms(c, tolerance, terms)` writes what `codegen.taylor.step_terms` gives, a row each, and
+        `lane_states(x, c, y)` the states at the times x from there.
 
         Args:
             graph: the graph that holds all nodes.
@@ -150,16 +150,26 @@ class Module:
         # measured: sums of products in a free order make Taylor coefficients 1.6 times faster; the solution's error is
         # that of the order and tolerance, whatever the order of summation.
         self._define(signature, Expressions(_read(signature)[1], graph, results, loads, health), llvm_text.FREE)
-        size = len(states)
-        flat = [(f"c[{k * size + i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
-        read = {**loads, str(graph.operations[time][1]): "t[0]"}
-        signature = f"lane_coefficients({', '.join(f'{name}: Matrix' for name in ('t', 'y', 'u', 'p', 'c', 'health'))})"
-        part = Expressions(_read(signature)[1], graph, [*flat, ("health[0]", health)], read, None)
-        self._define(signature, part, llvm_text.FREE, LANES)
-        signature = "lane_terms(c: Matrix, terms: Matrix)"
-        self._define(signature, largest_terms(_read(signature)[1], order, size), lanes=LANES)
-        signature = "lane_states(x: Matrix, c: Matrix, y: Matrix)"
-        self._define(signature, polynomials(_read(signature)[1], order, size), "contract", LANES)
+        self._add_lanes(graph, rows, time=time, health=health, loads=loads)
+
+    def _add_lanes(
+        self, graph: Graph, rows: Sequence[Sequence[Node]], *, time: Node, health: Node, loads: Mapping[str, str]
+    ) -> None:
+        def add(name: str, arguments: str, graph: Graph, results: Sequence[tuple[str, Node]], free: str) -> None:
+            types = dict.fromkeys(arguments.split(), "Matrix")
+            signature = f"{name}({', '.join(f'{one}: Matrix' for one in types)})"
+            self._define(signature, Expressions(types, graph, results, loads_of_lanes, None), free, LANES)
+
+        size = len(rows[0])
+        loads_of_lanes = {**loads, str(graph.operations[time][1]): "t[0]"}
+        results = [(f"c[{k * size + i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
+        add("lane_coefficients", "t y u p c health", graph, [*results, ("health[0]", health)], llvm_text.FREE)
+        graph = Graph()
+        given = [[graph.symbol(f"c[{k * size + i}]", varying=True) for i in range(size)] for k in range(len(rows))]
+        terms = step_terms(graph, given, graph.symbol("tolerance[0]", varying=True))
+        add("lane_terms", "c tolerance terms", graph, [(f"terms[{i}]", node) for i, node in enumerate(terms)], "")
+        found = polynomials(graph, given, graph.symbol("x[0]", varying=True))
+        add("lane_states", "x c y", graph, [(f"y[{i}]", node) for i, node in enumerate(found)], llvm_text.FUSED)
 
     def add_factory(
         self,
@@ -233,46 +243,6 @@ class Module:
         if self.functions:
             self.functions.append(native.interface(name, arguments, results))
         self.meta.setdefault("functions", {})[name] = {"arguments": arguments, "results": results, "work": work}
-
-
-def largest_terms(types: Mapping[str, str], order: int, size: int) -> Expressions:
-    """Return what the length of a step follows from: sizes of terms of the series of all states.
-
-    They are the sum of the last two terms of all; and the largest state, the largest terms of the highest order, of that
-    before, and of each second order from half the highest on.
-
-    Args:
-        types: of the arguments c and terms by their names.
-        order: the highest.
-        size: number of states.
-    """
-    graph = Graph()
-
-    def sizes(k: int) -> list[Node]:
-        return [graph.apply("abs", graph.symbol(f"c[{k * size + i}]", varying=True)) for i in range(size)]
-
-    nodes = [graph.total([*sizes(order), *sizes(order - 1)])]
-    for k in (0, order, order - 1, *range(order // 2 + 2, order - 1, 2)):
-        nodes.append(reduce(lambda a, b: graph.apply("max", a, b), sizes(k)))
-    return Expressions(types, graph, [(f"terms[{i}]", node) for i, node in enumerate(nodes)], {}, None)
-
-
-def polynomials(types: Mapping[str, str], order: int, size: int) -> Expressions:
-    """Return the values at x of polynomials with the coefficients `c[k * size + i]`, by Horner's rule.
-
-    Args:
-        types: of the arguments x, c and y by their names.
-        order: of the polynomials.
-        size: how many there are.
-    """
-    graph, results = Graph(), list[tuple[str, Node]]()
-    x = graph.symbol("x[0]", varying=True)
-    for i in range(size):
-        value, *rest = (graph.symbol(f"c[{k * size + i}]", varying=True) for k in range(order, -1, -1))
-        for coefficient in rest:
-            value = graph.add(graph.mul(value, x), coefficient)
-        results.append((f"y[{i}]", value))
-    return Expressions(types, graph, results, {}, None)
 
 
 def _read(signature: str) -> tuple[str, dict[str, str]]:

@@ -102,4 +102,4 @@ class Sizes:
 
 def lane_work(order: int, size: int, inputs: int, parameters: int, lanes: int) -> tuple[int, int]:
     """Return the shape of the work space of `masking.numerics.lanes`."""
-    return 12 + (order - order // 2 - 2) // 2 + (order + 3) * size + inputs + parameters, lanes
+    return 13 + (order - order // 2 - 2) // 2 + (order + 3) * size + inputs + parameters, lanes

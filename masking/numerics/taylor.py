@@ -29,29 +29,6 @@ ALL_BUT_ROUNDING = 1.0 - 1e-12  # a step of this part of what remains is the las
 
 
 @inlined
-def longest_step(total, largest, last, before, tolerance, order):
-    """Return the step of Jorba and Zou; not a number where the series is none.
-
-    Args:
-        total: sum of the last two terms, of all states.
-        largest: largest state.
-        last: largest term of the highest order.
-        before: largest term of the order before it.
-        tolerance: local error of a step relative to the largest state.
-        order: the highest.
-    """
-    if not math.isfinite(total):
-        return math.nan
-    # In logarithms, which measured 8 % faster than two powers; exp(inf) stands where the series ends.
-    h = math.inf
-    if last > 0.0:
-        h = math.log(tolerance * largest / last) * (1.0 / order)
-    if before > 0.0:
-        h = min(h, math.log(tolerance * largest / before) * (1.0 / (order - 1)))
-    return math.exp(h)
-
-
-@inlined
 def shortened(radius, k, term, largest):
     """Return a radius of convergence at which the largest term of order k is no larger than the state is."""
     if term > 0.0 and term * radius**k > largest:
@@ -108,7 +85,15 @@ def taylor(coefficients: Kernel, order: int, size: int) -> Kernel:
             largest = max(largest, abs(c[0, i]))
             last = max(last, abs(c[order, i]))
             before = max(before, abs(c[order - 1, i]))
-        h = longest_step(total, largest, last, before, tolerance, order)
+        if not math.isfinite(total):
+            return math.nan
+        # In logarithms, which measured 8 % faster than two powers; exp(inf) stands where the series ends.
+        h = math.inf
+        if last > 0.0:
+            h = math.log(tolerance * largest / last) * (1.0 / order)
+        if before > 0.0:
+            h = min(h, math.log(tolerance * largest / before) * (1.0 / (order - 1)))
+        h = math.exp(h)
         # With part = tolerance^(1/order), no term may be larger at the radius h / part than the state is. Order k
         # of a coordinate and k - 1 of its velocity vanish together: every second order shows all gaps.
         radius = h / part
