@@ -31,7 +31,7 @@ Number = Callable[[float], str]
 
 
 def sine_and_cosine(apply: Apply, number: Number, x: str) -> tuple[str, str]:
-    """Return sin x and cos x, right to two units in the last place of x or of the result.
+    """Return sin x and cos x, to 1e6 right to two units in the last place or 1e-20; beyond, to two units of that of x.
 
     Args:
         apply: returns the value of an operation, of its name and values.

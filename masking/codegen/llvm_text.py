@@ -204,10 +204,12 @@ class _Body:
         return found
 
     def _in_lanes(self, name: str, x: str) -> str:
+        """Return the value of a function in lanes, whose operations keep their order."""
         if (name, x) not in self._known:
             free, self.free = self.free, f"{FUSED} "
-            found = VECTORS[name](lambda name, *given: self.apply(name, given), self.number, x)
-            self._known |= dict(zip([(n, x) for n in PAIR], found, strict=True)) if name in PAIR else {(name, x): found}
+            found = VECTORS[name](lambda operation, *given: self.apply(operation, given), self.number, x)
+            names, values = (PAIR, found) if name in PAIR else ((name,), (found,))
+            self._known |= {(one, x): value for one, value in zip(names, values, strict=True)}
             self.free = free
         return self._known[name, x]
 
